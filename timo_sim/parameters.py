@@ -1,0 +1,250 @@
+"""
+The parameters: name, default, unit, meaning and rule of each, once for YAML, Python and ROS.
+
+The defaults are the paper's manipulator (its Tables 1 and 3) at rest, without loads.
+"""
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+SCENE, NODE = 'scene', 'node'
+
+
+class ParameterError(ValueError):
+    """A parameter that breaks its rule; the text names parameter, value and rule."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """
+    A parameter and its rule.
+
+    Attributes
+    ----------
+    name : str
+        Dotted name.
+    default : bool, int, float, str or tuple of float
+        Its type is the parameter's type.
+    unit, meaning : str
+    low, high : float
+        Range of the value, or of each element.
+    open_low : bool
+        Whether `low` itself is excluded.
+    choices : tuple of str
+    scope : str
+        SCENE: part of the physics, read-only in the node. NODE: the node's own.
+    runtime : bool
+        Whether the node lets it be set while it runs.
+
+    """
+
+    name: str
+    default: object
+    unit: str
+    meaning: str
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+    choices: tuple = ()
+    scope: str = SCENE
+    runtime: bool = False
+
+    @property
+    def rule(self):
+        """What a value must be, in words."""
+        kind = {bool: 'true or false', int: 'a whole number', float: 'a finite number',
+                str: 'a text', tuple: 'a list of finite numbers'}[type(self.default)]
+        if self.choices:
+            return 'one of ' + ', '.join(self.choices)
+        bounds = []
+        if self.low > -math.inf:
+            bounds.append(f'{">" if self.open_low else ">="} {self.low:g}')
+        if self.high < math.inf:
+            bounds.append(f'<= {self.high:g}')
+        unit = f' {self.unit}' if bounds and self.unit else ''
+        return ' '.join([kind, ' and '.join(bounds)]).strip() + unit
+
+    def check(self, value):
+        """
+        Return the value as the parameter's type.
+
+        A whole number is accepted for a float, and so is a text like '70.5e9', which is how YAML
+        1.1 reads a number without a sign in the exponent.
+
+        Raises
+        ------
+        ParameterError
+            If the value breaks the rule.
+
+        """
+        try:
+            if isinstance(self.default, tuple):
+                if value is None:  # what ROS makes of an empty list
+                    return ()
+                if isinstance(value, (str, bytes, dict)) or not hasattr(value, '__iter__'):
+                    raise ValueError
+                return tuple(self._checked_number(element) for element in value)
+            if isinstance(self.default, float):
+                return self._checked_number(value)
+            if isinstance(value, np.generic):
+                value = value.item()
+            if type(value) is not type(self.default):
+                raise ValueError
+            if self.choices and value not in self.choices:
+                raise ValueError
+            if isinstance(value, int) and not self.low <= value <= self.high:
+                raise ValueError
+            return value
+        except (ValueError, TypeError):
+            shown = repr(value)
+            shown = shown if len(shown) <= 60 else shown[:57] + '...'
+            raise ParameterError(f'{self.name} must be {self.rule}, got {shown}') from None
+
+    def _checked_number(self, value):
+        if isinstance(value, (bool, np.bool_)):
+            raise ValueError
+        number = float(value)
+        above = number > self.low if self.open_low else number >= self.low
+        if not (math.isfinite(number) and above and number <= self.high):
+            raise ValueError
+        return number
+
+
+def _positive(name, default, unit, meaning, **more):
+    return Parameter(name, default, unit, meaning, low=0.0, open_low=True, **more)
+
+
+def _not_negative(name, default, unit, meaning, **more):
+    return Parameter(name, default, unit, meaning, low=0.0, **more)
+
+
+def _load(channel, unit, meaning):
+    prefix = f'load.{channel}'
+    return [
+        Parameter(f'{prefix}.harmonic.amplitude', (), unit,
+                  f'{meaning}: amplitudes of its terms amplitude sin(2 pi frequency t + phase)'),
+        Parameter(f'{prefix}.harmonic.frequency', (), 'Hz', 'frequencies of the same terms',
+                  low=0.0),
+        Parameter(f'{prefix}.harmonic.phase', (), 'rad', 'phases of the same terms; none: all 0'),
+        Parameter(f'{prefix}.piecewise.time', (), 's',
+                  f'{meaning}: times at which it jumps to a new constant value', low=0.0),
+        Parameter(f'{prefix}.piecewise.value', (), unit, 'value from each of these times on'),
+        Parameter(f'{prefix}.table.time', (), 's',
+                  f'{meaning}: times of points joined by straight lines; a time twice is a jump',
+                  low=0.0),
+        Parameter(f'{prefix}.table.value', (), unit, 'values at these points'),
+    ]
+
+
+def _rate(topic, default):
+    return _positive(f'rate.{topic}', default, 'Hz', f'messages per second of sim time on {topic}',
+                     scope=NODE, runtime=True)
+
+
+_ALL = [
+    _positive('arm.length', 2.0, 'm', 'length of the arm'),
+    _positive('arm.width', 0.02, 'm', 'section size normal to the plane of motion'),
+    _positive('arm.height', 0.02, 'm', 'section size in the plane of motion'),
+    _positive('arm.density', 2710.0, 'kg/m3', 'density'),
+    _positive('arm.young_modulus', 70.5e9, 'Pa', "Young's modulus"),
+    _positive('arm.shear_modulus', 27e9, 'Pa', 'shear modulus'),
+    _positive('arm.shear_correction', 0.85, '', 'shear correction factor kappa'),
+    Parameter('arm.damping_ratio', (), '', 'modal damping ratios: none, one for all modes, or one '
+              'for each', low=0.0, high=1.0),
+    _positive('carrier.mass', 5.0, 'kg', 'mass of the carrier'),
+    _not_negative('motor.mass', 5.0, 'kg', 'mass of the motor, on the carrier'),
+    _not_negative('motor.shaft_inertia', 2.0, 'kg m2', 'moment of inertia of the motor shaft'),
+    _not_negative('end_effector.mass', 2.0, 'kg', 'mass at the tip'),
+    _not_negative('end_effector.inertia', 0.5, 'kg m2', 'moment of inertia at the tip'),
+    Parameter('initial.carrier_x', 0.0, 'm', 'carrier position at t = 0'),
+    Parameter('initial.carrier_y', 0.0, 'm', 'carrier position at t = 0'),
+    Parameter('initial.shaft', math.pi / 4, 'rad', 'shaft angle at t = 0'),
+    Parameter('initial.carrier_x_velocity', 0.0, 'm/s', 'carrier velocity at t = 0'),
+    Parameter('initial.carrier_y_velocity', 0.0, 'm/s', 'carrier velocity at t = 0'),
+    Parameter('initial.shaft_velocity', 0.0, 'rad/s', 'shaft speed at t = 0'),
+    Parameter('initial.modal_coordinates', (), 'm sqrt(kg)', 'modal coordinates at t = 0: none '
+              '(straight arm) or one for each mode'),
+    Parameter('initial.modal_rates', (), 'm sqrt(kg)/s', 'their rates at t = 0'),
+    Parameter('model.formulation', 'exact', '', 'equations of motion',
+              choices=('exact', 'newton')),
+    Parameter('model.modes', 3, '', 'number of assumed modes; 0 is a rigid arm', low=0, high=40),
+    _positive('integrator.step', 0.001, 's', 'time step'),
+    *_load('force_x', 'N', 'force on the carrier along world x'),
+    *_load('force_y', 'N', 'force on the carrier along world y'),
+    *_load('torque', 'N m', 'torque on the shaft'),
+    _not_negative('real_time_factor', 1.0, '', 'sim time per wall time; 0: as fast as possible',
+                  scope=NODE, runtime=True),
+    _not_negative('catch_up_limit', 0.1, 's', 'wall time that is caught up after a delay; what is '
+                  'beyond it is dropped and counted', scope=NODE, runtime=True),
+    _not_negative('duration', 0.0, 's', 'sim time after which the node ends; 0: never',
+                  scope=NODE),
+    _not_negative('command_timeout', 0.0, 's', 'sim time after which a command without successor '
+                  'falls to zero; 0: held for ever', scope=NODE, runtime=True),
+    Parameter('step_count', 1, '', 'time steps of one call of ~/step', low=1, high=1000000,
+              scope=NODE, runtime=True),
+    Parameter('publish_clock', False, '', 'whether sim time goes to /clock', scope=NODE),
+    _rate('joint_states', 100.0),
+    _rate('tip_deflection', 100.0),
+    _rate('tip_pose', 100.0),
+    _rate('carrier_pose', 100.0),
+    _rate('clock', 100.0),
+    Parameter('record', True, '', 'whether the run is logged to an MCAP file', scope=NODE),
+    Parameter('record_file', '', '', 'path of the log; empty: timo_sim_DATE_TIME.mcap in the '
+              'working directory', scope=NODE),
+]
+
+PARAMETERS = {parameter.name: parameter for parameter in _ALL}
+
+
+def check(values, source):
+    """
+    Check a set of values.
+
+    Parameters
+    ----------
+    values : dict
+        Value of each dotted name.
+    source : str
+        Where they come from, for the message.
+
+    Returns
+    -------
+    dict
+        The values as their types.
+
+    Raises
+    ------
+    ParameterError
+        If a name is unknown or a value breaks its rule.
+
+    """
+    checked = {}
+    for name, value in values.items():
+        if name not in PARAMETERS:
+            raise ParameterError(f'{name} is not a parameter of timo_sim, got {value!r} ({source})')
+        try:
+            checked[name] = PARAMETERS[name].check(value)
+        except ParameterError as error:
+            raise ParameterError(f'{error} ({source})') from None
+    return checked
+
+
+def whole_ratio(name, value, unit_name, unit):
+    """
+    Return how many times `unit` fits into `value`, a whole number.
+
+    Raises
+    ------
+    ParameterError
+        If it is not whole to 1e-9 relative (ten thousand times the rounding of the decimals);
+        the message holds the ratio.
+
+    """
+    ratio = value / unit
+    count = round(ratio) if math.isfinite(ratio) else 0
+    if abs(ratio - count) > 1e-9 * max(1.0, ratio):
+        raise ParameterError(f'{name} = {value:.12g} must be a whole multiple of '
+                             f'{unit_name} = {unit:.12g}, the ratio is {ratio:.12g}')
+    return count

@@ -1,0 +1,186 @@
+"""
+Fourth-order exponential time differencing, ETDRK4.
+
+For `y' = L y + n(y, t)`, with the stiff constant part L propagated exactly. Source: Cox and
+Matthews, J. Comput. Phys. 176 (2002) 430-455, eqs. (26)-(29).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import expm, matrix_balance
+
+from timo_sim.physics.compiled import dispatch, entry_point, inner
+
+STAGES = 3       # a step evaluates its load at t, t + h/2 and t + h
+STAGE_RATES = 4  # and the nonlinear part four times
+
+
+class Propagator(NamedTuple):
+    """
+    The matrices of one step, for one linear part L and one step size h.
+
+    With `phi_0(z) = exp(z)`, `phi_k(z) = (phi_{k-1}(z) - 1/(k-1)!) / z`; each has shape (m, m).
+    """
+
+    whole: np.ndarray        # phi_0(h L)
+    half: np.ndarray         # phi_0(h L/2)
+    half_weight: np.ndarray  # h/2 phi_1(h L/2)
+    first: np.ndarray        # h (phi_1 - 3 phi_2 + 4 phi_3)(h L)
+    middle: np.ndarray       # h (2 phi_2 - 4 phi_3)(h L)
+    last: np.ndarray         # h (4 phi_3 - phi_2)(h L)
+
+
+def propagator(linear, step):
+    """
+    Build the matrices of a step.
+
+    Parameters
+    ----------
+    linear : ndarray, shape (m, m)
+        L, per second.
+    step : float
+        h [s].
+
+    Returns
+    -------
+    Propagator
+
+    """
+    # Stiffnesses and compliances differ by many decades; balanced (by powers of two, exactly),
+    # the norm of h L is about that of the fastest wave and the exponential keeps its digits.
+    balanced, scale = matrix_balance(linear, permute=False)
+
+    def phi(z):
+        # Rows of one exponential of the augmented matrix: phi_0, phi_1, phi_2, phi_3 of z.
+        m = len(z)
+        augmented = np.zeros((4 * m, 4 * m))
+        augmented[:m, :m] = z
+        augmented[:-m, m:] += np.eye(3 * m)
+        top = expm(augmented)[:m]
+        return [scale @ top[:, k * m:(k + 1) * m] @ np.linalg.inv(scale) for k in range(4)]
+
+    exp, phi1, phi2, phi3 = phi(step * balanced)
+    exp_half, phi1_half, _, _ = phi(0.5 * step * balanced)
+    matrices = (exp, exp_half, 0.5 * step * phi1_half, step * (phi1 - 3.0 * phi2 + 4.0 * phi3),
+                step * (2.0 * phi2 - 4.0 * phi3), step * (4.0 * phi3 - phi2))
+    return Propagator(*(np.ascontiguousarray(matrix) for matrix in matrices))
+
+
+def stage_space(size):
+    """Return the scratch array that `advance` needs for a state of the given size."""
+    return np.zeros((STAGE_RATES + 4, size))
+
+
+@inner
+def _multiply(matrix, vector, out):
+    for i in range(matrix.shape[0]):
+        total = 0.0
+        for j in range(matrix.shape[1]):
+            total += matrix[i, j] * vector[j]
+        out[i] = total
+
+
+@inner
+def _multiply_add(matrix, vector, out):
+    for i in range(matrix.shape[0]):
+        total = 0.0
+        for j in range(matrix.shape[1]):
+            total += matrix[i, j] * vector[j]
+        out[i] += total
+
+
+@dispatch
+def rate(tables, state, load, space, out):
+    """
+    Write the nonlinear part n(y, load) of a formulation, the load included.
+
+    Parameters
+    ----------
+    tables, space : NamedTuple
+        The formulation's constants and scratch arrays.
+    state, out : ndarray, shape (m,)
+    load : ndarray, shape (5,)
+        Columns as in `formulation`.
+
+    """
+
+
+@dispatch
+def observe(tables, state, space, out):
+    """Write the motion (see `formulation`) that belongs to a state, shape (m,)."""
+
+
+@entry_point
+def observe_once(tables, state, space, out):
+    """Call `observe` from Python."""
+    observe(tables, state, space, out)
+
+
+@entry_point
+def advance(tables, state, loads, every, samples, propagator, space, stages):
+    """
+    Integrate over a run of equal steps.
+
+    Parameters
+    ----------
+    tables, space : NamedTuple
+        The formulation's constants and scratch arrays; the type of `tables` selects the
+        formulation.
+    state : ndarray, shape (m,)
+        Advanced in place.
+    loads : ndarray, shape (steps, 3, 5)
+        Load of each step at its start, middle and end, as the step itself sees it: a jump on the
+        boundary between two steps appears on the right side in either.
+    every : int
+        Steps between samples.
+    samples : ndarray, shape (steps // every, m)
+        Receives the motion after steps every, 2 every, ...
+    propagator : Propagator
+    stages : ndarray
+        Scratch, see `stage_space`.
+
+    Returns
+    -------
+    int
+        Steps done; fewer than given if the state is no longer finite.
+
+    """
+    size = len(state)
+    rate_0, rate_a, rate_b, rate_c = stages[0], stages[1], stages[2], stages[3]
+    half, stage, combined, following = stages[4], stages[5], stages[6], stages[7]
+    for k in range(len(loads)):
+        start, middle, end = loads[k, 0], loads[k, 1], loads[k, 2]
+
+        rate(tables, state, start, space, rate_0)
+        _multiply(propagator.half, state, half)
+        stage[:] = half
+        _multiply_add(propagator.half_weight, rate_0, stage)
+
+        rate(tables, stage, middle, space, rate_a)
+        _multiply(propagator.half, stage, following)
+        stage[:] = half
+        _multiply_add(propagator.half_weight, rate_a, stage)
+
+        rate(tables, stage, middle, space, rate_b)
+        for i in range(size):
+            combined[i] = 2.0 * rate_b[i] - rate_0[i]
+        _multiply_add(propagator.half_weight, combined, following)
+
+        rate(tables, following, end, space, rate_c)
+        for i in range(size):
+            combined[i] = rate_a[i] + rate_b[i]
+        _multiply(propagator.whole, state, stage)
+        _multiply_add(propagator.first, rate_0, stage)
+        _multiply_add(propagator.middle, combined, stage)
+        _multiply_add(propagator.last, rate_c, stage)
+
+        finite = 0.0
+        for i in range(size):
+            finite += 0.0 * stage[i]
+        if finite != 0.0:
+            return k
+        state[:] = stage
+        if (k + 1) % every == 0:
+            observe(tables, state, space, samples[(k + 1) // every - 1])
+    return len(loads)

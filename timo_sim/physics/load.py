@@ -1,0 +1,105 @@
+"""
+Loads that are known beforehand: harmonic, piecewise constant, linear between points, and sums.
+
+The compiled step takes three values of a load: at its start, middle and end. Where a load jumps on
+the boundary between two steps, either step sees its own side; a jump inside a step would cost
+the integrator its order.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from timo_sim.physics.etdrk4 import STAGES
+from timo_sim.physics.formulation import FORCE_X, FORCE_Y, LOADS, TORQUE
+
+CHANNELS = {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE}
+
+
+def _times(first, count, step):
+    # Start, middle and end of each step, shape (count, 3): from whole numbers, never summed up.
+    return (np.arange(first, first + count)[:, np.newaxis] + np.array([0.0, 0.5, 1.0])) * step
+
+
+@dataclass(frozen=True)
+class Harmonic:
+    """amplitude sin(2 pi frequency t + phase); frequency in [Hz], phase in [rad]."""
+
+    amplitude: float
+    frequency: float
+    phase: float
+
+    def jumps(self):
+        """Return the times of the jumps [s]."""
+        return ()
+
+    def stages(self, first, count, step):
+        """Return the values at the stages of steps first, first + 1, ..., shape (count, 3)."""
+        angle = 2.0 * np.pi * self.frequency * _times(first, count, step) + self.phase
+        return self.amplitude * np.sin(angle)
+
+
+@dataclass(frozen=True)
+class Piecewise:
+    """value[i] from time[i] [s] until time[i + 1], the last for ever, and 0 before time[0]."""
+
+    time: tuple
+    value: tuple
+
+    def jumps(self):
+        """Return the times of the jumps [s]."""
+        return self.time
+
+    def stages(self, first, count, step):
+        """Return the values at the stages of steps first, first + 1, ..., shape (count, 3)."""
+        begins = np.rint(np.array(self.time) / step)
+        piece = np.searchsorted(begins, np.arange(first, first + count), side='right')
+        values = np.append(0.0, self.value)[piece]
+        return np.repeat(values[:, np.newaxis], STAGES, axis=1)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Linear between (time[i] [s], value[i]); held before and after; a jump is a time twice."""
+
+    time: tuple
+    value: tuple
+
+    def jumps(self):
+        """Return the times of the jumps [s]."""
+        return tuple(a for a, b in zip(self.time, self.time[1:]) if a == b)
+
+    def stages(self, first, count, step):
+        """Return the values at the stages of steps first, first + 1, ..., shape (count, 3)."""
+        times = _times(first, count, step)
+        knots = np.array(self.time)
+        # A knot on a step boundary is there to the last bit, for the choice of side below.
+        steps = np.rint(knots / step)
+        knots = np.where(np.isclose(steps * step, knots, rtol=1e-12, atol=0.0),
+                         steps * step, knots)
+        right = np.stack([np.searchsorted(knots, times[:, 0], side='right'),
+                          np.searchsorted(knots, times[:, 1], side='right'),
+                          np.searchsorted(knots, times[:, 2], side='left')], axis=1)
+        low, high = np.maximum(right - 1, 0), np.minimum(right, len(knots) - 1)
+        span = knots[high] - knots[low]
+        share = np.where(span > 0.0, (times - knots[low]) / np.where(span > 0.0, span, 1.0), 0.0)
+        value = np.array(self.value)
+        return value[low] + share * (value[high] - value[low])
+
+
+@dataclass(frozen=True)
+class Load:
+    """Sum of terms for each of `CHANNELS`: a dictionary of tuples."""
+
+    terms: dict
+
+    def __bool__(self):
+        return any(self.terms.values())
+
+    def stages(self, first, count, step):
+        """Return the loads of steps first, first + 1, ..., shape (count, 3, 5)."""
+        loads = np.zeros((count, STAGES, LOADS))
+        for channel, terms in self.terms.items():
+            for term in terms:
+                loads[:, :, CHANNELS[channel]] += term.stages(first, count, step)
+        return loads

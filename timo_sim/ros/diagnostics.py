@@ -1,0 +1,47 @@
+"""The node's health, once per second of wall time, on /diagnostics."""
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+TYPE_NAME = 'diagnostic_msgs/msg/DiagnosticArray'
+PERIOD = 1.0  # [s] of wall time
+
+
+class Health:
+    """Turns counters into a level: what has grown since the last report is a warning."""
+
+    def __init__(self):
+        self._before = {}
+
+    def message(self, snapshot, counters, facts, errors):
+        """
+        Build the message.
+
+        Parameters
+        ----------
+        snapshot : Snapshot
+        counters : dict
+            Numbers that only grow when something is wrong, by name.
+        facts : dict
+            Further values by name.
+        errors : list of str
+            What is wrong now, if anything.
+
+        Returns
+        -------
+        DiagnosticArray
+
+        """
+        grown = [name for name, count in counters.items() if count > self._before.get(name, 0)]
+        self._before = dict(counters)
+        status = DiagnosticStatus(name='timo_sim: simulation', hardware_id='timo_sim')
+        if errors:
+            status.level, status.message = DiagnosticStatus.ERROR, '; '.join(errors)
+        elif grown:
+            status.level, status.message = DiagnosticStatus.WARN, 'more ' + ', '.join(grown)
+        else:
+            status.level, status.message = DiagnosticStatus.OK, facts['state']
+        status.values = [KeyValue(key=name, value=str(value))
+                         for name, value in {**facts, **counters}.items()]
+        message = DiagnosticArray(status=[status])
+        snapshot.stamp(message.header.stamp)
+        return message

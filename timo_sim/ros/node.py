@@ -1,0 +1,347 @@
+"""The node `timo_sim`: wiring of simulator, topics, services, clock, diagnostics and log."""
+
+from datetime import datetime
+import json
+import math
+import platform
+import sys
+import threading
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+import numba
+import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+import scipy
+from std_srvs.srv import SetBool, Trigger
+
+import timo_sim
+from timo_sim.log.recorder import Recorder
+from timo_sim.parameters import ParameterError, whole_ratio
+from timo_sim.physics.compiled import is_cached
+from timo_sim.physics.formulation import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, TORQUE
+from timo_sim.ros import diagnostics
+from timo_sim.ros.commands import COMMANDS, Inlet
+from timo_sim.ros.pacing import Pace
+from timo_sim.ros.parameters import declare_parameters, on_set
+from timo_sim.ros.topics import MotionOutlet, NANOSECONDS, Outlet, Snapshot, TOPICS
+from timo_sim.scene import scene_from
+from timo_sim.simulation import DivergenceError, Simulator
+
+# Steps of one compiled call at most, so that no other thread waits long for it.
+_BATCH = 500
+# A thread that wakes gets the interpreter after this time at most [s].
+_SWITCH_INTERVAL = 2e-4
+# How often a paused or sleeping loop looks at its flags [s].
+_PAUSED_POLL, _LONGEST_SLEEP = 0.01, 0.1
+
+
+class SimNode(Node):
+    """
+    Integrates a scene in step with the wall clock.
+
+    `run` is called by the main thread, callbacks by the executor's. Both touch the simulation only
+    under `_lock`.
+
+    Parameters
+    ----------
+    stop : StopRequest
+
+    Raises
+    ------
+    ParameterError
+
+    """
+
+    def __init__(self, stop):
+        super().__init__('timo_sim')
+        self._stop = stop
+        self._lock = threading.Lock()
+        self._values = declare_parameters(self)
+        scene = scene_from(self._values)
+        self._step = scene.step
+        steps_each = self._steps_between_messages(self._values)
+        self._end = whole_ratio('duration', self._values['duration'], 'integrator.step',
+                                self._step) or math.inf
+
+        if not is_cached():
+            self.get_logger().info('compiling once, this takes some seconds')
+        self._simulator = Simulator(scene)
+        self._simulator.warm_up()
+        self._tip = self._simulator.formulation.at([scene.manipulator.arm.length])
+        self._held = np.zeros(LOADS)
+        self._effort = np.zeros(3)
+        self._paused = False
+        self._diverged = None
+        self._pace = Pace(self._step)
+        self._recorder, self._log_error = None, None
+        self._health = diagnostics.Health()
+
+        self._inlets = [Inlet(self, command) for command in COMMANDS]
+        self._outlets = [MotionOutlet(self, topic) for topic in TOPICS
+                         if topic.name != '/clock' or self._values['publish_clock']]
+        self._health_outlet = Outlet(self, '/diagnostics', DiagnosticArray)
+        self._apply(self._values, steps_each)
+        on_set(self, self._values, self._on_parameters)
+        self.create_service(SetBool, '~/pause', self._on_pause)
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        self.create_service(Trigger, '~/step', self._on_step)
+
+    def run(self):
+        """Advance sim time with wall time until asked to stop."""
+        if self._values['record']:
+            self._open_log()
+        started = time.monotonic()
+        self._pace.start(self._simulator.steps, started)
+        self._reported = started, self._simulator.steps
+        with self._lock:
+            self._publish()
+        while not self._stop.set and self.context.ok() and self._simulator.steps < self._end:
+            with self._lock:
+                wait = self._tick()
+            # In slices, because a signal does not cut a sleep short.
+            time.sleep(min(max(wait, 0.0), _LONGEST_SLEEP))
+        self._close(time.monotonic() - started)
+
+    def _tick(self):
+        """Do what is due now; return how long nothing will be [s]."""
+        now = time.monotonic()
+        if now - self._reported[0] >= diagnostics.PERIOD:
+            self._diagnose(now)
+        if self._paused:
+            return _PAUSED_POLL
+        if self._pace.free:
+            self._advance(_BATCH)
+            return 0.0
+        self._advance(self._pace.due(self._simulator.steps, now))
+        return self._pace.deadline(self._simulator.steps) - time.monotonic()
+
+    def _advance(self, count):
+        """Do steps; apply commands and publish on the way."""
+        simulator = self._simulator
+        goal = min(simulator.steps + count, self._end)
+        while simulator.steps < goal:
+            first = simulator.steps
+            self._apply_commands(first)
+            last = min(goal, first + _BATCH, self._next_event(first))
+            loads = simulator.scene_loads(last - first) + self._held
+            try:
+                simulator.advance(loads)
+            except DivergenceError as error:
+                self._diverged, self._paused = str(error), True
+                self.get_logger().error(f'paused, {error}; ~/reset goes back to the start')
+                return
+            self._set_effort(loads[-1, -1])
+            self._publish()
+
+    def _next_event(self, step):
+        # The next step at which something is published or a command falls to zero.
+        events = [step - step % outlet.every + outlet.every for outlet in self._outlets
+                  if outlet.wanted]
+        ends = [inlet.end(self._timeout_steps) for inlet in self._inlets]
+        return min(events + [end for end in ends if end is not None], default=math.inf)
+
+    def _apply_commands(self, step):
+        for index, inlet in enumerate(self._inlets):
+            data = inlet.apply(step, self._timeout_steps, self._held)
+            if data is not None and self._recorder is not None:
+                self._recorder.write(index, step, self._simulator.nanoseconds, data)
+
+    def _set_effort(self, load):
+        theta = self._simulator.shaft
+        cosine, sine = math.cos(theta), math.sin(theta)
+        self._effort = np.array([
+            load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II],
+            load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II], load[TORQUE]])
+
+    def _publish(self, everything=False):
+        """Send each message that is due at this step and wanted by somebody."""
+        step = self._simulator.steps
+        due = [outlet for outlet in self._outlets
+               if (everything or step % outlet.every == 0) and outlet.wanted]
+        if due:
+            snapshot = self._snapshot()
+            for outlet in due:
+                outlet.publish(snapshot)
+
+    def _snapshot(self):
+        return Snapshot(self._simulator, self._tip, self._effort)
+
+    def _diagnose(self, now):
+        before, steps_before = self._reported
+        steps = self._simulator.steps
+        self._reported = now, steps
+        if self._recorder is not None and self._recorder.error and not self._log_error:
+            self._log_error = f'the log ends early, {self._recorder.error}'
+            self.get_logger().error(self._log_error)
+        if not self._health_outlet.wanted:
+            return
+        snapshot = self._snapshot()
+        message = self._health.message(
+            snapshot,
+            counters={
+                'overruns': self._pace.overruns,
+                'dropped_time_s': self._pace.dropped_steps * self._step,
+                'refused_commands': sum(inlet.refused for inlet in self._inlets),
+                'stale_commands': sum(inlet.stale for inlet in self._inlets)},
+            facts={
+                'state': 'paused' if self._paused else 'running',
+                'sim_time_s': snapshot.nanoseconds / NANOSECONDS,
+                'real_time_factor': f'{(steps - steps_before) * self._step / (now - before):.4f}',
+                'energy_J': snapshot.energy,
+                'log': self._recorder.path if self._recorder is not None else 'off'},
+            errors=[error for error in (self._diverged, self._log_error) if error])
+        self._health_outlet.send(message, snapshot.step, snapshot.nanoseconds)
+
+    # Parameters and services, called by the executor.
+
+    def _steps_between_messages(self, values):
+        return {topic.rate: whole_ratio('1/integrator.step', 1.0 / self._step, topic.rate,
+                                        values[topic.rate]) for topic in TOPICS}
+
+    def _apply(self, values, steps_each):
+        for outlet in self._outlets:
+            outlet.every = steps_each[outlet.rate]
+        self._timeout_steps = math.ceil(values['command_timeout'] / self._step)
+        self._pace.set(values['real_time_factor'], values['catch_up_limit'])
+        self._pace.start(self._simulator.steps, time.monotonic())
+
+    def _on_parameters(self, changed):
+        values = {**self._values, **changed}
+        steps_each = self._steps_between_messages(values)
+        with self._lock:
+            self._apply(values, steps_each)
+
+    def _on_pause(self, request, response):
+        with self._lock:
+            if self._diverged and not request.data:
+                response.success = False
+                response.message = f'~/reset is needed first: {self._diverged}'
+                return response
+            self._paused = request.data
+            self._pace.start(self._simulator.steps, time.monotonic())
+        response.success, response.message = True, 'paused' if request.data else 'running'
+        return response
+
+    def _on_reset(self, request, response):
+        with self._lock:
+            self._simulator.reset()
+            for inlet in self._inlets:
+                inlet.clear(self._held)
+            self._effort[:] = 0.0
+            self._diverged = None
+            if self._recorder is not None:
+                self._recorder.note('timo_sim.reset', {'step': str(self._simulator.steps)})
+            self._publish(everything=True)
+            self._pace.start(self._simulator.steps, time.monotonic())
+        response.success, response.message = True, f'reset at step {self._simulator.steps}'
+        return response
+
+    def _on_step(self, request, response):
+        with self._lock:
+            if not self._paused:
+                response.success, response.message = False, '~/step needs a paused simulation'
+                return response
+            first = self._simulator.steps
+            self._advance(self._values['step_count'])
+            done = self._simulator.steps - first
+        response.success = done == self._values['step_count']
+        response.message = self._diverged or f'at step {self._simulator.steps}'
+        return response
+
+    # The log.
+
+    def _open_log(self):
+        path = self._values['record_file'] or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap'
+        outlets = [*self._outlets, self._health_outlet]
+        channels = [point.channel for point in [*self._inlets, *outlets]]
+        scene = self._simulator.scene
+        try:
+            self._recorder = Recorder(path, channels, {
+                'timo_sim': {
+                    'parameters': json.dumps(self._values),
+                    'initial_motion': json.dumps(scene.initial_motion().tolist()),
+                    'timo_sim': timo_sim.__version__, 'python': platform.python_version(),
+                    'numpy': np.__version__, 'scipy': scipy.__version__,
+                    'numba': numba.__version__}})
+        except OSError as error:
+            self._log_error = f'no log is written, {error}'
+            self.get_logger().error(self._log_error)
+            return
+        for index, outlet in enumerate(outlets, start=len(self._inlets)):
+            outlet.recorder, outlet.index = self._recorder, index
+        self.get_logger().info(f'logging to {self._recorder.path}')
+
+    def _close(self, wall_time):
+        sim_time = self._simulator.steps * self._step
+        report = (f'simulated {sim_time:.6g} s in {wall_time:.3f} s, {self._pace.overruns} '
+                  f'overruns, {self._pace.dropped_steps * self._step:.6g} s dropped')
+        if self._recorder is not None:
+            self._recorder.close()
+            report += f'; log: {self._recorder.path}'
+            if self._recorder.error and not self._log_error:
+                self.get_logger().error(f'the log ends early, {self._recorder.error}')
+        self.get_logger().info(report)
+
+
+def _refuse(error):
+    print('timo_sim:', ' '.join(str(error).split()), file=sys.stderr)
+    rclpy.try_shutdown()
+    return 2
+
+
+def run(stop, args):
+    """
+    Start ROS, run the node, end ROS.
+
+    Parameters
+    ----------
+    stop : StopRequest
+    args : list of str or None
+        Command line; None: that of the process.
+
+    Returns
+    -------
+    int
+        Exit code: 0, or 2 for a parameter that breaks its rule, or 1 if a callback failed.
+
+    """
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    failures = []
+
+    def spin():
+        try:
+            executor.spin()
+        except ExternalShutdownException:
+            pass
+        except Exception as error:  # a node that no longer listens must not go on as if it did
+            failures.append(error)
+            stop.set = True
+
+    stop.building()
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # ROS arguments or a parameter file that rcl cannot read
+        return _refuse(error)
+    try:
+        node = SimNode(stop)
+    except ParameterError as error:
+        return _refuse(error)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    thread = threading.Thread(target=spin, name='executor', daemon=True)
+    thread.start()
+    stop.running()
+    try:
+        node.run()
+    finally:
+        executor.shutdown()
+        thread.join()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    for failure in failures:
+        print(f'timo_sim: a callback failed: {failure!r}', file=sys.stderr)
+    return 1 if failures else 0

@@ -1,0 +1,57 @@
+"""Which time step is due when: absolute deadlines on the steady clock."""
+
+import math
+
+TICK = 1e-3  # [s] of wall time; shorter steps are done several at a time
+
+
+class Pace:
+    """
+    Sim time against wall time.
+
+    Attributes
+    ----------
+    overruns : int
+        Ticks that came later than the deadline of the next one.
+    dropped_steps : int
+        Steps that were given up because they were beyond the catch-up limit.
+
+    """
+
+    def __init__(self, step):
+        self._step = step
+        self.overruns = 0
+        self.dropped_steps = 0
+
+    def set(self, factor, limit):
+        """Set the real-time factor, 0 for as fast as possible, and the catch-up limit [s]."""
+        self._factor, self._limit = factor, limit
+        self._tick_steps = max(1, math.floor(TICK * factor / self._step))
+
+    @property
+    def free(self):
+        """Whether sim time does not wait for wall time."""
+        return self._factor == 0.0
+
+    def start(self, steps, now):
+        """Say that `steps` steps are done at wall time `now` [s], none of them late."""
+        self._base_steps, self._base_time = steps, now
+
+    def due(self, steps, now):
+        """Return how many steps to do now, given the number done."""
+        elapsed = (now - self._base_time) * self._factor / self._step
+        # A deadline is met by a clock that reads it: rounding must not cost a tick.
+        behind = self._base_steps + math.floor(elapsed + 1e-6) - steps
+        if behind >= 2 * self._tick_steps:
+            self.overruns += 1
+        most = max(self._tick_steps, math.floor(self._limit * self._factor / self._step))
+        if behind > most:
+            self.dropped_steps += behind - most
+            self._base_steps -= behind - most
+            behind = most
+        return max(behind, 0)
+
+    def deadline(self, steps):
+        """Return the wall time of the next tick [s]."""
+        ahead = steps + self._tick_steps - self._base_steps
+        return self._base_time + ahead * self._step / self._factor

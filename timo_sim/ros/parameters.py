@@ -1,0 +1,91 @@
+"""The node's parameters: declared, described, checked by the same rules as a YAML file."""
+
+import math
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+
+from timo_sim.parameters import check, ParameterError, PARAMETERS
+
+# Names that rclpy itself takes.
+_FOREIGN = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
+_LARGEST = 1.7976931348623157e308
+
+
+def declare_parameters(node):
+    """
+    Declare all parameters of a node.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+
+    Returns
+    -------
+    dict
+        Checked value of every parameter by name.
+
+    Raises
+    ------
+    ParameterError
+        If a given name is unknown or a value breaks its rule.
+
+    """
+    # rclpy has no public way to see names that nobody declares, and these must not pass unseen.
+    given = {name: parameter.value for name, parameter in node._parameter_overrides.items()
+             if not name.startswith(_FOREIGN)}
+    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+    values.update(check(given, 'ROS parameter'))
+    for name, parameter in PARAMETERS.items():
+        value = values[name]
+        if value == ():  # rclpy cannot tell the type of an empty list
+            node.declare_parameter(name, Parameter.Type.DOUBLE_ARRAY, _descriptor(parameter, False),
+                                   ignore_override=True)
+            continue
+        value = list(value) if isinstance(value, tuple) else value
+        node.declare_parameter(name, value, _descriptor(parameter, True), ignore_override=True)
+    return values
+
+
+def on_set(node, values, apply):
+    """
+    Check what is set at run time, and pass it on.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    values : dict
+        Updated in place with what was accepted.
+    apply : function(dict)
+        Called with the changed values; raises ParameterError to refuse them.
+
+    """
+    def callback(parameters):
+        changed = {parameter.name: parameter.value for parameter in parameters
+                   if not parameter.name.startswith(_FOREIGN)}
+        try:
+            changed = check(changed, 'set at run time')
+            apply(changed)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        values.update(changed)
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(callback)
+
+
+def _descriptor(parameter, dynamic):
+    description = f'{parameter.meaning} [{parameter.unit}]' if parameter.unit else parameter.meaning
+    descriptor = ParameterDescriptor(
+        description=description, additional_constraints=parameter.rule,
+        read_only=not parameter.runtime,
+        # A whole number for a float changes the type; `check` has the last word.
+        dynamic_typing=dynamic and isinstance(parameter.default, float))
+    if isinstance(parameter.default, float) and parameter.low > -math.inf:
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=parameter.low, to_value=min(parameter.high, _LARGEST))]
+    elif type(parameter.default) is int:
+        descriptor.integer_range = [
+            IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=1)]
+    return descriptor

@@ -1,0 +1,42 @@
+"""SIGINT and SIGTERM as a clean end, from the first line of `main` to its last."""
+
+import os
+import signal
+
+
+class StopRequest:
+    """
+    Catches SIGINT and SIGTERM, in a way that fits how far the process has come.
+
+    While modules are imported nothing needs an end, and an exception could surface as a failed
+    import: the process just ends. While the node is `building` (it may compile for seconds)
+    SystemExit(0) unwinds it. Once it is `running`, `set` is for its loop to see; further signals
+    change nothing, so they cannot break the cleaning up.
+    """
+
+    def __init__(self):
+        self.set = False
+        self._handler = lambda: os._exit(0)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._handle)
+
+    def building(self):
+        """Say that all imports are done."""
+        self._handler = _unwind
+
+    def running(self):
+        """Say that a loop looks at `set` from now on."""
+        self._handler = _leave_to_loop
+
+    def _handle(self, number, frame):
+        first, self.set = not self.set, True
+        if first:
+            self._handler()
+
+
+def _unwind():
+    raise SystemExit(0)
+
+
+def _leave_to_loop():
+    pass

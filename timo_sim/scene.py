@@ -1,0 +1,214 @@
+"""A scene: what is simulated, checked, from a YAML file, a dictionary and overrides."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from timo_sim.parameters import check, ParameterError, PARAMETERS, SCENE, whole_ratio
+from timo_sim.physics import FORMULATIONS
+from timo_sim.physics.bodies import Beam, Manipulator
+from timo_sim.physics.load import CHANNELS, Harmonic, Load, Piecewise, Table
+from timo_sim.physics.modes import Modes
+
+
+@dataclass(frozen=True)
+class Scene:
+    """
+    A manipulator, its initial motion, its loads, and how it is modelled and integrated.
+
+    Attributes
+    ----------
+    manipulator : Manipulator
+    load : Load
+    step : float
+        Time step [s].
+    values : dict
+        The scene's parameters by dotted name.
+
+    """
+
+    manipulator: Manipulator
+    load: Load
+    step: float
+    values: dict
+
+    def build(self):
+        """Return the formulation of the equations of motion that the scene asks for."""
+        count = self.values['model.modes']
+        damping = np.array(self.values['arm.damping_ratio'] or 0.0)
+        return FORMULATIONS[self.values['model.formulation']](self.manipulator, count, damping)
+
+    def initial_motion(self):
+        """Return the motion at t = 0, shape (2 (3 + N),), see `physics.formulation`."""
+        rest = np.zeros(self.values['model.modes'])
+        position, velocity = (
+            [[self.values[f'initial.{joint}{kind}'] for joint in ('carrier_x', 'carrier_y',
+                                                                  'shaft')]
+             for kind in ('', '_velocity')])
+        q = self.values['initial.modal_coordinates'] or rest
+        qdot = self.values['initial.modal_rates'] or rest
+        return np.concatenate([position, q, velocity, qdot])
+
+
+def load_scene(source, overrides=None):
+    """
+    Read and check a scene.
+
+    Parameters
+    ----------
+    source : str, Path or dict
+        A ROS parameter file, or values by (nested or dotted) name. What is not given has its
+        default, the paper's manipulator at rest without loads; parameters of the node are
+        checked and left out.
+    overrides : dict, optional
+        Further values by name, which win.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    ParameterError
+        If a name is unknown or a value breaks its rule; the text says which.
+    OSError
+        If the file cannot be read.
+
+    """
+    if isinstance(source, dict):
+        given, origin = _flatten(source), 'given values'
+    else:
+        given, origin = read_parameter_file(source), str(source)
+    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+    values.update(check(given, origin))
+    values.update(check(_flatten(overrides or {}), 'override'))
+    return scene_from(values)
+
+
+def project(scene, deflection, rotation):
+    """
+    Project a deflection field, or a velocity field, on the modes of a scene.
+
+    Exact to first order in the field; give the result to the parameters
+    `initial.modal_coordinates` or `initial.modal_rates`.
+
+    Parameters
+    ----------
+    scene : Scene
+    deflection : function(ndarray) -> array_like
+        w(xi) in the arm frame [m], or its rate [m/s], for xi of shape (p,) [m].
+    rotation : function(ndarray) -> array_like
+        phi(xi) [rad], or its rate [rad/s].
+
+    Returns
+    -------
+    tuple of float, length N
+        [m sqrt(kg)] or [m sqrt(kg)/s]. Source: paper eqs. (21), (23).
+
+    """
+    return tuple(scene.build().project(deflection, rotation).tolist())
+
+
+def scene_from(values):
+    """Return the scene of a full set of checked values."""
+    values = {name: values[name] for name, parameter in PARAMETERS.items()
+              if parameter.scope == SCENE}
+    _check_counts(values)
+
+    def group(prefix):
+        return {name[len(prefix) + 1:]: value for name, value in values.items()
+                if name.startswith(prefix + '.')}
+
+    beam = group('arm')
+    del beam['damping_ratio']
+    manipulator = Manipulator(
+        Beam(**beam), values['carrier.mass'], values['motor.mass'], values['motor.shaft_inertia'],
+        values['end_effector.mass'], values['end_effector.inertia'])
+    step = values['integrator.step']
+    load = Load({channel: tuple(_terms(f'load.{channel}', values, step)) for channel in CHANNELS})
+    scene = Scene(manipulator, load, step, values)
+    _check_modes(scene)
+    return scene
+
+
+def read_parameter_file(path):
+    """
+    Read the values for the node `timo_sim` from a ROS parameter file.
+
+    Returns
+    -------
+    dict
+        Unchecked values by dotted name.
+
+    """
+    try:
+        content = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = ' '.join(str(error).split())
+        raise ParameterError(f'{path} is not a YAML file: {reason}') from None
+    values = {}
+    sections = content.items() if isinstance(content, dict) else ()
+    for node, section in sections:
+        if str(node).rpartition('/')[2] in ('**', 'timo_sim') and isinstance(section, dict):
+            values.update(_flatten(section.get('ros__parameters') or {}))
+    if not values:
+        raise ParameterError(f'{path} must have parameters under timo_sim: ros__parameters:')
+    return values
+
+
+def _flatten(values, prefix=''):
+    flat = {}
+    for name, value in values.items():
+        if isinstance(value, dict):
+            flat.update(_flatten(value, f'{prefix}{name}.'))
+        else:
+            flat[f'{prefix}{name}'] = value
+    return flat
+
+
+def _check_counts(values):
+    modes = values['model.modes']
+    for name, allowed in (('arm.damping_ratio', (0, 1, modes)),
+                          ('initial.modal_coordinates', (0, modes)),
+                          ('initial.modal_rates', (0, modes))):
+        if len(values[name]) not in allowed:
+            expected = ' or '.join(str(count) for count in sorted(set(allowed)))
+            raise ParameterError(f'{name} must have {expected} elements for model.modes = {modes}, '
+                                 f'got {len(values[name])}')
+
+
+def _check_modes(scene):
+    # The arm may be too thick for so many modes; the message of the physics says so.
+    body, modes = scene.manipulator, scene.values['model.modes']
+    try:
+        Modes(body.arm, body.tip_mass, body.tip_inertia, modes)
+    except ValueError as error:
+        raise ParameterError(f'model.modes = {modes} is too many: {error}') from None
+
+
+def _terms(prefix, values, step):
+    amplitude = values[f'{prefix}.harmonic.amplitude']
+    phase = values[f'{prefix}.harmonic.phase'] or (0.0,) * len(amplitude)
+    yield from map(Harmonic, *_same_length({
+        f'{prefix}.harmonic.amplitude': amplitude,
+        f'{prefix}.harmonic.frequency': values[f'{prefix}.harmonic.frequency'],
+        f'{prefix}.harmonic.phase': phase}))
+    for kind, term, ordered in (('piecewise', Piecewise, np.less), ('table', Table, np.less_equal)):
+        names = f'{prefix}.{kind}.time', f'{prefix}.{kind}.value'
+        time, value = _same_length({name: values[name] for name in names})
+        if not time:
+            continue
+        if not np.all(ordered(time[:-1], time[1:])):
+            raise ParameterError(f'{names[0]} must ascend, got {list(time)}')
+        for jump in term(time, value).jumps():
+            whole_ratio(f'{names[0]}[{time.index(jump)}]', jump, 'integrator.step', step)
+        yield term(time, value)
+
+
+def _same_length(lists):
+    if len({len(values) for values in lists.values()}) > 1:
+        lengths = ', '.join(f'{name}: {len(values)}' for name, values in lists.items())
+        raise ParameterError(f'these must have the same length, got {lengths}')
+    return tuple(lists.values())

@@ -1,0 +1,146 @@
+"""From a scene to a run: the integrator with its state, and the whole run at once."""
+
+import numpy as np
+from tqdm import tqdm
+
+from timo_sim.parameters import ParameterError, whole_ratio
+from timo_sim.physics import etdrk4
+from timo_sim.physics.formulation import LOADS
+from timo_sim.run import Run
+
+# Steps whose loads are worked out at once: long enough to make that cheap, short enough for a
+# progress bar.
+_CHUNK = 2048
+
+
+class DivergenceError(ArithmeticError):
+    """The state stopped being finite; the text says when, and what to do."""
+
+
+class Simulator:
+    """
+    A scene at a certain step: what both the node and `simulate` advance.
+
+    Attributes
+    ----------
+    scene : Scene
+    formulation : Formulation
+    steps : int
+        Steps done since the start; sim time is `steps * scene.step`.
+
+    """
+
+    def __init__(self, scene):
+        self.scene = scene
+        self.formulation = scene.build()
+        self._propagator = etdrk4.propagator(self.formulation.linear, scene.step)
+        self.steps = 0
+        self.reset()
+
+    def reset(self):
+        """Return to the initial motion and the start of the loads; the count of steps goes on."""
+        self._state = self.formulation.state(self.scene.initial_motion())
+        self._origin = self.steps
+        self._block = 0, np.zeros((0, etdrk4.STAGES, LOADS))
+
+    def warm_up(self):
+        """Compile, or load from disk, what `advance` and `motion` call."""
+        self.advance(np.zeros((0, etdrk4.STAGES, LOADS)))
+        self.motion()
+
+    @property
+    def nanoseconds(self):
+        """Sim time [ns]."""
+        return round(self.steps * self.scene.step * 1e9)
+
+    @property
+    def shaft(self):
+        """Shaft angle [rad]."""
+        return float(self._state[2])
+
+    def scene_loads(self, count):
+        """Return the scene's own loads of the next steps, shape (count, 3, 5)."""
+        first = self.steps - self._origin
+        begin, block = self._block
+        if not begin <= first <= first + count <= begin + len(block):
+            begin, block = first, self.scene.load.stages(first, max(count, _CHUNK),
+                                                         self.scene.step)
+            self._block = begin, block
+        return block[first - begin:first - begin + count]
+
+    def advance(self, loads, every=1, samples=None):
+        """
+        Do as many steps as there are loads.
+
+        Parameters
+        ----------
+        loads : ndarray, shape (steps, 3, 5)
+            See `physics.etdrk4.advance`.
+        every : int
+            Steps between samples.
+        samples : ndarray, shape (steps // every, 2 (3 + N)), optional
+            Receives motions.
+
+        Raises
+        ------
+        DivergenceError
+            The state is then the last finite one.
+
+        """
+        if samples is None:
+            every, samples = len(loads) + 1, np.empty((0, self.formulation.size))
+        done = self.formulation.advance(self._state, loads, every, samples, self._propagator)
+        self.steps += done
+        if done < len(loads):
+            raise DivergenceError(
+                f'the state is not finite after t = {self.steps * self.scene.step:.6g} s '
+                f'(step {self.steps}): take a smaller integrator.step, fewer model.modes or '
+                'model.formulation exact')
+
+    def motion(self):
+        """Return the motion now, shape (2 (3 + N),), see `physics.formulation`."""
+        return self.formulation.observe(self._state)
+
+
+def simulate(scene, duration, every=1):
+    """
+    Simulate a scene under its own loads.
+
+    On a terminal, a progress bar appears when the run takes more than a second.
+
+    Parameters
+    ----------
+    scene : Scene
+    duration : float
+        [s], a whole multiple of the time step.
+    every : int
+        Steps between samples; divides the number of steps.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    ParameterError
+        If the duration does not fit the step, or `every` the number of steps.
+    DivergenceError
+        If the state stops being finite.
+
+    """
+    steps = whole_ratio('duration', duration, 'integrator.step', scene.step)
+    if every < 1 or steps % every:
+        raise ParameterError(f'every = {every} must divide the number of steps, {steps}')
+    simulator = Simulator(scene)
+    motion = np.empty((steps // every + 1, simulator.formulation.size))
+    motion[0] = scene.initial_motion()
+    chunk = max(1, _CHUNK // every) * every
+    with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
+              leave=False) as bar:
+        for first in range(0, steps, chunk):
+            count = min(chunk, steps - first)
+            samples = motion[first // every + 1:(first + count) // every + 1]
+            simulator.advance(simulator.scene_loads(count), every, samples)
+            bar.update(count)
+    t = np.arange(0, steps + 1, every) * scene.step
+    return Run(scene, simulator.formulation, t, motion)
