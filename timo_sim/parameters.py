@@ -182,6 +182,8 @@ _ALL = [
                   scope=NODE),
     _not_negative('command_timeout', 0.0, 's', 'sim time after which a command without successor '
                   'falls to zero; 0: held for ever', scope=NODE, runtime=True),
+    Parameter('start_paused', False, '', 'whether the simulation waits for ~/pause or ~/step',
+              scope=NODE),
     Parameter('step_count', 1, '', 'time steps of one call of ~/step', low=1, high=1000000,
               scope=NODE, runtime=True),
     Parameter('publish_clock', False, '', 'whether sim time goes to /clock', scope=NODE),
@@ -223,7 +225,7 @@ def check(values, source):
     checked = {}
     for name, value in values.items():
         if name not in PARAMETERS:
-            raise ParameterError(f'{name} is not a parameter of timo_sim, got {value!r} ({source})')
+            raise ParameterError(f'{name} = {value!r} is not a parameter of timo_sim ({source})')
         try:
             checked[name] = PARAMETERS[name].check(value)
         except ParameterError as error:

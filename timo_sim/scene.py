@@ -175,8 +175,8 @@ def _check_counts(values):
                           ('initial.modal_rates', (0, modes))):
         if len(values[name]) not in allowed:
             expected = ' or '.join(str(count) for count in sorted(set(allowed)))
-            raise ParameterError(f'{name} must have {expected} elements for model.modes = {modes}, '
-                                 f'got {len(values[name])}')
+            raise ParameterError(f'{name} must have {expected} elements for model.modes = '
+                                 f'{modes}, got {len(values[name])}')
 
 
 def _check_modes(scene):
@@ -195,7 +195,8 @@ def _terms(prefix, values, step):
         f'{prefix}.harmonic.amplitude': amplitude,
         f'{prefix}.harmonic.frequency': values[f'{prefix}.harmonic.frequency'],
         f'{prefix}.harmonic.phase': phase}))
-    for kind, term, ordered in (('piecewise', Piecewise, np.less), ('table', Table, np.less_equal)):
+    for kind, term, ordered in (('piecewise', Piecewise, np.less),
+                                ('table', Table, np.less_equal)):
         names = f'{prefix}.{kind}.time', f'{prefix}.{kind}.value'
         time, value = _same_length({name: values[name] for name in names})
         if not time:

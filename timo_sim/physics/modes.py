@@ -141,7 +141,7 @@ class Modes:
         signs = np.sign([determinant(limit) for limit in limits])
         if not np.all(signs[1:] * signs[:-1] < 0):
             missed = int(np.argmin(signs[1:] * signs[:-1] < 0)) + 1
-            raise ValueError(f'mode {missed} of the arm could not be separated from its neighbours')
+            raise ValueError(f'mode {missed} of the arm is not separate from its neighbours')
         return np.array([brentq(determinant, low, high, xtol=1e-300, rtol=4 * np.finfo(float).eps)
                          for low, high in zip(limits[:-1], limits[1:])])
 

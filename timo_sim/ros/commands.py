@@ -65,9 +65,9 @@ class Inlet:
 
     def __init__(self, node, command):
         self._logger, self._command = node.get_logger(), command
-        subscription = node.create_subscription(
+        self._subscription = node.create_subscription(
             command.message_type, command.name, self._receive, 10, raw=True)
-        self.channel = Channel(subscription.topic_name, type_name(command.message_type))
+        self.channel = Channel(self._subscription.topic_name, type_name(command.message_type))
         self._pending = None
         self._since = None  # step from which the command in force has acted
         self.refused = 0
@@ -83,6 +83,13 @@ class Inlet:
                 throttle_duration_sec=5.0)
             return
         self._pending = values, data
+
+    def poll(self):
+        """Receive what has arrived but waits for the executor, as a service must see it."""
+        handle = self._subscription.handle
+        with handle:
+            while taken := handle.take_message(self._command.message_type, True):
+                self._receive(taken[0])
 
     def apply(self, step, timeout_steps, held):
         """

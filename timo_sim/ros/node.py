@@ -74,7 +74,7 @@ class SimNode(Node):
         self._tip = self._simulator.formulation.at([scene.manipulator.arm.length])
         self._held = np.zeros(LOADS)
         self._effort = np.zeros(3)
-        self._paused = False
+        self._paused = self._values['start_paused']
         self._diverged = None
         self._pace = Pace(self._step)
         self._recorder, self._log_error = None, None
@@ -245,6 +245,8 @@ class SimNode(Node):
             if not self._paused:
                 response.success, response.message = False, '~/step needs a paused simulation'
                 return response
+            for inlet in self._inlets:
+                inlet.poll()
             first = self._simulator.steps
             self._advance(self._values['step_count'])
             done = self._simulator.steps - first

@@ -33,18 +33,18 @@ def declare_parameters(node):
 
     """
     # rclpy has no public way to see names that nobody declares, and these must not pass unseen.
-    given = {name: parameter.value for name, parameter in node._parameter_overrides.items()
+    given = {name: parameter.value
+             for name, parameter in node._parameter_overrides.items()
              if not name.startswith(_FOREIGN)}
     values = {name: parameter.default for name, parameter in PARAMETERS.items()}
     values.update(check(given, 'ROS parameter'))
     for name, parameter in PARAMETERS.items():
         value = values[name]
         if value == ():  # rclpy cannot tell the type of an empty list
-            node.declare_parameter(name, Parameter.Type.DOUBLE_ARRAY, _descriptor(parameter, False),
-                                   ignore_override=True)
-            continue
-        value = list(value) if isinstance(value, tuple) else value
-        node.declare_parameter(name, value, _descriptor(parameter, True), ignore_override=True)
+            value = Parameter.Type.DOUBLE_ARRAY
+        elif isinstance(value, tuple):
+            value = list(value)
+        node.declare_parameter(name, value, _descriptor(parameter), ignore_override=True)
     return values
 
 
@@ -75,13 +75,13 @@ def on_set(node, values, apply):
     node.add_on_set_parameters_callback(callback)
 
 
-def _descriptor(parameter, dynamic):
-    description = f'{parameter.meaning} [{parameter.unit}]' if parameter.unit else parameter.meaning
+def _descriptor(parameter):
+    unit = f' [{parameter.unit}]' if parameter.unit else ''
     descriptor = ParameterDescriptor(
-        description=description, additional_constraints=parameter.rule,
+        description=parameter.meaning + unit, additional_constraints=parameter.rule,
         read_only=not parameter.runtime,
         # A whole number for a float changes the type; `check` has the last word.
-        dynamic_typing=dynamic and isinstance(parameter.default, float))
+        dynamic_typing=isinstance(parameter.default, float))
     if isinstance(parameter.default, float) and parameter.low > -math.inf:
         descriptor.floating_point_range = [
             FloatingPointRange(from_value=parameter.low, to_value=min(parameter.high, _LARGEST))]

@@ -28,6 +28,11 @@ class StopRequest:
         """Say that a loop looks at `set` from now on."""
         self._handler = _leave_to_loop
 
+    def finished(self):
+        """Say that only the interpreter's own end is left: it would undo a handler, not this."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
     def _handle(self, number, frame):
         first, self.set = not self.set, True
         if first:

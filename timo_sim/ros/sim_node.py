@@ -16,8 +16,11 @@ def main(args=None):
 
     """
     stop = StopRequest()
-    from timo_sim.ros.node import run
-    return run(stop, args)
+    try:
+        from timo_sim.ros.node import run
+        return run(stop, args)
+    finally:
+        stop.finished()
 
 
 if __name__ == '__main__':

@@ -1,0 +1,58 @@
+# Two commands do everything on a fresh machine: `make sim` and `make test`.
+# Both set up .venv with pinned versions; PYTHON=python3.12 chooses the interpreter.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -o pipefail -c
+VENV := .venv
+BIN := $(VENV)/bin
+VERSIONS := (3, 11), (3, 12)
+PYTHON ?= $(shell for python in python3.12 python3.11 python3; do \
+	$$python -c 'import sys; sys.exit(sys.version_info[:2] not in [$(VERSIONS)])' 2>/dev/null \
+	&& { command -v $$python; break; }; done)
+RUN := run/paper.mcap
+
+# .venv has a ROS of its own: nothing of a sourced one, or of another environment, may leak in.
+unexport PYTHONPATH AMENT_PREFIX_PATH PYTHONHOME _ROS_WHEELS_BOOTSTRAP_COMPLETE
+ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport LD_LIBRARY_PATH
+endif
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
+
+.PHONY: sim test picture benchmark-loop clean
+
+sim: $(VENV)/.run
+	@mkdir -p $(dir $(RUN))
+	@$(BIN)/sim_node --ros-args --params-file config/paper.yaml \
+		-p duration:=10.0 -p record_file:=$(RUN) 2>&1 | sed 's/^\[[A-Z]*\] \[[0-9.]*\] //'
+	@echo "next: 'make picture' draws the arm; README.md shows how to command the node"
+
+test: $(VENV)/.test
+	@$(BIN)/python -m pytest test
+
+picture: $(VENV)/.plot
+	@$(BIN)/python doc/picture.py
+
+benchmark-loop: $(VENV)/.run
+	@$(BIN)/python benchmark/loop.py
+
+clean:
+	rm -rf $(VENV) run build install log .pytest_cache .mypy_cache
+
+$(VENV)/.made:
+	@test -n "$(PYTHON)" || { echo "timo_sim needs Python 3.11 or 3.12: apt-get install \
+	python3 python3-venv, or make PYTHON=..."; exit 1; }
+	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { echo "$(PYTHON) cannot make virtual \
+	environments: apt-get install python3-venv"; exit 1; }
+	@echo "setting up $(VENV) with $$($(PYTHON) --version), this takes a minute or two"
+	@rm -rf $(VENV) && $(PYTHON) -m venv $(VENV) && touch $@
+
+$(VENV)/.run: $(VENV)/.made constraints.txt setup.py
+	@$(INSTALL) --editable '.[ros]' && touch $@
+
+$(VENV)/.test: $(VENV)/.run
+	@$(INSTALL) --editable '.[ros,test]' && touch $@
+
+$(VENV)/.plot: $(VENV)/.run
+	@$(INSTALL) --editable '.[ros,plot]' && touch $@

@@ -1,0 +1,79 @@
+"""The integrator: its matrices against closed forms, its order, its behaviour at jumps."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import timo_sim
+from timo_sim.physics import etdrk4
+
+
+def test_matrices_of_an_oscillator_are_sines_and_cosines():
+    omega, h = 30.0, 0.05
+    linear = np.array([[0.0, 1.0], [-omega**2, 0.0]])
+    whole = etdrk4.propagator(linear, h).whole
+    c, s = np.cos(omega * h), np.sin(omega * h)
+    assert np.allclose(whole, [[c, s / omega], [-omega * s, c]], rtol=1e-13, atol=1e-13)
+
+
+def test_weights_integrate_a_cubic_exactly():
+    """With a rate that is cubic in time alone, the step is Simpson's rule against exp(L t)."""
+    linear = np.array([[0.0, 1.0], [-4.0, -0.3]])
+    h = 0.2
+    p = etdrk4.propagator(linear, h)
+    constant = np.array([0.3, 1.7])
+    step = p.first @ constant + p.middle @ (2 * constant) + p.last @ constant
+    exact = np.linalg.solve(linear, (expm(h * linear) - np.eye(2)) @ constant)
+    assert np.allclose(step, exact, rtol=1e-13)
+
+
+def test_stiff_and_slow_parts_keep_their_digits():
+    """Ten decades of stiffness, as 40 modes have: the oscillators stay oscillators."""
+    omega = np.array([1.0, 1e3, 1e5])
+    linear = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.diag(omega**2), np.zeros((3, 3))]])
+    h = 0.01
+    whole = etdrk4.propagator(linear, h).whole
+    # Ten squarings of the exponential: round-off times the norm of h L, 1e3, times 25 (measured).
+    assert np.diag(whole)[:3] == pytest.approx(np.cos(omega * h), abs=1e-11)
+    assert np.linalg.det(whole) == pytest.approx(1.0, abs=4e-11)
+
+
+def max_error(run, truth):
+    half = run.motion.shape[1] // 2
+    return np.abs(run.motion[:, :half] - truth.motion[:, :half]).max()
+
+
+@pytest.mark.parametrize('formulation', ['exact', 'newton'])
+def test_order_is_four(paper, formulation):
+    # From rest under the paper's smooth loads. Steps at which the fastest mode of three (30 Hz)
+    # is resolved and errors are well above round-off (1e-13).
+    def run(step):
+        scene = timo_sim.load_scene(paper, {'integrator.step': step,
+                                            'model.formulation': formulation})
+        return timo_sim.simulate(scene, 1.0, every=round(0.02 / step))
+
+    truth = run(0.00025)
+    errors = [max_error(run(step), truth) for step in (0.01, 0.005, 0.0025)]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert errors[-1] > 1e-12
+    assert orders == pytest.approx(4.0, abs=0.2)
+
+
+def test_a_jump_on_a_step_boundary_costs_no_order(paper):
+    """The torque step of theory: a stage that saw the next piece would be wrong by 1e-2 rad."""
+    def run(step):
+        scene = timo_sim.load_scene({
+            'integrator.step': step, 'load.torque.piecewise.time': [0.1, 0.6],
+            'load.torque.piecewise.value': [20.0, -20.0]})
+        return timo_sim.simulate(scene, 1.0, every=round(0.02 / step))
+
+    truth = run(0.00025)
+    errors = [max_error(run(step), truth) for step in (0.01, 0.005, 0.0025)]
+    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx(4.0, abs=0.3)
+
+
+def test_a_state_that_is_not_finite_stops_the_run():
+    scene = timo_sim.load_scene({'integrator.step': 0.02, 'model.modes': 10,
+                                 'initial.shaft_velocity': 1e4, 'initial.modal_rates': [9.0] * 10})
+    with pytest.raises(timo_sim.DivergenceError, match=r'after t = .* s \(step .*smaller'):
+        timo_sim.simulate(scene, 20.0)

@@ -1,0 +1,126 @@
+"""A real node in its own process and a real client, over DDS."""
+
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+# Upper bound of what takes milliseconds; a test never waits that long unless it fails.
+PATIENCE = 30.0
+
+
+class Client(Node):
+    """A control engineer's node: collects messages, calls services, waits for conditions."""
+
+    def __init__(self):
+        super().__init__('client')
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self)
+        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
+        self._thread.start()
+
+    def close(self):
+        """End the executor's thread and the node."""
+        self._executor.shutdown()
+        self._thread.join()
+        self.destroy_node()
+
+    def collect(self, message_type, topic):
+        """Return a list that grows with what is received on a topic."""
+        messages = []
+        self.create_subscription(message_type, topic, messages.append, 1000)
+        self.wait(lambda: self.count_publishers(topic) > 0, f'a publisher of {topic}')
+        return messages
+
+    def command(self, message_type, topic):
+        """Return a publisher that the node under test is connected to."""
+        publisher = self.create_publisher(message_type, topic, 10)
+        self.wait(lambda: publisher.get_subscription_count() > 0, f'a subscriber of {topic}')
+        return publisher
+
+    def service(self, service_type, name):
+        """Return a function that calls a service and returns its response."""
+        client = self.create_client(service_type, name)
+        assert client.wait_for_service(PATIENCE), f'no service {name}'
+
+        def call(**fields):
+            done = threading.Event()
+            future = client.call_async(service_type.Request(**fields))
+            future.add_done_callback(lambda _: done.set())
+            assert done.wait(PATIENCE), f'{name} does not answer'
+            return future.result()
+        return call
+
+    @staticmethod
+    def wait(condition, what):
+        """Wait until a condition holds."""
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < end, f'waited in vain for {what}'
+            time.sleep(0.002)
+
+
+@pytest.fixture(scope='session')
+def ros():
+    """Start rclpy once."""
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def client(ros):
+    """Return a client node of this process."""
+    node = Client()
+    yield node
+    node.close()
+
+
+class Process:
+    """A `sim_node` in a process of its own, its log in a folder of its own."""
+
+    def __init__(self, folder, *arguments, record=True, preexec_fn=None, **parameters):
+        self.log = Path(folder) / 'run.mcap'
+        values = {'record': record, 'record_file': str(self.log), **parameters}
+        command = [sys.executable, '-m', 'timo_sim.ros.sim_node', '--ros-args', *arguments]
+        for name, value in values.items():
+            shown = str(value).lower() if isinstance(value, bool) else value
+            command += ['-p', f'{name}:={shown}']
+        self._process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True,
+                                         stderr=subprocess.STDOUT, preexec_fn=preexec_fn)
+
+    def end(self, number=signal.SIGINT):
+        """Send a signal; return exit code and output."""
+        self._process.send_signal(number)
+        return self.wait()
+
+    def wait(self):
+        """Wait for the end; return exit code and output."""
+        output, _ = self._process.communicate(timeout=PATIENCE + 30.0)
+        return self._process.returncode, output
+
+    def kill(self):
+        """End the process if it still runs."""
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.communicate()
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Return a function that starts the node with parameters and tidies up after the test."""
+    processes = []
+
+    def start(*arguments, **parameters):
+        processes.append(Process(tmp_path, *arguments, **parameters))
+        return processes[-1]
+    yield start
+    for process in processes:
+        process.kill()

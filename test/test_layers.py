@@ -1,0 +1,60 @@
+"""Imports go one way: physics at the bottom, the node on top."""
+
+import ast
+from pathlib import Path
+import subprocess
+import sys
+
+import timo_sim
+
+PACKAGE = Path(timo_sim.__file__).parent
+# A module may import from its own layer and from those listed.
+BELOW = {
+    'physics': set(),
+    'parameters': set(),
+    'scene': {'physics', 'parameters'},
+    'run': {'physics', 'scene'},
+    'simulation': {'physics', 'parameters', 'scene', 'run'},
+    'log': set(),
+    'ros': {'physics', 'parameters', 'scene', 'simulation', 'log', ''},
+}
+OUTSIDE_OF_PHYSICS = {'rclpy', 'yaml', 'mcap', 'rerun', 'logging', 'pathlib'}
+
+
+def imports(path):
+    """Return the modules that a file imports."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            found.add(node.module)
+    return found
+
+
+def layer(module):
+    """Return the layer of a module of ours: '' for the package itself."""
+    return module.split('.')[1] if '.' in module else ''
+
+
+def test_arrows_point_down():
+    for path in PACKAGE.rglob('*.py'):
+        own = path.relative_to(PACKAGE).parts[0].removesuffix('.py')
+        if own == '__init__':
+            continue
+        ours = {layer(name) for name in imports(path) if name.startswith('timo_sim')}
+        assert ours <= BELOW[own] | {own}, f'{path} imports {ours - BELOW[own]}'
+
+
+def test_physics_knows_no_files_ros_or_log():
+    for path in (PACKAGE / 'physics').glob('*.py'):
+        if path.name != 'compiled.py':  # keeps machine code on disk
+            foreign = {name.split('.')[0] for name in imports(path)} & OUTSIDE_OF_PHYSICS
+            assert not foreign, f'{path} imports {foreign}'
+
+
+def test_offline_use_needs_no_ros_and_the_package_itself_nothing_heavy():
+    code = ('import sys, timo_sim; assert not {"numpy", "numba", "rclpy"} & set(sys.modules); '
+            'timo_sim.simulate(timo_sim.load_scene({}), 0.01); '
+            'assert not {"rclpy", "mcap", "rerun", "matplotlib"} & set(sys.modules)')
+    subprocess.run([sys.executable, '-c', code], check=True)

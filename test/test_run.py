@@ -1,0 +1,115 @@
+"""The public interface: shapes, units, what is read off a run, the progress bar."""
+
+import os
+import pty
+import subprocess
+import sys
+import termios
+
+import numpy as np
+import pytest
+
+import timo_sim
+
+
+def test_shapes_and_kinematics(paper):
+    scene = timo_sim.load_scene(str(paper), {'model.modes': 4, 'integrator.step': 0.005})
+    run = timo_sim.simulate(scene, duration=1.0)
+    n = 201
+    assert run.t.shape == (n,) and run.t[-1] == 1.0
+    assert run.carrier.shape == run.carrier_velocity.shape == (n, 2)
+    assert run.shaft.shape == run.shaft_velocity.shape == (n,)
+    assert run.q.shape == run.qdot.shape == (n, 4)
+    assert run.energy().shape == (n,) and run.momentum().shape == (n, 3)
+    assert run.rotation(1.0).shape == (n,)
+
+    assert np.array_equal(run.position(0.0), run.carrier)
+    deflection = run.deflection(2.0)
+    along, across = 2.0 + deflection[:, 0], deflection[:, 1]
+    tip = run.carrier + np.column_stack([
+        np.cos(run.shaft) * along - np.sin(run.shaft) * across,
+        np.sin(run.shaft) * along + np.cos(run.shaft) * across])
+    assert np.abs(run.position(2.0) - tip).max() < 1e-14
+
+
+def test_rates_are_the_rates_of_the_coordinates(paper):
+    run = timo_sim.simulate(timo_sim.load_scene(paper), 1.0)
+    h = run.t[1]
+    half = run.motion.shape[1] // 2
+    x = run.motion[:, :half]
+    # Five points: error h^4/30 times the fifth derivative, below 1e-3 x (190 rad/s)^5 in mode 3.
+    slope = (x[:-4] - 8 * x[1:-3] + 8 * x[3:-1] - x[4:]) / (12 * h)
+    assert np.abs(slope - run.motion[2:-2, half:]).max() < 1e-5
+
+
+def test_work_of_the_loads_is_the_energy(paper):
+    run = timo_sim.simulate(timo_sim.load_scene(paper, {'model.modes': 5}), 2.0)
+    power = (5 * np.sin(4 * np.pi * run.t) * run.carrier_velocity[:, 0]
+             + 5 * np.sin(6 * np.pi * run.t) * run.carrier_velocity[:, 1]
+             + 5 * np.sin(8 * np.pi * run.t) * run.shaft_velocity)
+    h = run.t[1]
+    work = h / 3 * (power[0] + power[-1] + 4 * power[1:-1:2].sum() + 2 * power[2:-1:2].sum())
+    # Simpson's rule at 1 ms over the fifth mode's 900 rad/s, which carries 1e-6 of the energy.
+    assert run.energy()[-1] == pytest.approx(work, abs=1e-7)
+
+
+def test_projection_gives_back_a_mode():
+    scene = timo_sim.load_scene({'model.modes': 3})
+    modes = scene.build().modes
+    q = timo_sim.project(scene, lambda xi: 0.2 * modes.deflection(xi)[:, 1],
+                         lambda xi: 0.2 * modes.rotation(xi)[:, 1])
+    assert q == pytest.approx([0.0, 0.2, 0.0], abs=1e-13)
+
+
+def test_every_nth_sample_is_that_of_the_full_run(paper):
+    scene = timo_sim.load_scene(paper, {'integrator.step': 0.002})
+    full, thin = timo_sim.simulate(scene, 6.0), timo_sim.simulate(scene, 6.0, every=5)
+    assert np.array_equal(full.motion[::5], thin.motion)
+    assert np.array_equal(full.t[::5], thin.t)
+
+
+def test_runs_repeat_to_the_bit(paper):
+    scene = timo_sim.load_scene(paper, {'model.modes': 5})
+    first, second = (timo_sim.simulate(scene, 1.0).motion for _ in range(2))
+    assert first.tobytes() == second.tobytes()
+
+
+def test_duration_and_sampling_must_fit_the_step(paper):
+    scene = timo_sim.load_scene(paper, {'integrator.step': 0.01})
+    with pytest.raises(timo_sim.ParameterError, match='duration = 0.125.*the ratio is 12.5'):
+        timo_sim.simulate(scene, 0.125)
+    with pytest.raises(timo_sim.ParameterError, match='every = 3 must divide.*10'):
+        timo_sim.simulate(scene, 0.1, every=3)
+
+
+def test_xi_must_be_on_the_arm(paper):
+    run = timo_sim.simulate(timo_sim.load_scene(paper), 0.01)
+    with pytest.raises(ValueError, match='xi must be between 0 and arm.length = 2.0 m, got 2.5'):
+        run.position(2.5)
+
+
+LONG_RUN = ('import timo_sim; scene = timo_sim.load_scene({"model.modes": 30, '
+            '"integrator.step": 1e-4}); timo_sim.simulate(scene, SECONDS, every=100)')
+
+
+def test_progress_bar_on_a_terminal_for_long_runs_only():
+    assert b'step/s' in _on_terminal(LONG_RUN.replace('SECONDS', '2.0'))
+    assert b'step/s' not in _on_terminal(LONG_RUN.replace('SECONDS', '0.01'))
+    piped = subprocess.run([sys.executable, '-c', LONG_RUN.replace('SECONDS', '2.0')],
+                           capture_output=True, check=True)
+    assert piped.stderr == b''
+
+
+def _on_terminal(code):
+    ours, theirs = pty.openpty()
+    termios.tcsetwinsize(ours, (24, 80))
+    child = subprocess.Popen([sys.executable, '-c', code], stderr=theirs, stdout=theirs)
+    os.close(theirs)
+    output = b''
+    try:
+        while chunk := os.read(ours, 65536):
+            output += chunk
+    except OSError:  # the end of a terminal whose other side is closed
+        pass
+    assert child.wait() == 0
+    return output
