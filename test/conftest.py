@@ -32,3 +32,7 @@ def reference():
     path = Path(__file__).parent / 'data' / 'reference_table4.csv'
     names = path.read_text().split('\n', 1)[0].split(',')
     return dict(zip(names, np.loadtxt(path, delimiter=',', skiprows=1).T))
+
+
+# A node in its own process and a client: `start`, `client`, `ros`.
+pytest_plugins = ['ros_process']

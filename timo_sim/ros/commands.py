@@ -64,7 +64,9 @@ class Inlet:
     """
 
     def __init__(self, node, command):
-        self._logger, self._command = node.get_logger(), command
+        self._command = command
+        # A logger of its own: warnings are throttled for each.
+        self._logger = node.get_logger().get_child(command.name.removeprefix('~/'))
         self._subscription = node.create_subscription(
             command.message_type, command.name, self._receive, 10, raw=True)
         self.channel = Channel(self._subscription.topic_name, type_name(command.message_type))
@@ -79,7 +81,7 @@ class Inlet:
         except _Refused as reason:
             self.refused += 1
             self._logger.warning(
-                f'{self.channel.topic}: command refused, {reason}; the last one stays in force',
+                f'command refused, {reason}; the last one stays in force',
                 throttle_duration_sec=5.0)
             return
         self._pending = values, data
@@ -122,7 +124,7 @@ class Inlet:
             return None
         self.stale += 1
         self._logger.warning(
-            f'{self.channel.topic}: no command for {timeout_steps} steps, the input falls to zero')
+            f'no command for {timeout_steps} steps, the input falls to zero')
         self.clear(held)
         return serialize_message(self._command.message_type())
 

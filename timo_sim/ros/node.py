@@ -90,15 +90,17 @@ class SimNode(Node):
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/step', self._on_step)
 
-    def run(self):
-        """Advance sim time with wall time until asked to stop."""
+    def open(self):
+        """Open the log and show the initial state, before any callback can change it."""
         if self._values['record']:
             self._open_log()
+        self._publish()
+
+    def run(self):
+        """Advance sim time with wall time until asked to stop."""
         started = time.monotonic()
         self._pace.start(self._simulator.steps, started)
         self._reported = started, self._simulator.steps
-        with self._lock:
-            self._publish()
         while not self._stop.set and self.context.ok() and self._simulator.steps < self._end:
             with self._lock:
                 wait = self._tick()
@@ -175,7 +177,7 @@ class SimNode(Node):
         steps = self._simulator.steps
         self._reported = now, steps
         if self._recorder is not None and self._recorder.error and not self._log_error:
-            self._log_error = f'the log ends early, {self._recorder.error}'
+            self._log_error = f'the log ends early: {self._recorder.error}'
             self.get_logger().error(self._log_error)
         if not self._health_outlet.wanted:
             return
@@ -270,7 +272,7 @@ class SimNode(Node):
                     'numpy': np.__version__, 'scipy': scipy.__version__,
                     'numba': numba.__version__}})
         except OSError as error:
-            self._log_error = f'no log is written, {error}'
+            self._log_error = f'no log is written to {path}: {error}'
             self.get_logger().error(self._log_error)
             return
         for index, outlet in enumerate(outlets, start=len(self._inlets)):
@@ -285,7 +287,7 @@ class SimNode(Node):
             self._recorder.close()
             report += f'; log: {self._recorder.path}'
             if self._recorder.error and not self._log_error:
-                self.get_logger().error(f'the log ends early, {self._recorder.error}')
+                self.get_logger().error(f'the log ends early: {self._recorder.error}')
         self.get_logger().info(report)
 
 
@@ -332,16 +334,18 @@ def run(stop, args):
         node = SimNode(stop)
     except ParameterError as error:
         return _refuse(error)
+    stop.running()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     thread = threading.Thread(target=spin, name='executor', daemon=True)
-    thread.start()
-    stop.running()
     try:
+        node.open()
+        thread.start()
         node.run()
     finally:
         executor.shutdown()
-        thread.join()
+        if thread.is_alive():
+            thread.join()
         node.destroy_node()
         rclpy.try_shutdown()
     for failure in failures:

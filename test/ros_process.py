@@ -1,4 +1,4 @@
-"""A real node in its own process and a real client, over DDS."""
+"""Fixtures: a real node in its own process and a real client, over DDS."""
 
 from pathlib import Path
 import signal
@@ -95,6 +95,10 @@ class Process:
             command += ['-p', f'{name}:={shown}']
         self._process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True,
                                          stderr=subprocess.STDOUT, preexec_fn=preexec_fn)
+
+    def send(self, number):
+        """Send a signal."""
+        self._process.send_signal(number)
 
     def end(self, number=signal.SIGINT):
         """Send a signal; return exit code and output."""

@@ -1,0 +1,56 @@
+"""How the process starts and ends: bad parameters, signals."""
+
+import signal
+import time
+
+from mcap.reader import make_reader
+import pytest
+
+
+@pytest.mark.parametrize('parameters, words', [
+    ({'arm.length': -2.0}, 'arm.length must be a finite number > 0 m, got -2.0'),
+    ({'arm.length': '.nan'}, 'arm.length must be a finite number > 0 m, got nan'),
+    ({'arm.length': 'two'}, "got 'two'"),
+    ({'arm.lenght': 2.0}, 'arm.lenght = 2.0 is not a parameter of timo_sim'),
+    ({'model.modes': 3.5}, 'model.modes must be a whole number >= 0 and <= 40, got 3.5'),
+    ({'rate.tip_pose': 300.0}, 'rate.tip_pose = 300, the ratio is 3.33333'),
+    ({'duration': 0.0015}, 'the ratio is 1.5'),
+    ({'load.torque.piecewise.time': '[0.0005]', 'load.torque.piecewise.value': '[1.0]'},
+     'load.torque.piecewise.time[0] = 0.0005 must be a whole multiple'),
+    ({'load.torque.piecewise.time': '[1.0, 2]'}, 'load.torque.piecewise.time'),
+])
+def test_bad_parameters_end_with_one_line_and_code_2(start, parameters, words):
+    code, output = start(**parameters).wait()
+    ours = [line for line in output.splitlines() if line.startswith('timo_sim: ')]
+    assert code == 2
+    assert len(ours) == 1 and words in ours[0]
+    assert 'Traceback' not in output
+
+
+def test_a_parameter_file_that_is_none(start, tmp_path):
+    (tmp_path / 'bad.yaml').write_text('timo_sim: {ros__parameters: {arm: [')
+    code, output = start('--params-file', 'bad.yaml').wait()
+    assert code == 2 and 'bad.yaml' in output and 'Traceback' not in output
+
+
+@pytest.mark.parametrize('length', ['2', '2.0', '2.0e+0'])
+def test_ways_to_write_a_number(start, length):
+    assert start(record=False, duration=0.1, **{
+        'arm.length': length, 'arm.young_modulus': '70.5e9'}).wait()[0] == 0
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('delay', [0.1, 0.4, 0.7, 1.0, 2.5])
+def test_signals_end_the_process_cleanly(start, number, delay):
+    """Before, during and after start-up, and pressed twice."""
+    node = start()
+    time.sleep(delay)
+    node.send(number)
+    time.sleep(0.02)
+    code, output = node.end(number)
+    assert 'Traceback' not in output
+    if node.log.exists():
+        with open(node.log, 'rb') as stream:
+            assert make_reader(stream).get_summary().statistics is not None
+    # Python itself needs a moment before any handler of ours can stand.
+    assert code == 0 or delay < 0.4 and code == -number
