@@ -133,7 +133,7 @@ def simulate(scene, duration, every=1):
         raise ParameterError(f'every = {every} must divide the number of steps, {steps}')
     simulator = Simulator(scene)
     motion = np.empty((steps // every + 1, simulator.formulation.size))
-    motion[0] = scene.initial_motion()
+    motion[0] = simulator.motion()
     chunk = max(1, _CHUNK // every) * every
     with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
               leave=False) as bar:

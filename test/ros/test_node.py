@@ -87,7 +87,7 @@ def test_pause_step_and_reset(start, client):
     client.wait(lambda: states, 'the state after the reset')
     # State back, clock on.
     assert states[-1].position.tolist() == pytest.approx([0.0, 0.0, np.pi / 4], abs=1e-15)
-    assert states[-1].velocity.tolist() == pytest.approx([0.0, 0.0, 1.0], abs=1e-15)
+    assert states[-1].velocity.tolist() == pytest.approx([0.0, 0.0, 1.0], abs=1e-14)
     assert round(seconds(states[-1].header.stamp) * 1000) == steps + 10
 
 
@@ -166,10 +166,10 @@ def test_parameters_at_run_time(start, client):
 
 
 def test_own_clock_with_use_sim_time_does_not_deadlock(start, client):
-    node = start(record=False, publish_clock=True, use_sim_time=True, duration=1.0)
+    node = start(record=False, publish_clock=True, use_sim_time=True)
     clocks = client.collect(Clock, '/clock')
-    assert node.wait()[0] == 0
-    assert len(clocks) > 20
+    client.wait(lambda: len(clocks) > 50, 'the clock')
+    assert node.end()[0] == 0
     steps = np.diff([round(seconds(clock.clock) * 100) for clock in clocks])
     assert np.all(steps == 1)
 
