@@ -20,7 +20,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: sim test picture benchmark-loop clean
+.PHONY: sim test picture accuracy benchmark-loop clean
 
 sim: $(VENV)/.run
 	@mkdir -p $(dir $(RUN))
@@ -33,6 +33,9 @@ test: $(VENV)/.test
 
 picture: $(VENV)/.plot
 	@$(BIN)/python doc/picture.py
+
+accuracy: $(VENV)/.run
+	@$(BIN)/python benchmark/accuracy.py
 
 benchmark-loop: $(VENV)/.run
 	@$(BIN)/python benchmark/loop.py

@@ -35,17 +35,18 @@ def serve(variant, seconds):
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.experimental import EventsExecutor
     from rclpy.signals import SignalHandlerOptions
-    from timo_sim.ros import node as module
+    from timo_sim.ros.node import SimNode
+    from timo_sim.ros.process import SWITCH_INTERVAL
 
     class Stop:
         set = False
 
-    class Timed(module.SimNode):
+    class Timed(SimNode):
         def _tick(self):
             self.times.append(time.monotonic())
             return super()._tick()
 
-    sys.setswitchinterval(module._SWITCH_INTERVAL)
+    sys.setswitchinterval(SWITCH_INTERVAL)
     arguments = ['--ros-args', '--params-file', str(ROOT / 'config' / 'paper.yaml'),
                  '-p', 'record:=false']
     for rate in RATES:

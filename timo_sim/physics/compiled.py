@@ -69,6 +69,11 @@ def inner(function):
     return numba.njit(fastmath=FASTMATH)(function)
 
 
+def strict(function):
+    """Compile a function that only compiled functions call, without any fast math."""
+    return numba.njit(function)
+
+
 def dispatch(declaration):
     """
     Declare a function whose body is chosen, at compile time, by the type of its first argument.

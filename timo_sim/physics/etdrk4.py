@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm, matrix_balance
 
-from timo_sim.physics.compiled import dispatch, entry_point, inner
+from timo_sim.physics.compiled import dispatch, entry_point, inner, strict
 
 STAGES = 3       # a step evaluates its load at t, t + h/2 and t + h
 STAGE_RATES = 4  # and the nonlinear part four times
@@ -88,6 +88,14 @@ def _multiply_add(matrix, vector, out):
         for j in range(matrix.shape[1]):
             total += matrix[i, j] * vector[j]
         out[i] += total
+
+
+@strict
+def _is_finite(vector):
+    for i in range(len(vector)):
+        if not np.isfinite(vector[i]):
+            return False
+    return True
 
 
 @dispatch
@@ -175,10 +183,7 @@ def advance(tables, state, loads, every, samples, propagator, space, stages):
         _multiply_add(propagator.middle, combined, stage)
         _multiply_add(propagator.last, rate_c, stage)
 
-        finite = 0.0
-        for i in range(size):
-            finite += 0.0 * stage[i]
-        if finite != 0.0:
+        if not _is_finite(stage):
             return k
         state[:] = stage
         if (k + 1) % every == 0:

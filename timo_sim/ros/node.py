@@ -4,23 +4,19 @@ from datetime import datetime
 import json
 import math
 import platform
-import sys
 import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numba
 import numpy as np
-import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 import scipy
 from std_srvs.srv import SetBool, Trigger
 
 import timo_sim
 from timo_sim.log.recorder import Recorder
-from timo_sim.parameters import ParameterError, whole_ratio
+from timo_sim.parameters import whole_ratio
 from timo_sim.physics.compiled import is_cached
 from timo_sim.physics.formulation import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, TORQUE
 from timo_sim.ros import diagnostics
@@ -31,16 +27,9 @@ from timo_sim.ros.topics import MotionOutlet, NANOSECONDS, Outlet, Snapshot, TOP
 from timo_sim.scene import scene_from
 from timo_sim.simulation import DivergenceError, Simulator
 
-try:  # costs 40 % less with a client at 1 kHz: benchmark/loop.py
-    from rclpy.experimental import EventsExecutor as Executor
-except ImportError:  # rclpy before 7.1.5
-    from rclpy.executors import SingleThreadedExecutor as Executor
-
 # Steps of one compiled call at most, so that no other thread waits long for it.
 _BATCH = 500
-# A thread that wakes gets the interpreter after this time at most [s].
-_SWITCH_INTERVAL = 2e-4
-# How often a paused or sleeping loop, and the executor, look at their flags [s].
+# How often a paused or sleeping loop looks at its flags [s].
 _PAUSED_POLL, _LONGEST_SLEEP = 0.01, 0.1
 
 
@@ -294,68 +283,3 @@ class SimNode(Node):
             if self._recorder.error and not self._log_error:
                 self.get_logger().error(f'the log ends early: {self._recorder.error}')
         self.get_logger().info(report)
-
-
-def _refuse(error):
-    print('timo_sim:', ' '.join(str(error).split()), file=sys.stderr)
-    rclpy.try_shutdown()
-    return 2
-
-
-def run(stop, args):
-    """
-    Start ROS, run the node, end ROS.
-
-    Parameters
-    ----------
-    stop : StopRequest
-    args : list of str or None
-        Command line; None: that of the process.
-
-    Returns
-    -------
-    int
-        Exit code: 0, or 2 for a parameter that breaks its rule, or 1 if a callback failed.
-
-    """
-    sys.setswitchinterval(_SWITCH_INTERVAL)
-    failures = []
-    done = threading.Event()
-
-    def spin():
-        try:
-            while not done.is_set():  # EventsExecutor.spin() does not work in rclpy 7.1
-                executor.spin_once(timeout_sec=_LONGEST_SLEEP)
-        except ExternalShutdownException:
-            stop.set = True
-        except Exception as error:  # a node that no longer listens must not go on as if it did
-            failures.append(error)
-            stop.set = True
-
-    stop.building()
-    try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # ROS arguments or a parameter file that rcl cannot read
-        return _refuse(error)
-    try:
-        node = SimNode(stop)
-    except ParameterError as error:
-        return _refuse(error)
-    stop.running()
-    executor = Executor()
-    executor.add_node(node)
-    thread = threading.Thread(target=spin, name='executor', daemon=True)
-    try:
-        node.open()
-        thread.start()
-        node.run()
-    finally:
-        done.set()
-        if thread.is_alive():
-            thread.join()
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.try_shutdown()
-    for failure in failures:
-        print(f'timo_sim: a callback failed: {failure!r}', file=sys.stderr)
-    return 1 if failures else 0

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 
 
 class StopRequest:
@@ -10,8 +11,9 @@ class StopRequest:
 
     While modules are imported nothing needs an end, and an exception could surface as a failed
     import: the process just ends. While the node is `building` (it may compile for seconds)
-    SystemExit(0) unwinds it. Once it is `running`, `set` is for its loop to see; further signals
-    change nothing, so they cannot break the cleaning up.
+    SystemExit(0) unwinds it; where Python must swallow that, in a callback of C code, `set` is
+    seen as soon as the node runs. Once it is `running`, `set` is for its loop to see; further
+    signals change nothing, so they cannot break the cleaning up.
     """
 
     def __init__(self):
@@ -23,6 +25,7 @@ class StopRequest:
     def building(self):
         """Say that all imports are done."""
         self._handler = _unwind
+        sys.unraisablehook = _ignore_exit
 
     def running(self):
         """Say that a loop looks at `set` from now on."""
@@ -41,6 +44,11 @@ class StopRequest:
 
 def _unwind():
     raise SystemExit(0)
+
+
+def _ignore_exit(unraisable):
+    if not isinstance(unraisable.exc_value, SystemExit):
+        sys.__unraisablehook__(unraisable)
 
 
 def _leave_to_loop():

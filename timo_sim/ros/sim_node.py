@@ -17,7 +17,7 @@ def main(args=None):
     """
     stop = StopRequest()
     try:
-        from timo_sim.ros.node import run
+        from timo_sim.ros.process import run
         return run(stop, args)
     finally:
         stop.finished()

@@ -1,0 +1,64 @@
+"""Draw the arm in the paper's scene: `make picture` writes doc/arm.png."""
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+
+import timo_sim
+
+matplotlib.use('Agg')
+ROOT = Path(__file__).resolve().parents[1]
+LENGTH = 2.0
+# Okabe-Ito colours, told apart by everyone.
+BLUE, ORANGE, GREY = '#0072B2', '#D55E00', '#999999'
+
+
+def main():
+    """Simulate 10 s; draw the plane, the bent arm, and the tip beside the reference."""
+    import matplotlib.pyplot as plt
+    plt.rcParams.update({'font.size': 13})
+    scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml',
+                                {'model.modes': 5, 'integrator.step': 0.005})
+    run = timo_sim.simulate(scene, 10.0, every=2)
+    names, *rows = (ROOT / 'test' / 'data' / 'reference_table4.csv').read_text().split()
+    reference = np.array([row.split(',') for row in rows], dtype=float)
+    across = reference[:, names.split(',').index('w_l_m')]
+
+    figure, (plane, shape, time) = plt.subplots(
+        1, 3, figsize=(15, 5), layout='constrained', width_ratios=[1, 1, 1.5])
+    xi = np.linspace(0.0, LENGTH, 41)
+    line = np.stack([run.position(x) for x in xi], axis=1)
+    bend = np.stack([run.deflection(x) for x in xi], axis=1)
+    peak = int(np.abs(bend[:, -1, 1]).argmax())
+
+    plane.plot(*line[:, -1].T, color=GREY, lw=0.8, label='path of the tip')
+    for k in np.linspace(0, len(run.t) - 1, 6).astype(int):
+        colour = plt.cm.Blues(0.3 + 0.7 * k / len(run.t))
+        plane.plot(*line[k].T, color=colour, lw=2)
+        plane.plot(*line[k, -1], 'o', color=colour, ms=8)
+        plane.plot(*run.carrier[k], 's', color=colour, ms=10)
+    plane.set(xlabel='x [m]', ylabel='y [m]', aspect='equal', xlim=(-0.1, 1.7),
+              title='carrier, arm, end effector\nevery 2 s, light to dark')
+
+    for k in range(peak - 12, peak + 1, 3):
+        last = k == peak
+        shape.plot(xi + bend[k, :, 0], 1e3 * bend[k, :, 1], lw=3 if last else 1.5,
+                   color=ORANGE if last else plt.cm.Blues(0.4 + 0.05 * (k - peak + 12)))
+    shape.axhline(0.0, color=GREY, lw=0.8)
+    shape.set(xlabel='along the arm, I [m]', ylabel='across, II [mm]',
+              title=f'bent arm, every 30 ms\nuntil its largest bend at {run.t[peak]:.2f} s')
+
+    time.plot(run.t, 1e3 * across, color=GREY, lw=4, label='400 finite elements')
+    time.plot(run.t, 1e3 * run.deflection(LENGTH)[:, 1], color=BLUE, lw=1.5,
+              label='timo_sim, 5 modes, 5 ms')
+    error = np.abs(run.deflection(LENGTH)[:, 1] - across).max()
+    time.set(xlabel='t [s]', ylabel='tip deflection w(l) [mm]', xlim=(0, 10), ylim=(-100, 130))
+    time.set(title=f'tip against finite elements\nlargest difference {1e6 * error:.1f} \u00b5m')
+    time.legend(loc='upper right', ncols=2, fontsize=11)
+    figure.savefig(ROOT / 'doc' / 'arm.png', dpi=100)
+    print(f'wrote doc/arm.png; largest difference in w(l): {1e6 * error:.2f} um')
+
+
+if __name__ == '__main__':
+    main()

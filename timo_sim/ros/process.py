@@ -1,0 +1,86 @@
+"""The node's process: ROS started and ended around it, callbacks in a thread of their own."""
+
+import sys
+import threading
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.signals import SignalHandlerOptions
+
+from timo_sim.parameters import ParameterError
+from timo_sim.ros.node import SimNode
+
+try:  # with a client at 1 kHz it costs a third less: benchmark/loop.py
+    from rclpy.experimental import EventsExecutor as Executor
+except ImportError:  # an older rclpy
+    from rclpy.executors import SingleThreadedExecutor as Executor
+
+# A thread that wakes gets the interpreter after this time at most [s].
+SWITCH_INTERVAL = 2e-4
+# How often the executor's thread looks whether it should end [s].
+_POLL = 0.1
+
+
+def _refuse(error):
+    print('timo_sim:', ' '.join(str(error).split()), file=sys.stderr)
+    rclpy.try_shutdown()
+    return 2
+
+
+def run(stop, args):
+    """
+    Start ROS, run the node, end ROS.
+
+    Parameters
+    ----------
+    stop : StopRequest
+    args : list of str or None
+        Command line; None: that of the process.
+
+    Returns
+    -------
+    int
+        Exit code: 0, or 2 for a parameter that breaks its rule, or 1 if a callback failed.
+
+    """
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    failures = []
+    done = threading.Event()
+
+    def spin():
+        try:
+            while not done.is_set():  # EventsExecutor.spin() does not work in rclpy 7.1
+                executor.spin_once(timeout_sec=_POLL)
+        except ExternalShutdownException:
+            stop.set = True
+        except Exception as error:  # a node that no longer listens must not go on as if it did
+            failures.append(error)
+            stop.set = True
+
+    stop.building()
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # ROS arguments or a parameter file that rcl cannot read
+        return _refuse(error)
+    try:
+        node = SimNode(stop)
+    except ParameterError as error:
+        return _refuse(error)
+    stop.running()
+    executor = Executor()
+    executor.add_node(node)
+    thread = threading.Thread(target=spin, name='executor', daemon=True)
+    try:
+        node.open()
+        thread.start()
+        node.run()
+    finally:
+        done.set()
+        if thread.is_alive():
+            thread.join()
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    for failure in failures:
+        print(f'timo_sim: a callback failed: {failure!r}', file=sys.stderr)
+    return 1 if failures else 0
