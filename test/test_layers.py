@@ -11,7 +11,7 @@ PACKAGE = Path(timo_sim.__file__).parent
 # A module may import from its own layer and from those listed.
 BELOW = {
     'physics': set(),
-    'parameters': set(),
+    'parameters': {'physics'},
     'scene': {'physics', 'parameters'},
     'run': {'physics', 'scene'},
     'simulation': {'physics', 'parameters', 'scene', 'run'},

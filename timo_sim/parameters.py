@@ -9,6 +9,8 @@ import math
 
 import numpy as np
 
+from timo_sim.physics import FORMULATIONS
+
 SCENE, NODE = 'scene', 'node'
 
 
@@ -168,7 +170,7 @@ _ALL = [
               '(straight arm) or one for each mode'),
     Parameter('initial.modal_rates', (), 'm sqrt(kg)/s', 'their rates at t = 0'),
     Parameter('model.formulation', 'exact', '', 'equations of motion',
-              choices=('exact', 'newton')),
+              choices=tuple(FORMULATIONS)),
     Parameter('model.modes', 3, '', 'number of assumed modes; 0 is a rigid arm', low=0, high=40),
     _positive('integrator.step', 0.001, 's', 'time step'),
     *_load('force_x', 'N', 'force on the carrier along world x'),

@@ -35,8 +35,9 @@ def cache_directory():
             directory.mkdir(parents=True, exist_ok=True, mode=0o700)
         except OSError:
             continue
-        # Machine code is loaded from here: only from a folder that nobody else can write to.
-        if directory.stat().st_uid == os.getuid() and os.access(directory, os.W_OK):
+        # Machine code is loaded from here: only from a folder that is our own.
+        ours = all(path.stat().st_uid == os.getuid() for path in (Path(root), directory))
+        if ours and os.access(directory, os.W_OK):
             return directory
     return None
 

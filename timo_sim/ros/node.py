@@ -119,7 +119,7 @@ class SimNode(Node):
         """Do steps; apply commands and publish on the way."""
         simulator = self._simulator
         goal = min(simulator.steps + count, self._end)
-        while simulator.steps < goal:
+        while simulator.steps < goal and not self._stop.set:
             first = simulator.steps
             self._apply_commands(first)
             last = min(goal, first + _BATCH, self._next_event(first))
@@ -202,8 +202,8 @@ class SimNode(Node):
         for outlet in self._outlets:
             outlet.every = steps_each[outlet.rate]
         self._timeout_steps = math.ceil(values['command_timeout'] / self._step)
-        self._pace.set(values['real_time_factor'], values['catch_up_limit'])
-        self._pace.start(self._simulator.steps, time.monotonic())
+        self._pace.set(values['real_time_factor'], values['catch_up_limit'],
+                       self._simulator.steps, time.monotonic())
 
     def _on_parameters(self, changed):
         values = {**self._values, **changed}

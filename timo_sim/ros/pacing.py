@@ -20,13 +20,17 @@ class Pace:
 
     def __init__(self, step):
         self._step = step
+        self._factor = None
         self.overruns = 0
         self.dropped_steps = 0
 
-    def set(self, factor, limit):
+    def set(self, factor, limit, steps, now):
         """Set the real-time factor, 0 for as fast as possible, and the catch-up limit [s]."""
-        self._factor, self._limit = factor, limit
-        self._tick_steps = max(1, math.floor(TICK * factor / self._step))
+        self._limit = limit
+        if factor != self._factor:  # a new start would cost the part of a step that has passed
+            self._factor = factor
+            self._tick_steps = max(1, math.floor(TICK * factor / self._step))
+            self.start(steps, now)
 
     @property
     def free(self):
