@@ -1,0 +1,224 @@
+"""The log, read back by other people's readers, and what happens when it cannot be written."""
+
+from collections import Counter
+import json
+import resource
+import signal
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Vector3Stamped
+from mcap.reader import make_reader, NonSeekingReader
+from mcap_ros2.decoder import DecoderFactory
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+import yaml
+
+import timo_sim
+
+PUBLISHED = {'/joint_states': 'sensor_msgs/msg/JointState',
+             '/timo_sim/tip_deflection': 'geometry_msgs/msg/Vector3Stamped',
+             '/timo_sim/tip_pose': 'geometry_msgs/msg/PoseStamped',
+             '/timo_sim/carrier_pose': 'geometry_msgs/msg/PoseStamped'}
+
+
+@pytest.fixture
+def recorded(start, client, paper):
+    """Record a second of the paper's scene with a command in it; return log and what was seen."""
+    node = start('--params-file', str(paper))
+    seen = {'/joint_states': client.collect(JointState, '/joint_states'),
+            '/timo_sim/tip_deflection': client.collect(Vector3Stamped,
+                                                       '/timo_sim/tip_deflection')}
+    client.command(Float64, '/timo_sim/motor_torque').publish(Float64(data=1.0))
+    for messages in seen.values():
+        client.wait(lambda: len(messages) >= 100, 'a second of messages')
+    assert node.end()[0] == 0
+    return node.log, seen
+
+
+def key(stamp):
+    """Return a time in nanoseconds."""
+    return stamp.sec * 1000000000 + stamp.nanosec
+
+
+def test_two_foreign_readers_find_what_was_published(recorded):
+    path, seen = recorded
+    found = {topic: [] for topic in seen}
+    with open(path, 'rb') as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
+            assert message.log_time == message.publish_time
+            if channel.topic in PUBLISHED:
+                assert schema.name == PUBLISHED[channel.topic]
+                assert key(decoded.header.stamp) == message.log_time
+                assert message.sequence == message.log_time // 1000000  # the time step, 1 ms
+            if channel.topic in found:
+                found[channel.topic].append(decoded)
+    with AnyReader([path]) as reader:
+        types = {connection.topic: connection.msgtype for connection in reader.connections}
+        assert PUBLISHED.items() <= types.items()
+        again = {topic: [] for topic in seen}
+        for connection, timestamp, data in reader.messages():
+            if connection.topic in again:
+                message = reader.deserialize(data, connection.msgtype)
+                assert key(message.header.stamp) == timestamp
+                again[connection.topic].append(message)
+
+    counts = {topic: len(messages) for topic, messages in found.items()}
+    assert counts == {topic: len(messages) for topic, messages in again.items()}
+    assert counts['/joint_states'] == counts['/timo_sim/tip_deflection']
+    for source in (found, again):
+        states = {key(m.header.stamp): m for m in source['/joint_states']}
+        tips = {key(m.header.stamp): m for m in source['/timo_sim/tip_deflection']}
+        for message in seen['/joint_states']:
+            logged = states[key(message.header.stamp)]
+            assert list(logged.name) == message.name
+            for field in ('position', 'velocity', 'effort'):
+                assert np.array_equal(getattr(logged, field), getattr(message, field))
+        for message in seen['/timo_sim/tip_deflection']:
+            logged = tips[key(message.header.stamp)]
+            assert logged.header.frame_id == 'arm'
+            assert (logged.vector.x, logged.vector.y) == (message.vector.x, message.vector.y)
+
+
+def test_what_rosbag2_and_rerun_look_for(recorded):
+    path, _ = recorded
+    with open(path, 'rb') as stream:
+        reader = make_reader(stream)
+        assert reader.get_header().profile == 'ros2'
+        summary = reader.get_summary()
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+        counts = Counter(channel.topic for _, channel, _ in reader.iter_messages())
+    for channel in summary.channels.values():
+        schema = summary.schemas[channel.schema_id]
+        assert (schema.encoding, channel.message_encoding) == ('ros2msg', 'cdr')
+        assert channel.metadata['topic_type_hash'].startswith('RIHS01_')
+        assert len(channel.metadata['topic_type_hash']) == 7 + 64
+        assert yaml.safe_load(channel.metadata['offered_qos_profiles'])[0]['depth'] == 10
+    # The hash that REP-2011 gives to this type, as every ROS 2 installation has it.
+    hashes = {channel.topic: channel.metadata['topic_type_hash']
+              for channel in summary.channels.values()}
+    assert hashes['/joint_states'] == (
+        'RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e')
+    assert summary.chunk_indexes and summary.statistics.message_count == sum(counts.values())
+
+    bag = yaml.safe_load(metadata['rosbag2']['serialized_metadata'])
+    assert (bag['version'], bag['storage_identifier']) == (9, 'mcap')
+    assert bag['message_count'] == summary.statistics.message_count
+    assert {t['topic_metadata']['name']: t['message_count']
+            for t in bag['topics_with_message_count'] if t['message_count']} == dict(counts)
+
+
+def test_the_scene_in_the_log_repeats_the_run(recorded):
+    """Parameters, initial motion and the command with its step are enough to get the motion."""
+    path, seen = recorded
+    with open(path, 'rb') as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        record = next(r.metadata for r in reader.iter_metadata() if r.name == 'timo_sim')
+        commands = [(message.sequence, decoded.data) for _, channel, message, decoded
+                    in reader.iter_decoded_messages() if channel.topic.endswith('motor_torque')]
+    assert commands[0][1] == 1.0 and len(commands) == 1
+    scene = timo_sim.load_scene(json.loads(record['parameters']), {
+        'load.torque.piecewise.time': [commands[0][0] * 0.001],
+        'load.torque.piecewise.value': [1.0]})
+    assert json.loads(record['initial_motion']) == scene.initial_motion().tolist()
+    assert {'numpy', 'scipy', 'numba', 'python', 'timo_sim'} <= set(record)
+    last = seen['/joint_states'][-1]
+    run = timo_sim.simulate(scene, key(last.header.stamp) * 1e-9, every=10)
+    # Loads are summed in another order than command plus scene.
+    assert np.abs(run.motion[-1, :3] - last.position).max() < 1e-13
+
+
+def test_a_reset_is_in_the_log(start, client):
+    node = start(start_paused=True, step_count=30)
+    step = client.service(Trigger, '/timo_sim/step')
+    assert step().success and client.service(Trigger, '/timo_sim/reset')().success
+    assert step().success
+    assert node.end()[0] == 0
+    with open(node.log, 'rb') as stream:
+        resets = [record.metadata for record in make_reader(stream).iter_metadata()
+                  if record.name == 'timo_sim.reset']
+    assert resets == [{'step': '30'}]
+
+
+def test_no_log_when_off(start, tmp_path):
+    node = start(record=False, duration=0.1)
+    assert node.wait()[0] == 0
+    assert not list(tmp_path.rglob('*.mcap'))
+
+
+def test_a_log_is_never_overwritten(start, tmp_path):
+    (tmp_path / 'run.mcap').write_bytes(b'precious')
+    for _ in range(2):
+        assert start(duration=0.1).wait()[0] == 0
+    assert (tmp_path / 'run.mcap').read_bytes() == b'precious'
+    for name in ('run_1.mcap', 'run_2.mcap'):
+        with open(tmp_path / name, 'rb') as stream:
+            assert make_reader(stream).get_summary().statistics.message_count > 0
+
+
+def test_the_default_name_has_date_and_time(start, tmp_path):
+    assert start(duration=0.1, record_file="''").wait()[0] == 0
+    assert len(list(tmp_path.glob('timo_sim_????????_??????.mcap'))) == 1
+
+
+def errors(client, health):
+    """Wait for an error in diagnostics and for time going on after it; return its text."""
+    client.wait(lambda: health and health[-1].status[0].level == DiagnosticStatus.ERROR,
+                'an error in diagnostics')
+    first = health[-1]
+    client.wait(lambda: key(health[-1].header.stamp) > key(first.header.stamp), 'time going on')
+    return first.status[0].message
+
+
+def test_a_folder_that_cannot_be_made_is_an_error_and_no_more(start, client, tmp_path):
+    (tmp_path / 'file').write_text('not a folder')
+    node = start(record_file=str(tmp_path / 'file' / 'run.mcap'))
+    message = errors(client, client.collect(DiagnosticArray, '/diagnostics'))
+    assert 'no log is written' in message and 'run.mcap' in message
+    code, output = node.end()
+    assert code == 0 and output.count('no log is written') == 1
+
+
+def test_a_disk_that_fills_up_is_an_error_and_no_more(start, client):
+    """The kernel refuses to let the file grow beyond 60 kB, as a full disk would."""
+    limit = 60000
+    node = start(preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    message = errors(client, client.collect(DiagnosticArray, '/diagnostics'))
+    assert 'the log ends early' in message
+    code, output = node.end()
+    assert code == 0 and output.count('the log ends early') == 1
+    with open(node.log, 'rb') as stream:
+        assert count_whole_chunks(stream) > 0
+
+
+def count_whole_chunks(stream):
+    """Count the messages of a log without an end."""
+    count = 0
+    try:
+        for _ in NonSeekingReader(stream).iter_messages(log_time_order=False):
+            count += 1
+    except Exception:  # the cut; what came before it counts
+        pass
+    return count
+
+
+def test_a_killed_node_leaves_all_but_the_last_second(start, client):
+    node = start(**{'rate.joint_states': 1000.0})
+    states = client.collect(JointState, '/joint_states')
+    client.wait(lambda: states and key(states[-1].header.stamp) > 2500000000, 'some seconds')
+    node.send(signal.SIGKILL)
+    node.wait()
+    time.sleep(0.1)  # what was on its way to the client
+    with open(node.log, 'rb') as stream:
+        last = 0
+        try:
+            for _, _, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
+                last = max(last, message.log_time)
+        except Exception:
+            pass
+    assert last > key(states[-1].header.stamp) - 1000000000
