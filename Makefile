@@ -20,7 +20,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --use-pep517 --constraint constraints.txt
 
-.PHONY: sim test picture accuracy benchmark-loop clean
+.PHONY: sim test picture accuracy stability benchmark-loop clean
 
 sim: $(VENV)/.run
 	@mkdir -p $(dir $(RUN))
@@ -36,6 +36,9 @@ picture: $(VENV)/.plot
 
 accuracy: $(VENV)/.run
 	@$(BIN)/python benchmark/accuracy.py
+
+stability: $(VENV)/.run
+	@$(BIN)/python benchmark/stability.py
 
 benchmark-loop: $(VENV)/.run
 	@$(BIN)/python benchmark/loop.py

@@ -94,7 +94,7 @@ class Simulator:
         if done < len(loads):
             raise DivergenceError(
                 f'the state is not finite after t = {self.steps * self.scene.step:.6g} s '
-                f'(step {self.steps}): take a smaller integrator.step, fewer model.modes or '
+                f'(step {self.steps}): take fewer model.modes, a smaller integrator.step or '
                 'model.formulation exact')
 
     def motion(self):

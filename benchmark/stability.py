@@ -1,0 +1,48 @@
+"""
+How far the step carries: energy drift of a hard free scene over modes and step, `make stability`.
+
+No loads, no damping, 5 s: energy should not change. In brackets h omega of the highest mode.
+"""
+
+import numpy as np
+
+import timo_sim
+
+LENGTH, DURATION = 2.0, 5.0
+SCENES = [(30.0, 5.0), (100.0, 2.0)]  # shaft speed [rad/s], speed of the tip [m/s]
+MODES, STEPS = (3, 5, 8, 12, 20), (0.010, 0.005, 0.002, 0.001, 0.0005, 0.0002)
+
+
+def drift(modes, step, speed, velocity):
+    """Return the largest relative change of energy, infinite if the run diverges."""
+    values = {'model.modes': modes, 'integrator.step': step, 'initial.shaft_velocity': speed}
+    rates = timo_sim.project(
+        timo_sim.load_scene(values),
+        lambda xi: velocity * (1.5 * (xi / LENGTH)**2 - 0.5 * (xi / LENGTH)**3),
+        lambda xi: velocity * (3.0 * (xi / LENGTH) - 1.5 * (xi / LENGTH)**2) / LENGTH)
+    scene = timo_sim.load_scene(values, {'initial.modal_rates': rates})
+    try:
+        energy = timo_sim.simulate(scene, DURATION).energy()
+    except timo_sim.DivergenceError:
+        return np.inf
+    return np.abs(energy / energy[0] - 1.0).max()
+
+
+def table(speed, velocity):
+    """Print a Markdown table."""
+    print(f'\nshaft {speed:g} rad/s, tip {velocity:g} m/s\n')
+    print('| N | ' + ' | '.join(f'{1e3 * step:g} ms' for step in STEPS) + ' |')
+    print('|---|' + '---|' * len(STEPS))
+    for modes in MODES:
+        highest = timo_sim.load_scene({'model.modes': modes}).build().modes.omega[-1]
+        cells = []
+        for step in STEPS:
+            change = drift(modes, step, speed, velocity)
+            shown = f'{change:.0e}' if change < 1.0 else 'diverges'
+            cells.append(f'{shown} ({highest * step:.2g})')
+        print(f'| {modes} | ' + ' | '.join(cells) + ' |')
+
+
+if __name__ == '__main__':
+    for scene_speeds in SCENES:
+        table(*scene_speeds)
