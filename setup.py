@@ -9,7 +9,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),
-        ('share/' + package_name + '/config', ['config/paper.yaml']),
+        ('share/' + package_name + '/config', ['config/paper.yaml', 'config/spin_up.yaml']),
         ('share/' + package_name + '/launch', ['launch/sim.launch.py']),
     ],
     python_requires='>=3.11',

@@ -22,6 +22,12 @@ def paper():
 
 
 @pytest.fixture(scope='session')
+def spin_up():
+    """Path of the spin-up manoeuvre."""
+    return ROOT / 'config' / 'spin_up.yaml'
+
+
+@pytest.fixture(scope='session')
 def reference():
     """
     Columns of the finite-element reference of the paper's scene, by name.

@@ -11,6 +11,7 @@ __version__ = '0.1.0'
 
 _HOMES = {
     'DivergenceError': 'timo_sim.simulation',
+    'ModelWarning': 'timo_sim.simulation',
     'ParameterError': 'timo_sim.parameters',
     'Run': 'timo_sim.run',
     'Scene': 'timo_sim.scene',

@@ -140,6 +140,11 @@ def _load(channel, unit, meaning):
     ]
 
 
+def _profile(name, unit):
+    return _positive(f'arm.profile.{name}', (), unit,
+                     f'values of arm.{name} at these positions, instead of that one')
+
+
 def _rate(topic, default):
     return _positive(f'rate.{topic}', default, 'Hz', f'messages per second of sim time on {topic}',
                      scope=NODE, runtime=True)
@@ -153,11 +158,28 @@ _ALL = [
     _positive('arm.young_modulus', 70.5e9, 'Pa', "Young's modulus"),
     _positive('arm.shear_modulus', 27e9, 'Pa', 'shear modulus'),
     _positive('arm.shear_correction', 0.85, '', 'shear correction factor kappa'),
+    _not_negative('arm.profile.position', (), 'm', 'distances from the root between which the '
+                  'section varies linearly, from 0 to arm.length; one twice is a jump'),
+    _profile('width', 'm'),
+    _profile('height', 'm'),
+    _profile('density', 'kg/m3'),
+    _profile('young_modulus', 'Pa'),
+    _profile('shear_modulus', 'Pa'),
     Parameter('arm.damping_ratio', (), '', 'modal damping ratios: none, one for all modes, or one '
               'for each', low=0.0, high=1.0),
     _positive('carrier.mass', 5.0, 'kg', 'mass of the carrier'),
+    Parameter('carrier.held', 'none', '', 'axes of the world along which the carrier cannot move',
+              choices=('none', 'x', 'y', 'both')),
     _not_negative('motor.mass', 5.0, 'kg', 'mass of the motor, on the carrier'),
     _not_negative('motor.shaft_inertia', 2.0, 'kg m2', 'moment of inertia of the motor shaft'),
+    Parameter('motor.shaft', 'free', '', 'free: turned by the torque; locked at initial.shaft; '
+              'driven along motor.drive', choices=('free', 'locked', 'driven')),
+    _not_negative('motor.drive.time', (), 's', 'a driven shaft passes these points, quintic in '
+                  'between and at the last speed afterwards; the first is at 0'),
+    Parameter('motor.drive.angle', (), 'rad', 'angles at these times'),
+    Parameter('motor.drive.speed', (), 'rad/s', 'speeds at these times'),
+    Parameter('motor.drive.acceleration', (), 'rad/s2',
+              'accelerations at these times, the last 0'),
     _not_negative('end_effector.mass', 2.0, 'kg', 'mass at the tip'),
     _not_negative('end_effector.inertia', 0.5, 'kg m2', 'moment of inertia at the tip'),
     Parameter('initial.carrier_x', 0.0, 'm', 'carrier position at t = 0'),

@@ -1,6 +1,6 @@
 """A scene: what is simulated, checked, from a YAML file, a dictionary and overrides."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +8,9 @@ import yaml
 
 from timo_sim.parameters import check, ParameterError, PARAMETERS, SCENE, whole_ratio
 from timo_sim.physics import FORMULATIONS
-from timo_sim.physics.bodies import Beam, Manipulator
-from timo_sim.physics.load import CHANNELS, Harmonic, Load, Piecewise, Table
-from timo_sim.physics.modes import Modes
+from timo_sim.physics.bodies import Beam, Manipulator, Section
+from timo_sim.physics.formulation import Constraints
+from timo_sim.physics.load import CHANNELS, Drive, Harmonic, Load, Piecewise, Table
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,7 @@ class Scene:
     Attributes
     ----------
     manipulator : Manipulator
+    constraints : Constraints
     load : Load
     step : float
         Time step [s].
@@ -30,6 +31,7 @@ class Scene:
     """
 
     manipulator: Manipulator
+    constraints: Constraints
     load: Load
     step: float
     values: dict
@@ -38,7 +40,8 @@ class Scene:
         """Return the formulation of the equations of motion that the scene asks for."""
         count = self.values['model.modes']
         damping = np.array(self.values['arm.damping_ratio'] or 0.0)
-        return FORMULATIONS[self.values['model.formulation']](self.manipulator, count, damping)
+        return FORMULATIONS[self.values['model.formulation']](
+            self.manipulator, count, damping, self.constraints)
 
     def initial_motion(self):
         """Return the motion at t = 0, shape (2 (3 + N),), see `physics.formulation`."""
@@ -47,6 +50,8 @@ class Scene:
             [[self.values[f'initial.{joint}{kind}'] for joint in ('carrier_x', 'carrier_y',
                                                                   'shaft')]
              for kind in ('', '_velocity')])
+        if self.load.drive is not None:
+            position[2], velocity[2], _ = self.load.drive.stages(0, 1, self.step)[0, 0]
         q = self.values['initial.modal_coordinates'] or rest
         qdot = self.values['initial.modal_rates'] or rest
         return np.concatenate([position, q, velocity, qdot])
@@ -117,19 +122,19 @@ def scene_from(values):
               if parameter.scope == SCENE}
     _check_counts(values)
 
-    def group(prefix):
-        return {name[len(prefix) + 1:]: value for name, value in values.items()
-                if name.startswith(prefix + '.')}
-
-    beam = group('arm')
-    del beam['damping_ratio']
     manipulator = Manipulator(
-        Beam(**beam), values['carrier.mass'], values['motor.mass'], values['motor.shaft_inertia'],
+        _arm(values), values['carrier.mass'], values['motor.mass'], values['motor.shaft_inertia'],
         values['end_effector.mass'], values['end_effector.inertia'])
     step = values['integrator.step']
-    load = Load({channel: tuple(_terms(f'load.{channel}', values, step)) for channel in CHANNELS})
-    scene = Scene(manipulator, load, step, values)
-    _check_modes(scene)
+    load = Load({channel: tuple(_terms(f'load.{channel}', values, step)) for channel in CHANNELS},
+                _drive(values))
+    scene = Scene(manipulator, _constraints(values), load, step, values)
+    try:
+        scene.build()
+    except ValueError as error:
+        # What only the physics can tell, such as modes too close to each other.
+        raise ParameterError(f'model.formulation = {values["model.formulation"]}, model.modes = '
+                             f'{values["model.modes"]}: {error}') from None
     return scene
 
 
@@ -179,13 +184,56 @@ def _check_counts(values):
                                  f'{modes}, got {len(values[name])}')
 
 
-def _check_modes(scene):
-    # The arm may be too thick for so many modes; the message of the physics says so.
-    body, modes = scene.manipulator, scene.values['model.modes']
-    try:
-        Modes(body.arm, body.tip_mass, body.tip_inertia, modes)
-    except ValueError as error:
-        raise ParameterError(f'model.modes = {modes} is too many: {error}') from None
+def _arm(values):
+    names = [field.name for field in fields(Section)]
+    section = {name: values[f'arm.{name}'] for name in names}
+    length, positions = values['arm.length'], values['arm.profile.position']
+    profiles = {name: values[f'arm.profile.{name}'] for name in names
+                if values.get(f'arm.profile.{name}')}
+    if not positions and not profiles:
+        return Beam(length, Section(**section))
+    if len(positions) < 2 or positions[0] != 0.0 or positions[-1] != length or not np.all(
+            np.less_equal(positions[:-1], positions[1:])):
+        raise ParameterError('arm.profile.position must ascend from 0 to arm.length = '
+                             f'{length:g} m, got {list(positions)}')
+    _same_length({f'arm.profile.{name}': values for name, values in
+                  {'position': positions, **profiles}.items()})
+    return Beam(length, Section(**{**section, **profiles}), positions)
+
+
+def _constraints(values):
+    held, shaft, carrier = values['carrier.held'], values['motor.shaft'], [None, None]
+    still = {'initial.shaft_velocity': f'motor.shaft = {shaft}'} if shaft == 'locked' else {}
+    for axis, name in enumerate('xy'):
+        if held in (name, 'both'):
+            carrier[axis] = values[f'initial.carrier_{name}']
+            still[f'initial.carrier_{name}_velocity'] = f'carrier.held = {held}'
+    for name, reason in still.items():
+        if values[name] != 0.0:
+            raise ParameterError(f'{name} must be 0 with {reason}, got {values[name]}')
+    if held == 'both' and shaft != 'free' and values['model.modes'] == 0:
+        raise ParameterError(f'nothing can move: carrier.held = both, motor.shaft = {shaft}, '
+                             'model.modes = 0')
+    return Constraints(tuple(carrier), shaft != 'free')
+
+
+def _drive(values):
+    names = [f'motor.drive.{name}' for name in ('time', 'angle', 'speed', 'acceleration')]
+    points = _same_length({name: values[name] for name in names})
+    shaft, time, acceleration = values['motor.shaft'], points[0], points[3]
+    if (shaft == 'driven') != bool(time):
+        raise ParameterError(f'motor.drive must be given with motor.shaft = driven, and only '
+                             f'then; got {len(time)} points with motor.shaft = {shaft}')
+    if shaft == 'locked':
+        return Drive((0.0,), (values['initial.shaft'],), (0.0,), (0.0,))
+    if not time:
+        return None
+    if time[0] != 0.0 or not np.all(np.less(time[:-1], time[1:])):
+        raise ParameterError(f'motor.drive.time must ascend from 0, got {list(time)}')
+    if acceleration[-1] != 0.0:
+        raise ParameterError('motor.drive.acceleration must end with 0, since the shaft goes on '
+                             f'at the last speed; got {acceleration[-1]}')
+    return Drive(*points)
 
 
 def _terms(prefix, values, step):

@@ -1,11 +1,14 @@
 """From a scene to a run: the integrator with its state, and the whole run at once."""
 
+import math
+import warnings
+
 import numpy as np
 from tqdm import tqdm
 
 from timo_sim.parameters import ParameterError, whole_ratio
 from timo_sim.physics import etdrk4
-from timo_sim.physics.formulation import LOADS
+from timo_sim.physics.formulation import ANGLE, LOADS
 from timo_sim.run import Run
 
 # Steps whose loads are worked out at once: long enough to make that cheap, short enough for a
@@ -15,6 +18,10 @@ _CHUNK = 2048
 
 class DivergenceError(ArithmeticError):
     """The state stopped being finite; the text says when, and what to do."""
+
+
+class ModelWarning(UserWarning):
+    """A run left the region in which its equations hold; the text says which, and what to do."""
 
 
 class Simulator:
@@ -27,6 +34,8 @@ class Simulator:
     formulation : Formulation
     steps : int
         Steps done since the start; sim time is `steps * scene.step`.
+    caution : str or None
+        That the run has left the region in which its equations hold, and what to do.
 
     """
 
@@ -42,6 +51,8 @@ class Simulator:
         self._state = self.formulation.state(self.scene.initial_motion())
         self._origin = self.steps
         self._block = 0, np.zeros((0, etdrk4.STAGES, LOADS))
+        self._load = self.scene_loads(1)[0, 0].copy()
+        self.caution = None
 
     def warm_up(self):
         """Compile, or load from disk, what `advance` and `motion` call."""
@@ -56,10 +67,12 @@ class Simulator:
     @property
     def shaft(self):
         """Shaft angle [rad]."""
-        return float(self._state[2])
+        formulation = self.formulation
+        driven = formulation.constraints.driven
+        return float(self._load[ANGLE] if driven else self._state[len(formulation.axes)])
 
     def scene_loads(self, count):
-        """Return the scene's own loads of the next steps, shape (count, 3, 5)."""
+        """Return the scene's own loads of the next steps, shape (count, 3, 8)."""
         first = self.steps - self._origin
         begin, block = self._block
         if not begin <= first <= first + count <= begin + len(block):
@@ -74,7 +87,7 @@ class Simulator:
 
         Parameters
         ----------
-        loads : ndarray, shape (steps, 3, 5)
+        loads : ndarray, shape (steps, 3, 8)
             See `physics.etdrk4.advance`.
         every : int
             Steps between samples.
@@ -91,15 +104,30 @@ class Simulator:
             every, samples = len(loads) + 1, np.empty((0, self.formulation.size))
         done = self.formulation.advance(self._state, loads, every, samples, self._propagator)
         self.steps += done
+        if done:
+            self._load = loads[done - 1, -1].copy()
+        self._watch_speed(samples)
         if done < len(loads):
             raise DivergenceError(
                 f'the state is not finite after t = {self.steps * self.scene.step:.6g} s '
-                f'(step {self.steps}): take fewer model.modes, a smaller integrator.step or '
-                'model.formulation exact')
+                f'(step {self.steps}): ' + (self.caution or 'take fewer model.modes, a smaller '
+                                            'integrator.step or model.formulation exact'))
 
     def motion(self):
         """Return the motion now, shape (2 (3 + N),), see `physics.formulation`."""
-        return self.formulation.observe(self._state)
+        return self.formulation.observe(self._state, self._load)
+
+    def _watch_speed(self, samples):
+        limit, column = self.formulation.speed_limit, self.formulation.size // 2 + 2
+        if math.isinf(limit) or self.caution:
+            return
+        speed = max(abs(self.motion()[column]), np.abs(samples[:, column]).max(initial=0.0))
+        if speed > limit:
+            self.caution = (
+                f'at {speed:.3g} rad/s the shaft is faster than {limit:.3g} rad/s, where the arm '
+                f'loses its stiffness in model.formulation '
+                f'{self.scene.values["model.formulation"]}, which has no centrifugal stiffening: '
+                'take model.formulation exact')
 
 
 def simulate(scene, duration, every=1):
@@ -127,6 +155,11 @@ def simulate(scene, duration, every=1):
     DivergenceError
         If the state stops being finite.
 
+    Warns
+    -----
+    ModelWarning
+        If the shaft becomes too fast for a formulation without centrifugal stiffening.
+
     """
     steps = whole_ratio('duration', duration, 'integrator.step', scene.step)
     if every < 1 or steps % every:
@@ -142,5 +175,7 @@ def simulate(scene, duration, every=1):
             samples = motion[first // every + 1:(first + count) // every + 1]
             simulator.advance(simulator.scene_loads(count), every, samples)
             bar.update(count)
+    if simulator.caution:
+        warnings.warn(simulator.caution, ModelWarning, stacklevel=2)
     t = np.arange(0, steps + 1, every) * scene.step
     return Run(scene, simulator.formulation, t, motion)

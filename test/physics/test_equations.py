@@ -1,10 +1,14 @@
 """
 The formulations against their equations written out with velocities, by another integrator.
 
-`timo_sim` integrates momenta about the mass centre. Here the same physics is Lagrange's equations
-for the carrier's velocity in turning axes, 3 + N rows solved at once, by SciPy's DOP853. A scene
-with a shear modulus so low that shear matters as much as bending, a spinning shaft, and loads.
+`timo_sim` integrates momenta about the mass centre, or eliminates the carrier. Here the same
+physics is 3 + N rows for the accelerations along the turning axes, of the shaft and of the modes,
+turned into world axes. Rows and columns of what is held or driven are struck out, the rest is
+solved at once and integrated by SciPy's DOP853. The scene has a shear modulus so low that shear
+matters as much as bending, a spinning shaft, and loads.
 """
+
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,16 +17,33 @@ from scipy.integrate import solve_ivp
 import timo_sim
 
 MODES, DURATION = 3, 1.0
+HALF = 3 + MODES
+FREE = {'initial.carrier_x_velocity': 0.5, 'initial.shaft_velocity': 3.0}
+DRIVEN = {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.4, 1.0],
+          'motor.drive.angle': [0.3, 1.2, 3.0], 'motor.drive.speed': [0.0, 4.0, 1.0],
+          'motor.drive.acceleration': [5.0, 0.0, 0.0]}
+CONSTRAINTS = {
+    'free': FREE,
+    'x held': {'carrier.held': 'x', 'initial.shaft_velocity': 3.0},
+    'y held': {'carrier.held': 'y', **FREE},
+    'carrier held': {'carrier.held': 'both', 'initial.shaft_velocity': 3.0},
+    'shaft driven': {**DRIVEN, 'initial.carrier_x_velocity': 0.5},
+    'shaft driven, x held': {'carrier.held': 'x', **DRIVEN},
+    'shaft driven, carrier held': {'carrier.held': 'both', **DRIVEN},
+    'shaft locked': {'motor.shaft': 'locked', 'initial.carrier_x_velocity': 0.5},
+    'shaft locked, y held': {'motor.shaft': 'locked', 'carrier.held': 'y'},
+}
 
 
-def scene_of(formulation, damping=0.03):
+def scene_of(formulation, constraints, damping=0.03):
     return timo_sim.load_scene({
         'model.formulation': formulation, 'model.modes': MODES, 'integrator.step': 0.0005,
-        'arm.shear_modulus': 1e6, 'arm.damping_ratio': [damping], 'initial.shaft_velocity': 3.0,
-        'initial.carrier_x_velocity': 0.5, 'initial.modal_rates': [1.0, 0.3, -0.1],
+        'arm.shear_modulus': 1e6, 'arm.damping_ratio': [damping],
+        'initial.modal_rates': [1.0, 0.3, -0.1],
         'load.force_x.harmonic.amplitude': [8.0], 'load.force_x.harmonic.frequency': [2.0],
         'load.force_y.table.time': [0.0, 1.0], 'load.force_y.table.value': [3.0, -3.0],
-        'load.torque.harmonic.amplitude': [6.0], 'load.torque.harmonic.frequency': [1.0]})
+        'load.torque.harmonic.amplitude': [6.0], 'load.torque.harmonic.frequency': [1.0]},
+        CONSTRAINTS[constraints])
 
 
 def loads(t, theta):
@@ -32,24 +53,54 @@ def loads(t, theta):
     return c * x + s * y, c * y - s * x, 6.0 * np.sin(2 * np.pi * t)
 
 
-def solve(scene, accelerations):
-    """Integrate x_c, y_c, theta, q, v_I, v_II, theta', q' with the given accelerations."""
-    model = scene.build()
-    start = scene.initial_motion()
-    half = 3 + MODES
-    theta = start[2]
-    turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
-    start[half:half + 2] = turn @ start[half:half + 2]
+def shaft_drive(scene):
+    """Return theta'' of a driven or locked shaft by time: its two pieces, from end conditions."""
+    if scene.values['motor.shaft'] == 'locked':
+        return lambda t: 0.0
+    points = list(zip(*(DRIVEN[f'motor.drive.{name}']
+                        for name in ('time', 'angle', 'speed', 'acceleration'))))
+    pieces = []
+    for (t0, *left), (t1, *right) in zip(points, points[1:]):
+        rows, values = [], []
+        for t, ends in ((0.0, left), (t1 - t0, right)):
+            for order in range(3):
+                rows.append([np.polyval(np.polyder(np.eye(6)[k], order), t) for k in range(6)])
+                values.append(ends[order])
+        pieces.append((t0, np.linalg.solve(rows, values)))
+    return lambda t: np.polyval(np.polyder(pieces[int(t >= 0.4)][1], 2),
+                                t - pieces[int(t >= 0.4)][0])
+
+
+def solve(scene, equations):
+    """Integrate the motion with the given equations, constrained rows and columns struck out."""
+    model, values = scene.build(), scene.values
+    struck = [k for k, name in enumerate('xy') if values['carrier.held'] in (name, 'both')]
+    driven = values['motor.shaft'] != 'free'
+    free = np.array([k for k in range(HALF) if k not in struck and not (driven and k == 2)])
+    acceleration = shaft_drive(scene) if driven else None
 
     def rate(t, y):
-        theta, q, (v1, v2, om), qdot = y[2], y[3:half], y[half:half + 3], y[half + 3:]
-        alpha, beta, *rest = accelerations(model, t, theta, q, om, qdot)
-        c, s = np.cos(theta), np.sin(theta)
-        return [c * v1 - s * v2, s * v1 + c * v2, om, *qdot, alpha + om * v2, beta - om * v1,
-                *rest]
+        theta, q, om, qdot = y[2], y[3:HALF], y[HALF + 2], y[HALF + 3:]
+        matrix, right = equations(model, t, theta, q, om, qdot)
+        turn = np.eye(HALF)
+        turn[:2, :2] = [[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]]
+        matrix, right = turn.T @ matrix @ turn, turn.T @ right
+        result = np.zeros(HALF)
+        if driven:
+            result[2] = acceleration(t)
+        right = right - matrix @ result
+        result[free] = np.linalg.solve(matrix[np.ix_(free, free)], right[free])
+        return np.concatenate([y[HALF:], result])
 
     t = np.linspace(0.0, DURATION, 51)
-    return solve_ivp(rate, (0, DURATION), start, 'DOP853', t, rtol=1e-11, atol=1e-12).y[:half].T
+    parts = [(0.0, 0.4), (0.4, DURATION)]  # the drive's fourth derivative jumps at 0.4 s
+    y, motion = scene.initial_motion(), [scene.initial_motion()[:, np.newaxis]]
+    for start, stop in parts:
+        chosen = t[(t > start) & (t <= stop)]
+        motion.append(solve_ivp(rate, (start, stop), y, 'DOP853', chosen, rtol=1e-11,
+                                atol=1e-12).y)
+        y = motion[-1][:, -1]
+    return np.hstack(motion)[:HALF].T
 
 
 def exact(model, t, theta, q, om, qdot):
@@ -69,9 +120,9 @@ def exact(model, t, theta, q, om, qdot):
     b_b = a_t * phi_t - s * phi_t * gamma_t
 
     matrix = np.zeros((3 + MODES, 3 + MODES))
-    matrix[0, 0] = matrix[1, 1] = body.mass
+    matrix[0, 0] = matrix[1, 1] = model.mass
     matrix[0, 2], matrix[1, 2] = -lever @ b, lever @ a
-    matrix[2, 2] = body.section_inertia + a @ kernel @ a + b @ kernel @ b
+    matrix[2, 2] = body.shaft_inertia + model.point_inertia.sum() + a @ kernel @ a + b @ kernel @ b
     matrix[0, 3:], matrix[1, 3:] = c1 @ lever, c2 @ lever
     matrix[2, 3:] = c2 @ kernel @ a - c1 @ kernel @ b + coupling
     matrix[3:, 3:] = c1 @ kernel @ c1.T + c2 @ kernel @ c2.T + rotary
@@ -84,41 +135,59 @@ def exact(model, t, theta, q, om, qdot):
          + b @ kernel @ a_b],
         c1 @ kernel @ pull_1 + c2 @ kernel @ pull_2 - model.modes.omega**2 * q
         - 2 * model.damping * model.modes.omega * qdot])
-    return np.linalg.solve(matrix, right)
+    return matrix, right
 
 
-def newton(model, t, theta, q, om, qdot):
+def newton(model, t, theta, q, om, qdot, rigid_axial=False, root_stress=False):
     body, points, mass = model.manipulator, model.points, model.point_mass
     w, xi = points.deflection, points.xi
-    a, c, s = w @ mass, w @ (mass * xi), mass @ xi
+    a, c, s, m_a = w @ mass, w @ (mass * xi), mass @ xi, mass.sum()
     b = c + points.rotation @ model.point_inertia
     gram = (w * mass) @ w.T
-    matrix = np.zeros((3 + MODES, 3 + MODES))
-    matrix[0, 0] = matrix[1, 1] = body.mass
-    matrix[0, 2] = -a @ q
-    matrix[1, 2] = matrix[2, 1] = s
-    matrix[1, 3:] = matrix[3:, 1] = a
-    matrix[2, 2] = body.section_inertia + mass @ xi**2
-    matrix[2, 3:] = matrix[3:, 2] = b
-    matrix[3:, 3:] = np.eye(MODES)
+    omega2 = model.modes.omega**2
+    stress = omega2 * q + 2 * model.damping * model.modes.omega * qdot
+    e = m_a * model.modes.deflection([s / m_a])[0] if rigid_axial else a
     force_1, force_2, torque = loads(t, theta)
-    right = np.concatenate([
-        [force_1 + 2 * om * a @ qdot + om**2 * s, force_2 + om**2 * a @ q,
-         torque + om**2 * c @ q],
-        om**2 * gram @ q - model.modes.omega**2 * q
-        - 2 * model.damping * model.modes.omega * qdot])
-    return np.linalg.solve(matrix, right)
+
+    matrix = np.zeros((HALF, HALF))
+    matrix[0, 0], matrix[0, 2] = model.mass, -e @ q
+    matrix[3:, 1], matrix[3:, 2], matrix[3:, 3:] = a, b, np.eye(MODES)
+    right = np.concatenate([[force_1 + 2 * om * e @ qdot + om**2 * s, 0.0, 0.0],
+                            om**2 * gram @ q - stress])
+    if root_stress:
+        # V(0) and M(0) from the curvature and the shear strain of the series at the root.
+        section, root = body.arm.section, np.zeros(1)
+        bending = section.bending_stiffness * model.modes.curvature(root)[0]
+        shear = section.shear_stiffness * model.modes.shear(root)[0]
+        matrix[1, 1], matrix[2, 2] = body.base_mass, body.shaft_inertia
+        right[1] = force_2 + shear @ (stress / omega2)
+        right[2] = torque + bending @ (stress / omega2)
+    else:
+        matrix[1] = [0.0, model.mass, s, *a]
+        matrix[2] = [0.0, s, body.shaft_inertia + model.point_inertia.sum() + mass @ xi**2, *b]
+        right[1] = force_2 + om**2 * a @ q
+        right[2] = torque + om**2 * c @ q
+    return matrix, right
 
 
-@pytest.mark.parametrize('formulation, equations', [('exact', exact), ('newton', newton)])
-def test_momentum_form_is_the_velocity_form(formulation, equations):
-    scene = scene_of(formulation)
+EQUATIONS = {
+    'exact': exact,
+    'newton': newton,
+    'newton_rigid_axial': partial(newton, rigid_axial=True),
+    'newton_root_stress': partial(newton, root_stress=True),
+}
+
+
+@pytest.mark.parametrize('constraints', CONSTRAINTS)
+@pytest.mark.parametrize('formulation', EQUATIONS)
+def test_formulation_is_its_equations_written_out(formulation, constraints):
+    scene = scene_of(formulation, constraints)
     run = timo_sim.simulate(scene, DURATION, every=40)
-    truth = solve(scene, equations)
+    truth = solve(scene, EQUATIONS[formulation])
     # Shear is at work: it makes a good part of the tip's deflection.
     assert np.abs(run.deflection(2.0)[:, 1]).max() > 0.05
     # ETDRK4 at 0.5 ms: 1e-9, found by halving the step.
-    assert np.abs(run.motion[:, :3 + MODES] - truth).max() < 2e-8
+    assert np.abs(run.motion[:, :HALF] - truth).max() < 2e-8
 
 
 def test_exact_conserves_energy_when_shear_matters():
@@ -126,6 +195,6 @@ def test_exact_conserves_energy_when_shear_matters():
         ('force_x', 'harmonic', 'amplitude'), ('force_x', 'harmonic', 'frequency'),
         ('force_y', 'table', 'time'), ('force_y', 'table', 'value'),
         ('torque', 'harmonic', 'amplitude'), ('torque', 'harmonic', 'frequency'))}
-    scene = timo_sim.load_scene(scene_of('exact', damping=0.0).values, free)
+    scene = timo_sim.load_scene(scene_of('exact', 'free', damping=0.0).values, free)
     energy = timo_sim.simulate(scene, 2.0).energy()
     assert np.abs(energy / energy[0] - 1).max() < 1e-8

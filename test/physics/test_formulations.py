@@ -6,8 +6,11 @@ from scipy.integrate import solve_ivp
 
 import timo_sim
 from timo_sim.physics import FORMULATIONS
+from timo_sim.physics.formulation import LOADS
 
 ARM_LENGTH = 2.0
+# Those that account for every force on the carrier and the shaft, whatever the number of modes.
+ALL_FORCES = ['exact', 'newton']
 
 
 def errors(paper, reference, formulation, modes, step):
@@ -57,7 +60,7 @@ def test_peaks_of_the_paper(paper):
     assert run.deflection(ARM_LENGTH)[:, 0].min() == pytest.approx(-2.45e-3, abs=1e-5)
 
 
-@pytest.mark.parametrize('formulation', FORMULATIONS)
+@pytest.mark.parametrize('formulation', ALL_FORCES)
 def test_free_free_frequencies_of_the_whole_system(formulation):
     """The linear part alone gives the frequencies in theory's section 4, at 8 modes."""
     model = timo_sim.load_scene({'model.modes': 8, 'model.formulation': formulation}).build()
@@ -100,11 +103,12 @@ def test_newton_conserves_linear_momentum_only():
     """Its (29) leaves out the moment of the axial inertia force, so angular momentum drifts."""
     run = timo_sim.simulate(vibrating('newton'), 5.0)
     momentum = run.momentum()
-    assert np.abs(momentum[:, :2] - momentum[0, :2]).max() < 1e-11
+    # Kept to the error of the step, not by construction: 1e-9 at 1 ms.
+    assert np.abs(momentum[:, :2] - momentum[0, :2]).max() < 5e-9
     assert np.abs(momentum[:, 2] - momentum[0, 2]).max() > 1e-6
 
 
-@pytest.mark.parametrize('formulation', FORMULATIONS)
+@pytest.mark.parametrize('formulation', ALL_FORCES + ['newton_rigid_axial'])
 def test_rigid_arm_is_a_rigid_body(formulation):
     """Against Euler's equations for a body pushed off its mass centre, integrated by SciPy."""
     scene = timo_sim.load_scene({
@@ -113,22 +117,24 @@ def test_rigid_arm_is_a_rigid_body(formulation):
         'load.force_x.harmonic.frequency': [1.0], 'load.torque.harmonic.amplitude': [3.0],
         'load.torque.harmonic.frequency': [2.0]})
     run = timo_sim.simulate(scene, 2.0)
-    body = scene.manipulator
-    lever = body.arm.mass_per_length * 2.0**2 / 2 + body.tip_mass * 2.0
-    inertia = (body.section_inertia + body.arm.mass_per_length * 2.0**3 / 3
-               + body.tip_mass * 2.0**2 - lever**2 / body.mass)
+    body, section = scene.manipulator, scene.manipulator.arm.section
+    rho_a = section.mass_per_length
+    mass = body.base_mass + rho_a * 2.0 + body.tip_mass
+    lever = rho_a * 2.0**2 / 2 + body.tip_mass * 2.0
+    inertia = (body.shaft_inertia + section.inertia_per_length * 2.0 + body.tip_inertia
+               + rho_a * 2.0**3 / 3 + body.tip_mass * 2.0**2 - lever**2 / mass)
 
     def rate(t, y):
         force, torque = 7.0 * np.sin(2 * np.pi * t), 3.0 * np.sin(4 * np.pi * t)
-        spin = (torque + force * np.sin(y[2]) * lever / body.mass) / inertia
-        return [y[3], y[4], y[5], force / body.mass, 0.0, spin]
+        spin = (torque + force * np.sin(y[2]) * lever / mass) / inertia
+        return [y[3], y[4], y[5], force / mass, 0.0, spin]
 
     theta, omega = np.pi / 4, 2.0
-    centre = lever / body.mass * np.array([np.cos(theta), np.sin(theta)])
-    centre_rate = omega * lever / body.mass * np.array([-np.sin(theta), np.cos(theta)])
+    centre = lever / mass * np.array([np.cos(theta), np.sin(theta)])
+    centre_rate = omega * lever / mass * np.array([-np.sin(theta), np.cos(theta)])
     truth = solve_ivp(rate, (0, 2.0), [*centre, theta, *centre_rate, omega], rtol=1e-12,
                       atol=1e-13, t_eval=run.t).y
-    carrier = truth[:2] - lever / body.mass * np.array([np.cos(truth[2]), np.sin(truth[2])])
+    carrier = truth[:2] - lever / mass * np.array([np.cos(truth[2]), np.sin(truth[2])])
     # ETDRK4 at 1 ms under 2 Hz loads: (2 pi f h)^4 / 2880 of the motion, below 1e-10.
     assert np.abs(run.carrier - carrier.T).max() < 1e-10
     assert np.abs(run.shaft - truth[2]).max() < 1e-10
@@ -141,10 +147,10 @@ def test_state_and_motion_are_inverse(formulation, modes):
     rng = np.random.default_rng(1)
     motion = rng.normal(size=model.size)
     motion[3:3 + modes] *= 0.1 / (1 + np.arange(modes))**2
-    assert np.abs(model.observe(model.state(motion)) - motion).max() < 1e-10
+    assert np.abs(model.observe(model.state(motion), np.zeros(LOADS)) - motion).max() < 1e-10
 
 
-@pytest.mark.parametrize('formulation', FORMULATIONS)
+@pytest.mark.parametrize('formulation', ALL_FORCES)
 def test_many_modes_stay_true(formulation, paper, reference):
     scene = timo_sim.load_scene(paper, {'model.modes': 40, 'model.formulation': formulation,
                                         'integrator.step': 0.005})
@@ -154,7 +160,7 @@ def test_many_modes_stay_true(formulation, paper, reference):
     assert error.max() < limit
 
 
-@pytest.mark.parametrize('formulation', FORMULATIONS)
+@pytest.mark.parametrize('formulation', ALL_FORCES)
 def test_constant_force_gives_momentum_force_times_time(formulation):
     scene = timo_sim.load_scene({
         'model.formulation': formulation, 'load.force_x.piecewise.time': [0.0],
@@ -162,8 +168,9 @@ def test_constant_force_gives_momentum_force_times_time(formulation):
         'load.force_y.piecewise.value': [-2.0]})
     run = timo_sim.simulate(scene, 2.0)
     momentum = run.momentum()
-    assert np.abs(momentum[:, 0] - 4.0 * run.t).max() < 1e-11
-    assert np.abs(momentum[:, 1] + 2.0 * np.maximum(run.t - 0.5, 0.0)).max() < 1e-11
+    limit = 1e-11 if formulation == 'exact' else 1e-7  # by construction, or to the step's error
+    assert np.abs(momentum[:, 0] - 4.0 * run.t).max() < limit
+    assert np.abs(momentum[:, 1] + 2.0 * np.maximum(run.t - 0.5, 0.0)).max() < limit
 
 
 def test_damping_takes_energy_at_the_modal_rate():
@@ -195,7 +202,7 @@ def test_a_rotating_arm_stiffens_under_its_centrifugal_force():
 
     # EI w'''' = T w'': tip stiffness T k / (k l - tanh k l), k^2 = T / EI; in the plane of the
     # spin the mass itself takes m Omega^2 off.
-    bending = scene.manipulator.arm.bending_stiffness
+    bending = scene.manipulator.arm.section.bending_stiffness
     tension = tip * length * speed**2
     k = np.sqrt(tension / bending)
     stiffness = tension * k / (k * length - np.tanh(k * length))

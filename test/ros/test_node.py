@@ -218,3 +218,23 @@ def test_divergence_pauses_with_the_reason(start, client):
     assert not refused.success and 'reset' in refused.message
     assert client.service(Trigger, '/timo_sim/reset')().success
     assert node.end()[0] == 0
+
+
+def test_a_shaft_too_fast_for_its_formulation_is_a_warning(start, client):
+    node = start(record=False, **{'model.formulation': 'newton', 'initial.shaft_velocity': 12.0})
+    health = client.collect(DiagnosticArray, '/diagnostics')
+    client.wait(lambda: health and health[-1].status[0].level == DiagnosticStatus.WARN,
+                'a warning in diagnostics')
+    assert 'faster than 11.8 rad/s' in health[-1].status[0].message
+    assert 'take model.formulation exact' in node.end()[1]
+
+
+def test_a_driven_shaft_and_a_held_carrier_do_as_told(start, client, spin_up):
+    start('--params-file', str(spin_up), real_time_factor=0.0, duration=1.0, start_paused=True,
+          record=False)
+    states = client.collect(JointState, '/joint_states')
+    client.service(SetBool, '/timo_sim/pause')(data=False)
+    client.wait(lambda: states and states[-1].header.stamp.sec == 1, 'the last joint state')
+    assert list(states[-1].position)[:2] == [0.0, 0.0]
+    assert states[-1].position[2] == pytest.approx(0.002907277335, abs=1e-11)
+    assert states[-1].velocity[2] == pytest.approx(0.011595116307, abs=1e-11)

@@ -1,34 +1,33 @@
 """The bodies of the manipulator and the constants that the equations take from them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 import math
+
+import numpy as np
 
 
 @dataclass(frozen=True)
-class Beam:
+class Section:
     """
-    A uniform Timoshenko beam of rectangular section: the arm.
+    A rectangular cross-section of the arm, or arrays of them.
 
     Source: paper, section 2.1 and Table 1.
 
     Attributes
     ----------
-    length : float
-        [m]
-    width : float
+    width : float or ndarray
         Section size normal to the plane of motion [m].
-    height : float
+    height : float or ndarray
         Section size in the plane of motion, the direction of bending [m].
-    density : float
+    density : float or ndarray
         [kg/m3]
-    young_modulus, shear_modulus : float
+    young_modulus, shear_modulus : float or ndarray
         [Pa]
     shear_correction : float
         Shear correction factor kappa, paper eq. (37) for a rectangle.
 
     """
 
-    length: float
     width: float
     height: float
     density: float
@@ -73,6 +72,47 @@ class Beam:
 
 
 @dataclass(frozen=True)
+class Beam:
+    """
+    A Timoshenko beam of rectangular section: the arm.
+
+    Attributes
+    ----------
+    length : float
+        [m]
+    section : Section
+        Of floats: the arm is uniform. Of tuples: its values at `positions`, linear between.
+    positions : tuple of float
+        Distances from the root, ascending from 0 to `length`; one twice is a jump [m]. Empty for
+        a uniform arm.
+
+    """
+
+    length: float
+    section: Section
+    positions: tuple = ()
+
+    @property
+    def uniform(self):
+        """Whether the section is the same all along the arm."""
+        return not self.positions
+
+    @property
+    def breaks(self):
+        """Ends of the spans on which the section is smooth, from 0 to the length [m]."""
+        return np.unique([0.0, *self.positions, self.length])
+
+    def at(self, xi):
+        """Return the sections at distances xi from the root, inside the spans, shape (p,) [m]."""
+        if self.uniform:
+            return self.section
+        values = {field.name: getattr(self.section, field.name) for field in fields(Section)}
+        return Section(**{
+            name: value if np.ndim(value) == 0 else np.interp(xi, self.positions, value)
+            for name, value in values.items()})
+
+
+@dataclass(frozen=True)
 class Manipulator:
     """
     Rigid carrier, motor, elastic arm and end effector.
@@ -103,18 +143,21 @@ class Manipulator:
         """Mass at the root of the arm, m_c + m_m [kg]."""
         return self.carrier_mass + self.motor_mass
 
-    @property
-    def arm_mass(self):
-        """Mass of the arm with its end effector [kg]."""
-        return self.arm.mass_per_length * self.arm.length + self.tip_mass
+    def inertia(self, quadrature):
+        """
+        Return M(xi) and J(xi) of the paper's Remark 1 as weights of an integral.
 
-    @property
-    def mass(self):
-        """Mass of everything that moves, m_t [kg]."""
-        return self.base_mass + self.arm_mass
+        Parameters
+        ----------
+        quadrature : Quadrature
+            On the arm, p nodes.
 
-    @property
-    def section_inertia(self):
-        """Moment of inertia of all that turns with the sections, J_m + int J dxi [kg m2]."""
-        arm = self.arm
-        return self.shaft_inertia + arm.inertia_per_length * arm.length + self.tip_inertia
+        Returns
+        -------
+        mass, inertia : ndarray, shape (p + 1,)
+            At the nodes and, the end effector's, at the tip [kg], [kg m2].
+
+        """
+        section, weights = self.arm.at(quadrature.nodes), quadrature.weights
+        return (np.append(weights * section.mass_per_length, self.tip_mass),
+                np.append(weights * section.inertia_per_length, self.tip_inertia))

@@ -108,21 +108,27 @@ def rate(tables, state, load, space, out):
     tables, space : NamedTuple
         The formulation's constants and scratch arrays.
     state, out : ndarray, shape (m,)
-    load : ndarray, shape (5,)
+    load : ndarray, shape (8,)
         Columns as in `formulation`.
 
     """
 
 
 @dispatch
-def observe(tables, state, space, out):
-    """Write the motion (see `formulation`) that belongs to a state, shape (m,)."""
+def observe(tables, state, load, space, out):
+    """Write the motion (see `formulation`) that belongs to a state and a load."""
 
 
 @entry_point
-def observe_once(tables, state, space, out):
+def rate_once(tables, state, load, space, out):
+    """Call `rate` from Python."""
+    rate(tables, state, load, space, out)
+
+
+@entry_point
+def observe_once(tables, state, load, space, out):
     """Call `observe` from Python."""
-    observe(tables, state, space, out)
+    observe(tables, state, load, space, out)
 
 
 @entry_point
@@ -137,12 +143,12 @@ def advance(tables, state, loads, every, samples, propagator, space, stages):
         formulation.
     state : ndarray, shape (m,)
         Advanced in place.
-    loads : ndarray, shape (steps, 3, 5)
+    loads : ndarray, shape (steps, 3, 8)
         Load of each step at its start, middle and end, as the step itself sees it: a jump on the
         boundary between two steps appears on the right side in either.
     every : int
         Steps between samples.
-    samples : ndarray, shape (steps // every, m)
+    samples : ndarray, shape (steps // every, 2 (3 + N))
         Receives the motion after steps every, 2 every, ...
     propagator : Propagator
     stages : ndarray
@@ -187,5 +193,5 @@ def advance(tables, state, loads, every, samples, propagator, space, stages):
             return k
         state[:] = stage
         if (k + 1) % every == 0:
-            observe(tables, state, space, samples[(k + 1) // every - 1])
+            observe(tables, state, end, space, samples[(k + 1) // every - 1])
     return len(loads)

@@ -1,18 +1,43 @@
 """What every formulation of the equations of motion offers, and what all of them share."""
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from timo_sim.physics import etdrk4
-from timo_sim.physics.modes import Modes
+from timo_sim.physics.modes import modes_of
 from timo_sim.physics.quadrature import Quadrature
 
 # Columns of a load: forces on the carrier in world axes and in the shaft's axes [N], torque on the
-# shaft [N m].
-FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE = range(5)
-LOADS = 5
+# shaft [N m]; angle, speed and acceleration of a driven shaft [rad], [rad/s], [rad/s2].
+FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE, ANGLE, SPEED, ACCELERATION = range(8)
+LOADS = 8
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """
+    Degrees of freedom that a scene does not have; they are left out of the equations.
+
+    Attributes
+    ----------
+    carrier : tuple
+        Where the carrier is held, x and y in world axes [m]; None: free to move along that axis.
+    driven : bool
+        Whether the shaft follows an angle given in the load, instead of a torque.
+
+    """
+
+    carrier: tuple = (None, None)
+    driven: bool = False
+
+    @property
+    def free_axes(self):
+        """Axes along which the carrier moves, of 0 (x) and 1 (y)."""
+        return [axis for axis in range(2) if self.carrier[axis] is None]
 
 
 class Points(NamedTuple):
@@ -30,7 +55,8 @@ class Formulation(ABC):
 
     A *motion* is an array of size 2 (3 + N), the same for all formulations:
     `[x_c, y_c, theta, q_1..q_N, d/dt of each]`, carrier in world axes [m], shaft angle [rad],
-    modal coordinates [m sqrt(kg)]. A *state* is what a formulation integrates, of the same size.
+    modal coordinates [m sqrt(kg)]. A *state* is what a formulation integrates: its coordinates,
+    without those that are constrained, then as many momenta or rates; m in all.
 
     Parameters
     ----------
@@ -39,30 +65,39 @@ class Formulation(ABC):
         Number of assumed modes N; 0 is a rigid arm.
     damping : float or array_like, shape (N,)
         Modal damping ratios zeta_n.
+    constraints : Constraints
 
     Attributes
     ----------
-    linear : ndarray, shape (2 (3 + N), 2 (3 + N))
+    linear : ndarray, shape (m, m)
         Constant linear part of the state's rate; the compiled rate is the rest.
     tables : NamedTuple
         Constant arrays of the compiled functions.
+    speed_limit : float
+        Shaft speed from which on the equations are unstable, whatever the step [rad/s].
 
     """
 
-    def __init__(self, manipulator, count, damping=0.0):
-        self.manipulator = manipulator
-        self.modes = Modes(manipulator.arm, manipulator.tip_mass, manipulator.tip_inertia, count)
+    speed_limit = math.inf
+
+    def __init__(self, manipulator, count, damping=0.0, constraints=Constraints()):
+        self.manipulator, self.constraints = manipulator, constraints
+        self.modes = modes_of(manipulator, count)
         self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (count,))
         self.size = 2 * (3 + count)
-        self.quadrature = Quadrature(manipulator.arm.length, self.node_count(count))
+        # The first of the coordinates theta, q_1..q_N that is free, and the free axes.
+        self.first = int(constraints.driven)
+        self.axes = np.array(constraints.free_axes, dtype=np.int64)
+        self.anchor = np.array([position or 0.0 for position in constraints.carrier])
+        self.quadrature = Quadrature(manipulator.arm.breaks, self.node_count(count))
         # The points that carry mass: the nodes and the tip.
-        self.points = self.at(np.append(self.quadrature.nodes, manipulator.arm.length))
-        arm, weights = manipulator.arm, self.quadrature.weights
-        self.point_mass = np.append(weights * arm.mass_per_length, manipulator.tip_mass)
-        self.point_inertia = np.append(weights * arm.inertia_per_length, manipulator.tip_inertia)
+        self.points = self.at(self.quadrature.points)
+        self.point_mass, self.point_inertia = manipulator.inertia(self.quadrature)
+        self.arm_mass = self.point_mass.sum()
+        self.mass = manipulator.base_mass + self.arm_mass
         self.tables, self.linear = self.build()
         self._space = self.scratch()
-        self._stages = etdrk4.stage_space(self.size)
+        self._stages = etdrk4.stage_space(len(self.linear))
 
     @staticmethod
     def node_count(count):
@@ -85,7 +120,7 @@ class Formulation(ABC):
 
     @abstractmethod
     def state(self, motion):
-        """Return the state that belongs to a motion, shape (2 (3 + N),)."""
+        """Return the state that belongs to a motion, shape (m,)."""
 
     @abstractmethod
     def centre_line(self, q, points):
@@ -114,11 +149,17 @@ class Formulation(ABC):
         return etdrk4.advance(self.tables, state, loads, every, samples, propagator, self._space,
                               self._stages)
 
-    def observe(self, state):
-        """Return the motion that belongs to a state, shape (2 (3 + N),)."""
+    def observe(self, state, load):
+        """Return the motion that belongs to a state and a load, shape (2 (3 + N),)."""
         motion = np.empty(self.size)
-        etdrk4.observe_once(self.tables, state, self._space, motion)
+        etdrk4.observe_once(self.tables, state, load, self._space, motion)
         return motion
+
+    def rate(self, state, load):
+        """Return the rate of a state under a load, linear part included, shape (m,)."""
+        rate = np.empty(len(state))
+        etdrk4.rate_once(self.tables, state, load, self._space, rate)
+        return self.linear @ state + rate
 
     def at(self, xi):
         """Return the points at distances xi from the root, shape (p,) [m]."""
@@ -222,10 +263,7 @@ class Formulation(ABC):
         ndarray, shape (N,)
 
         """
-        fine = Quadrature(self.manipulator.arm.length, 4 * len(self.modes) + 40)
-        points = np.append(fine.nodes, self.manipulator.arm.length)
-        arm = self.manipulator.arm
-        mass = np.append(fine.weights * arm.mass_per_length, self.manipulator.tip_mass)
-        inertia = np.append(fine.weights * arm.inertia_per_length, self.manipulator.tip_inertia)
-        return (mass * deflection(points) @ self.modes.deflection(points)
-                + inertia * rotation(points) @ self.modes.rotation(points))
+        fine = Quadrature(self.manipulator.arm.breaks, 4 * len(self.modes) + 40)
+        mass, inertia = self.manipulator.inertia(fine)
+        return (mass * deflection(fine.points) @ self.modes.deflection(fine.points)
+                + inertia * rotation(fine.points) @ self.modes.rotation(fine.points))

@@ -1,5 +1,7 @@
 """
-Loads that are known beforehand: harmonic, piecewise constant, linear between points, and sums.
+Loads that are known beforehand, and the angle of a driven shaft.
+
+Loads are harmonic, piecewise constant, linear between points, or sums of those.
 
 The compiled step takes three values of a load: at its start, middle and end. Where a load jumps on
 the boundary between two steps, either step sees its own side; a jump inside a step would cost
@@ -11,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from timo_sim.physics.etdrk4 import STAGES
-from timo_sim.physics.formulation import FORCE_X, FORCE_Y, LOADS, TORQUE
+from timo_sim.physics.formulation import (
+    ACCELERATION, ANGLE, FORCE_X, FORCE_Y, LOADS, SPEED, TORQUE)
 
 CHANNELS = {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE}
 
@@ -88,18 +91,58 @@ class Table:
 
 
 @dataclass(frozen=True)
+class Drive:
+    """
+    The angle of a driven shaft: quintic between points, then at the last speed for ever.
+
+    Two neighbours share angle, speed and acceleration at the point where they meet.
+
+    Attributes
+    ----------
+    time, angle, speed, acceleration : tuple
+        Points [s], [rad], [rad/s], [rad/s2]; the first at 0, the last without acceleration.
+
+    """
+
+    time: tuple
+    angle: tuple
+    speed: tuple
+    acceleration: tuple
+
+    def stages(self, first, count, step):
+        """Return angle, speed and acceleration at the stages of steps, shape (count, 3, 3)."""
+        time = _times(first, count, step)
+        beyond = time - self.time[-1]
+        zero = np.zeros_like(time)
+        motion = np.stack([self.angle[-1] + self.speed[-1] * beyond, self.speed[-1] + zero, zero],
+                          axis=-1)
+        if len(self.time) > 1:
+            # Imported here: a quarter of a second that only such a scene needs.
+            from scipy.interpolate import BPoly
+            curve = BPoly.from_derivatives(
+                self.time, np.column_stack([self.angle, self.speed, self.acceleration]))
+            within = beyond < 0.0
+            for order in range(3):
+                motion[within, order] = curve(time[within], order)
+        return motion
+
+
+@dataclass(frozen=True)
 class Load:
-    """Sum of terms for each of `CHANNELS`: a dictionary of tuples."""
+    """Sum of terms for each of `CHANNELS`: a dictionary of tuples; and a shaft's drive."""
 
     terms: dict
+    drive: Drive | None = None
 
     def __bool__(self):
         return any(self.terms.values())
 
     def stages(self, first, count, step):
-        """Return the loads of steps first, first + 1, ..., shape (count, 3, 5)."""
+        """Return the loads of steps first, first + 1, ..., shape (count, 3, 8)."""
         loads = np.zeros((count, STAGES, LOADS))
         for channel, terms in self.terms.items():
             for term in terms:
                 loads[:, :, CHANNELS[channel]] += term.stages(first, count, step)
+        if self.drive is not None:
+            loads[:, :, [ANGLE, SPEED, ACCELERATION]] = self.drive.stages(first, count, step)
         return loads

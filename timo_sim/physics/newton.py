@@ -2,23 +2,28 @@
 The `newton` formulation: the paper's equations, projected on the modes.
 
 Deflection and rotation are expanded, `w = sum W_n q_n`, `phi = sum Phi_n q_n` (36); a point of the
-centre line is at (xi, w) in the turning axes, so its acceleration is (26), (27). Equations (28),
-(29) are projected on the modes and the root reactions P(0), V(0), M(0) of (31)-(33) are integrals
-of (30), (28), (29) over the arm. With M(xi), J(xi) of Remark 1 and
+centre line is at (xi, w) in the turning axes, so its acceleration is (26), (27). With M(xi), J(xi)
+of Remark 1 and
 
     a_n = int M W_n     b_n = int (M xi W_n + J Phi_n)     c_n = int M xi W_n
-    G_nl = int M W_n W_l     s = int M xi     J_0 = J_m + int (M xi^2 + J)
+    G_nl = int M W_n W_l     s = int M xi     J_0 = J_m + int (M xi^2 + J)     m_a = int M
 
-this leaves, `alpha` and `beta` the carrier's acceleration along axes I and II,
+(28), (29) projected on the modes and (33) are, with `alpha` and `beta` the carrier's acceleration
+along axes I and II, and the modal stress `r_n = omega_n^2 q_n + 2 zeta_n omega_n q_n'`,
 
-    m_t alpha = F_I + theta'' a.q + 2 theta' a.q' + theta'^2 s
-    m_t beta + s theta'' + a.q'' = F_II + theta'^2 a.q
-    J_0 theta'' + s beta + b.q'' = tau + theta'^2 c.q
-    q_n'' + b_n theta'' + a_n beta = theta'^2 (G q)_n - omega_n^2 q_n - 2 zeta_n omega_n q_n'
+    J_0 theta'' + b.q'' + s beta = tau + theta'^2 c.q
+    q_n'' + b_n theta'' + a_n beta = theta'^2 (G q)_n - r_n
 
-The first two say that the linear momentum changes by the force alone, so the mass centre
-(X, Y) and its momentum P separate, beta is eliminated, and theta'', q'' have a constant mass
-matrix M. The state is [X, Y, theta, q, P_x, P_y, theta', q'].
+and the reactions of the root on the carrier, in (31), (32), are integrals over the arm:
+
+    P(0) = -m_a alpha + theta'' a.q + 2 theta' a.q' + theta'^2 s
+    V(0) = -m_a beta - s theta'' - a.q'' + theta'^2 a.q
+
+The formulations derived from this one change rows of these tables, see `Laws`. The first two rows
+have a constant matrix A for z = (theta'', q''). It is inverted once and leaves `z = z_0 - v beta`;
+beta follows from (31), (32), of which the rows of the axes along which the carrier is held are
+left out. Of a driven shaft theta'' is given, and its row is left out too. The state is the motion,
+without what is held or driven.
 """
 
 from typing import NamedTuple
@@ -27,23 +32,60 @@ import numpy as np
 
 from timo_sim.physics import etdrk4
 from timo_sim.physics.compiled import inner
-from timo_sim.physics.formulation import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Formulation, TORQUE
+from timo_sim.physics.formulation import (
+    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Formulation, SPEED, TORQUE)
+
+
+class Laws(NamedTuple):
+    """
+    Coefficients of the equations of motion, i, j = 0..N with the shaft first, n = 1..N.
+
+    A_ij z_j + c_i beta = tau_i + theta'^2 S_in q_n - R_in r_n
+    V(0) = -m_V beta - h_i z_i + theta'^2 U_n q_n + Y_n r_n
+    P(0) = -m_a alpha + theta'' e.q + 2 theta' e.q' + theta'^2 s
+    """
+
+    matrix: np.ndarray          # A, (1 + N, 1 + N)
+    column: np.ndarray          # c, (1 + N,)
+    softening: np.ndarray       # S, (1 + N, N)
+    stress: np.ndarray          # R, (1 + N, N)
+    shear_mass: float           # m_V
+    shear_row: np.ndarray       # h, (1 + N,)
+    shear_softening: np.ndarray  # U, (N,)
+    shear_stress: np.ndarray    # Y, (N,)
+    axial: np.ndarray           # e, (N,)
 
 
 class Tables(NamedTuple):
-    """Constants of the compiled functions, N modes."""
+    """Constants of the compiled functions, from `Laws`; N modes, n free of theta, q."""
 
-    mass: float            # m_t
-    lever: float           # s
-    moment: np.ndarray     # a_n, (N,)
-    inverse: np.ndarray    # M^-1, (1 + N, 1 + N)
-    softening: np.ndarray  # rows c - s a / m_t and G - a a^T / m_t, (1 + N, N)
+    base_mass: float            # m_c + m_m
+    arm_mass: float             # m_a
+    lever: float                # s
+    inverse: np.ndarray         # A^-1 of the free rows, (n, n)
+    coupling: np.ndarray        # A_i0 of a driven shaft, (1 + N,)
+    response: np.ndarray        # v = A^-1 c, (1 + N,)
+    across: float               # m_V - h.v: V(0) per beta
+    swing: np.ndarray           # theta'' per r_n, (N,)
+    reaction: np.ndarray        # V(0) per r_n at beta = 0, (N,)
+    in_linear: float            # share of beta per r_n that the linear part accounts for
+    softening: np.ndarray       # S, (1 + N, N)
+    shear_row: np.ndarray       # h, (1 + N,)
+    shear_softening: np.ndarray  # U, (N,)
+    axial: np.ndarray           # e, (N,)
+    stiffness: np.ndarray       # omega_n^2, (N,)
+    damping: np.ndarray         # 2 zeta_n omega_n, (N,)
+    axes: np.ndarray            # along which the carrier is free
+    anchor: np.ndarray          # where it is held, (2,)
+    first: int                  # 1 if the shaft is driven, else 0
 
 
 class Space(NamedTuple):
     """Scratch arrays of the compiled functions."""
 
-    force: np.ndarray  # (1 + N,)
+    force: np.ndarray         # (1 + N,)
+    acceleration: np.ndarray  # z_0, (1 + N,)
+    carrier: np.ndarray       # force on the carrier in world axes, then its acceleration, (2,)
 
 
 @inner
@@ -57,42 +99,77 @@ def _dot(left, right):
 @etdrk4.rate.of(Tables)
 def _rate(tables, state, load, space, out):
     """Write what the linear part leaves of the state's rate."""
-    count = len(tables.moment)
-    half = 3 + count
-    q, omega = state[3:half], state[half + 2]
-    cosine, sine = np.cos(state[2]), np.sin(state[2])
-    force_2 = cosine * load[FORCE_Y] - sine * load[FORCE_X] + load[FORCE_II]
+    count, first, axes = len(tables.axial), tables.first, tables.axes
+    half, force, z = len(state) // 2, space.force, space.acceleration
+    modal = half - count
+    q, qdot = state[modal:half], state[half + modal:]
+    if first == 0:
+        theta, omega = state[modal - 1], state[half + modal - 1]
+    else:
+        theta, omega = load[ANGLE], load[SPEED]
+
+    # z_0, without the modal stress, which is in the linear part.
+    force[0] = load[TORQUE]
+    force[1:] = 0.0
+    for i in range(first, 1 + count):
+        force[i] += omega**2 * _dot(tables.softening[i], q)
+        if first == 1:
+            force[i] -= tables.coupling[i] * load[ACCELERATION]
+    z[0] = load[ACCELERATION]
+    for i in range(first, 1 + count):
+        z[i] = _dot(tables.inverse[i - first], force[first:])
+
+    # P(0) and V(0) at alpha = beta = 0.
+    swing = z[0]
+    linear_shear = 0.0
+    for n in range(count):
+        stress = tables.stiffness[n] * q[n] + tables.damping[n] * qdot[n]
+        swing += tables.swing[n] * stress
+        linear_shear += tables.reaction[n] * stress
+    bent = _dot(tables.axial, q)
+    axial = bent * swing + 2.0 * omega * _dot(tables.axial, qdot) + omega**2 * tables.lever
+    shear = linear_shear - _dot(tables.shear_row, z) + omega**2 * _dot(tables.shear_softening, q)
+
+    # (31), (32), solved for the carrier's acceleration in world axes.
+    cosine, sine = np.cos(theta), np.sin(theta)
+    tilt = bent * tables.response[0]  # -P(0) per beta
+    carrier = space.carrier
+    carrier[0] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
+    carrier[1] = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
+    beta = 0.0
+    if len(axes) == 2:
+        force_1 = cosine * carrier[0] + sine * carrier[1]
+        force_2 = cosine * carrier[1] - sine * carrier[0]
+        beta = (force_2 + shear) / (tables.base_mass + tables.across)
+        alpha = (force_1 + axial - tilt * beta) / (tables.base_mass + tables.arm_mass)
+        out[half] = cosine * alpha - sine * beta
+        out[half + 1] = sine * alpha + cosine * beta
+    elif len(axes) == 1:
+        along, across = (cosine, -sine) if axes[0] == 0 else (sine, cosine)
+        inertia = (tables.base_mass + along**2 * tables.arm_mass + along * across * tilt
+                   + across**2 * tables.across)
+        out[half] = (carrier[axes[0]] + along * axial + across * shear) / inertia
+        beta = across * out[half]
 
     out[:half] = 0.0
-    out[half] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
-    out[half + 1] = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
-
-    force = space.force
-    push = force_2 / tables.mass
-    force[0] = load[TORQUE] + omega**2 * _dot(tables.softening[0], q) - push * tables.lever
-    for n in range(count):
-        force[1 + n] = omega**2 * _dot(tables.softening[1 + n], q) - push * tables.moment[n]
-    for i in range(1 + count):
-        out[half + 2 + i] = _dot(tables.inverse[i], force)
+    beta -= tables.in_linear * linear_shear
+    for i in range(first, 1 + count):
+        out[half + modal - 1 + i] = z[i] - tables.response[i] * beta
 
 
 @etdrk4.observe.of(Tables)
-def _observe(tables, state, space, out):
+def _observe(tables, state, load, space, out):
     """Write the motion of a state."""
-    count = len(tables.moment)
-    half = 3 + count
-    out[2:half] = state[2:half]
-    out[half + 2:] = state[half + 2:]
-    centre_1 = tables.lever / tables.mass
-    centre_2 = _dot(tables.moment, state[3:half]) / tables.mass
-    omega = state[half + 2]
-    rate_1 = -omega * centre_2
-    rate_2 = omega * centre_1 + _dot(tables.moment, state[half + 3:]) / tables.mass
-    cosine, sine = np.cos(state[2]), np.sin(state[2])
-    out[0] = state[0] - cosine * centre_1 + sine * centre_2
-    out[1] = state[1] - sine * centre_1 - cosine * centre_2
-    out[half] = state[half] / tables.mass - cosine * rate_1 + sine * rate_2
-    out[half + 1] = state[half + 1] / tables.mass - sine * rate_1 - cosine * rate_2
+    parts = (0, 0), (len(state) // 2, len(out) // 2)
+    for k in range(2):
+        source, goal = parts[k]
+        for axis in range(2):
+            out[goal + axis] = 0.0 if k else tables.anchor[axis]
+        for j in range(len(tables.axes)):
+            out[goal + tables.axes[j]] = state[source + j]
+        out[goal + 2] = load[SPEED] if k else load[ANGLE]
+        for i in range(tables.first, 1 + len(tables.axial)):
+            out[goal + 2 + i] = state[source + len(tables.axes) + i - tables.first]
 
 
 class Newton(Formulation):
@@ -103,47 +180,83 @@ class Newton(Formulation):
         """Return the number of quadrature nodes: only the tables need them, so they are many."""
         return 4 * count + 40
 
+    @property
+    def speed_limit(self):
+        """
+        Shaft speed from which on the arm buckles away from the carrier [rad/s].
+
+        The inertia force theta'^2 w acts as a negative stiffness, and the tension that would
+        counter it is not in the equations.
+        """
+        if not len(self.modes):
+            return np.inf
+        weak = self.gram / np.outer(self.modes.omega, self.modes.omega)
+        return 1.0 / np.sqrt(np.linalg.eigvalsh(weak)[-1])
+
+    @property
+    def lever(self):
+        """Static moment of the arm about its root, s [kg m]."""
+        return self.point_mass @ self.points.xi
+
+    @property
+    def moment(self):
+        """Modal static moments a_n, shape (N,)."""
+        return self.points.deflection @ self.point_mass
+
+    @property
+    def gram(self):
+        """Mass matrix of the deflection alone, G_nl, shape (N, N)."""
+        return (self.points.deflection * self.point_mass) @ self.points.deflection.T
+
+    def laws(self):
+        """Return the coefficients of the equations of motion."""
+        xi, mass, count = self.points.xi, self.point_mass, len(self.modes)
+        about_root = self.points.deflection @ (mass * xi)
+        matrix = np.eye(1 + count)
+        matrix[0, 0] = (self.manipulator.shaft_inertia + mass @ xi**2 + self.point_inertia.sum())
+        matrix[0, 1:] = matrix[1:, 0] = about_root + self.points.rotation @ self.point_inertia
+        column = np.append(self.lever, self.moment)
+        return Laws(matrix, column, np.vstack([about_root, self.gram]),
+                    np.vstack([np.zeros(count), np.eye(count)]), self.arm_mass, column,
+                    self.moment, np.zeros(count), self.moment)
+
     def build(self):
         """Return the tables and the linear part."""
-        body, modes, mass = self.manipulator, self.modes, self.point_mass
-        xi, _, deflection, rotation = self.points
-        lever = mass @ xi
-        moment = deflection @ mass
-        moment_about_root = deflection @ (mass * xi)
-        gram = (deflection * mass) @ deflection.T
+        laws, base_mass = self.laws(), self.manipulator.base_mass
+        stiffness, damping = self.modes.omega**2, 2.0 * self.damping * self.modes.omega
+        free, axes = slice(self.first, None), len(self.axes)
+        inverse = np.linalg.inv(laws.matrix[free, free])
+        response, per_stress = np.zeros_like(laws.column), np.zeros_like(laws.stress)
+        response[free] = inverse @ laws.column[free]
+        per_stress[free] = -inverse @ laws.stress[free]
+        across = laws.shear_mass - laws.shear_row @ response
+        reaction = laws.shear_stress - laws.shear_row @ per_stress
+        # With one axis held, beta per stress depends on the shaft angle.
+        in_linear = 1.0 / (base_mass + across) if axes == 2 else 0.0
 
-        matrix = np.eye(1 + len(modes))
-        matrix[0, 0] = body.section_inertia + mass @ xi**2
-        matrix[0, 1:] = matrix[1:, 0] = moment_about_root + rotation @ self.point_inertia
-        column = np.append(lever, moment)
-        matrix -= np.outer(column, column) / body.mass
-        inverse = np.linalg.inv(matrix)
-        softening = np.vstack([moment_about_root, gram]) - np.outer(column, moment) / body.mass
-
-        half = self.size // 2
-        linear = np.zeros((self.size, self.size))
-        linear[:2, half:half + 2] = np.eye(2) / body.mass
-        linear[2:half, half + 2:] = np.eye(1 + len(modes))
-        linear[half + 2:, 2:half] = -inverse * np.append(0.0, modes.omega**2)
-        linear[half + 2:, half + 2:] = -inverse * np.append(0.0, 2.0 * self.damping * modes.omega)
-        return Tables(body.mass, lever, moment, inverse, softening), linear
+        half, modal = axes + len(inverse), axes + len(inverse) - len(stiffness)
+        rate = (per_stress - in_linear * np.outer(response, reaction))[free]
+        linear = np.zeros((2 * half, 2 * half))
+        linear[:half, half:] = np.eye(half)
+        linear[half + axes:, modal:half] = rate * stiffness
+        linear[half + axes:, half + modal:] = rate * damping
+        tables = Tables(
+            base_mass, self.arm_mass, self.lever, inverse, laws.matrix[:, 0].copy(), response,
+            across, per_stress[0].copy(), reaction, in_linear, laws.softening, laws.shear_row,
+            laws.shear_softening, laws.axial, stiffness, damping, self.axes, self.anchor,
+            self.first)
+        return tables, linear
 
     def scratch(self):
         """Return the scratch arrays of the compiled functions."""
-        return Space(np.zeros(1 + len(self.modes)))
+        count = len(self.modes)
+        return Space(np.zeros(1 + count), np.zeros(1 + count), np.zeros(2))
 
     def state(self, motion):
         """Return the state that belongs to a motion."""
-        half, table = self.size // 2, self.tables
-        theta, omega = motion[2], motion[half + 2]
-        turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
-        across = table.moment @ motion[3:half]
-        moment = np.array([table.lever, across])
-        moment_rate = np.array([-omega * across,
-                                omega * table.lever + table.moment @ motion[half + 3:]])
-        return np.concatenate([
-            motion[:2] + turn @ moment / table.mass, motion[2:half],
-            table.mass * motion[half:half + 2] + turn @ moment_rate, motion[half + 2:]])
+        half = self.size // 2
+        free = np.concatenate([self.axes, np.arange(2 + self.first, half)])
+        return np.concatenate([motion[free], motion[half + free]])
 
     def centre_line(self, q, points):
         """Return the points (xi, w)."""

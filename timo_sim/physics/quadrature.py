@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.polynomial import legendre
 
+_FEWEST = 4  # nodes in a span, however short
+
 
 def legendre_values(x, count):
     """
@@ -30,42 +32,76 @@ def legendre_values(x, count):
 
 class Quadrature:
     """
-    Gauss-Legendre quadrature on [0, length].
+    Gauss-Legendre quadrature on the spans of an arm.
+
+    A function with its values at the nodes stands for the polynomial through them in each span.
+
+    Parameters
+    ----------
+    breaks : ndarray, shape (spans + 1,)
+        Ends of the spans, ascending from 0 [m].
+    count : int
+        Number of nodes, shared out by length; a short span has a few at least.
+    extra : int
+        Further nodes in each span.
 
     Attributes
     ----------
-    nodes, weights : ndarray, shape (count,)
+    nodes, weights : ndarray, shape (n,)
         [m]
+    points : ndarray, shape (n + 1,)
+        The nodes and the tip [m].
 
     """
 
-    def __init__(self, length, count):
-        self.length = length
-        self._x, self._w = legendre.leggauss(count)
-        self.nodes = 0.5 * length * (self._x + 1.0)
-        self.weights = 0.5 * length * self._w
+    def __init__(self, breaks, count, extra=0):
+        shares = np.diff(breaks) / breaks[-1]
+        floor = _FEWEST if len(shares) > 1 else 1
+        counts = np.maximum(np.ceil(count * shares - 1e-9).astype(int), floor) + extra
+        self._spans = [(start, stop, *legendre.leggauss(n))
+                       for start, stop, n in zip(breaks, breaks[1:], counts)]
+        self.nodes = np.concatenate([start + 0.5 * (stop - start) * (x + 1.0)
+                                     for start, stop, x, _ in self._spans])
+        self.weights = np.concatenate([0.5 * (stop - start) * w
+                                       for start, stop, _, w in self._spans])
+        self.points = np.append(self.nodes, breaks[-1])
 
     def integrate_to(self, xi):
         """
         Return the rows that integrate nodal values from 0 to each of the given points.
 
-        The interpolant through the nodes is integrated exactly; at xi = length this is the
-        quadrature itself.
-
         Parameters
         ----------
-        xi : array_like, shape (n,)
+        xi : array_like, shape (p,)
             [m]
 
         Returns
         -------
-        ndarray, shape (n, count)
+        ndarray, shape (p, n)
             [m]
 
         """
-        count = len(self._x)
-        at_nodes, _ = legendre_values(self._x, count)
-        x = 2.0 * np.asarray(xi, dtype=float) / self.length - 1.0
-        _, integrals = legendre_values(x, count)
-        to_coefficients = (np.arange(count) + 0.5)[:, np.newaxis] * at_nodes.T * self._w
-        return 0.5 * self.length * integrals @ to_coefficients
+        rows = []
+        for start, stop, to_coefficients, x in self._within(xi):
+            # Left of the span this is nothing, right of it the whole span.
+            _, integrals = legendre_values(np.clip(x, -1.0, 1.0), len(to_coefficients))
+            rows.append(0.5 * (stop - start) * integrals @ to_coefficients)
+        return np.hstack(rows)
+
+    def interpolate_to(self, xi):
+        """Return the rows that interpolate nodal values at the given points, shape (p, n)."""
+        rows, past = [], np.zeros(len(xi), dtype=bool)
+        for _, stop, to_coefficients, x in self._within(xi):
+            here = (x <= 1.0) & ~past if stop < self.points[-1] else ~past
+            values, _ = legendre_values(np.where(here, x, 0.0), len(to_coefficients))
+            rows.append(here[:, np.newaxis] * values @ to_coefficients)
+            past |= here
+        return np.hstack(rows)
+
+    def _within(self, xi):
+        # Of each span: its ends, nodal values to Legendre coefficients, and xi in [-1, 1] of it.
+        xi = np.asarray(xi, dtype=float)
+        for start, stop, x, w in self._spans:
+            at_nodes, _ = legendre_values(x, len(x))
+            to_coefficients = (np.arange(len(x)) + 0.5)[:, np.newaxis] * at_nodes.T * w
+            yield start, stop, to_coefficients, 2.0 * (xi - start) / (stop - start) - 1.0

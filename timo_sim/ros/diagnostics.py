@@ -12,7 +12,7 @@ class Health:
     def __init__(self):
         self._before = {}
 
-    def message(self, snapshot, counters, facts, errors):
+    def message(self, snapshot, counters, facts, errors, caution=None):
         """
         Build the message.
 
@@ -25,6 +25,8 @@ class Health:
             Further values by name.
         errors : list of str
             What is wrong now, if anything.
+        caution : str, optional
+            Why the results should not be trusted.
 
         Returns
         -------
@@ -34,10 +36,11 @@ class Health:
         grown = [name for name, count in counters.items() if count > self._before.get(name, 0)]
         self._before = dict(counters)
         status = DiagnosticStatus(name='timo_sim: simulation', hardware_id='timo_sim')
+        warnings = ([caution] if caution else []) + (['more ' + ', '.join(grown)] if grown else [])
         if errors:
             status.level, status.message = DiagnosticStatus.ERROR, '; '.join(errors)
-        elif grown:
-            status.level, status.message = DiagnosticStatus.WARN, 'more ' + ', '.join(grown)
+        elif warnings:
+            status.level, status.message = DiagnosticStatus.WARN, '; '.join(warnings)
         else:
             status.level, status.message = DiagnosticStatus.OK, facts['state']
         status.values = [KeyValue(key=name, value=str(value))

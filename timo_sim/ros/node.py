@@ -71,7 +71,7 @@ class SimNode(Node):
         self._paused = self._values['start_paused']
         self._diverged = None
         self._pace = Pace(self._step)
-        self._recorder, self._log_error = None, None
+        self._recorder, self._log_error, self._cautioned = None, None, None
         self._health = diagnostics.Health()
 
         self._inlets = [Inlet(self, command) for command in COMMANDS]
@@ -173,6 +173,7 @@ class SimNode(Node):
         if self._recorder is not None and self._recorder.error and not self._log_error:
             self._log_error = f'the log ends early: {self._recorder.error}'
             self.get_logger().error(self._log_error)
+        self._pass_on_caution()
         if not self._health_outlet.wanted:
             return
         snapshot = self._snapshot()
@@ -189,8 +190,15 @@ class SimNode(Node):
                 'real_time_factor': f'{(steps - steps_before) * self._step / (now - before):.4f}',
                 'energy_J': snapshot.energy,
                 'log': self._recorder.path if self._recorder is not None else 'off'},
-            errors=[error for error in (self._diverged, self._log_error) if error])
+            errors=[error for error in (self._diverged, self._log_error) if error],
+            caution=self._simulator.caution)
         self._health_outlet.send(message, snapshot.step, snapshot.nanoseconds)
+
+    def _pass_on_caution(self):
+        if self._simulator.caution != self._cautioned:
+            self._cautioned = self._simulator.caution
+            if self._cautioned:
+                self.get_logger().warning(self._cautioned)
 
     # Parameters and services, called by the executor.
 
@@ -274,6 +282,7 @@ class SimNode(Node):
         self.get_logger().info(f'logging to {self._recorder.path}')
 
     def _close(self, wall_time):
+        self._pass_on_caution()
         sim_time = self._simulator.steps * self._step
         report = (f'simulated {sim_time:.6g} s in {wall_time:.3f} s, {self._pace.overruns} '
                   f'overruns, {self._pace.dropped_steps * self._step:.6g} s dropped')

@@ -1,0 +1,59 @@
+"""The spin-up manoeuvre of Simo and Vu-Quoc: a driven shaft, faster than the first frequency."""
+
+import numpy as np
+import pytest
+
+import timo_sim
+
+LENGTH = 10.0
+
+
+def run_of(spin_up, **overrides):
+    return timo_sim.simulate(timo_sim.load_scene(spin_up, overrides), 20.0)
+
+
+@pytest.mark.parametrize('modes, step, lowest, tolerance', [
+    (3, 0.01, -0.5738, 1e-4), (5, 0.01, -0.57380, 1e-5), (5, 0.002, -0.57380, 1e-5)])
+def test_exact_gives_the_deflection_of_the_literature(spin_up, modes, step, lowest, tolerance):
+    run = run_of(spin_up, **{'model.modes': modes, 'integrator.step': step})
+    across = run.deflection(LENGTH)[:, 1]
+    assert across.min() == pytest.approx(lowest, abs=tolerance)
+    assert run.t[across.argmin()] == pytest.approx(6.762, abs=step)
+    at = [int(np.argmin(np.abs(run.t - t))) for t in (2.5, 5.0, 7.5, 10.0, 12.5)]
+    assert across[at] == pytest.approx([-0.1513, -0.4685, -0.5590, -0.3627, -0.1127], abs=2e-4)
+    assert np.abs(across[run.t > 15.0]).max() == pytest.approx(3.6e-3, abs=5e-5)
+    # The shaft is where it was driven to: 6 t - 45, to the interpolation of the drive.
+    assert run.shaft[-1] == pytest.approx(75.0, abs=1e-8)
+    assert np.abs(run.carrier).max() == 0.0
+
+
+def test_newton_diverges_beyond_its_first_frequency_and_says_so(spin_up):
+    with pytest.warns(timo_sim.ModelWarning, match='faster than 3.8 rad/s.*centrifugal stiffen'):
+        run = run_of(spin_up, **{'model.formulation': 'newton'})
+    assert np.abs(run.deflection(LENGTH)[run.t > 18.0, 1]).max() > 1e3
+
+
+def test_newton_diverges_at_the_speed_that_it_names(spin_up):
+    """Slowly turned just below and just above the limit, the straight arm holds or buckles."""
+    peaks = []
+    for share in (0.99, 1.01):
+        start = timo_sim.load_scene(spin_up, {'model.formulation': 'newton'})
+        speed = share * start.build().speed_limit
+        scene = timo_sim.load_scene(start.values, {
+            'motor.drive.time': [0.0], 'motor.drive.angle': [0.0], 'motor.drive.speed': [speed],
+            'motor.drive.acceleration': [0.0], 'initial.modal_rates': [1e-3, 0.0, 0.0]})
+        if share > 1:
+            with pytest.warns(timo_sim.ModelWarning):
+                run = timo_sim.simulate(scene, 40.0)
+        else:
+            run = timo_sim.simulate(scene, 40.0)
+        peaks.append(np.abs(run.q[:, 0]).max())
+    omega = timo_sim.load_scene(spin_up).build().modes.omega[0]
+    # Below: an oscillation at sqrt(omega^2 - theta'^2); above: growth, exp(0.54 t).
+    assert peaks[0] == pytest.approx(1e-3 / (omega * np.sqrt(1 - 0.99**2)), rel=0.02)
+    assert peaks[1] > 1e3 * peaks[0]
+
+
+def test_below_its_first_frequency_newton_is_silent(paper, recwarn):
+    timo_sim.simulate(timo_sim.load_scene(paper, {'model.formulation': 'newton'}), 1.0)
+    assert not recwarn.list
