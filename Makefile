@@ -20,7 +20,8 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --use-pep517 --constraint constraints.txt
 
-.PHONY: sim test picture accuracy stability benchmark-loop clean
+.PHONY: sim test picture paper benchmark benchmark-quick references accuracy stability \
+	benchmark-loop clean
 
 sim: $(VENV)/.run
 	@mkdir -p $(dir $(RUN))
@@ -33,6 +34,18 @@ test: $(VENV)/.test
 
 picture: $(VENV)/.plot
 	@$(BIN)/python doc/picture.py
+
+paper: $(VENV)/.plot
+	@$(BIN)/python benchmark/paper.py
+
+benchmark: $(VENV)/.benchmark
+	@$(BIN)/python benchmark/work_precision.py
+
+benchmark-quick: $(VENV)/.benchmark
+	@$(BIN)/python benchmark/work_precision.py --quick
+
+references: $(VENV)/.benchmark
+	@$(BIN)/python benchmark/generate_references.py
 
 accuracy: $(VENV)/.run
 	@$(BIN)/python benchmark/accuracy.py
@@ -62,3 +75,6 @@ $(VENV)/.test: $(VENV)/.run
 
 $(VENV)/.plot: $(VENV)/.run
 	@$(INSTALL) --editable '.[ros,plot]' && touch $@
+
+$(VENV)/.benchmark: $(VENV)/.run
+	@$(INSTALL) --editable '.[ros,benchmark]' && touch $@

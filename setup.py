@@ -24,6 +24,8 @@ setup(
         # Needs numpy >= 2 by its own word; see the README for Ubuntu 24.04.
         'view': ['rerun-sdk'],
         'plot': ['matplotlib'],
+        # exudyn is the finite-element engine that this package is compared with.
+        'benchmark': ['exudyn', 'matplotlib'],
         'test': ['colcon-core', 'colcon-library-path', 'colcon-metadata', 'colcon-output',
                  'colcon-package-information', 'colcon-package-selection',
                  'colcon-parallel-executor', 'colcon-python-setup-py', 'colcon-recursive-crawl',

@@ -1,0 +1,170 @@
+"""Other integrators on the equations of this package: peers of its own step in the benchmarks."""
+
+import bisect
+import math
+
+import numba
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from timo_sim.physics.etdrk4 import observe, rate
+from timo_sim.physics.formulation import ACCELERATION, ANGLE, LOADS, SPEED
+from timo_sim.physics.load import CHANNELS, Harmonic, Piecewise
+
+TOLERANCE, ITERATIONS = 1e-12, 50  # of the implicit methods, relative
+SPECTRAL_RADIUS = 0.9              # of generalized-alpha
+
+
+@numba.njit
+def _full(tables, linear, state, load, space, out):
+    rate(tables, state, load, space, out)
+    out += linear @ state
+
+
+@numba.njit
+def rk4(tables, linear, state, loads, step, every, samples, space):
+    """Integrate by the classical Runge-Kutta method; return the steps done."""
+    k1, k2, k3, k4 = np.zeros((4, len(state)))
+    for k in range(len(loads)):
+        _full(tables, linear, state, loads[k, 0], space, k1)
+        _full(tables, linear, state + 0.5 * step * k1, loads[k, 1], space, k2)
+        _full(tables, linear, state + 0.5 * step * k2, loads[k, 1], space, k3)
+        _full(tables, linear, state + step * k3, loads[k, 2], space, k4)
+        state += step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        if not np.all(np.isfinite(state)):
+            return k
+        if (k + 1) % every == 0:
+            observe(tables, state, loads[k, 2], space, samples[(k + 1) // every - 1])
+    return len(loads)
+
+
+@numba.njit
+def implicit_midpoint(tables, linear, state, loads, step, every, samples, space):
+    """Integrate by the implicit midpoint rule, the linear part solved for; return the steps."""
+    inverse = np.linalg.inv(np.eye(len(state)) - 0.5 * step * linear)
+    middle, nonlinear = state.copy(), np.zeros(len(state))
+    for k in range(len(loads)):
+        for _ in range(ITERATIONS):
+            rate(tables, middle, loads[k, 1], space, nonlinear)
+            following = inverse @ (state + 0.5 * step * nonlinear)
+            change = np.abs(following - middle).max()
+            middle[:] = following
+            if not change > TOLERANCE * np.abs(middle).max():
+                break
+        state[:] = 2.0 * middle - state
+        if not np.all(np.isfinite(state)):
+            return k
+        if (k + 1) % every == 0:
+            observe(tables, state, loads[k, 2], space, samples[(k + 1) // every - 1])
+    return len(loads)
+
+
+@numba.njit
+def generalized_alpha(tables, linear, state, loads, step, every, samples, space):
+    """
+    Integrate by generalized-alpha for first-order systems; return the steps done.
+
+    Source: Jansen, Whiting and Hulbert, Comput. Methods Appl. Mech. Eng. 190 (2000) 305-319.
+    """
+    alpha_m = 0.5 * (3.0 - SPECTRAL_RADIUS) / (1.0 + SPECTRAL_RADIUS)
+    alpha_f = 1.0 / (1.0 + SPECTRAL_RADIUS)
+    gamma = 0.5 + alpha_m - alpha_f
+    inverse = np.linalg.inv(alpha_m * np.eye(len(state)) - alpha_f * gamma * step * linear)
+    old, nonlinear = np.zeros(len(state)), np.zeros(len(state))
+    for k in range(len(loads)):
+        if k == 0 or np.any(loads[k, 0] != loads[k - 1, 2]):
+            _full(tables, linear, state, loads[k, 0], space, old)
+        # The parabola through the three values of the load.
+        s = alpha_f
+        load = ((1.0 - s) * (1.0 - 2.0 * s) * loads[k, 0] + 4.0 * s * (1.0 - s) * loads[k, 1]
+                + s * (2.0 * s - 1.0) * loads[k, 2])
+        base = state + alpha_f * step * (1.0 - gamma) * old
+        known = (alpha_m - 1.0) * old + linear @ base
+        new = old.copy()
+        for _ in range(ITERATIONS):
+            rate(tables, base + alpha_f * gamma * step * new, load, space, nonlinear)
+            following = inverse @ (known + nonlinear)
+            change = np.abs(following - new).max()
+            new[:] = following
+            if not change > TOLERANCE * np.abs(new).max():
+                break
+        state += step * ((1.0 - gamma) * old + gamma * new)
+        old[:] = new
+        if not np.all(np.isfinite(state)):
+            return k
+        if (k + 1) % every == 0:
+            observe(tables, state, loads[k, 2], space, samples[(k + 1) // every - 1])
+    return len(loads)
+
+
+FIXED_STEP = {'RK4': rk4, 'implicit midpoint': implicit_midpoint,
+              'generalized-alpha': generalized_alpha}
+
+
+def load_function(scene, drive=None):
+    """
+    Return the load of a scene at any time, shape (8,), and the times at which it jumps.
+
+    Parameters
+    ----------
+    scene : Scene
+        With harmonic and piecewise terms only.
+    drive : tuple of function(float) -> float, optional
+        theta(t) and its derivatives.
+
+    """
+    terms = [(CHANNELS[channel], term) for channel, each in scene.load.terms.items()
+             for term in each]
+    if not all(isinstance(term, (Harmonic, Piecewise)) for _, term in terms):
+        raise ValueError('only harmonic and piecewise loads are known at any time')
+    jumps = sorted({jump for _, term in terms for jump in term.jumps()})
+
+    def load(t):
+        values = np.zeros(LOADS)
+        for column, term in terms:
+            if isinstance(term, Harmonic):
+                values[column] += term.amplitude * math.sin(
+                    2.0 * math.pi * term.frequency * t + term.phase)
+            else:
+                values[column] += (0.0, *term.value)[bisect.bisect_right(term.time, t)]
+        if drive is not None:
+            values[[ANGLE, SPEED, ACCELERATION]] = [part(t) for part in drive]
+        return values
+    return load, jumps
+
+
+def adaptive(method, model, start, load, jumps, times, tolerance):
+    """
+    Integrate by a method of `scipy.integrate.solve_ivp`, anew after each jump of the load.
+
+    Returns
+    -------
+    ndarray, shape (len(times) - 1, 2 (3 + N))
+        Motions after the first time.
+
+    """
+    state, motions = model.state(start), []
+    edges = [times[0], *(jump for jump in jumps if times[0] < jump < times[-1]), times[-1]]
+    for begin, end in zip(edges, edges[1:]):
+        inside = times[(times > begin + 1e-9) & (times <= end + 1e-9)]
+        # A stage at the end of a piece sees the load of that piece.
+        solution = solve_ivp(
+            lambda t, y: model.rate(y, load(min(t, end - 1e-9))), (begin, end), state, method,
+            np.minimum(inside, end), rtol=tolerance, atol=1e-3 * tolerance)
+        if not solution.success:
+            raise ArithmeticError(solution.message)
+        motions += [model.observe(np.ascontiguousarray(y), load(t))
+                    for t, y in zip(inside, solution.y.T)]
+        state = np.ascontiguousarray(solution.y[:, -1])
+    return np.array(motions)
+
+
+def fixed_step(method, model, start, loads, step, every):
+    """Integrate by one of `FIXED_STEP`; return motions, or None if the state grows over all."""
+    state = model.state(start)
+    samples = np.empty((len(loads) // every, model.size))
+    done = FIXED_STEP[method](model.tables, model.linear, state, loads, step, every, samples,
+                              model.scratch())
+    return samples if done == len(loads) else None
+
+
