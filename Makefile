@@ -20,7 +20,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --use-pep517 --constraint constraints.txt
 
-.PHONY: sim test picture paper benchmark benchmark-quick references accuracy stability \
+.PHONY: sim test picture paper benchmark benchmark-quick references stability \
 	benchmark-loop clean
 
 sim: $(VENV)/.run
@@ -33,7 +33,7 @@ test: $(VENV)/.test
 	@$(BIN)/python -m pytest test
 
 picture: $(VENV)/.plot
-	@$(BIN)/python doc/picture.py
+	@$(BIN)/python benchmark/picture.py
 
 paper: $(VENV)/.plot
 	@$(BIN)/python benchmark/paper.py
@@ -46,9 +46,6 @@ benchmark-quick: $(VENV)/.benchmark
 
 references: $(VENV)/.benchmark
 	@$(BIN)/python benchmark/generate_references.py
-
-accuracy: $(VENV)/.run
-	@$(BIN)/python benchmark/accuracy.py
 
 stability: $(VENV)/.run
 	@$(BIN)/python benchmark/stability.py

@@ -5,34 +5,22 @@ Each is extrapolated in the mesh and in the step; its first line says how far to
 """
 
 from itertools import product
-import math
 from pathlib import Path
 import sys
 
 import exudyn
 import finite_elements
 import numpy as np
+from references import ROOT, spin_up, TORQUE
 
 from timo_sim import load_scene
 
-ROOT = Path(__file__).resolve().parents[1]
-TORQUE = {'load.torque.piecewise.time': [0.0, 0.5, 1.0],
-          'load.torque.piecewise.value': [20.0, -20.0, 0.0]}
 RIGID, TIP = ('x_c_m', 'y_c_m', 'theta_rad'), ('w_l_m', 'phi_l_rad', 'u_l_m')
 INNER = tuple(f'{field}_{name}_{unit}' for field, unit in (('w', 'm'), ('phi', 'rad'), ('u', 'm'))
               for name in ('l4', 'l2', '3l4'))
 LEVELS = 4
 # Powers of the mesh size and of the step; the damping is of third order.
 TRAPEZOIDAL, DAMPED = ((0, 2, 4, 6), (0, 2, 4, 6)), ((0, 2, 4, 6), (0, 2, 3, 4))
-
-
-def spin_up():
-    """Return theta [rad], its rate and its acceleration, as functions of t [s]."""
-    rate = 2.0 * math.pi / 15.0
-    return (
-        lambda t: 0.4 * (t**2 / 2 + (math.cos(rate * t) - 1) / rate**2) if t < 15 else 6 * t - 45,
-        lambda t: 0.4 * (t - math.sin(rate * t) / rate) if t < 15 else 6.0,
-        lambda t: 0.4 * (1 - math.cos(rate * t)) if t < 15 else 0.0)
 
 
 def extrapolate(values, levels, orders):
@@ -116,7 +104,7 @@ def modes(scene):
 
 def inextensible(scene, duration, period, columns):
     """Return the spin-up reference of an arm that does not stretch, as `reference` does."""
-    # The effect of the axial compliance is linear in it: 8e-5 m in w(l), from ten times E A on 9e-6.
+    # The effect of the axial compliance is linear in it: 8e-5 m in w(l), a tenth with 10 E A.
     (soft, *_), (stiff, _, comment) = (
         reference(scene, duration, period, columns, 40, 0.005, spin_up(), factor)
         for factor in (1.0, 10.0))

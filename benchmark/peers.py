@@ -150,7 +150,7 @@ def adaptive(method, model, start, load, jumps, times, tolerance):
         # A stage at the end of a piece sees the load of that piece.
         solution = solve_ivp(
             lambda t, y: model.rate(y, load(min(t, end - 1e-9))), (begin, end), state, method,
-            np.minimum(inside, end), rtol=tolerance, atol=1e-3 * tolerance)
+            np.append(inside[inside < end - 1e-9], end), rtol=tolerance, atol=1e-3 * tolerance)
         if not solution.success:
             raise ArithmeticError(solution.message)
         motions += [model.observe(np.ascontiguousarray(y), load(t))
@@ -166,5 +166,3 @@ def fixed_step(method, model, start, loads, step, every):
     done = FIXED_STEP[method](model.tables, model.linear, state, loads, step, every, samples,
                               model.scratch())
     return samples if done == len(loads) else None
-
-

@@ -1,12 +1,19 @@
-"""The stored finite-element references, read, and the largest differences of runs from them."""
+"""The stored finite-element references, and the scenes that have no file of their own."""
 
 import csv
+import math
 from pathlib import Path
 
 import numpy as np
 
+import timo_sim
+
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / 'test' / 'data'
+LENGTH, DURATION, PERIOD, STEP = 2.0, 10.0, 0.01, 0.002  # of the paper's scene, and its runs
+# Torque steps on the paper's manipulator, without forces.
+TORQUE = {'load.torque.piecewise.time': [0.0, 0.5, 1.0],
+          'load.torque.piecewise.value': [20.0, -20.0, 0.0]}
 STATIONS = {'0': 0.0, 'l4': 0.25, 'l2': 0.5, '3l4': 0.75, 'l': 1.0}  # xi / l
 
 
@@ -39,3 +46,39 @@ def station(reference, name, length):
     turned = np.column_stack([np.cos(theta) * along - np.sin(theta) * across,
                               np.sin(theta) * along + np.cos(theta) * across])
     return carrier + turned, theta + reference[f'phi_{name}_rad']
+
+
+def spin_up():
+    """Return theta [rad], its rate and its acceleration, as functions of t [s]."""
+    rate = 2.0 * math.pi / 15.0
+    return (
+        lambda t: 0.4 * (t**2 / 2 + (math.cos(rate * t) - 1) / rate**2) if t < 15 else 6 * t - 45,
+        lambda t: 0.4 * (t - math.sin(rate * t) / rate) if t < 15 else 6.0,
+        lambda t: 0.4 * (1 - math.cos(rate * t)) if t < 15 else 0.0)
+
+
+def simulate(formulation, modes, period=PERIOD):
+    """Return the paper's run, sampled as the reference unless told otherwise."""
+    scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml', {
+        'model.formulation': formulation, 'model.modes': modes, 'integrator.step': STEP})
+    return timo_sim.simulate(scene, DURATION, every=round(period / STEP))
+
+
+def motion_of(run):
+    """Return position and angle of a run at each station, as `station` of the reference."""
+    return {name: (run.position(share * LENGTH), run.shaft + run.rotation(share * LENGTH))
+            for name, share in STATIONS.items()}
+
+
+def errors(motion, truth):
+    """
+    Return the errors of x, y and angle at each station, in per cent, shape (n, 3).
+
+    Of the largest absolute value that the same quantity of the same section has in the reference.
+    """
+    result = {}
+    for name in STATIONS:
+        ours, theirs = (np.column_stack([position, angle])
+                        for position, angle in (motion[name], truth[name]))
+        result[name] = 100.0 * np.abs(ours - theirs) / np.abs(theirs).max(axis=0)
+    return result

@@ -136,6 +136,6 @@ def rows():
         ['(20), first row', '+ d/dxi (kappa G A phi)', '- d/dxi (kappa G A phi), as in (1)',
          'residual of mode 3 over its inertia force', f'{printed_20:.2g}', f'{corrected_20:.0e}'],
         ['(22), (24), second row', "d/dxi (E I Phi' - kappa G A Phi)",
-         "d/dxi (E I Phi') - kappa G A Phi, as in (2)", 'residual of mode 3 over E I phi\'\'',
+         "d/dxi (E I Phi') - kappa G A Phi, as in (2)", 'residual of mode 3 over its bending term',
          f'{printed_22:.2g}', f'{corrected_22:.0e}'],
     ]

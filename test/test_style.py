@@ -1,6 +1,7 @@
 """Linters as tests."""
 
 from pathlib import Path
+import re
 import subprocess
 import sys
 
@@ -32,3 +33,13 @@ def test_one_version():
     assert f"version='{timo_sim.__version__}'" in (ROOT / 'setup.py').read_text()
     assert parse_package(str(ROOT / 'package.xml')).version == timo_sim.__version__
     assert f'## {timo_sim.__version__}' in (ROOT / 'CHANGELOG.md').read_text()
+
+
+def test_equations_that_the_code_cites_are_in_the_theory():
+    numbers = set(re.findall(r'\\tag\{(T\d+)\}', (ROOT / 'doc' / 'theory.md').read_text()))
+    cited = {path.name: set(re.findall(r'\((T\d+)\)', path.read_text()))
+             for path in (ROOT / 'timo_sim').rglob('*.py')}
+    assert numbers == {f'T{n + 1}' for n in range(len(numbers))}
+    assert set().union(*cited.values()) <= numbers
+    for formulation in ('exact', 'newton', 'newton_root_stress', 'newton_rigid_axial'):
+        assert cited[f'{formulation}.py']

@@ -18,7 +18,7 @@ def errors(paper, reference, formulation, modes, step):
     scene = timo_sim.load_scene(paper, {
         'model.formulation': formulation, 'model.modes': modes, 'integrator.step': step})
     run = timo_sim.simulate(scene, 10.0, every=round(0.01 / step))
-    assert np.allclose(run.t, reference['t_s'], atol=1e-12)
+    assert np.allclose(run.t, reference['t'], atol=1e-12)
     return (np.abs(run.carrier[:, 0] - reference['x_c_m']).max(),
             np.abs(run.carrier[:, 1] - reference['y_c_m']).max(),
             np.abs(run.shaft - reference['theta_rad']).max(),

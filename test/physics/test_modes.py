@@ -6,6 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh, expm
 from scipy.optimize import brentq
+from slips import THICK
 
 from timo_sim.physics.bodies import Beam, Manipulator, Section
 from timo_sim.physics.galerkin import GalerkinModes
@@ -151,7 +152,6 @@ def test_cantilever_without_tip_body_is_that_of_the_textbook():
     assert omega == pytest.approx(expected, rel=2e-4)
 
 
-THICK = {'length': 0.08, 'tip': (0.05, 1e-5)}
 # Over the cut-off frequency; the project's own figures are those of an independent derivation.
 SECOND_SPECTRUM = [1.092444, 1.237599, 1.320646, 1.479275, 1.606153, 1.724787]
 
@@ -192,39 +192,6 @@ def test_second_spectrum_of_a_thick_arm():
     omega = modes_of(arm(**THICK), 21).omega
     assert np.abs(omega / expected - 1).max() < 1e-8
     assert (omega / ARM.cutoff)[7:13] == pytest.approx(SECOND_SPECTRUM, abs=5e-7)
-
-
-def test_the_printed_second_spectrum_is_wrong_and_the_corrected_one_right():
-    """(15) to (17) with A'_11, A'_22 as printed and as corrected, at the frequencies found."""
-    omega = modes_of(arm(**THICK), 21).omega[7:]
-    corrected = [second_frequency_equation(w, corrected=True) for w in omega]
-    printed = [second_frequency_equation(w, corrected=False) for w in omega]
-    assert np.abs(corrected).max() < 1e-9
-    assert np.median(np.abs(printed)) > 0.1
-
-
-def second_frequency_equation(omega, corrected):
-    """Return the left side of (17), divided by the sum of its terms' sizes."""
-    length, (m0, j0) = THICK['length'], THICK['tip']
-    r2, zeta = ARM.second_moment / ARM.area, ARM.young_modulus / (0.85 * ARM.shear_modulus)
-    rho_a = ARM.mass_per_length
-    o2 = np.sqrt(rho_a / ARM.bending_stiffness) * omega
-    root = np.sqrt(((1 - zeta) / 2)**2 * r2**2 * o2**2 + 1)
-    alpha = np.sqrt(o2 * ((1 + zeta) / 2 * r2 * o2 + root))
-    beta = np.sqrt(o2 * ((1 + zeta) / 2 * r2 * o2 - root))
-    nu = zeta * r2 * o2**2
-    la, lb = (nu - alpha**2) / alpha, (nu - beta**2) / beta
-    sa, ca, sb, cb = (f(k * length) for k in (alpha, beta) for f in (np.sin, np.cos))
-    sign, last = (1, lb) if corrected else (-1, la)
-    a11 = [-m0 / rho_a * nu * sa, (alpha + la) * ca, m0 / rho_a * la / lb * nu * sb,
-           -la * (beta / lb + sign) * cb]
-    a12 = [-m0 / rho_a * nu * ca, -(alpha + la) * sa, m0 / rho_a * nu * cb, (beta + lb) * sb]
-    a21 = [la * alpha * sa, j0 / rho_a * la * o2**2 * ca, -la * beta * sb,
-           -j0 / rho_a * la * o2**2 * cb]
-    a22 = [la * alpha * ca, -j0 / rho_a * la * o2**2 * sa, -lb * beta * cb,
-           j0 / rho_a * last * o2**2 * sb]
-    size = np.sum(np.abs(a11)) * np.sum(np.abs(a22)) + np.sum(np.abs(a12)) * np.sum(np.abs(a21))
-    return (sum(a11) * sum(a22) - sum(a12) * sum(a21)) / size
 
 
 def tapered(height=0.02, ratio=0.5, **tip):

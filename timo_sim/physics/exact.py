@@ -1,23 +1,25 @@
 """
 The `exact` formulation: geometrically exact kinematics on assumed strain modes.
 
+Numbers (T..) are those of doc/theory.md, section 6.
+
 Section rotation and shear strain are expanded in the modes and the arm is inextensible. With the
 shaft angle as coordinate q_0 (`Phi_0 = 1`, `Gamma_0 = 0`) and `Gamma_n = W_n' - Phi_n`,
 
-    phi = sum Phi_i q_i     gamma = sum Gamma_i q_i     i = 0..N
+    phi = sum Phi_i q_i     gamma = sum Gamma_i q_i     i = 0..N                (T19)
 
 are the rotation in world axes and the shear strain of a section. The slope (a, b) of the centre
 line in world axes and its derivative with respect to q_i follow without approximation:
 
-    a = cos phi - gamma sin phi     C1_i = -b Phi_i - sin(phi) Gamma_i
-    b = sin phi + gamma cos phi     C2_i =  a Phi_i + cos(phi) Gamma_i
+    a = cos phi - gamma sin phi     C1_i = -b Phi_i - sin(phi) Gamma_i          (T20)
+    b = sin phi + gamma cos phi     C2_i =  a Phi_i + cos(phi) Gamma_i          (T21)
 
 The equations are Hamilton's. With the mass centre (X, Y) in place of the carrier, translation
 separates; what is left are the coordinates q_i and their momenta p_i = M_ij q_j', with
-`M_ij = Xi_ij + C1_i K C1_j + C2_i K C2_j`:
+`M_ij = Xi_ij + C1_i K C1_j + C2_i K C2_j` (T23):
 
-    X'   = P_x / m_t         P_x' = F_x          (the same in y)
-    q_i' = (M^-1 p)_i        p_i' = dT/dq_i - omega_i^2 q_i - 2 zeta_i omega_i q_i' + Q_i
+    X'   = P_x / m_t         P_x' = F_x          (the same in y)                (T24)
+    q_i' = (M^-1 p)_i        p_i' = dT/dq_i - omega_i^2 q_i - 2 zeta_i omega_i q_i' + Q_i  (T25)
 
 where Q holds the shaft torque and the force on the carrier as seen from the mass centre. The
 momenta of a free manipulator, P and p_0 (spin about the mass centre), are constant by
@@ -25,9 +27,10 @@ construction. Nodal values act through two constant arrays: `d = D^T m`, and for
 axis a kernel, `K = D^T diag(m) D - d d^T / m_t` of the masses about their centre.
 
 A carrier held along an axis takes the mass centre's place there: its coordinate and momentum are
-struck out, and the kernel is the one about the root, without `d d^T / m_t`. With one axis held the
-kernels differ, and T depends on the shaft angle too. Of a driven shaft q_0 and q_0' are given: p_0
-is struck out, and the other momenta keep their share `M_i0 q_0'`; its acceleration is not needed.
+struck out, and the kernel is the one about the root, without `d d^T / m_t` (T27). With one axis
+held the kernels differ, and T depends on the shaft angle too. Of a driven shaft q_0 and q_0' are
+given: p_0 is struck out, and the other momenta keep their share `M_i0 q_0'` (T28); its
+acceleration is not needed.
 """
 
 from typing import NamedTuple
@@ -74,7 +77,7 @@ COS, SIN, A, B, G1, G2, TURN, SHEAR = range(8)
 
 @inner
 def _set_slopes(state, load, tables, space):
-    """Set q, cosine and sine of phi, a, b, C1 and C2."""
+    """Set q, cosine and sine of phi, a, b (T20), C1 and C2 (T21)."""
     node, slope, rotation, shear = space.node, space.slope, tables.rotation, tables.shear
     count, nodes = rotation.shape
     first, coordinate = tables.first, space.coordinate
@@ -101,7 +104,7 @@ def _set_slopes(state, load, tables, space):
 
 @inner
 def _set_speed(state, load, tables, space):
-    """Set M, the images of C1 and C2, and q' from the momenta by Cholesky."""
+    """Set M (T23), the images of C1 and C2, and q' from the momenta (T28) by Cholesky."""
     slope, image, kernel, matrix = space.slope, space.image, tables.kernel, space.matrix
     rotary, speed, first = tables.rotary, space.speed, tables.first
     count, nodes = tables.rotation.shape
@@ -164,8 +167,8 @@ def _rate(tables, state, load, space, out):
             total -= tables.straight[i - first, j - first] * state[momenta + j]
         out[coordinates + i] = total
 
-    # dT/dq_i = sum_j Phi_ij A_j + Gamma_ij B_j, from (g1, g2) = K (a', b') and the rates of phi
-    # and gamma.
+    # (T26): dT/dq_i = sum_j Phi_ij A_j + Gamma_ij B_j, from (g1, g2) = K (a', b') and the rates of
+    # phi and gamma.
     for j in range(nodes):
         node[G1, j] = 0.0
         node[G2, j] = 0.0
@@ -190,7 +193,7 @@ def _rate(tables, state, load, space, out):
         if i or len(axes) == 1:
             for j in range(nodes):
                 total += rotation[i, j] * node[G1, j] + shear[i, j] * node[G2, j]
-        # The carrier is at the mass centre minus d . (a, b) / m_t.
+        # (T22): the carrier is at the mass centre minus d . (a, b) / m_t.
         for k in range(len(axes)):
             axis = axes[k]
             for j in range(nodes):

@@ -16,7 +16,7 @@ class GalerkinModes:
     values of G are 1/omega_n: exact to round-off of the largest, which costs omega_n / omega_1 in
     relative accuracy and not its square. The sign makes the root curvature positive.
 
-    Source: weak form of the paper's (1), (2) with M, J of its Remark 1.
+    Source: weak form of the paper's (1), (2) with M, J of its Remark 1; doc/theory.md (T8).
 
     Parameters
     ----------

@@ -43,7 +43,8 @@ class UniformModes:
     mode. All are analytic in s, so nothing happens at the cut-off. The sign makes the root
     curvature positive.
 
-    Source: paper eqs. (8)-(19), (23), with the corrections listed in doc/theory.md.
+    Source: paper eqs. (8)-(19), (23), with the corrections listed in doc/paper.md;
+    doc/theory.md (T5), (T6), and (T7) for the boundary conditions.
 
     Parameters
     ----------

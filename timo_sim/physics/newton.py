@@ -1,6 +1,8 @@
 """
 The `newton` formulation: the paper's equations, projected on the modes.
 
+Numbers (T..) are those of doc/theory.md, section 3; plain ones are the paper's.
+
 Deflection and rotation are expanded, `w = sum W_n q_n`, `phi = sum Phi_n q_n` (36); a point of the
 centre line is at (xi, w) in the turning axes, so its acceleration is (26), (27). With M(xi), J(xi)
 of Remark 1 and
@@ -11,13 +13,13 @@ of Remark 1 and
 (28), (29) projected on the modes and (33) are, with `alpha` and `beta` the carrier's acceleration
 along axes I and II, and the modal stress `r_n = omega_n^2 q_n + 2 zeta_n omega_n q_n'`,
 
-    J_0 theta'' + b.q'' + s beta = tau + theta'^2 c.q
-    q_n'' + b_n theta'' + a_n beta = theta'^2 (G q)_n - r_n
+    J_0 theta'' + b.q'' + s beta = tau + theta'^2 c.q                    (T14)
+    q_n'' + b_n theta'' + a_n beta = theta'^2 (G q)_n - r_n              (T10)
 
 and the reactions of the root on the carrier, in (31), (32), are integrals over the arm:
 
-    P(0) = -m_a alpha + theta'' a.q + 2 theta' a.q' + theta'^2 s
-    V(0) = -m_a beta - s theta'' - a.q'' + theta'^2 a.q
+    P(0) = -m_a alpha + theta'' a.q + 2 theta' a.q' + theta'^2 s         (T11)
+    V(0) = -m_a beta - s theta'' - a.q'' + theta'^2 a.q                  (T12)
 
 The formulations derived from this one change rows of these tables, see `Laws`. The first two rows
 have a constant matrix A for z = (theta'', q''). It is inverted once and leaves `z = z_0 - v beta`;
@@ -130,7 +132,7 @@ def _rate(tables, state, load, space, out):
     axial = bent * swing + 2.0 * omega * _dot(tables.axial, qdot) + omega**2 * tables.lever
     shear = linear_shear - _dot(tables.shear_row, z) + omega**2 * _dot(tables.shear_softening, q)
 
-    # (31), (32), solved for the carrier's acceleration in world axes.
+    # (T15), solved for the carrier's acceleration in world axes.
     cosine, sine = np.cos(theta), np.sin(theta)
     tilt = bent * tables.response[0]  # -P(0) per beta
     carrier = space.carrier
@@ -186,7 +188,7 @@ class Newton(Formulation):
         Shaft speed from which on the arm buckles away from the carrier [rad/s].
 
         The inertia force theta'^2 w acts as a negative stiffness, and the tension that would
-        counter it is not in the equations.
+        counter it is not in the equations. Source: doc/theory.md (T16).
         """
         if not len(self.modes):
             return np.inf

@@ -1,14 +1,12 @@
 """Draw the arm in the paper's scene: `make picture` writes doc/arm.png."""
 
-from pathlib import Path
-
 import matplotlib
 import numpy as np
+from references import read, ROOT
 
 import timo_sim
 
 matplotlib.use('Agg')
-ROOT = Path(__file__).resolve().parents[1]
 LENGTH = 2.0
 # Okabe-Ito colours, told apart by everyone.
 BLUE, ORANGE, GREY = '#0072B2', '#D55E00', '#999999'
@@ -21,9 +19,7 @@ def main():
     scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml',
                                 {'model.modes': 5, 'integrator.step': 0.005})
     run = timo_sim.simulate(scene, 10.0, every=2)
-    names, *rows = (ROOT / 'test' / 'data' / 'reference_table4.csv').read_text().split()
-    reference = np.array([row.split(',') for row in rows], dtype=float)
-    across = reference[:, names.split(',').index('w_l_m')]
+    across = read('paper')[1]['w_l_m']
 
     figure, (plane, shape, time) = plt.subplots(
         1, 3, figsize=(15, 5), layout='constrained', width_ratios=[1, 1, 1.5])
@@ -49,7 +45,7 @@ def main():
     shape.set(xlabel='along the arm, I [m]', ylabel='across, II [mm]',
               title=f'bent arm, every 30 ms\nuntil its largest bend at {run.t[peak]:.2f} s')
 
-    time.plot(run.t, 1e3 * across, color=GREY, lw=4, label='400 finite elements')
+    time.plot(run.t, 1e3 * across, color=GREY, lw=4, label='finite elements')
     time.plot(run.t, 1e3 * run.deflection(LENGTH)[:, 1], color=BLUE, lw=1.5,
               label='timo_sim, 5 modes, 5 ms')
     error = np.abs(run.deflection(LENGTH)[:, 1] - across).max()

@@ -1,0 +1,33 @@
+"""Deflections far from small: a tip turned by more than 60 degrees, against the elastica."""
+
+import elastica
+import numpy as np
+import pytest
+
+import timo_sim
+
+LOAD = 3.2
+
+
+def test_the_boundary_value_solver_gives_the_closed_form():
+    section = timo_sim.load_scene(elastica.ARM).manipulator.arm.section
+    load = LOAD * section.bending_stiffness / elastica.LENGTH**2
+    found, closed = elastica.boundary_value(section, load, 0.0), elastica.elastica(LOAD)
+    # Shear: EI / (kappa G A l^2) = 1.6e-6 of the deflection.
+    assert np.abs(found - closed).max() < 5e-6
+
+
+@pytest.mark.parametrize('modes, rotation, deflection', [
+    (1, 3.0, 2e-2), (3, 5e-2, 5e-5), (5, 5e-3, 2e-6)])
+def test_exact_agrees_with_the_elastica(modes, rotation, deflection):
+    run, truth = elastica.compare(modes, LOAD)
+    assert np.degrees(truth[0]) > 60.0
+    error = np.abs(run - truth)
+    assert np.degrees(error[0]) < rotation
+    assert elastica.LENGTH * error[1] < deflection
+    assert elastica.LENGTH * error[2] < 2.0 * deflection + 2e-6
+
+
+def test_newton_does_not():
+    run, truth = elastica.compare(5, LOAD, 'newton')
+    assert elastica.LENGTH * np.abs(run - truth)[1] > 0.5

@@ -1,0 +1,41 @@
+"""The benchmark's peers integrate the same equations: they agree, and with their own orders."""
+
+import numpy as np
+import peers
+import pytest
+
+import timo_sim
+
+SCENE = {'model.modes': 1, 'initial.shaft_velocity': 1.0, 'initial.modal_rates': [0.3],
+         'load.torque.harmonic.amplitude': [5.0], 'load.torque.harmonic.frequency': [1.0],
+         'load.force_x.piecewise.time': [0.2], 'load.force_x.piecewise.value': [4.0]}
+DURATION = 0.4
+
+
+@pytest.fixture(scope='module')
+def truth():
+    scene = timo_sim.load_scene(SCENE, {'integrator.step': 0.0005})
+    return timo_sim.simulate(scene, DURATION).motion[-1]
+
+
+def test_scipy_agrees(truth):
+    scene = timo_sim.load_scene(SCENE)
+    load, jumps = peers.load_function(scene)
+    motions = peers.adaptive('DOP853', scene.build(), scene.initial_motion(), load, jumps,
+                             np.array([0.0, 0.1, DURATION]), 1e-11)
+    assert jumps == [0.2]
+    assert np.abs(motions[-1] - truth).max() < 1e-9
+
+
+@pytest.mark.parametrize('method, order', [
+    ('RK4', 4), ('implicit midpoint', 2), ('generalized-alpha', 2)])
+def test_fixed_steps_converge_with_their_order(method, order, truth):
+    errors = []
+    for step in (0.01, 0.005, 0.0025):
+        scene = timo_sim.load_scene(SCENE, {'integrator.step': step})
+        steps = round(DURATION / step)
+        motions = peers.fixed_step(method, scene.build(), scene.initial_motion(),
+                                   scene.load.stages(0, steps, step), step, steps)
+        errors.append(np.abs(motions[-1] - truth).max())
+    observed = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert observed == pytest.approx(order, abs=0.3)
