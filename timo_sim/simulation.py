@@ -13,7 +13,7 @@ from timo_sim.run import Run
 
 # Steps whose loads are worked out at once: long enough to make that cheap, short enough for a
 # progress bar.
-_CHUNK = 2048
+_CHUNK, _FEW = 2048, 256
 
 
 class DivergenceError(ArithmeticError):
@@ -76,8 +76,9 @@ class Simulator:
         first = self.steps - self._origin
         begin, block = self._block
         if not begin <= first <= first + count <= begin + len(block):
-            begin, block = first, self.scene.load.stages(first, max(count, _CHUNK),
-                                                         self.scene.step)
+            # A node asks for few at a time.
+            ahead = count if count >= _FEW else _CHUNK
+            begin, block = first, self.scene.load.stages(first, ahead, self.scene.step)
             self._block = begin, block
         return block[first - begin:first - begin + count]
 
