@@ -248,7 +248,7 @@ def measure(scene, quick):
     """Run all cases of a scene, taking turns; return the cases and the reference's comment."""
     comment, truth = of_reference(scene)
     cases = cases_of(scene, quick)
-    budget, most = (1.0, 3) if quick else (5.0, 7)  # [s] for a case, and its repetitions
+    budget, most = (1.0, 3) if quick else (2.0, 5)  # [s] for a case, and its repetitions
     for turn in range(most):
         for case in cases:
             if turn and (not case.errors or sum(case.times) * (1 + 1 / turn) > budget):

@@ -68,7 +68,7 @@ class Space(NamedTuple):
     matrix: np.ndarray      # M, then its Cholesky factor, (1 + N, 1 + N)
     coordinate: np.ndarray  # q_i, (1 + N,)
     speed: np.ndarray       # q_i', (1 + N,)
-    push: np.ndarray        # force on the carrier over m_t, (2,)
+    push: np.ndarray        # force on the carrier, over m_t where it is free, (2,)
 
 
 # Rows of Space.node.
@@ -159,6 +159,7 @@ def _rate(tables, state, load, space, out):
     for k in range(len(axes)):
         out[k] = 0.0
         out[half + k] = push[axes[k]]
+        push[axes[k]] /= tables.mass
 
     # q': what the mass matrix of the straight arm does not account for.
     for i in range(first, count):
@@ -196,8 +197,10 @@ def _rate(tables, state, load, space, out):
         # (T22): the carrier is at the mass centre minus d . (a, b) / m_t.
         for k in range(len(axes)):
             axis = axes[k]
+            moment = 0.0
             for j in range(nodes):
-                total -= lever[j] / tables.mass * push[axis] * slope[axis, i, j]
+                moment += lever[j] * slope[axis, i, j]
+            total -= push[axis] * moment
         out[momenta + i] = total - tables.damping[i] * out[coordinates + i]
 
 
