@@ -183,8 +183,7 @@ def modes(scene, elements, count):
     system.Assemble()
     settings = exudyn.SimulationSettings()
     settings.linearSolverType = exudyn.LinearSolverType.EigenSparse
-    # Twice as many: axial modes lie between those in bending. The sparse solver iterates with
-    # the inverse of the stiffness; the dense one loses 1e-6 of the lowest frequencies.
+    # Twice as many: axial modes lie between those in bending.
     square, shape = system.ComputeODE2Eigenvalues(
         settings, useSparseSolver=True, numberOfEigenvalues=2 * count,
         constrainedCoordinates=[0, 1, 2])

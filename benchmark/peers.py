@@ -22,6 +22,16 @@ def _full(tables, linear, state, load, space, out):
 
 
 @numba.njit
+def _record(tables, state, load, k, every, samples, space):
+    """Sample the motion after step k where that is due; return whether the state is finite."""
+    if not np.all(np.isfinite(state)):
+        return False
+    if (k + 1) % every == 0:
+        observe(tables, state, load, space, samples[(k + 1) // every - 1])
+    return True
+
+
+@numba.njit
 def rk4(tables, linear, state, loads, step, every, samples, space):
     """Integrate by the classical Runge-Kutta method; return the steps done."""
     k1, k2, k3, k4 = np.zeros((4, len(state)))
@@ -31,10 +41,8 @@ def rk4(tables, linear, state, loads, step, every, samples, space):
         _full(tables, linear, state + 0.5 * step * k2, loads[k, 1], space, k3)
         _full(tables, linear, state + step * k3, loads[k, 2], space, k4)
         state += step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        if not np.all(np.isfinite(state)):
+        if not _record(tables, state, loads[k, 2], k, every, samples, space):
             return k
-        if (k + 1) % every == 0:
-            observe(tables, state, loads[k, 2], space, samples[(k + 1) // every - 1])
     return len(loads)
 
 
@@ -52,10 +60,8 @@ def implicit_midpoint(tables, linear, state, loads, step, every, samples, space)
             if not change > TOLERANCE * np.abs(middle).max():
                 break
         state[:] = 2.0 * middle - state
-        if not np.all(np.isfinite(state)):
+        if not _record(tables, state, loads[k, 2], k, every, samples, space):
             return k
-        if (k + 1) % every == 0:
-            observe(tables, state, loads[k, 2], space, samples[(k + 1) // every - 1])
     return len(loads)
 
 
@@ -90,10 +96,8 @@ def generalized_alpha(tables, linear, state, loads, step, every, samples, space)
                 break
         state += step * ((1.0 - gamma) * old + gamma * new)
         old[:] = new
-        if not np.all(np.isfinite(state)):
+        if not _record(tables, state, loads[k, 2], k, every, samples, space):
             return k
-        if (k + 1) % every == 0:
-            observe(tables, state, loads[k, 2], space, samples[(k + 1) // every - 1])
     return len(loads)
 
 

@@ -25,6 +25,13 @@ def read(name):
     return comment, dict(zip(names, np.array(rows, dtype=float).T))
 
 
+def world(theta, carrier, along, across):
+    """Return points of the arm frame in world axes, all of shape (n,), carrier (n, 2) [m]."""
+    cosine, sine = np.cos(theta), np.sin(theta)
+    return carrier + np.column_stack([cosine * along - sine * across,
+                                      sine * along + cosine * across])
+
+
 def station(reference, name, length):
     """
     Return position and angle of a section of the finite-element model.
@@ -42,10 +49,8 @@ def station(reference, name, length):
     if name == '0':
         return carrier, theta
     along = STATIONS[name] * length + reference[f'u_{name}_m']
-    across = reference[f'w_{name}_m']
-    turned = np.column_stack([np.cos(theta) * along - np.sin(theta) * across,
-                              np.sin(theta) * along + np.cos(theta) * across])
-    return carrier + turned, theta + reference[f'phi_{name}_rad']
+    return (world(theta, carrier, along, reference[f'w_{name}_m']),
+            theta + reference[f'phi_{name}_rad'])
 
 
 def spin_up():

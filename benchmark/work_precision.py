@@ -14,234 +14,25 @@ for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
     os.environ[threads] = '1'
 
 import argparse  # noqa: E402
-from dataclasses import dataclass, field  # noqa: E402
 import json  # noqa: E402
 import platform  # noqa: E402
-import statistics  # noqa: E402
-import time  # noqa: E402
-from typing import Callable  # noqa: E402
 import warnings  # noqa: E402
 
+from cases import (  # noqa: E402
+    cases_of, ENGINE, errors_of, of_reference, OWN, REDUCED, SCENES)
 import elastica  # noqa: E402
 import exudyn  # noqa: E402
-import finite_elements  # noqa: E402
 import matplotlib  # noqa: E402
 matplotlib.use('Agg')
 import matplotlib.pyplot as plt  # noqa: E402
 import numba  # noqa: E402
 import numpy as np  # noqa: E402
-import peers  # noqa: E402
-from references import read, ROOT, spin_up, TORQUE  # noqa: E402
+from references import ROOT  # noqa: E402
 import scipy  # noqa: E402
 
 import timo_sim  # noqa: E402
-from timo_sim.physics import FORMULATIONS  # noqa: E402
-from timo_sim.simulation import Simulator  # noqa: E402
 
 GOALS = (1e-3, 1e-4, 1e-5)  # errors in the tip deflection of the headline [m]
-OWN = tuple(FORMULATIONS)
-ENGINE, REDUCED = 'exudyn, geometrically exact', 'exudyn, reduced floating frame'
-
-
-@dataclass
-class Scene:
-    """A scene with its reference."""
-
-    name: str
-    title: str
-    source: object      # for `load_scene`
-    duration: float     # [s]
-    period: float       # of the reference [s]
-    drive: tuple | None
-    columns: dict = field(default_factory=dict)
-
-    def load(self, **overrides):
-        """Return the scene with overrides, dots written as double underscores."""
-        values = {name.replace('__', '.'): value for name, value in overrides.items()}
-        return timo_sim.load_scene(self.source, values)
-
-    @property
-    def length(self):
-        """Length of the arm [m]."""
-        return self.load().manipulator.arm.length
-
-
-SCENES = [
-    Scene('paper', "the paper's scene, Table 4, 10 s", ROOT / 'config' / 'paper.yaml', 10.0,
-          0.01, None),
-    Scene('torque', 'torque steps, +20, -20, 0 N m, 5 s', TORQUE, 5.0, 0.01, None),
-    Scene('spin_up', 'spin-up of a 10 m arm, 20 s', ROOT / 'config' / 'spin_up.yaml', 20.0, 0.02,
-          spin_up()),
-]
-
-
-@dataclass
-class Case:
-    """A method with its settings: what to run, and what came out."""
-
-    method: str
-    settings: str
-    run: Callable    # () -> (seconds, function() -> dict of columns), or None if it diverges
-    order: tuple = ()
-    times: list = field(default_factory=list)
-    errors: dict | None = None
-
-    @property
-    def seconds(self):
-        """Median time [s]."""
-        return statistics.median(self.times)
-
-
-def tip_columns(theta, carrier, along, across):
-    """Return what errors are taken of: theta, tip deflection and tip position."""
-    cosine, sine = np.cos(theta), np.sin(theta)
-    position = carrier + np.column_stack([cosine * along - sine * across,
-                                          sine * along + cosine * across])
-    return {'theta': theta, 'w_l': across, 'tip': position}
-
-
-def of_motions(model, scene, motions):
-    """Return the same of motions, shape (n, 2 (3 + N))."""
-    tip = model.at([scene.length])
-    count = len(model.modes)
-    place = model.centre_line(motions[:, 3:3 + count], tip)[:, 0]
-    return tip_columns(motions[:, 2], motions[:, :2], *place.T)
-
-
-def of_reference(scene):
-    """Return the same of the stored reference, and its comment."""
-    comment, stored = read(scene.name)
-    theta = stored.get('theta_rad')
-    carrier = np.zeros((len(stored['t']), 2))
-    if theta is None:
-        theta = np.array([scene.drive[0](t) for t in stored['t']])
-    else:
-        carrier = np.column_stack([stored['x_c_m'], stored['y_c_m']])
-    return comment, tip_columns(theta, carrier, scene.length + stored['u_l_m'], stored['w_l_m'])
-
-
-def errors_of(columns, truth, stride):
-    """Return the largest differences from every stride-th sample of the reference."""
-    result = {}
-    for name, values in columns.items():
-        difference = values - truth[name][stride::stride][:len(values)]
-        size = np.abs(difference) if difference.ndim == 1 else np.hypot(*difference.T)
-        result[name] = float(size.max())
-    return result
-
-
-def own_case(scene, formulation, modes, step):
-    """Return a case of this package."""
-    period = max(scene.period, step)
-    simulator = Simulator(scene.load(model__formulation=formulation, model__modes=modes,
-                                     integrator__step=step))
-    simulator.warm_up()
-
-    def run():
-        simulator.reset()
-        steps, every = round(scene.duration / step), round(period / step)
-        samples = np.empty((steps // every, simulator.formulation.size))
-        start = time.process_time()
-        try:
-            simulator.advance(simulator.scene_loads(steps), every, samples)
-        except timo_sim.DivergenceError:
-            return None
-        seconds = time.process_time() - start
-        return seconds, lambda: of_motions(simulator.formulation, scene, samples)
-    return Case(formulation, f'N = {modes}, h = {1e3 * step:g} ms', run, (modes, step))
-
-
-def fixed_step_case(scene, method, modes, step):
-    """Return a case of a compiled peer on the `exact` equations."""
-    checked = scene.load(model__modes=modes, integrator__step=step)
-    model, start = checked.build(), checked.initial_motion()
-    peers.fixed_step(method, model, start, checked.load.stages(0, 1, step), step, 1)  # compiles
-
-    def run():
-        begin = time.process_time()
-        loads = checked.load.stages(0, round(scene.duration / step), step)
-        samples = peers.fixed_step(method, model, start, loads, step,
-                                   round(max(scene.period, step) / step))
-        seconds = time.process_time() - begin
-        if samples is None:
-            return None
-        return seconds, lambda: of_motions(model, scene, samples)
-    return Case(method, f'N = {modes}, h = {1e3 * step:g} ms', run, (modes, step))
-
-
-def adaptive_case(scene, method, modes, tolerance):
-    """Return a case of a SciPy solver on the `exact` equations."""
-    checked = scene.load(model__modes=modes)
-    model, start = checked.build(), checked.initial_motion()
-    load, jumps = peers.load_function(checked, scene.drive)
-    model.rate(model.state(start), load(0.0))  # compiles
-    times = np.arange(round(scene.duration / scene.period) + 1) * scene.period
-
-    def run():
-        begin = time.process_time()
-        samples = peers.adaptive(method, model, start, load, jumps, times, tolerance)
-        seconds = time.process_time() - begin
-        return seconds, lambda: of_motions(model, scene, samples)
-    return Case(method, f'N = {modes}, rtol = {tolerance:g}', run, (modes, tolerance))
-
-
-def engine_case(scene, elements, step):
-    """Return a case of exudyn with geometrically exact elements."""
-    checked = scene.load(initial__shaft=0.0) if scene.drive else scene.load()
-
-    def run():
-        try:
-            found = finite_elements.simulate(
-                checked, elements, step, scene.duration,
-                round(max(scene.period, step) / step), scene.drive,
-                # The reference of the driven arm is inextensible, as the other methods are.
-                axial_factor=100.0 if scene.drive else 1.0)
-        except exudyn.SolverError:
-            return None
-        theta = found['theta_rad'][1:]
-        carrier = np.column_stack([found['x_c_m'], found['y_c_m']])[1:]
-        return found['solver_seconds'], lambda: tip_columns(
-            theta, carrier, scene.length + found['u_l_m'][1:], found['w_l_m'][1:])
-    return Case(ENGINE, f'{elements} elements, h = {1e3 * step:g} ms', run, (elements, step))
-
-
-def reduced_case(scene, modes, step):
-    """Return a case of exudyn's modally reduced floating frame."""
-    checked = scene.load()
-
-    def run():
-        found = finite_elements.reduced(checked, modes, step, scene.duration,
-                                        round(scene.period / step))
-        theta = found['theta_rad'][1:]
-        carrier = np.column_stack([found['x_c_m'], found['y_c_m']])[1:]
-        return found['solver_seconds'], lambda: tip_columns(
-            theta, carrier, np.full(len(theta), scene.length), found['w_l_m'][1:])
-    return Case(REDUCED, f'{modes} modes, h = {1e3 * step:g} ms', run, (modes, step))
-
-
-def cases_of(scene, quick):
-    """Return the cases of a scene."""
-    steps = [0.02, 0.01, 0.005, 0.002, 0.001]
-    cases = [own_case(scene, formulation, modes, step)
-             for formulation in (OWN[:2] if quick else OWN)
-             for modes in ((2, 3, 5) if quick else range(1, 9))
-             for step in steps + ([] if quick else [0.0005, 0.0002, 0.0001])]
-    cases += [fixed_step_case(scene, method, modes, step) for method in peers.FIXED_STEP
-              for modes in ((5,) if quick else (3, 5))
-              for step in ([0.001] if quick else [0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001])]
-    cases += [adaptive_case(scene, method, modes, tolerance) for method in ('DOP853', 'Radau')
-              for modes in ((3,) if quick else (3, 5))
-              for tolerance in ((1e-4,) if quick else (1e-2, 1e-4, 1e-6, 1e-8))]
-    meshes = (20, 40) if quick else (20, 40, 60, 100, 200, 400)
-    coarse = [0.02, 0.01, 0.005, 0.002] if scene.drive else [0.005, 0.002, 0.001, 0.0005]
-    if not (quick and scene.drive):
-        cases += [engine_case(scene, elements, step) for elements in meshes
-                  for step in (coarse[1:3] if quick else coarse + (
-                      [0.001] if scene.drive else [0.0002, 0.0001]))]
-    if not scene.drive:
-        cases += [reduced_case(scene, modes, step) for modes in ((5,) if quick else (3, 5, 8))
-                  for step in ([0.001] if quick else [0.005, 0.002, 0.001, 0.0005])]
-    return cases
 
 
 def measure(scene, quick):

@@ -196,7 +196,7 @@ def test_second_spectrum_of_a_thick_arm():
 
 def tapered(height=0.02, ratio=0.5, **tip):
     """Return an arm whose height falls linearly to `ratio` of that at the root."""
-    section = Section(0.02, np.array([height, ratio * height]), 2710.0, 70.5e9, 27e9, 0.85)
+    section = Section(0.02, (height, ratio * height), 2710.0, 70.5e9, 27e9, 0.85)
     return arm(section=section, positions=(0.0, LENGTH), **tip)
 
 
@@ -213,8 +213,8 @@ def test_tapered_cantilever_is_that_of_the_literature():
 def test_varying_section_against_shooting(jump):
     """(1), (2) as first-order equations, integrated from the root by DOP853."""
     if jump:
-        body = arm(section=Section(0.02, np.array([0.03, 0.02, 0.01, 0.01]), 2710.0, np.array(
-            [70.5e9, 70.5e9, 10e9, 12e9]), 27e9, 0.85), positions=(0.0, 0.7, 0.7, LENGTH))
+        body = arm(section=Section(0.02, (0.03, 0.02, 0.01, 0.01), 2710.0, (
+            70.5e9, 70.5e9, 10e9, 12e9), 27e9, 0.85), positions=(0.0, 0.7, 0.7, LENGTH))
     else:
         body = tapered()
     beam = body.arm
@@ -260,7 +260,7 @@ def test_varying_modes_are_orthonormal_and_carry_their_root_reactions():
 
 
 def test_an_arm_described_in_pieces_is_the_uniform_arm():
-    pieces = Section(0.02, np.full(3, 0.02), 2710.0, 70.5e9, 27e9, 0.85)
+    pieces = Section(0.02, (0.02, 0.02, 0.02), 2710.0, 70.5e9, 27e9, 0.85)
     split = modes_of(arm(section=pieces, positions=(0.0, 0.31, LENGTH)), 8)
     whole = modes_of(arm(), 8)
     assert isinstance(whole, UniformModes) and isinstance(split, GalerkinModes)

@@ -23,8 +23,6 @@ class GalerkinModes:
     manipulator : Manipulator
     count : int
         Number of modes N.
-    terms : int, optional
-        Nodes along the arm.
 
     Attributes
     ----------
@@ -33,11 +31,11 @@ class GalerkinModes:
 
     """
 
-    def __init__(self, manipulator, count, terms=None):
+    def __init__(self, manipulator, count):
         arm = manipulator.arm
-        # A wave needs pi nodes; 40 modes of a slender arm need count + 20 for 1e-11, and a heavy
-        # tip or a strong taper some more.
-        terms = terms or 2 * count + 30
+        # Two nodes for each mode give 1e-12 at the fortieth of a slender arm; the rest is margin
+        # for a heavy tip or a strong taper.
+        terms = 2 * count + 30
         self._strains = nodes = Quadrature(arm.breaks, terms)
         # Products of two fields, and a section cubic in xi, are integrated exactly.
         self._fields = fine = Quadrature(arm.breaks, terms, extra=3)

@@ -1,5 +1,7 @@
 """Eigenfrequencies and mode shapes of the arm clamped at its root, tip mass and inertia on it."""
 
+import functools
+
 import numpy as np
 from scipy.optimize import brentq
 
@@ -7,9 +9,12 @@ from timo_sim.physics.galerkin import GalerkinModes
 from timo_sim.physics.quadrature import Quadrature
 
 
+@functools.lru_cache(maxsize=16)
 def modes_of(manipulator, count):
     """
     Return the lowest modes of a manipulator's arm, both spectra together.
+
+    Kept for those that ask again: the check of a scene, its projection, its run.
 
     Parameters
     ----------

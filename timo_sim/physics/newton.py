@@ -183,19 +183,6 @@ class Newton(Formulation):
         return 4 * count + 40
 
     @property
-    def speed_limit(self):
-        """
-        Shaft speed from which on the arm buckles away from the carrier [rad/s].
-
-        The inertia force theta'^2 w acts as a negative stiffness, and the tension that would
-        counter it is not in the equations. Source: doc/theory.md (T16).
-        """
-        if not len(self.modes):
-            return np.inf
-        weak = self.gram / np.outer(self.modes.omega, self.modes.omega)
-        return 1.0 / np.sqrt(np.linalg.eigvalsh(weak)[-1])
-
-    @property
     def lever(self):
         """Static moment of the arm about its root, s [kg m]."""
         return self.point_mass @ self.points.xi
@@ -223,7 +210,12 @@ class Newton(Formulation):
                     self.moment, np.zeros(count), self.moment)
 
     def build(self):
-        """Return the tables and the linear part."""
+        """Return the tables and the linear part; set the speed limit."""
+        if len(self.modes):
+            # (T16): theta'^2 w acts as a negative stiffness, and the tension that would counter
+            # it is not in the equations.
+            weak = self.gram / np.outer(self.modes.omega, self.modes.omega)
+            self.speed_limit = 1.0 / np.sqrt(np.linalg.eigvalsh(weak)[-1])
         laws, base_mass = self.laws(), self.manipulator.base_mass
         stiffness, damping = self.modes.omega**2, 2.0 * self.damping * self.modes.omega
         free, axes = slice(self.first, None), len(self.axes)

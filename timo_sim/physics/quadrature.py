@@ -56,8 +56,8 @@ class Quadrature:
 
     def __init__(self, breaks, count, extra=0):
         shares = np.diff(breaks) / breaks[-1]
-        floor = _FEWEST if len(shares) > 1 else 1
-        counts = np.maximum(np.ceil(count * shares - 1e-9).astype(int), floor) + extra
+        # 1e-9: a share that is whole but for its rounding.
+        counts = np.maximum(np.ceil(count * shares - 1e-9).astype(int), _FEWEST) + extra
         self._spans = [(start, stop, *legendre.leggauss(n))
                        for start, stop, n in zip(breaks, breaks[1:], counts)]
         self.nodes = np.concatenate([start + 0.5 * (stop - start) * (x + 1.0)
