@@ -16,57 +16,57 @@ SPECTRAL_RADIUS = 0.9              # of generalized-alpha
 
 
 @numba.njit
-def _full(tables, linear, state, load, space, out):
-    rate(tables, state, load, space, out)
+def _full(tables, linear, state, load, out):
+    rate(tables, state, load, out)
     out += linear @ state
 
 
 @numba.njit
-def _record(tables, state, load, k, every, samples, space):
+def _record(tables, state, load, k, every, samples):
     """Sample the motion after step k where that is due; return whether the state is finite."""
     if not np.all(np.isfinite(state)):
         return False
     if (k + 1) % every == 0:
-        observe(tables, state, load, space, samples[(k + 1) // every - 1])
+        observe(tables, state, load, samples[(k + 1) // every - 1])
     return True
 
 
 @numba.njit
-def rk4(tables, linear, state, loads, step, every, samples, space):
+def rk4(tables, linear, state, loads, step, every, samples):
     """Integrate by the classical Runge-Kutta method; return the steps done."""
     k1, k2, k3, k4 = np.zeros((4, len(state)))
     for k in range(len(loads)):
-        _full(tables, linear, state, loads[k, 0], space, k1)
-        _full(tables, linear, state + 0.5 * step * k1, loads[k, 1], space, k2)
-        _full(tables, linear, state + 0.5 * step * k2, loads[k, 1], space, k3)
-        _full(tables, linear, state + step * k3, loads[k, 2], space, k4)
+        _full(tables, linear, state, loads[k, 0], k1)
+        _full(tables, linear, state + 0.5 * step * k1, loads[k, 1], k2)
+        _full(tables, linear, state + 0.5 * step * k2, loads[k, 1], k3)
+        _full(tables, linear, state + step * k3, loads[k, 2], k4)
         state += step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        if not _record(tables, state, loads[k, 2], k, every, samples, space):
+        if not _record(tables, state, loads[k, 2], k, every, samples):
             return k
     return len(loads)
 
 
 @numba.njit
-def implicit_midpoint(tables, linear, state, loads, step, every, samples, space):
+def implicit_midpoint(tables, linear, state, loads, step, every, samples):
     """Integrate by the implicit midpoint rule, the linear part solved for; return the steps."""
     inverse = np.linalg.inv(np.eye(len(state)) - 0.5 * step * linear)
     middle, nonlinear = state.copy(), np.zeros(len(state))
     for k in range(len(loads)):
         for _ in range(ITERATIONS):
-            rate(tables, middle, loads[k, 1], space, nonlinear)
+            rate(tables, middle, loads[k, 1], nonlinear)
             following = inverse @ (state + 0.5 * step * nonlinear)
             change = np.abs(following - middle).max()
             middle[:] = following
             if not change > TOLERANCE * np.abs(middle).max():
                 break
         state[:] = 2.0 * middle - state
-        if not _record(tables, state, loads[k, 2], k, every, samples, space):
+        if not _record(tables, state, loads[k, 2], k, every, samples):
             return k
     return len(loads)
 
 
 @numba.njit
-def generalized_alpha(tables, linear, state, loads, step, every, samples, space):
+def generalized_alpha(tables, linear, state, loads, step, every, samples):
     """
     Integrate by generalized-alpha for first-order systems; return the steps done.
 
@@ -79,7 +79,7 @@ def generalized_alpha(tables, linear, state, loads, step, every, samples, space)
     old, nonlinear = np.zeros(len(state)), np.zeros(len(state))
     for k in range(len(loads)):
         if k == 0 or np.any(loads[k, 0] != loads[k - 1, 2]):
-            _full(tables, linear, state, loads[k, 0], space, old)
+            _full(tables, linear, state, loads[k, 0], old)
         # The parabola through the three values of the load.
         s = alpha_f
         load = ((1.0 - s) * (1.0 - 2.0 * s) * loads[k, 0] + 4.0 * s * (1.0 - s) * loads[k, 1]
@@ -88,7 +88,7 @@ def generalized_alpha(tables, linear, state, loads, step, every, samples, space)
         known = (alpha_m - 1.0) * old + linear @ base
         new = old.copy()
         for _ in range(ITERATIONS):
-            rate(tables, base + alpha_f * gamma * step * new, load, space, nonlinear)
+            rate(tables, base + alpha_f * gamma * step * new, load, nonlinear)
             following = inverse @ (known + nonlinear)
             change = np.abs(following - new).max()
             new[:] = following
@@ -96,7 +96,7 @@ def generalized_alpha(tables, linear, state, loads, step, every, samples, space)
                 break
         state += step * ((1.0 - gamma) * old + gamma * new)
         old[:] = new
-        if not _record(tables, state, loads[k, 2], k, every, samples, space):
+        if not _record(tables, state, loads[k, 2], k, every, samples):
             return k
     return len(loads)
 
@@ -167,6 +167,5 @@ def fixed_step(method, model, start, loads, step, every):
     """Integrate by one of `FIXED_STEP`; return motions, or None if the state grows over all."""
     state = model.state(start)
     samples = np.empty((len(loads) // every, model.size))
-    done = FIXED_STEP[method](model.tables, model.linear, state, loads, step, every, samples,
-                              model.scratch())
+    done = FIXED_STEP[method](model.packed, model.linear, state, loads, step, every, samples)
     return samples if done == len(loads) else None

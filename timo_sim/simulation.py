@@ -8,6 +8,7 @@ from tqdm import tqdm
 
 from timo_sim.parameters import ParameterError, whole_ratio
 from timo_sim.physics import etdrk4
+from timo_sim.physics.compiled import record, size_mark
 from timo_sim.physics.formulation import ANGLE, LOADS
 from timo_sim.run import Run
 
@@ -42,7 +43,7 @@ class Simulator:
     def __init__(self, scene):
         self.scene = scene
         self.formulation = scene.build()
-        self._propagator = etdrk4.propagator(self.formulation.linear, scene.step)
+        self._propagator = record(etdrk4.propagator(self.formulation.linear, scene.step))
         self.steps = 0
         self.reset()
 
@@ -54,10 +55,19 @@ class Simulator:
         self._load = self.scene_loads(1)[0, 0].copy()
         self.caution = None
 
+    @property
+    def is_compiled(self):
+        """Whether machine code for a formulation of this size is on disk."""
+        mark = size_mark(self.formulation.packed, self._propagator)
+        return mark is not None and mark.exists()
+
     def warm_up(self):
         """Compile, or load from disk, what `advance` and `motion` call."""
         self.advance(np.zeros((0, etdrk4.STAGES, LOADS)))
         self.motion()
+        mark = size_mark(self.formulation.packed, self._propagator)
+        if mark is not None:
+            mark.touch()
 
     @property
     def nanoseconds(self):
@@ -103,7 +113,7 @@ class Simulator:
         """
         if samples is None:
             every, samples = len(loads) + 1, np.empty((0, self.formulation.size))
-        done = self.formulation.advance(self._state, loads, every, samples, self._propagator)
+        done = self.formulation.advance(self._propagator, self._state, loads, every, samples)
         self.steps += done
         if done:
             self._load = loads[done - 1, -1].copy()

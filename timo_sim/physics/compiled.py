@@ -1,15 +1,25 @@
-"""One decorator for everything that is compiled: numba, cached on disk, NaN-safe fast math."""
+"""
+What compiled code is made with: numba, cached on disk, NaN-safe fast math, known shapes.
+
+Loops of a reduced model are short. They become fast where the compiler knows their ends, and that
+no two arrays overlap: constants are packed into a `record`, of which the shapes are part of the
+type, and what a function computes on the way is `local` to it. One machine code per size follows.
+"""
 
 from contextlib import contextmanager
 import functools
 import hashlib
 import inspect
+import math
 import os
 from pathlib import Path
 import tempfile
 
+from llvmlite import ir
 import numba
-from numba.extending import overload
+from numba.core import cgutils, types
+from numba.extending import intrinsic, overload
+import numpy as np
 
 # Sums may be reordered and fused, which vectorises the short loops; NaN and Inf keep their
 # meaning, so that a diverged state is still seen ('fast' would assume them away).
@@ -42,10 +52,11 @@ def cache_directory():
     return None
 
 
-def is_cached():
-    """Return whether machine code of this version is on disk."""
+def size_mark(*records):
+    """Return the file that stands for machine code on disk for records of these sizes, or None."""
+    sizes = hashlib.sha256(repr([entry.dtype for entry in records]).encode())
     directory = cache_directory()
-    return directory is not None and any(directory.rglob('*.nbc'))
+    return directory and directory / f'{sizes.hexdigest()[:16]}.compiled'
 
 
 @contextmanager
@@ -67,31 +78,85 @@ def entry_point(function):
 
 def inner(function):
     """Compile a function that only compiled functions call; it becomes part of its callers."""
-    return numba.njit(fastmath=FASTMATH)(function)
+    return numba.njit(fastmath=FASTMATH, forceinline=True, no_cpython_wrapper=True)(function)
 
 
 def strict(function):
     """Compile a function that only compiled functions call, without any fast math."""
-    return numba.njit(function)
+    return numba.njit(forceinline=True, no_cpython_wrapper=True)(function)
+
+
+@functools.cache
+def _layout(fields):
+    # One dtype object per layout: numba keeps each that it has seen.
+    return np.dtype(list(fields))
+
+
+def record(fields):
+    """
+    Return a NamedTuple of numbers and arrays as a record: one block of memory, known shapes.
+
+    Returns
+    -------
+    numpy.void
+
+    """
+    values = {name: np.asarray(value) for name, value in fields._asdict().items()}
+    packed = np.zeros((), _layout(tuple((name, value.dtype.str, value.shape)
+                                        for name, value in values.items())))
+    for name, value in values.items():
+        packed[name] = value
+    return packed[()]
+
+
+@intrinsic
+def local(_, like):
+    """
+    Return an array that lives as long as the call of the compiled function that asks for it.
+
+    Parameters
+    ----------
+    like : tuple of arrays
+        Of a record; the new array is as long along each axis as one of them along its first. It
+        is not initialised.
+
+    """
+    shape = tuple(array.shape[0] for array in like)
+    kind = types.Array(types.float64, len(shape), 'C')
+
+    def generate(context, builder, signature, arguments):
+        size = ir.Constant(ir.IntType(64), max(1, math.prod(shape)))
+        data = cgutils.alloca_once(builder, ir.DoubleType(), size=size)
+        data.align = 32  # of the widest registers
+        array = context.make_array(kind)(context, builder)
+        number = functools.partial(context.get_constant, types.intp)
+        context.populate_array(
+            array, data=data, shape=[number(length) for length in shape],
+            strides=[number(8 * math.prod(shape[axis + 1:])) for axis in range(len(shape))],
+            itemsize=number(8), meminfo=None)
+        return array._getvalue()
+
+    return kind(like), generate
 
 
 def dispatch(declaration):
     """
-    Declare a function whose body is chosen, at compile time, by the type of its first argument.
+    Declare a function whose body is chosen, at compile time, by the fields of its first argument.
 
     A compiled function that takes other compiled functions as arguments cannot be kept on disk;
-    one that calls a declared function can. `@declared.of(Type)` above a body adds it.
+    one that calls a declared function can. `@declared.of(Fields)` above a body adds it for the
+    records of a NamedTuple.
     """
     bodies = {}
 
-    def of(type_):
+    def of(fields):
         def add(body):
-            bodies[type_] = body
+            bodies[frozenset(fields._fields)] = body
             return body
         return add
 
     def choose(*types):
-        return bodies.get(getattr(types[0], 'instance_class', None))
+        return bodies.get(frozenset(getattr(types[0], 'fields', ())))
 
     choose.__signature__ = inspect.signature(declaration)
     overload(declaration, jit_options={'fastmath': FASTMATH})(choose)

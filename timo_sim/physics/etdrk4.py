@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm, matrix_balance
 
-from timo_sim.physics.compiled import dispatch, entry_point, inner, strict
+from timo_sim.physics.compiled import dispatch, entry_point, inner, local, strict
 
-STAGES = 3       # a step evaluates its load at t, t + h/2 and t + h
-STAGE_RATES = 4  # and the nonlinear part four times
+STAGES = 3  # a step evaluates its load at t, t + h/2 and t + h
 
 
 class Propagator(NamedTuple):
@@ -64,12 +63,13 @@ def propagator(linear, step):
     exp_half, phi1_half, _, _ = phi(0.5 * step * balanced)
     matrices = (exp, exp_half, 0.5 * step * phi1_half, step * (phi1 - 3.0 * phi2 + 4.0 * phi3),
                 step * (2.0 * phi2 - 4.0 * phi3), step * (4.0 * phi3 - phi2))
-    return Propagator(*(np.ascontiguousarray(matrix) for matrix in matrices))
+    return Propagator(*matrices)
 
 
-def stage_space(size):
-    """Return the scratch array that `advance` needs for a state of the given size."""
-    return np.zeros((STAGE_RATES + 4, size))
+@inner
+def _copy(vector, out):
+    for i in range(len(vector)):
+        out[i] = vector[i]
 
 
 @inner
@@ -99,14 +99,14 @@ def _is_finite(vector):
 
 
 @dispatch
-def rate(tables, state, load, space, out):
+def rate(tables, state, load, out):
     """
     Write the nonlinear part n(y, load) of a formulation, the load included.
 
     Parameters
     ----------
-    tables, space : NamedTuple
-        The formulation's constants and scratch arrays.
+    tables : record
+        The formulation's constants.
     state, out : ndarray, shape (m,)
     load : ndarray, shape (8,)
         Columns as in `formulation`.
@@ -115,32 +115,33 @@ def rate(tables, state, load, space, out):
 
 
 @dispatch
-def observe(tables, state, load, space, out):
+def observe(tables, state, load, out):
     """Write the motion (see `formulation`) that belongs to a state and a load."""
 
 
 @entry_point
-def rate_once(tables, state, load, space, out):
+def rate_once(tables, state, load, out):
     """Call `rate` from Python."""
-    rate(tables, state, load, space, out)
+    rate(tables, state, load, out)
 
 
 @entry_point
-def observe_once(tables, state, load, space, out):
+def observe_once(tables, state, load, out):
     """Call `observe` from Python."""
-    observe(tables, state, load, space, out)
+    observe(tables, state, load, out)
 
 
 @entry_point
-def advance(tables, state, loads, every, samples, propagator, space, stages):
+def advance(tables, propagator, state, loads, every, samples):
     """
     Integrate over a run of equal steps.
 
     Parameters
     ----------
-    tables, space : NamedTuple
-        The formulation's constants and scratch arrays; the type of `tables` selects the
-        formulation.
+    tables : record
+        The formulation's constants; their names select the formulation.
+    propagator : record
+        The matrices of the step.
     state : ndarray, shape (m,)
         Advanced in place.
     loads : ndarray, shape (steps, 3, 8)
@@ -150,9 +151,6 @@ def advance(tables, state, loads, every, samples, propagator, space, stages):
         Steps between samples.
     samples : ndarray, shape (steps // every, 2 (3 + N))
         Receives the motion after steps every, 2 every, ...
-    propagator : Propagator
-    stages : ndarray
-        Scratch, see `stage_space`.
 
     Returns
     -------
@@ -160,38 +158,42 @@ def advance(tables, state, loads, every, samples, propagator, space, stages):
         Steps done; fewer than given if the state is no longer finite.
 
     """
-    size = len(state)
-    rate_0, rate_a, rate_b, rate_c = stages[0], stages[1], stages[2], stages[3]
-    half, stage, combined, following = stages[4], stages[5], stages[6], stages[7]
+    size = propagator.whole
+    now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
+    rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
+    combined = local((size,))
+    _copy(state, now)
     for k in range(len(loads)):
         start, middle, end = loads[k, 0], loads[k, 1], loads[k, 2]
 
-        rate(tables, state, start, space, rate_0)
-        _multiply(propagator.half, state, half)
-        stage[:] = half
+        rate(tables, now, start, rate_0)
+        _multiply(propagator.half, now, half)
+        _copy(half, stage)
         _multiply_add(propagator.half_weight, rate_0, stage)
 
-        rate(tables, stage, middle, space, rate_a)
+        rate(tables, stage, middle, rate_a)
         _multiply(propagator.half, stage, following)
-        stage[:] = half
+        _copy(half, stage)
         _multiply_add(propagator.half_weight, rate_a, stage)
 
-        rate(tables, stage, middle, space, rate_b)
-        for i in range(size):
+        rate(tables, stage, middle, rate_b)
+        for i in range(len(size)):
             combined[i] = 2.0 * rate_b[i] - rate_0[i]
         _multiply_add(propagator.half_weight, combined, following)
 
-        rate(tables, following, end, space, rate_c)
-        for i in range(size):
+        rate(tables, following, end, rate_c)
+        for i in range(len(size)):
             combined[i] = rate_a[i] + rate_b[i]
-        _multiply(propagator.whole, state, stage)
+        _multiply(propagator.whole, now, stage)
         _multiply_add(propagator.first, rate_0, stage)
         _multiply_add(propagator.middle, combined, stage)
         _multiply_add(propagator.last, rate_c, stage)
 
         if not _is_finite(stage):
+            _copy(now, state)
             return k
-        state[:] = stage
+        _copy(stage, now)
         if (k + 1) % every == 0:
-            observe(tables, state, end, space, samples[(k + 1) // every - 1])
+            observe(tables, now, end, samples[(k + 1) // every - 1])
+    _copy(now, state)
     return len(loads)

@@ -38,17 +38,18 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.physics import etdrk4
-from timo_sim.physics.compiled import inner
+from timo_sim.physics.compiled import inner, local
 from timo_sim.physics.formulation import (
     ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Formulation, SPEED, TORQUE)
+from timo_sim.physics.sincos import sincos
 
 
 class Tables(NamedTuple):
     """Constants of the compiled functions; N modes, n_g quadrature nodes, n free q_i."""
 
     mass: float            # m_t
-    kernel: np.ndarray     # K for x and y, (2, n_g, n_g)
-    lever: np.ndarray      # d, (n_g,)
+    kernel: np.ndarray     # K for x and for y, (2, n_g, n_g), or for both, (1, n_g, n_g)
+    lever: np.ndarray      # d / m_t, (n_g,)
     rotation: np.ndarray   # Phi_i at the nodes, (1 + N, n_g)
     shear: np.ndarray      # Gamma_i at the nodes, (1 + N, n_g)
     rotary: np.ndarray     # Xi_ij = int J Phi_i Phi_j, the shaft's J_m included, (1 + N, 1 + N)
@@ -56,110 +57,94 @@ class Tables(NamedTuple):
     damping: np.ndarray    # 2 zeta_i omega_i, (1 + N,)
     axes: np.ndarray       # along which the carrier is free
     anchor: np.ndarray     # where it is held, (2,)
-    first: int             # the first free q_i
-
-
-class Space(NamedTuple):
-    """Scratch arrays of the compiled functions."""
-
-    node: np.ndarray        # fields at the nodes, (8, n_g)
-    slope: np.ndarray       # C1_i, C2_i, (2, 1 + N, n_g)
-    image: np.ndarray       # K C1_i, K C2_i, (2, 1 + N, n_g)
-    matrix: np.ndarray      # M, then its Cholesky factor, (1 + N, 1 + N)
-    coordinate: np.ndarray  # q_i, (1 + N,)
-    speed: np.ndarray       # q_i', (1 + N,)
-    push: np.ndarray        # force on the carrier, over m_t where it is free, (2,)
-
-
-# Rows of Space.node.
-COS, SIN, A, B, G1, G2, TURN, SHEAR = range(8)
 
 
 @inner
-def _set_slopes(state, load, tables, space):
+def _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2):
     """Set q, cosine and sine of phi, a, b (T20), C1 and C2 (T21)."""
-    node, slope, rotation, shear = space.node, space.slope, tables.rotation, tables.shear
+    rotation, shear = tables.rotation, tables.shear
     count, nodes = rotation.shape
-    first, coordinate = tables.first, space.coordinate
+    first = count - len(tables.straight)
     coordinate[0] = load[ANGLE]
     for i in range(first, count):
         coordinate[i] = state[len(tables.axes) + i - first]
     for j in range(nodes):
-        node[TURN, j] = 0.0
-        node[SHEAR, j] = 0.0
+        phi = 0.0
+        gamma = 0.0
+        for i in range(count):
+            phi += coordinate[i] * rotation[i, j]
+            gamma += coordinate[i] * shear[i, j]
+        sine[j], cosine[j] = sincos(phi)
+        a[j] = cosine[j] - gamma * sine[j]
+        b[j] = sine[j] + gamma * cosine[j]
     for i in range(count):
         for j in range(nodes):
-            node[TURN, j] += coordinate[i] * rotation[i, j]
-            node[SHEAR, j] += coordinate[i] * shear[i, j]
-    for j in range(nodes):
-        node[COS, j] = np.cos(node[TURN, j])
-        node[SIN, j] = np.sin(node[TURN, j])
-        node[A, j] = node[COS, j] - node[SHEAR, j] * node[SIN, j]
-        node[B, j] = node[SIN, j] + node[SHEAR, j] * node[COS, j]
-    for i in range(count):
-        for j in range(nodes):
-            slope[0, i, j] = -node[B, j] * rotation[i, j] - node[SIN, j] * shear[i, j]
-            slope[1, i, j] = node[A, j] * rotation[i, j] + node[COS, j] * shear[i, j]
+            c1[i, j] = -b[j] * rotation[i, j] - sine[j] * shear[i, j]
+            c2[i, j] = a[j] * rotation[i, j] + cosine[j] * shear[i, j]
 
 
 @inner
-def _set_speed(state, load, tables, space):
-    """Set M (T23), the images of C1 and C2, and q' from the momenta (T28) by Cholesky."""
-    slope, image, kernel, matrix = space.slope, space.image, tables.kernel, space.matrix
-    rotary, speed, first = tables.rotary, space.speed, tables.first
-    count, nodes = tables.rotation.shape
-    for axis in range(2):
-        for i in range(count):
-            for j in range(nodes):
-                total = 0.0
-                for k in range(nodes):
-                    total += slope[axis, i, k] * kernel[axis, j, k]
-                image[axis, i, j] = total
+def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed):
+    """Set the images K C1, K C2 and q', the solution of M q' = p (T23), (T28)."""
+    kernel, rotary = tables.kernel, tables.rotary
+    count, nodes = c1.shape
+    first = count - len(tables.straight)
+    for i in range(count):
+        for j in range(nodes):
+            total_1 = 0.0
+            total_2 = 0.0
+            for k in range(nodes):
+                total_1 += c1[i, k] * kernel[0, k, j]
+                total_2 += c2[i, k] * kernel[len(kernel) - 1, k, j]
+            image_1[i, j] = total_1
+            image_2[i, j] = total_2
+    mass = local((rotary, rotary))
     for i in range(first, count):
         for j in range(i + 1):
             total = rotary[i, j]
             for k in range(nodes):
-                total += image[0, i, k] * slope[0, j, k] + image[1, i, k] * slope[1, j, k]
-            for k in range(first, j):
-                total -= matrix[i, k] * matrix[j, k]
-            if j < first:
-                matrix[i, j] = total
-            else:
-                matrix[i, j] = np.sqrt(total) if i == j else total / matrix[j, j]
+                total += image_1[i, k] * c1[j, k] + image_2[i, k] * c2[j, k]
+            mass[i, j] = total
+
+    # M = L D L^T, column by column, and L^-1 p.
     momenta = len(state) - count
     speed[0] = load[SPEED]
     for i in range(first, count):
-        total = state[momenta + i]
-        for k in range(i):
-            total -= matrix[i, k] * speed[k]
-        speed[i] = total / matrix[i, i]
-    for i in range(count - 1, first - 1, -1):
-        total = speed[i]
-        for k in range(i + 1, count):
-            total -= matrix[k, i] * speed[k]
-        speed[i] = total / matrix[i, i]
+        speed[i] = state[momenta + i]
+        for j in range(first):
+            speed[i] -= mass[i, j] * speed[j]
+    factor, inverse = local((rotary,)), local((rotary,))
+    for k in range(first, count):
+        inverse[k] = 1.0 / mass[k, k]
+        for i in range(k + 1, count):
+            factor[i] = mass[i, k] * inverse[k]
+            speed[i] -= factor[i] * speed[k]
+        for i in range(k + 1, count):
+            for j in range(k + 1, i + 1):
+                mass[i, j] -= factor[i] * mass[j, k]
+        for i in range(k + 1, count):
+            mass[i, k] = factor[i]
+    for i in range(first, count):
+        speed[i] *= inverse[i]
+    for k in range(count - 1, first - 1, -1):
+        for i in range(first, k):
+            speed[i] -= mass[k, i] * speed[k]
 
 
 @etdrk4.rate.of(Tables)
-def _rate(tables, state, load, space, out):
+def _rate(tables, state, load, out):
     """Write what the linear part leaves of the state's rate."""
-    _set_slopes(state, load, tables, space)
-    _set_speed(state, load, tables, space)
-    node, slope, image, speed = space.node, space.slope, space.image, space.speed
-    rotation, shear, lever = tables.rotation, tables.shear, tables.lever
+    rotation, shear, lever, axes = tables.rotation, tables.shear, tables.lever, tables.axes
     count, nodes = rotation.shape
-    first, axes, push = tables.first, tables.axes, space.push
+    first = count - len(tables.straight)
+    coordinate, speed = local((rotation,)), local((rotation,))
+    cosine, sine, a, b = local((lever,)), local((lever,)), local((lever,)), local((lever,))
+    c1, c2 = local((rotation, lever)), local((rotation, lever))
+    image_1, image_2 = local((rotation, lever)), local((rotation, lever))
+    _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2)
+    _set_speed(tables, state, load, c1, c2, image_1, image_2, speed)
     momenta, half = len(state) - count, len(state) // 2
     coordinates = momenta - half
-
-    # Translation; X' = P / m_t is in the linear part.
-    cosine, sine = np.cos(space.coordinate[0]), np.sin(space.coordinate[0])
-    push[0] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
-    push[1] = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
-    for k in range(len(axes)):
-        out[k] = 0.0
-        out[half + k] = push[axes[k]]
-        push[axes[k]] /= tables.mass
 
     # q': what the mass matrix of the straight arm does not account for.
     for i in range(first, count):
@@ -168,65 +153,76 @@ def _rate(tables, state, load, space, out):
             total -= tables.straight[i - first, j - first] * state[momenta + j]
         out[coordinates + i] = total
 
-    # (T26): dT/dq_i = sum_j Phi_ij A_j + Gamma_ij B_j, from (g1, g2) = K (a', b') and the rates of
-    # phi and gamma.
-    for j in range(nodes):
-        node[G1, j] = 0.0
-        node[G2, j] = 0.0
-        node[TURN, j] = 0.0
-        node[SHEAR, j] = 0.0
-    for i in range(count):
-        for j in range(nodes):
-            node[G1, j] += speed[i] * image[0, i, j]
-            node[G2, j] += speed[i] * image[1, i, j]
-            node[TURN, j] += speed[i] * rotation[i, j]
-            node[SHEAR, j] += speed[i] * shear[i, j]
-    for j in range(nodes):
-        along = node[COS, j] * node[G1, j] + node[SIN, j] * node[G2, j]
-        slanted = node[A, j] * node[G1, j] + node[B, j] * node[G2, j]
-        node[G1, j] = -node[TURN, j] * slanted - node[SHEAR, j] * along  # A
-        node[G2, j] = -node[TURN, j] * along                             # B
+    # Translation; X' = P / m_t is in the linear part.
+    push_x, push_y = 0.0, 0.0
+    turned_y, turned_x = sincos(coordinate[0])
+    for k in range(len(axes)):
+        if axes[k] == 0:
+            push_x = load[FORCE_X] + turned_x * load[FORCE_I] - turned_y * load[FORCE_II]
+        else:
+            push_y = load[FORCE_Y] + turned_y * load[FORCE_I] + turned_x * load[FORCE_II]
+        out[k] = 0.0
+        out[half + k] = push_x if axes[k] == 0 else push_y
 
+    # (T26): dT/dq_i = sum_j Phi_ij A_j + Gamma_ij B_j, from (g1, g2) = K (a', b') and the rates of
+    # phi and gamma. The force on the carrier does its work on C1, C2: the same sum.
+    moment = load[TORQUE]
+    script_a, script_b = local((lever,)), local((lever,))
+    for j in range(nodes):
+        g1 = 0.0
+        g2 = 0.0
+        turning = 0.0
+        shearing = 0.0
+        for i in range(count):
+            g1 += speed[i] * image_1[i, j]
+            g2 += speed[i] * image_2[i, j]
+            turning += speed[i] * rotation[i, j]
+            shearing += speed[i] * shear[i, j]
+        along = cosine[j] * g1 + sine[j] * g2
+        script_a[j] = lever[j] * (push_x * b[j] - push_y * a[j])
+        script_b[j] = lever[j] * (push_x * sine[j] - push_y * cosine[j]) - turning * along
+        moment += script_a[j]
+        script_a[j] -= turning * (a[j] * g1 + b[j] * g2) + shearing * along
     for i in range(first, count):
-        total = 0.0 if i else load[TORQUE]
         # Unless one axis is held, T does not depend on the shaft angle: left out, not summed to
         # round-off.
+        total = moment
         if i or len(axes) == 1:
+            total = 0.0 if i else load[TORQUE]
             for j in range(nodes):
-                total += rotation[i, j] * node[G1, j] + shear[i, j] * node[G2, j]
-        # (T22): the carrier is at the mass centre minus d . (a, b) / m_t.
-        for k in range(len(axes)):
-            axis = axes[k]
-            moment = 0.0
-            for j in range(nodes):
-                moment += lever[j] * slope[axis, i, j]
-            total -= push[axis] * moment
+                total += rotation[i, j] * script_a[j] + shear[i, j] * script_b[j]
         out[momenta + i] = total - tables.damping[i] * out[coordinates + i]
 
 
 @etdrk4.observe.of(Tables)
-def _observe(tables, state, load, space, out):
+def _observe(tables, state, load, out):
     """Write the motion of a state."""
-    _set_slopes(state, load, tables, space)
-    _set_speed(state, load, tables, space)
-    count, nodes = tables.rotation.shape
+    rotation, lever = tables.rotation, tables.lever
+    count, nodes = rotation.shape
+    coordinate, speed = local((rotation,)), local((rotation,))
+    cosine, sine, a, b = local((lever,)), local((lever,)), local((lever,)), local((lever,))
+    c1, c2 = local((rotation, lever)), local((rotation, lever))
+    image_1, image_2 = local((rotation, lever)), local((rotation, lever))
+    _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2)
+    _set_speed(tables, state, load, c1, c2, image_1, image_2, speed)
     half = len(out) // 2
     for i in range(count):
-        out[2 + i] = space.coordinate[i]
-        out[half + 2 + i] = space.speed[i]
+        out[2 + i] = coordinate[i]
+        out[half + 2 + i] = speed[i]
     for axis in range(2):
         out[axis] = tables.anchor[axis]
         out[half + axis] = 0.0
     for k in range(len(tables.axes)):
         axis = tables.axes[k]
+        slope, derivative = (a, c1) if axis == 0 else (b, c2)
         centre = 0.0
         centre_rate = 0.0
         for j in range(nodes):
-            centre += tables.lever[j] * space.node[A + axis, j]
+            centre += lever[j] * slope[j]
             for i in range(count):
-                centre_rate += tables.lever[j] * space.slope[axis, i, j] * space.speed[i]
-        out[axis] = state[k] - centre / tables.mass
-        out[half + axis] = (state[len(state) // 2 + k] - centre_rate) / tables.mass
+                centre_rate += lever[j] * derivative[i, j] * speed[i]
+        out[axis] = state[k] - centre
+        out[half + axis] = state[len(state) // 2 + k] / tables.mass - centre_rate
 
 
 class Exact(Formulation):
@@ -236,9 +232,10 @@ class Exact(Formulation):
         """Return the tables and the linear part, that of the straight arm."""
         modes, nodes = self.modes, self.quadrature.nodes
         to_points = self.points.integral.T
-        lever = to_points.T @ self.point_mass
-        kernel = np.stack([to_points.T @ (self.point_mass[:, np.newaxis] * to_points)] * 2)
-        kernel[self.axes] -= np.outer(lever, lever) / self.mass
+        lever = to_points.T @ self.point_mass / self.mass
+        about_root = to_points.T @ (self.point_mass[:, np.newaxis] * to_points)
+        about_centre = about_root - self.mass * np.outer(lever, lever)
+        kernel = np.stack([about_centre if axis in self.axes else about_root for axis in range(2)])
 
         rotation = np.column_stack([np.ones_like(nodes), modes.rotation(nodes)])
         shear = np.column_stack([np.zeros_like(nodes), modes.shear(nodes)])
@@ -259,17 +256,10 @@ class Exact(Formulation):
         linear[axes:half, half + axes:] = inverse
         linear[half + axes:, axes:half] = -np.diag(stiffness[free])
         linear[half + axes:, half + axes:] = -damping[free, np.newaxis] * inverse
-        tables = Tables(self.mass, kernel, lever, np.ascontiguousarray(rotation.T),
-                        np.ascontiguousarray(shear.T), rotary, inverse, damping, self.axes,
-                        self.anchor, self.first)
-        return tables, linear
-
-    def scratch(self):
-        """Return the scratch arrays of the compiled functions."""
-        count, nodes = self.tables.rotation.shape
-        return Space(np.zeros((8, nodes)), np.zeros((2, count, nodes)),
-                     np.zeros((2, count, nodes)), np.zeros((count, count)), np.zeros(count),
-                     np.zeros(count), np.zeros(2))
+        if axes != 1:
+            kernel = kernel[:1]
+        return Tables(self.mass, kernel, lever, rotation.T, shear.T, rotary, inverse, damping,
+                      self.axes, self.anchor), linear
 
     def state(self, motion):
         """Return the state that belongs to a motion."""
@@ -278,9 +268,9 @@ class Exact(Formulation):
         cosine, sine, a, b = self._slopes(coordinates)
         slope = np.stack([-b * table.rotation - sine * table.shear,
                           a * table.rotation + cosine * table.shear])
-        matrix = table.rotary + sum(c @ kernel @ c.T for c, kernel in zip(slope, table.kernel))
-        centre = motion[:2] + np.array([a, b]) @ table.lever / table.mass
-        momentum = table.mass * motion[half:half + 2] + speed @ slope @ table.lever
+        matrix = table.rotary + np.sum(slope @ table.kernel @ slope.transpose(0, 2, 1), axis=0)
+        centre = motion[:2] + np.array([a, b]) @ table.lever
+        momentum = table.mass * (motion[half:half + 2] + speed @ slope @ table.lever)
         return np.concatenate([centre[self.axes], coordinates[self.first:],
                                momentum[self.axes], (matrix @ speed)[self.first:]])
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.physics import etdrk4
+from timo_sim.physics.compiled import record
 from timo_sim.physics.modes import modes_of
 from timo_sim.physics.quadrature import Quadrature
 
@@ -72,7 +73,9 @@ class Formulation(ABC):
     linear : ndarray, shape (m, m)
         Constant linear part of the state's rate; the compiled rate is the rest.
     tables : NamedTuple
-        Constant arrays of the compiled functions.
+        Constants of the compiled functions.
+    packed : record
+        The same, as these functions take them.
     speed_limit : float
         Shaft speed from which on the equations are unstable, whatever the step [rad/s].
 
@@ -96,8 +99,7 @@ class Formulation(ABC):
         self.arm_mass = self.point_mass.sum()
         self.mass = manipulator.base_mass + self.arm_mass
         self.tables, self.linear = self.build()
-        self._space = self.scratch()
-        self._stages = etdrk4.stage_space(len(self.linear))
+        self.packed = record(self.tables)
 
     @staticmethod
     def node_count(count):
@@ -105,18 +107,15 @@ class Formulation(ABC):
         Return the number of quadrature nodes for N modes.
 
         A Gauss rule resolves a wave with pi nodes per wave length, and mode N has about N/2 of
-        them between two boundary layers. Measured on the paper's arm: with 2 N nodes the highest
-        free-free frequency is within 5e-5 of its limit for N <= 10 and within 2e-7 from N = 20 on.
+        them between two boundary layers. With 3/2 N nodes, even for the compiler's sake, the
+        highest free-free frequency of the paper's arm is within 2 % of its limit for N <= 20, and
+        the others are much closer (doc/speed.md).
         """
-        return max(8, 2 * count)
+        return max(6, 2 * math.ceil((1.5 * count + 0.5) / 2.0))
 
     @abstractmethod
     def build(self):
         """Return the tables and the linear part."""
-
-    @abstractmethod
-    def scratch(self):
-        """Return the scratch arrays of the compiled functions."""
 
     @abstractmethod
     def state(self, motion):
@@ -144,21 +143,20 @@ class Formulation(ABC):
     def centre_line_rate(self, q, qdot, points):
         """Return the rate of `centre_line` in the turning axes, shape (n, p, 2) [m/s]."""
 
-    def advance(self, state, loads, every, samples, propagator):
+    def advance(self, propagator, state, loads, every, samples):
         """Integrate `state` in place over `len(loads)` steps, see `etdrk4.advance`."""
-        return etdrk4.advance(self.tables, state, loads, every, samples, propagator, self._space,
-                              self._stages)
+        return etdrk4.advance(self.packed, propagator, state, loads, every, samples)
 
     def observe(self, state, load):
         """Return the motion that belongs to a state and a load, shape (2 (3 + N),)."""
         motion = np.empty(self.size)
-        etdrk4.observe_once(self.tables, state, load, self._space, motion)
+        etdrk4.observe_once(self.packed, state, load, motion)
         return motion
 
     def rate(self, state, load):
         """Return the rate of a state under a load, linear part included, shape (m,)."""
         rate = np.empty(len(state))
-        etdrk4.rate_once(self.tables, state, load, self._space, rate)
+        etdrk4.rate_once(self.packed, state, load, rate)
         return self.linear @ state + rate
 
     def at(self, xi):

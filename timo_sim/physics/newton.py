@@ -33,9 +33,10 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.physics import etdrk4
-from timo_sim.physics.compiled import inner
+from timo_sim.physics.compiled import inner, local
 from timo_sim.physics.formulation import (
     ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Formulation, SPEED, TORQUE)
+from timo_sim.physics.sincos import sincos
 
 
 class Laws(NamedTuple):
@@ -79,15 +80,6 @@ class Tables(NamedTuple):
     damping: np.ndarray         # 2 zeta_n omega_n, (N,)
     axes: np.ndarray            # along which the carrier is free
     anchor: np.ndarray          # where it is held, (2,)
-    first: int                  # 1 if the shaft is driven, else 0
-
-
-class Space(NamedTuple):
-    """Scratch arrays of the compiled functions."""
-
-    force: np.ndarray         # (1 + N,)
-    acceleration: np.ndarray  # z_0, (1 + N,)
-    carrier: np.ndarray       # force on the carrier in world axes, then its acceleration, (2,)
 
 
 @inner
@@ -99,27 +91,35 @@ def _dot(left, right):
 
 
 @etdrk4.rate.of(Tables)
-def _rate(tables, state, load, space, out):
+def _rate(tables, state, load, out):
     """Write what the linear part leaves of the state's rate."""
-    count, first, axes = len(tables.axial), tables.first, tables.axes
-    half, force, z = len(state) // 2, space.force, space.acceleration
+    axes, inverse, softening = tables.axes, tables.inverse, tables.softening
+    rows, count = softening.shape
+    first, half = rows - len(inverse), len(state) // 2
     modal = half - count
-    q, qdot = state[modal:half], state[half + modal:]
+    q, qdot = local((tables.axial,)), local((tables.axial,))
+    for n in range(count):
+        q[n] = state[modal + n]
+        qdot[n] = state[half + modal + n]
     if first == 0:
         theta, omega = state[modal - 1], state[half + modal - 1]
     else:
         theta, omega = load[ANGLE], load[SPEED]
 
     # z_0, without the modal stress, which is in the linear part.
-    force[0] = load[TORQUE]
-    force[1:] = 0.0
-    for i in range(first, 1 + count):
-        force[i] += omega**2 * _dot(tables.softening[i], q)
+    force, z = local((softening,)), local((softening,))
+    for i in range(first, rows):
+        force[i] = 0.0 if i else load[TORQUE]
+        for n in range(count):
+            force[i] += omega**2 * softening[i, n] * q[n]
         if first == 1:
             force[i] -= tables.coupling[i] * load[ACCELERATION]
     z[0] = load[ACCELERATION]
-    for i in range(first, 1 + count):
-        z[i] = _dot(tables.inverse[i - first], force[first:])
+    for i in range(first, rows):
+        total = 0.0
+        for j in range(first, rows):
+            total += inverse[i - first, j - first] * force[j]
+        z[i] = total
 
     # P(0) and V(0) at alpha = beta = 0.
     swing = z[0]
@@ -133,34 +133,34 @@ def _rate(tables, state, load, space, out):
     shear = linear_shear - _dot(tables.shear_row, z) + omega**2 * _dot(tables.shear_softening, q)
 
     # (T15), solved for the carrier's acceleration in world axes.
-    cosine, sine = np.cos(theta), np.sin(theta)
+    sine, cosine = sincos(theta)
     tilt = bent * tables.response[0]  # -P(0) per beta
-    carrier = space.carrier
-    carrier[0] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
-    carrier[1] = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
+    force_x = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
+    force_y = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
     beta = 0.0
     if len(axes) == 2:
-        force_1 = cosine * carrier[0] + sine * carrier[1]
-        force_2 = cosine * carrier[1] - sine * carrier[0]
+        force_1 = cosine * force_x + sine * force_y
+        force_2 = cosine * force_y - sine * force_x
         beta = (force_2 + shear) / (tables.base_mass + tables.across)
         alpha = (force_1 + axial - tilt * beta) / (tables.base_mass + tables.arm_mass)
         out[half] = cosine * alpha - sine * beta
         out[half + 1] = sine * alpha + cosine * beta
     elif len(axes) == 1:
-        along, across = (cosine, -sine) if axes[0] == 0 else (sine, cosine)
+        push, along, across = (force_x, cosine, -sine) if axes[0] == 0 else (force_y, sine, cosine)
         inertia = (tables.base_mass + along**2 * tables.arm_mass + along * across * tilt
                    + across**2 * tables.across)
-        out[half] = (carrier[axes[0]] + along * axial + across * shear) / inertia
+        out[half] = (push + along * axial + across * shear) / inertia
         beta = across * out[half]
 
-    out[:half] = 0.0
+    for i in range(half):
+        out[i] = 0.0
     beta -= tables.in_linear * linear_shear
-    for i in range(first, 1 + count):
+    for i in range(first, rows):
         out[half + modal - 1 + i] = z[i] - tables.response[i] * beta
 
 
 @etdrk4.observe.of(Tables)
-def _observe(tables, state, load, space, out):
+def _observe(tables, state, load, out):
     """Write the motion of a state."""
     parts = (0, 0), (len(state) // 2, len(out) // 2)
     for k in range(2):
@@ -170,8 +170,9 @@ def _observe(tables, state, load, space, out):
         for j in range(len(tables.axes)):
             out[goal + tables.axes[j]] = state[source + j]
         out[goal + 2] = load[SPEED] if k else load[ANGLE]
-        for i in range(tables.first, 1 + len(tables.axial)):
-            out[goal + 2 + i] = state[source + len(tables.axes) + i - tables.first]
+        first = len(tables.softening) - len(tables.inverse)
+        for i in range(first, len(tables.softening)):
+            out[goal + 2 + i] = state[source + len(tables.axes) + i - first]
 
 
 class Newton(Formulation):
@@ -235,16 +236,10 @@ class Newton(Formulation):
         linear[half + axes:, modal:half] = rate * stiffness
         linear[half + axes:, half + modal:] = rate * damping
         tables = Tables(
-            base_mass, self.arm_mass, self.lever, inverse, laws.matrix[:, 0].copy(), response,
-            across, per_stress[0].copy(), reaction, in_linear, laws.softening, laws.shear_row,
-            laws.shear_softening, laws.axial, stiffness, damping, self.axes, self.anchor,
-            self.first)
+            base_mass, self.arm_mass, self.lever, inverse, laws.matrix[:, 0], response,
+            across, per_stress[0], reaction, in_linear, laws.softening, laws.shear_row,
+            laws.shear_softening, laws.axial, stiffness, damping, self.axes, self.anchor)
         return tables, linear
-
-    def scratch(self):
-        """Return the scratch arrays of the compiled functions."""
-        count = len(self.modes)
-        return Space(np.zeros(1 + count), np.zeros(1 + count), np.zeros(2))
 
     def state(self, motion):
         """Return the state that belongs to a motion."""

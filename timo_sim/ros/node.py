@@ -17,7 +17,6 @@ from std_srvs.srv import SetBool, Trigger
 import timo_sim
 from timo_sim.log.recorder import Recorder
 from timo_sim.parameters import whole_ratio
-from timo_sim.physics.compiled import is_cached
 from timo_sim.physics.formulation import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, TORQUE
 from timo_sim.ros import diagnostics
 from timo_sim.ros.commands import COMMANDS, Inlet
@@ -61,9 +60,9 @@ class SimNode(Node):
         self._end = whole_ratio('duration', self._values['duration'], 'integrator.step',
                                 self._step) or math.inf
 
-        if not is_cached():
-            self.get_logger().info('compiling once, this takes some seconds')
         self._simulator = Simulator(scene)
+        if not self._simulator.is_compiled:
+            self.get_logger().info('compiling once, this takes some seconds')
         self._simulator.warm_up()
         self._tip = self._simulator.formulation.at([scene.manipulator.arm.length])
         self._held = np.zeros(LOADS)

@@ -1,0 +1,63 @@
+"""The compiled side: arithmetic of its own, memory, sizes."""
+
+import math
+
+import numba
+from numba.core.runtime import _nrt_python, rtsys
+import numpy as np
+import pytest
+
+import timo_sim
+from timo_sim.physics.compiled import size_mark
+from timo_sim.physics.sincos import sincos
+from timo_sim.simulation import Simulator
+
+
+@numba.njit
+def _sincos(angles, sines, cosines):
+    for j in range(len(angles)):
+        sines[j], cosines[j] = sincos(angles[j])
+
+
+@pytest.mark.parametrize('largest, limit', [(1.0, 1.0), (1e5, 1.0), (1e6, 1.0)])
+def test_sine_and_cosine_to_the_last_place(largest, limit):
+    angles = np.concatenate([np.linspace(-largest, largest, 200001),
+                             np.arange(-8, 9) * math.pi / 4])
+    sines, cosines = np.empty_like(angles), np.empty_like(angles)
+    _sincos(angles, sines, cosines)
+    # Units in the last place, but near a zero, where the angle itself is known no better.
+    for ours, libm in ((sines, np.sin(angles)), (cosines, np.cos(angles))):
+        error = np.abs(ours - libm) / np.maximum(np.spacing(np.abs(libm)), np.spacing(0.1))
+        assert error.max() <= limit
+
+
+def test_sine_of_what_is_not_finite_is_not_a_number():
+    angles = np.array([np.nan, np.inf, -np.inf])
+    sines, cosines = np.zeros(3), np.zeros(3)
+    _sincos(angles, sines, cosines)
+    assert np.isnan(sines).all() and np.isnan(cosines).all()
+
+
+@pytest.mark.parametrize('formulation', ['exact', 'newton'])
+def test_a_step_allocates_nothing(paper, formulation):
+    simulator = Simulator(timo_sim.load_scene(paper, {'model.formulation': formulation}))
+    simulator.warm_up()
+    _nrt_python.memsys_enable_stats()
+
+    def allocations(steps):
+        loads, samples = simulator.scene_loads(steps), np.empty((steps, simulator.formulation.size))
+        before = rtsys.get_allocation_stats()
+        simulator.advance(loads, 1, samples)
+        after = rtsys.get_allocation_stats()
+        return after.alloc - before.alloc, after.mi_alloc - before.mi_alloc
+
+    # What there is, is for the arrays that are handed over, once per call.
+    assert allocations(1000) == allocations(10)
+
+
+def test_sizes_are_marked_once_compiled(paper):
+    simulator = Simulator(timo_sim.load_scene(paper))
+    simulator.warm_up()
+    assert simulator.is_compiled
+    assert size_mark(simulator.formulation.packed) != size_mark(
+        timo_sim.load_scene({'model.modes': 17}).build().packed)
