@@ -45,7 +45,8 @@ def test_a_step_allocates_nothing(paper, formulation):
     _nrt_python.memsys_enable_stats()
 
     def allocations(steps):
-        loads, samples = simulator.scene_loads(steps), np.empty((steps, simulator.formulation.size))
+        loads = simulator.scene_loads(steps)
+        samples = np.empty((steps, simulator.formulation.size))
         before = rtsys.get_allocation_stats()
         simulator.advance(loads, 1, samples)
         after = rtsys.get_allocation_stats()
