@@ -67,6 +67,8 @@ class Formulation(ABC):
     damping : float or array_like, shape (N,)
         Modal damping ratios zeta_n.
     constraints : Constraints
+    nodes : int, optional
+        Number of quadrature nodes; by default as many as `node_count` finds good.
 
     Attributes
     ----------
@@ -83,7 +85,7 @@ class Formulation(ABC):
 
     speed_limit = math.inf
 
-    def __init__(self, manipulator, count, damping=0.0, constraints=Constraints()):
+    def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None):
         self.manipulator, self.constraints = manipulator, constraints
         self.modes = modes_of(manipulator, count)
         self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (count,))
@@ -92,7 +94,7 @@ class Formulation(ABC):
         self.first = int(constraints.driven)
         self.axes = np.array(constraints.free_axes, dtype=np.int64)
         self.anchor = np.array([position or 0.0 for position in constraints.carrier])
-        self.quadrature = Quadrature(manipulator.arm.breaks, self.node_count(count))
+        self.quadrature = Quadrature(manipulator.arm.breaks, nodes or self.node_count(count))
         # The points that carry mass: the nodes and the tip.
         self.points = self.at(self.quadrature.points)
         self.point_mass, self.point_inertia = manipulator.inertia(self.quadrature)

@@ -1,0 +1,129 @@
+"""Time of a step and of a run: rows of `speed.py`'s table, and cost against N, n_g and horizon."""
+
+import time
+
+import matplotlib
+matplotlib.use('Agg')
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+from references import read, ROOT  # noqa: E402
+from timing import timed  # noqa: E402
+
+import timo_sim  # noqa: E402
+from timo_sim.physics import etdrk4, FORMULATIONS  # noqa: E402
+from timo_sim.physics.compiled import record  # noqa: E402
+
+PAPER = ROOT / 'config' / 'paper.yaml'
+STEPS = 1000  # of 10 ms
+TARGETS = [('exact', 3, 1.5e-6), ('exact', 5, 2.5e-6), ('exact', 10, 8e-6), ('newton', 3, 0.6e-6)]
+
+
+def paper(**overrides):
+    """Return the paper's scene at 10 ms."""
+    values = {f'model.{name}': value for name, value in overrides.items()}
+    return timo_sim.load_scene(PAPER, {'integrator.step': 0.01, **values})
+
+
+class Prepared:
+    """A formulation of a scene, compiled, and the loads of a run."""
+
+    def __init__(self, scene, steps=STEPS, nodes=None):
+        kind = FORMULATIONS[scene.values['model.formulation']]
+        self.model = kind(scene.manipulator, scene.values['model.modes'], nodes=nodes)
+        self.steps = steps
+        self._start = self.model.state(scene.initial_motion())
+        self._loads = scene.load.stages(0, steps, scene.step)
+        self._propagator = record(etdrk4.propagator(self.model.linear, scene.step))
+
+    def run(self, every=None):
+        """Do the steps; return motions after each `every` of them, shape (n, 2 (3 + N))."""
+        every = every or self.steps + 1
+        samples = np.empty((self.steps // every, self.model.size))
+        self.model.advance(self._propagator, self._start.copy(), self._loads, every, samples)
+        return samples
+
+    def time_of_step(self, rounds=25):
+        """Return the time of a step without samples."""
+        return timed(self.run, self.steps, rounds)
+
+    def tip_error(self):
+        """Return the largest error in w(l) over the paper's 10 s [m]."""
+        samples, count = self.run(every=1), len(self.model.modes)
+        tip = self.model.at([self.model.manipulator.arm.length])
+        deflection = self.model.centre_line(samples[:, 3:3 + count], tip)[:, 0, 1]
+        return np.abs(deflection - read('paper')[1]['w_l_m'][1:]).max()
+
+
+def rows(quick=False):
+    """Return (line, target, measured, remark) of the table."""
+    table = []
+    for formulation, modes, target in TARGETS:
+        prepared = Prepared(paper(formulation=formulation, modes=modes))
+        middle = prepared.time_of_step()
+        nodes = f', n_g = {len(prepared.model.quadrature.nodes)}' * (formulation == 'exact')
+        table.append((f'a step of `{formulation}`, N = {modes}{nodes}', f'{1e6 * target:g} us',
+                      middle.shown(), middle.middle <= target,
+                      f'w(l) within {prepared.tip_error():.1e} m'))
+    return table + run_rows()
+
+
+def run_rows():
+    """Return the rows of a whole run."""
+    scene = paper()
+    prepared = Prepared(scene)
+    compiled = timed(lambda: prepared.run(every=1), 1)
+    whole = timed(lambda: timo_sim.simulate(scene, 10.0), 1)
+    check = timed(lambda: timo_sim.load_scene(scene.values), 1)
+    own = whole.middle - compiled.middle + check.middle
+    return [
+        ('10 s of the paper, 10 ms, every step sampled', '2 ms', compiled.shown(1e-3, 'ms'),
+         compiled.middle <= 2e-3, 'the compiled part'),
+        ("`simulate`'s own: check, tables, result", '20 ms', f'{1e3 * own:.1f} ms', own <= 20e-3,
+         f'check of the scene {1e3 * check.middle:.1f} ms, the modes being known; '
+         f'`simulate` as a whole {whole.shown(1e-3, "ms")}')]
+
+
+def exponent(x, y):
+    """Return the slope of a straight line through the logarithms."""
+    return np.polyfit(np.log(x), np.log(y), 1)[0]
+
+
+def curves(path, quick=False):
+    """Measure and draw the cost of a step over N and n_g and of a run over its length."""
+    modes = np.array([1, 3, 10] if quick else [1, 2, 3, 4, 5, 6, 8, 10, 14, 20, 28, 40])
+    over_modes = np.array([Prepared(paper(modes=int(n)), 200).time_of_step(9).middle
+                           for n in modes])
+    nodes = np.array([6, 16] if quick else [6, 8, 12, 16, 24, 32, 48])
+    over_nodes = np.array([Prepared(paper(), 200, int(g)).time_of_step(9).middle for g in nodes])
+    horizons = np.array([1, 10, 100] if quick else [1, 3, 10, 30, 100, 300, 1000, 3000])
+    scene, over_horizon = paper(), []
+    for horizon in horizons:
+        start = time.perf_counter()
+        timo_sim.simulate(scene, float(horizon), every=100)
+        over_horizon.append(time.perf_counter() - start)
+
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6))
+    for axis, x, y, label, unit in (
+            (axes[0], modes, 1e6 * over_modes, 'modes N', 'time of a step [us]'),
+            (axes[1], nodes, 1e6 * over_nodes, 'quadrature nodes, N = 3', 'time of a step [us]'),
+            (axes[2], horizons, np.array(over_horizon), 'sim time [s], h = 10 ms',
+             'time of a run [s]')):
+        axis.loglog(x, y, 'o-', color='#0072B2')
+        axis.set_xlabel(label)
+        axis.set_ylabel(unit)
+        axis.grid(alpha=0.3, which='both')
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+    few, many = modes <= 5, modes >= 10
+    return {'N <= 5': exponent(modes[few], over_modes[few]),
+            'N >= 10': exponent(modes[many], over_modes[many]) if many.sum() > 1 else np.nan,
+            'n_g': exponent(nodes[len(nodes) // 2:], over_nodes[len(nodes) // 2:])
+            if len(nodes) > 3 else np.nan,
+            'horizon': exponent(horizons[-3:], np.array(over_horizon)[-3:])}, [
+                (int(n), float(t)) for n, t in zip(modes, over_modes)]
+
+
+if __name__ == '__main__':
+    for row in rows():
+        print(*row, sep=' | ')
