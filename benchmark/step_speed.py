@@ -29,7 +29,8 @@ class Prepared:
 
     def __init__(self, scene, steps=STEPS, nodes=None):
         kind = FORMULATIONS[scene.values['model.formulation']]
-        self.model = kind(scene.manipulator, scene.values['model.modes'], nodes=nodes)
+        self.model = kind(scene.manipulator, scene.values['model.modes'],
+                          scene.values['arm.damping_ratio'] or 0.0, scene.constraints, nodes)
         self.steps = steps
         self._start = self.model.state(scene.initial_motion())
         self._loads = scene.load.stages(0, steps, scene.step)

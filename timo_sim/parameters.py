@@ -194,6 +194,8 @@ _ALL = [
     Parameter('model.formulation', 'exact', '', 'equations of motion',
               choices=tuple(FORMULATIONS)),
     Parameter('model.modes', 3, '', 'number of assumed modes; 0 is a rigid arm', low=0, high=40),
+    _not_negative('model.accuracy', 0.0, 'm', 'tip error for which model.modes and '
+                  'integrator.step are chosen, instead of given; 0: they are given'),
     _positive('integrator.step', 0.001, 's', 'time step'),
     *_load('force_x', 'N', 'force on the carrier along world x'),
     *_load('force_y', 'N', 'force on the carrier along world y'),

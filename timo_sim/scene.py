@@ -175,13 +175,17 @@ def _flatten(values, prefix=''):
 
 def _check_counts(values):
     modes = values['model.modes']
+    if values['model.accuracy'] > 0.0:
+        modes = 0  # to be chosen: what has an element for each mode cannot be given
     for name, allowed in (('arm.damping_ratio', (0, 1, modes)),
                           ('initial.modal_coordinates', (0, modes)),
                           ('initial.modal_rates', (0, modes))):
         if len(values[name]) not in allowed:
             expected = ' or '.join(str(count) for count in sorted(set(allowed)))
-            raise ParameterError(f'{name} must have {expected} elements for model.modes = '
-                                 f'{modes}, got {len(values[name])}')
+            cause = 'a stated model.accuracy' if values['model.accuracy'] else (
+                f'model.modes = {modes}')
+            raise ParameterError(f'{name} must have {expected} elements for {cause}, got '
+                                 f'{len(values[name])}')
 
 
 def _arm(values):

@@ -150,6 +150,7 @@ def simulate(scene, duration, every=1):
     Parameters
     ----------
     scene : Scene
+        With `model.accuracy`, modes and step are chosen first, see `settle`.
     duration : float
         [s], a whole multiple of the time step.
     every : int
@@ -172,6 +173,9 @@ def simulate(scene, duration, every=1):
         If the shaft becomes too fast for a formulation without centrifugal stiffening.
 
     """
+    if scene.values['model.accuracy']:
+        from timo_sim.accuracy import settle  # which simulates, with what is in this module
+        scene = settle(scene, duration).scene
     steps = whole_ratio('duration', duration, 'integrator.step', scene.step)
     if every < 1 or steps % every:
         raise ParameterError(f'every = {every} must divide the number of steps, {steps}')
