@@ -2,9 +2,13 @@
 
 import csv
 import math
+import os
 from pathlib import Path
+import platform
 
+import numba
 import numpy as np
+import scipy
 
 import timo_sim
 
@@ -87,3 +91,16 @@ def errors(motion, truth):
                         for position, angle in (motion[name], truth[name]))
         result[name] = 100.0 * np.abs(ours - theirs) / np.abs(theirs).max(axis=0)
     return result
+
+
+def machine():
+    """Return what a benchmark was measured on."""
+    try:
+        with open('/proc/cpuinfo', encoding='utf-8') as file:
+            model = next(line.split(':')[1].strip() for line in file if 'model name' in line)
+    except (OSError, StopIteration):
+        model = platform.processor()
+    return {'processor': model, 'cores': os.cpu_count(), 'machine': platform.machine(),
+            'python': platform.python_version(), 'numpy': np.__version__,
+            'scipy': scipy.__version__, 'numba': numba.__version__,
+            'timo_sim': timo_sim.__version__}

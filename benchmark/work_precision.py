@@ -14,21 +14,18 @@ for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
     os.environ[threads] = '1'
 
 import argparse  # noqa: E402
+from importlib.metadata import version  # noqa: E402
 import json  # noqa: E402
-import platform  # noqa: E402
 import warnings  # noqa: E402
 
 from cases import (  # noqa: E402
     cases_of, ENGINE, errors_of, of_reference, OWN, REDUCED, SCENES)
 import elastica  # noqa: E402
-import exudyn  # noqa: E402
 import matplotlib  # noqa: E402
 matplotlib.use('Agg')
 import matplotlib.pyplot as plt  # noqa: E402
-import numba  # noqa: E402
 import numpy as np  # noqa: E402
-from references import ROOT  # noqa: E402
-import scipy  # noqa: E402
+from references import machine, ROOT  # noqa: E402
 
 import timo_sim  # noqa: E402
 
@@ -144,19 +141,6 @@ def plot(scene, cases, path):
     plt.close(figure)
 
 
-def machine():
-    """Return what this was measured on."""
-    try:
-        with open('/proc/cpuinfo', encoding='utf-8') as file:
-            model = next(line.split(':')[1].strip() for line in file if 'model name' in line)
-    except (OSError, StopIteration):
-        model = platform.processor()
-    return {'processor': model, 'cores': os.cpu_count(), 'machine': platform.machine(),
-            'python': platform.python_version(), 'numpy': np.__version__,
-            'scipy': scipy.__version__, 'numba': numba.__version__,
-            'exudyn': exudyn.__version__, 'timo_sim': timo_sim.__version__}
-
-
 def main():
     """Measure, and write the page, the plots and the figures."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
@@ -167,7 +151,7 @@ def main():
     pictures = folder / 'benchmark'
     pictures.mkdir(parents=True, exist_ok=True)
     warnings.simplefilter('ignore', timo_sim.ModelWarning)
-    facts, sections, record = machine(), [], {}
+    facts, sections, record = {**machine(), 'exudyn': version('exudyn')}, [], {}
     for scene in SCENES:
         if arguments.scene and scene.name not in arguments.scene:
             continue

@@ -94,8 +94,11 @@ def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed):
             total_1 = 0.0
             total_2 = 0.0
             for k in range(nodes):
-                total_1 += c1[i, k] * kernel[0, k, j]
-                total_2 += c2[i, k] * kernel[len(kernel) - 1, k, j]
+                # K is symmetric. Read down a column, this loop is unrolled and that over j becomes
+                # vector code; where it is too long for that, it becomes vector code itself.
+                row, column = (k, j) if nodes <= 16 else (j, k)
+                total_1 += c1[i, k] * kernel[0, row, column]
+                total_2 += c2[i, k] * kernel[len(kernel) - 1, row, column]
             image_1[i, j] = total_1
             image_2[i, j] = total_2
     mass = local((rotary, rotary))

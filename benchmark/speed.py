@@ -1,0 +1,59 @@
+"""
+Every speed target, measured: step, run, memory, node, start, sweep, and what is left out.
+
+`make benchmark-speed` writes doc/speed.md and its plot, `--quick` the same in a few minutes to
+run/speed. A time is a median; in brackets its least value and the ratio to a calibrating loop
+(a compiled 16 x 16 matrix-vector product) timed in between, since machines change their speed.
+"""
+
+import os
+for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
+    os.environ[threads] = '1'
+
+import argparse  # noqa: E402
+
+import memory  # noqa: E402
+import node_speed  # noqa: E402
+from references import machine, ROOT  # noqa: E402
+import skipping  # noqa: E402
+import step_speed  # noqa: E402
+import sweep_speed  # noqa: E402
+from timing import product  # noqa: E402
+
+SECTIONS = [('Step and run', step_speed), ('Memory', memory), ('Node', node_speed),
+            ('Sweep', sweep_speed)]
+
+
+def table(header, rows):
+    """Return a Markdown table."""
+    lines = [header, ['---'] * len(header), *rows]
+    return '\n'.join('| ' + ' | '.join(map(str, line)) + ' |' for line in lines)
+
+
+def main():
+    """Measure, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--quick', action='store_true', help='a few minutes')
+    quick = parser.parse_args().quick
+    folder = ROOT / 'run' / 'speed' if quick else ROOT / 'doc'
+    (folder / 'speed').mkdir(parents=True, exist_ok=True)
+    facts = {**machine(), 'calibrating product': f'{1e9 * product():.0f} ns'}
+    parts = [f'# Speed\n\nMade by `make benchmark-speed`. {" ".join(__doc__.split()[14:])}\n\n'
+             f'Measured on: {", ".join(f"{name} {value}" for name, value in facts.items())}.\n']
+    for title, module in SECTIONS:
+        rows = [(line, target, measured, 'yes' if met else 'no', remark)
+                for line, target, measured, met, remark in module.rows(quick)]
+        parts.append(f'## {title}\n\n' + table(
+            ['', 'target', 'measured', 'met', 'remark'], rows) + '\n')
+        print(parts[-1], flush=True)
+    exponents = step_speed.curves(folder / 'speed' / 'cost.png', quick)
+    parts.append('## What the cost grows with\n\n![Cost](speed/cost.png)\n\n' + table(
+        ['', 'exponent', 'why'], exponents) + '\n')
+    parts.append("## What a scene doesn't need\n\n" + table(
+        ['left out', 'how', 'time', 'saved'], skipping.rows()) + '\n')
+    print(*parts[-2:], sep='\n')
+    (folder / 'speed.md').write_text('\n'.join(parts), encoding='utf-8')
+
+
+if __name__ == '__main__':
+    main()
