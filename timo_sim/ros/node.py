@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 import timo_sim
 from timo_sim.log.recorder import Recorder
 from timo_sim.parameters import whole_ratio
-from timo_sim.physics.formulation import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, TORQUE
+from timo_sim.physics.formulation import LOADS
 from timo_sim.ros import diagnostics
 from timo_sim.ros.commands import COMMANDS, Inlet
 from timo_sim.ros.pacing import Pace
@@ -66,7 +66,7 @@ class SimNode(Node):
         self._simulator.warm_up()
         self._tip = self._simulator.formulation.at([scene.manipulator.arm.length])
         self._held = np.zeros(LOADS)
-        self._effort = 0.0, 0.0, 0.0
+        self._applied = [0.0] * LOADS
         self._paused = self._values['start_paused']
         self._diverged = None
         self._pace = Pace(self._step)
@@ -133,7 +133,7 @@ class SimNode(Node):
                 self._diverged, self._paused = str(error), True
                 self.get_logger().error(f'paused, {error}; ~/reset goes back to the start')
                 return
-            self._set_effort(loads[-1, -1].tolist())
+            self._applied = loads[-1, -1].tolist()
             self._publish()
 
     def _next_event(self, step):
@@ -149,13 +149,6 @@ class SimNode(Node):
             if data is not None and self._recorder is not None:
                 self._recorder.write(index, step, self._simulator.nanoseconds, data)
 
-    def _set_effort(self, load):
-        theta = self._simulator.shaft
-        cosine, sine = math.cos(theta), math.sin(theta)
-        self._effort = (
-            load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II],
-            load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II], load[TORQUE])
-
     def _publish(self, everything=False):
         """Send each message that is due at this step and wanted by somebody."""
         step = self._simulator.steps
@@ -167,7 +160,7 @@ class SimNode(Node):
                 outlet.publish(snapshot)
 
     def _snapshot(self):
-        return Snapshot(self._simulator, self._tip, self._effort)
+        return Snapshot(self._simulator, self._tip, self._applied)
 
     def _diagnose(self, now):
         before, steps_before = self._reported
@@ -238,7 +231,7 @@ class SimNode(Node):
             self._simulator.reset()
             for inlet in self._inlets:
                 inlet.clear(self._held)
-            self._effort = 0.0, 0.0, 0.0
+            self._applied = [0.0] * LOADS
             self._diverged = None
             if self._recorder is not None:
                 self._recorder.note('timo_sim.reset', {'step': str(self._simulator.steps)})

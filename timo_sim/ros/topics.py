@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from timo_sim.log.recorder import Channel
+from timo_sim.physics.formulation import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, TORQUE
 
 NANOSECONDS = 1000000000
 
@@ -28,8 +29,8 @@ class Snapshot:
     simulator : Simulator
     tip : Points
         The tip of the arm, see `Formulation.at`.
-    effort : tuple of float, length 3
-        Forces on the carrier in world axes [N] and torque on the shaft [N m].
+    load : list of float, length 8
+        What acted at the end of the last step, columns as in `physics.formulation`.
 
     Attributes
     ----------
@@ -41,8 +42,8 @@ class Snapshot:
 
     """
 
-    def __init__(self, simulator, tip, effort):
-        self._formulation, self._tip, self.effort = simulator.formulation, tip, effort
+    def __init__(self, simulator, tip, load):
+        self._formulation, self._tip, self._load = simulator.formulation, tip, load
         self.step = simulator.steps
         self.nanoseconds = simulator.nanoseconds
         self.time = divmod(self.nanoseconds, NANOSECONDS)
@@ -63,6 +64,14 @@ class Snapshot:
         """Carrier x, y [m/s] and shaft speed [rad/s]."""
         half = len(self._values) // 2
         return self._values[half:half + 3]
+
+    @property
+    def effort(self):
+        """Forces on the carrier in world axes [N] and torque on the shaft [N m]."""
+        load, theta = self._load, self._values[2]
+        cosine, sine = math.cos(theta), math.sin(theta)
+        return (load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II],
+                load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II], load[TORQUE])
 
     @cached_property
     def tip_in_arm(self):
