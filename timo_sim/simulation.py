@@ -4,7 +4,6 @@ import math
 import warnings
 
 import numpy as np
-from tqdm import tqdm
 
 from timo_sim.parameters import ParameterError, whole_ratio
 from timo_sim.physics import etdrk4
@@ -179,6 +178,7 @@ def simulate(scene, duration, every=1):
         If the shaft becomes too fast for a formulation without centrifugal stiffening.
 
     """
+    from tqdm import tqdm  # here: the node has no progress bar
     if scene.values['model.accuracy']:
         from timo_sim.accuracy import settle  # which simulates, with what is in this module
         scene = settle(scene, duration).scene

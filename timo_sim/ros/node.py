@@ -90,6 +90,9 @@ class SimNode(Node):
         for outlet in self._outlets:
             outlet.look()
         self._publish()
+        # Only now: rclpy's first line of a process takes a tenth of a second.
+        if self._recorder is not None:
+            self.get_logger().info(f'logging to {self._recorder.path}')
 
     def run(self):
         """Advance sim time with wall time until asked to stop."""
@@ -274,7 +277,6 @@ class SimNode(Node):
             return
         for index, outlet in enumerate(outlets, start=len(self._inlets)):
             outlet.recorder, outlet.index = self._recorder, index
-        self.get_logger().info(f'logging to {self._recorder.path}')
 
     def _close(self, wall_time):
         self._pass_on_caution()

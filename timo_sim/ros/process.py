@@ -1,5 +1,6 @@
 """The node's process: ROS started and ended around it, callbacks in a thread of their own."""
 
+import gc
 import sys
 import threading
 
@@ -67,6 +68,7 @@ def run(stop, args):
     except ParameterError as error:
         return _refuse(error)
     stop.running()
+    gc.freeze()  # what has been made so far lasts: no need to look through it while ticking
     executor = Executor()
     executor.add_node(node)
     thread = threading.Thread(target=spin, name='executor', daemon=True)
