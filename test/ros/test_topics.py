@@ -11,9 +11,9 @@ from timo_sim.ros.topics import Serializer, TOPICS
 
 @pytest.mark.parametrize('topic', TOPICS, ids=lambda topic: topic.name)
 def test_packed_is_what_rclpy_serializes(topic):
-    pack = Serializer(topic.message, topic.count)
+    pack = Serializer(topic.message, topic.size)
     for sec, nanosec in ((0, 0), (1, 999999999), (2**31 - 1, 1)):
-        numbers = np.random.default_rng(sec).normal(size=topic.count).tolist()
+        numbers = np.random.default_rng(sec).normal(size=topic.size).tolist()
         message = topic.message(Time(sec=sec, nanosec=nanosec), *numbers)
         assert isinstance(message, topic.message_type)
         assert pack((sec, nanosec), numbers) == serialize_message(message)

@@ -137,14 +137,14 @@ class Topic(NamedTuple):
     A topic.
 
     `message` builds a message from its time and numbers, `numbers` reads these off a snapshot,
-    `count` is how many there are; `rate` names the parameter with the topic's rate.
+    `size` is how many there are; `rate` names the parameter with the topic's rate.
     """
 
     name: str
     message_type: type
     message: Callable[..., Any]
     numbers: Callable[[Snapshot], tuple]
-    count: int
+    size: int
     rate: str
 
 
@@ -169,13 +169,13 @@ class Serializer:
     ----------
     message : function(Time, *float) -> message
         Its first field must be the time, or a header.
-    count : int
+    size : int
         Numbers that it takes.
 
     """
 
-    def __init__(self, message, count):
-        sec, nanosec, *numbers = marks = [1234567, 7654321] + [1.1 + n for n in range(count)]
+    def __init__(self, message, size):
+        sec, nanosec, *numbers = marks = [1234567, 7654321] + [1.1 + n for n in range(size)]
         self._data = bytearray(serialize_message(
             message(Time(sec=sec, nanosec=nanosec), *numbers)))
         # After four bytes CDR aligns every number to its size.
@@ -253,7 +253,7 @@ class MotionOutlet(Outlet):
 
     def __init__(self, node, topic):
         super().__init__(node, topic.name, topic.message_type)
-        self._serialize = Serializer(topic.message, topic.count)
+        self._serialize = Serializer(topic.message, topic.size)
         self._numbers, self.rate = topic.numbers, topic.rate
         self.every = 1
 
