@@ -5,8 +5,8 @@ The processes that benchmark/node_speed.py compares; each runs until SIGTERM.
 
 `node` is sim_node itself. `bare` has the same loop and publishes the same messages at 1 kHz,
 without a simulation; `timer` does so from an rclpy timer in a SingleThreadedExecutor. They leave
-when each tick began and ended in FILE. `listener` subscribes to all topics, says so, and says when
-it has heard all of them.
+in FILE when each tick began and ended, and its steps. `listener` subscribes to all topics, says
+so, and says when it has heard all of them.
 """
 
 from array import array
@@ -32,20 +32,21 @@ TOPICS = {'/joint_states': JointState, '/timo_sim/tip_deflection': Vector3Stampe
 
 
 class Ticks:
-    """When ticks began and ended, on the clock that all processes share [s]."""
+    """When ticks began and ended, on the clock that all processes share [s], and their steps."""
 
     def __init__(self):
-        self._times = array('d')
+        self._values = array('d')
 
-    def __enter__(self):
-        self._times.append(time.monotonic())
-
-    def __exit__(self, *_):
-        self._times.append(time.monotonic())
+    def time(self, tick, steps):
+        """Call a tick; `steps` tells how many steps have been done in all."""
+        before, begin = steps(), time.monotonic()
+        result = tick()
+        self._values.extend((begin, time.monotonic(), steps() - before))
+        return result
 
     def save(self, path):
-        """Write them to disk, shape (n, 2)."""
-        np.save(path, np.reshape(self._times[:len(self._times) // 2 * 2], (-1, 2)))
+        """Write them to disk, shape (n, 3)."""
+        np.save(path, np.reshape(self._values, (-1, 3)))
 
 
 class Bare(Node):
@@ -55,13 +56,13 @@ class Bare(Node):
         super().__init__('timo_sim')
         (self._joints, self._deflection, self._tip, self._carrier, self._time) = (
             self.create_publisher(kind, topic, 10) for topic, kind in TOPICS.items())
-        self._count = 0
+        self.count = 0
 
     def tick(self):
         """Publish one message on each topic."""
-        self._count += 1
-        sec, nanosec = divmod(self._count * 1000000, 1000000000)
-        value = 1e-6 * self._count
+        self.count += 1
+        sec, nanosec = divmod(self.count * 1000000, 1000000000)
+        value = 1e-6 * self.count
 
         joints = JointState()
         joints.header.stamp.sec, joints.header.stamp.nanosec = sec, nanosec
@@ -118,8 +119,7 @@ def bare(path):
     thread.start()
     base, count = time.monotonic(), 0
     while not end.is_set():
-        with ticks:
-            node.tick()
+        ticks.time(node.tick, lambda: node.count)
         count += 1
         wait = base + count * PERIOD - time.monotonic()
         if wait < -CATCH_UP:
@@ -135,11 +135,7 @@ def timer(path):
     node, executor = Bare(), SingleThreadedExecutor()
     executor.add_node(node)
 
-    def tick():
-        with ticks:
-            node.tick()
-
-    node.create_timer(PERIOD, tick)
+    node.create_timer(PERIOD, lambda: ticks.time(node.tick, lambda: node.count))
     while not end.is_set():
         executor.spin_once(timeout_sec=0.1)
     ticks.save(path)
@@ -153,8 +149,7 @@ def node(path):
 
     class Timed(process.SimNode):
         def _tick(self):
-            with ticks:
-                return super()._tick()
+            return ticks.time(super()._tick, lambda: self._simulator.steps)
 
     process.SimNode = Timed
     process.run(StopRequest(), None)

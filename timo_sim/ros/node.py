@@ -87,8 +87,7 @@ class SimNode(Node):
         """Open the log and show the initial state, before any callback can change it."""
         if self._values['record']:
             self._open_log()
-        for outlet in self._outlets:
-            outlet.look()
+        self._look()
         self._publish()
         # Only now: rclpy's first line of a process takes a tenth of a second.
         if self._recorder is not None:
@@ -162,6 +161,11 @@ class SimNode(Node):
             for outlet in due:
                 outlet.publish(snapshot)
 
+    def _look(self):
+        # A service may be served before the news of a subscriber that was there first.
+        for outlet in self._outlets:
+            outlet.look()
+
     def _snapshot(self):
         return Snapshot(self._simulator, self._tip, self._applied)
 
@@ -231,6 +235,7 @@ class SimNode(Node):
 
     def _on_reset(self, request, response):
         with self._lock:
+            self._look()
             self._simulator.reset()
             for inlet in self._inlets:
                 inlet.clear(self._held)
@@ -248,6 +253,7 @@ class SimNode(Node):
             if not self._paused:
                 response.success, response.message = False, '~/step needs a paused simulation'
                 return response
+            self._look()
             for inlet in self._inlets:
                 inlet.poll()
             first = self._simulator.steps

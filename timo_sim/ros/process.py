@@ -11,7 +11,7 @@ from rclpy.signals import SignalHandlerOptions
 from timo_sim.parameters import ParameterError
 from timo_sim.ros.node import SimNode
 
-try:  # with a client at 1 kHz it costs a third less: benchmark/loop.py
+try:  # with a client at 1 kHz it costs half: benchmark/node_speed.py
     from rclpy.experimental import EventsExecutor as Executor
 except ImportError:  # an older rclpy
     from rclpy.executors import SingleThreadedExecutor as Executor
