@@ -104,7 +104,7 @@ class Recorder:
             return
         with self._lock:
             self._chunk.add(index + 1, step & 0xffffffff, stamp, data)
-            if self._chunk.size < CHUNK_SIZE:
+            if len(self._chunk.data) < CHUNK_SIZE:
                 return
         self._pass_on()
         self._ready.set()
@@ -138,7 +138,7 @@ class Recorder:
     def _pass_on(self):
         """Let the chunk that grows be written as it is."""
         with self._lock:
-            if self._chunk.size:
+            if self._chunk.data:
                 self._queue.append(self._chunk)
                 self._chunk = Chunk()
 

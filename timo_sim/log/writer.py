@@ -25,26 +25,22 @@ class Chunk:
 
     Attributes
     ----------
-    size : int
-        [B]
-    parts : list of bytes
+    data : bytearray
     index : dict
         For each channel a flat list: time and position of each of its messages.
 
     """
 
     def __init__(self):
-        self.size = 0
-        self.parts = []
+        self.data = bytearray()
         self.index = defaultdict(list)
 
     def add(self, channel, sequence, time, data):
         """Append a message, not older than the one before."""
-        self.index[channel] += time, self.size
-        size = _MESSAGE.size + len(data)
-        self.parts += _MESSAGE.pack(_MESSAGE_OPCODE, size - _OPCODE_AND_LENGTH, channel, sequence,
-                                    time, time), data
-        self.size += size
+        self.index[channel] += time, len(self.data)
+        length = _MESSAGE.size - _OPCODE_AND_LENGTH + len(data)
+        self.data += _MESSAGE.pack(_MESSAGE_OPCODE, length, channel, sequence, time, time)
+        self.data += data
 
 
 class Writer:
@@ -96,18 +92,17 @@ class Writer:
 
     def add_chunk(self, chunk):
         """Compress a chunk that has messages, and write it with its index."""
-        data = b''.join(chunk.parts)
         facts = {
-            'compression': 'lz4', 'uncompressed_size': len(data),
+            'compression': 'lz4', 'uncompressed_size': len(chunk.data),
             'message_start_time': min(entries[0] for entries in chunk.index.values()),
             'message_end_time': max(entries[-2] for entries in chunk.index.values())}
         if not self._chunks:
             self.start = facts['message_start_time']
         self.end = facts['message_end_time']
-        compressed = lz4.frame.compress(data)
+        compressed = lz4.frame.compress(chunk.data)
         offset = self._stream.tell()
         length = self._write(
-            ChunkRecord(data=compressed, uncompressed_crc=zlib.crc32(data), **facts))
+            ChunkRecord(data=compressed, uncompressed_crc=zlib.crc32(chunk.data), **facts))
         places, place = {}, offset + length
         for channel, entries in chunk.index.items():
             self.counts[channel] += len(entries) // 2
