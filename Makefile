@@ -21,7 +21,7 @@ export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --use-pep517 --constraint constraints.txt
 
 .PHONY: sim test picture paper benchmark benchmark-quick references stability \
-	benchmark-loop clean
+	benchmark-node clean
 
 sim: $(VENV)/.run
 	@mkdir -p $(dir $(RUN))
@@ -50,8 +50,8 @@ references: $(VENV)/.benchmark
 stability: $(VENV)/.run
 	@$(BIN)/python benchmark/stability.py
 
-benchmark-loop: $(VENV)/.run
-	@$(BIN)/python benchmark/loop.py
+benchmark-node: $(VENV)/.run
+	@$(BIN)/python benchmark/node_speed.py
 
 clean:
 	rm -rf $(VENV) run build install log .pytest_cache .mypy_cache

@@ -88,8 +88,8 @@ def test_xi_must_be_on_the_arm(paper):
         run.position(2.5)
 
 
-LONG_RUN = ('import timo_sim; scene = timo_sim.load_scene({"integrator.step": 1e-5}); '
-            'timo_sim.simulate(scene, SECONDS, every=1000)')
+LONG_RUN = ('import timo_sim; scene = timo_sim.load_scene({"integrator.step": 1e-5, '
+            '"initial.shaft_velocity": 1.0}); timo_sim.simulate(scene, SECONDS, every=1000)')
 
 
 def test_progress_bar_on_a_terminal_for_long_runs_only():

@@ -4,12 +4,11 @@ import math
 import warnings
 
 import numpy as np
-from tqdm import tqdm
 
 from timo_sim.parameters import ParameterError, whole_ratio
 from timo_sim.physics import etdrk4
 from timo_sim.physics.compiled import record, size_mark
-from timo_sim.physics.formulation import ANGLE, LOADS
+from timo_sim.physics.formulation import LOADS
 from timo_sim.run import Run
 
 # Steps whose loads are worked out at once: long enough to make that cheap, short enough for a
@@ -49,7 +48,10 @@ class Simulator:
 
     def reset(self):
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
-        self._state = self.formulation.state(self.scene.initial_motion())
+        motion = self.scene.initial_motion()
+        self._state = self.formulation.state(motion)
+        # Without speeds, deflection, loads and drive nothing changes until the first command.
+        self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any())
         self._origin = self.steps
         self._block = 0, np.zeros((0, etdrk4.STAGES, LOADS))
         self._load = self.scene_loads(1)[0, 0].copy()
@@ -73,13 +75,6 @@ class Simulator:
     def nanoseconds(self):
         """Sim time [ns]."""
         return round(self.steps * self.scene.step * 1e9)
-
-    @property
-    def shaft(self):
-        """Shaft angle [rad]."""
-        formulation = self.formulation
-        driven = formulation.constraints.driven
-        return float(self._load[ANGLE] if driven else self._state[len(formulation.axes)])
 
     def scene_loads(self, count):
         """Return the scene's own loads of the next steps, shape (count, 3, 8)."""
@@ -111,6 +106,11 @@ class Simulator:
             The state is then the last finite one.
 
         """
+        if self._rests(loads):
+            self.steps += len(loads)
+            if samples is not None:
+                samples[:] = self.motion()
+            return
         if samples is None:
             every, samples = len(loads) + 1, np.empty((0, self.formulation.size))
         done = self.formulation.advance(self._propagator, self._state, loads, every, samples)
@@ -123,6 +123,11 @@ class Simulator:
                 f'the state is not finite after t = {self.steps * self.scene.step:.6g} s '
                 f'(step {self.steps}): ' + (self.caution or 'take fewer model.modes, a smaller '
                                             'integrator.step or model.formulation exact'))
+
+    def _rests(self, loads):
+        # Whether these steps would leave the state as it is, to the last bit.
+        self._resting = self._resting and not loads.any()
+        return self._resting and len(loads) > 0
 
     def motion(self):
         """Return the motion now, shape (2 (3 + N),), see `physics.formulation`."""
@@ -173,6 +178,7 @@ def simulate(scene, duration, every=1):
         If the shaft becomes too fast for a formulation without centrifugal stiffening.
 
     """
+    from tqdm import tqdm  # here: the node has no progress bar
     if scene.values['model.accuracy']:
         from timo_sim.accuracy import settle  # which simulates, with what is in this module
         scene = settle(scene, duration).scene

@@ -6,14 +6,14 @@ import threading
 import time
 from typing import NamedTuple
 
-from mcap.writer import CompressionType, Writer
 import yaml
 
 from timo_sim.log.schema import schema_text, type_hash
+from timo_sim.log.writer import Chunk, Writer
 
 FLUSH_PERIOD = 0.5       # [s] of wall time; half of what a crash may cost
-CHUNK_SIZE = 128 * 1024  # [B] so that compressing one does not hold up the other threads
-BACKLOG = 100000         # messages that may wait before `write` does
+CHUNK_SIZE = 128 * 1024  # [B] so that little is lost in a crash
+BACKLOG = 100            # chunks that may wait before `write` does
 
 _FOR_EVER = {'sec': 9223372036, 'nsec': 854775807}
 # What the node offers on every topic, as rosbag2 writes it (metadata version 9).
@@ -39,9 +39,9 @@ class Recorder:
     """
     Write serialised messages and metadata to a new MCAP file.
 
-    Messages are handed over at the cost of one append; a thread serialises chunks, compresses them
-    and gives them to the operating system at least every `FLUSH_PERIOD`. If that fails, `error`
-    says why, what was written is kept, and later messages are dropped.
+    `write` only appends to a chunk; a thread compresses chunks, for the most part without holding
+    up other threads, and gives them to the operating system at least every `FLUSH_PERIOD`. If that
+    fails, `error` says why, what was written is kept, and later messages are dropped.
 
     Parameters
     ----------
@@ -67,15 +67,16 @@ class Recorder:
     def __init__(self, path, channels, notes):
         self.error = None
         self._channels = channels
-        self._counts = [0] * len(channels)
-        self._span = [None, 0]
-        self._queue = deque()
-        self._closing = threading.Event()
+        self._lock = threading.Lock()  # of the chunk that grows
+        self._chunk = Chunk()
+        self._queue = deque()  # full chunks, and metadata in between
+        self._ready = threading.Event()
+        self._closing = False
         definitions = {name: (schema_text(name), type_hash(name))
                        for name in {channel.type_name for channel in channels}}
         self.path, self._file = _create(Path(path))
-        self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.LZ4)
         try:
+            self._writer = Writer(self._file, 'ros2')
             self._start(definitions, notes)
         except OSError:
             self._file.close()
@@ -101,41 +102,54 @@ class Recorder:
         """
         if self.error is not None:
             return
-        self._queue.append((index, step, stamp, data))
+        with self._lock:
+            self._chunk.add(index + 1, step & 0xffffffff, stamp, data)
+            if len(self._chunk.data) < CHUNK_SIZE:
+                return
+        self._pass_on()
+        self._ready.set()
         while len(self._queue) > BACKLOG and self.error is None:
             time.sleep(0.001)
 
     def note(self, name, values):
         """Log a metadata record: a name, and a dictionary of str."""
         if self.error is None:
+            self._pass_on()
             self._queue.append((name, values))
 
     def close(self):
         """Write what is waiting, the index and the summary, and close the file."""
-        self._closing.set()
+        self._closing = True
+        self._ready.set()
         self._thread.join()
 
     def _start(self, definitions, notes):
-        self._writer.start(profile='ros2')
-        schemas = {name: self._writer.register_schema(name, 'ros2msg', text.encode())
+        schemas = {name: self._writer.add_schema(name, 'ros2msg', text)
                    for name, (text, _) in definitions.items()}
         qos = yaml.dump([QOS], Dumper=_Dumper, sort_keys=False)
         for channel in self._channels:
-            self._writer.register_channel(channel.topic, 'cdr', schemas[channel.type_name], {
+            self._writer.add_channel(channel.topic, 'cdr', schemas[channel.type_name], {
                 'offered_qos_profiles': qos,
                 'topic_type_hash': definitions[channel.type_name][1]})
         for name, values in notes.items():
             self._writer.add_metadata(name, values)
-        self._writer.flush()
+        self._file.flush()
+
+    def _pass_on(self):
+        """Let the chunk that grows be written as it is."""
+        with self._lock:
+            if self._chunk.data:
+                self._queue.append(self._chunk)
+                self._chunk = Chunk()
 
     def _run(self):
         try:
-            flushed = time.monotonic()
-            while not self._closing.wait(0.02):
+            while not self._closing:
+                if not self._ready.wait(FLUSH_PERIOD):
+                    self._pass_on()
+                self._ready.clear()
                 self._drain()
-                if time.monotonic() - flushed > FLUSH_PERIOD:
-                    self._writer.flush()
-                    flushed = time.monotonic()
+            self._pass_on()
             self._drain()
             self._writer.add_metadata('rosbag2', {'serialized_metadata': self._rosbag2()})
             self._writer.finish()
@@ -151,29 +165,25 @@ class Recorder:
     def _drain(self):
         while self._queue:
             item = self._queue.popleft()
-            if len(item) == 2:
+            if isinstance(item, Chunk):
+                self._writer.add_chunk(item)
+            else:
                 self._writer.add_metadata(*item)
-                continue
-            index, step, stamp, data = item
-            self._writer.add_message(index + 1, stamp, data, stamp, step & 0xffffffff)
-            self._counts[index] += 1
-            if self._span[0] is None:
-                self._span[0] = stamp
-            self._span[1] = stamp
+        self._file.flush()
 
     def _rosbag2(self):
         """Return what rosbag2 keeps in its metadata record, version 9."""
-        first, last = self._span[0] or 0, self._span[1]
-        span = {'duration': {'nanoseconds': last - first},
+        first, counts = self._writer.start, self._writer.counts
+        span = {'duration': {'nanoseconds': self._writer.end - first},
                 'starting_time': {'nanoseconds_since_epoch': first},
-                'message_count': sum(self._counts)}
+                'message_count': counts.total()}
         topics = [
             {'topic_metadata': {
                 'name': channel.topic, 'type': channel.type_name, 'serialization_format': 'cdr',
                 'offered_qos_profiles': [QOS],
                 'type_description_hash': type_hash(channel.type_name)},
-             'message_count': count}
-            for channel, count in zip(self._channels, self._counts)]
+             'message_count': counts[index]}
+            for index, channel in enumerate(self._channels, start=1)]
         return yaml.dump({
             'version': 9, 'storage_identifier': 'mcap', **span,
             'topics_with_message_count': topics, 'compression_format': '', 'compression_mode': '',

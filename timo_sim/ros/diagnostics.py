@@ -46,5 +46,5 @@ class Health:
         status.values = [KeyValue(key=name, value=str(value))
                          for name, value in {**facts, **counters}.items()]
         message = DiagnosticArray(status=[status])
-        snapshot.stamp(message.header.stamp)
+        message.header.stamp.sec, message.header.stamp.nanosec = snapshot.time
         return message

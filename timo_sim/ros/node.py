@@ -1,6 +1,7 @@
 """The node `timo_sim`: wiring of simulator, topics, services, clock, diagnostics and log."""
 
 from datetime import datetime
+from importlib.metadata import version
 import json
 import math
 import platform
@@ -8,16 +9,15 @@ import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
-import numba
 import numpy as np
 from rclpy.node import Node
-import scipy
+from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool, Trigger
 
 import timo_sim
 from timo_sim.log.recorder import Recorder
 from timo_sim.parameters import whole_ratio
-from timo_sim.physics.formulation import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, TORQUE
+from timo_sim.physics.formulation import LOADS
 from timo_sim.ros import diagnostics
 from timo_sim.ros.commands import COMMANDS, Inlet
 from timo_sim.ros.pacing import Pace
@@ -66,7 +66,7 @@ class SimNode(Node):
         self._simulator.warm_up()
         self._tip = self._simulator.formulation.at([scene.manipulator.arm.length])
         self._held = np.zeros(LOADS)
-        self._effort = np.zeros(3)
+        self._applied = [0.0] * LOADS
         self._paused = self._values['start_paused']
         self._diverged = None
         self._pace = Pace(self._step)
@@ -87,7 +87,11 @@ class SimNode(Node):
         """Open the log and show the initial state, before any callback can change it."""
         if self._values['record']:
             self._open_log()
+        self._look()
         self._publish()
+        # Only now: rclpy's first line of a process takes a tenth of a second.
+        if self._recorder is not None:
+            self.get_logger().info(f'logging to {self._recorder.path}')
 
     def run(self):
         """Advance sim time with wall time until asked to stop."""
@@ -121,7 +125,9 @@ class SimNode(Node):
         while simulator.steps < goal and not self._stop.set:
             first = simulator.steps
             self._apply_commands(first)
-            last = min(goal, first + _BATCH, self._next_event(first))
+            last = first + 1
+            if goal > last:
+                last = min(goal, first + _BATCH, self._next_event(first))
             loads = simulator.scene_loads(last - first) + self._held
             try:
                 simulator.advance(loads)
@@ -129,7 +135,7 @@ class SimNode(Node):
                 self._diverged, self._paused = str(error), True
                 self.get_logger().error(f'paused, {error}; ~/reset goes back to the start')
                 return
-            self._set_effort(loads[-1, -1])
+            self._applied = loads[-1, -1].tolist()
             self._publish()
 
     def _next_event(self, step):
@@ -145,13 +151,6 @@ class SimNode(Node):
             if data is not None and self._recorder is not None:
                 self._recorder.write(index, step, self._simulator.nanoseconds, data)
 
-    def _set_effort(self, load):
-        theta = self._simulator.shaft
-        cosine, sine = math.cos(theta), math.sin(theta)
-        self._effort = np.array([
-            load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II],
-            load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II], load[TORQUE]])
-
     def _publish(self, everything=False):
         """Send each message that is due at this step and wanted by somebody."""
         step = self._simulator.steps
@@ -162,8 +161,13 @@ class SimNode(Node):
             for outlet in due:
                 outlet.publish(snapshot)
 
+    def _look(self):
+        # A service may be served before the news of a subscriber that was there first.
+        for outlet in self._outlets:
+            outlet.look()
+
     def _snapshot(self):
-        return Snapshot(self._simulator, self._tip, self._effort)
+        return Snapshot(self._simulator, self._tip, self._applied)
 
     def _diagnose(self, now):
         before, steps_before = self._reported
@@ -191,7 +195,7 @@ class SimNode(Node):
                 'log': self._recorder.path if self._recorder is not None else 'off'},
             errors=[error for error in (self._diverged, self._log_error) if error],
             caution=self._simulator.caution)
-        self._health_outlet.send(message, snapshot.step, snapshot.nanoseconds)
+        self._health_outlet.send(serialize_message(message), snapshot.step, snapshot.nanoseconds)
 
     def _pass_on_caution(self):
         if self._simulator.caution != self._cautioned:
@@ -231,10 +235,11 @@ class SimNode(Node):
 
     def _on_reset(self, request, response):
         with self._lock:
+            self._look()
             self._simulator.reset()
             for inlet in self._inlets:
                 inlet.clear(self._held)
-            self._effort[:] = 0.0
+            self._applied = [0.0] * LOADS
             self._diverged = None
             if self._recorder is not None:
                 self._recorder.note('timo_sim.reset', {'step': str(self._simulator.steps)})
@@ -248,6 +253,7 @@ class SimNode(Node):
             if not self._paused:
                 response.success, response.message = False, '~/step needs a paused simulation'
                 return response
+            self._look()
             for inlet in self._inlets:
                 inlet.poll()
             first = self._simulator.steps
@@ -270,15 +276,13 @@ class SimNode(Node):
                     'parameters': json.dumps(self._values),
                     'initial_motion': json.dumps(scene.initial_motion().tolist()),
                     'timo_sim': timo_sim.__version__, 'python': platform.python_version(),
-                    'numpy': np.__version__, 'scipy': scipy.__version__,
-                    'numba': numba.__version__}})
+                    **{package: version(package) for package in ('numpy', 'scipy', 'numba')}}})
         except OSError as error:
             self._log_error = f'no log is written to {path}: {error}'
             self.get_logger().error(self._log_error)
             return
         for index, outlet in enumerate(outlets, start=len(self._inlets)):
             outlet.recorder, outlet.index = self._recorder, index
-        self.get_logger().info(f'logging to {self._recorder.path}')
 
     def _close(self, wall_time):
         self._pass_on_caution()

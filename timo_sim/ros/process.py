@@ -1,5 +1,6 @@
 """The node's process: ROS started and ended around it, callbacks in a thread of their own."""
 
+import gc
 import sys
 import threading
 
@@ -10,7 +11,7 @@ from rclpy.signals import SignalHandlerOptions
 from timo_sim.parameters import ParameterError
 from timo_sim.ros.node import SimNode
 
-try:  # with a client at 1 kHz it costs a third less: benchmark/loop.py
+try:  # with a client at 1 kHz it costs half: benchmark/node_speed.py
     from rclpy.experimental import EventsExecutor as Executor
 except ImportError:  # an older rclpy
     from rclpy.executors import SingleThreadedExecutor as Executor
@@ -67,6 +68,7 @@ def run(stop, args):
     except ParameterError as error:
         return _refuse(error)
     stop.running()
+    gc.freeze()  # what has been made so far lasts: no need to look through it while ticking
     executor = Executor()
     executor.add_node(node)
     thread = threading.Thread(target=spin, name='executor', daemon=True)

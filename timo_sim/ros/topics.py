@@ -1,17 +1,21 @@
-"""The topics that carry the simulated motion; a further one is a function and a line in TOPICS."""
+"""The topics that carry the motion; a further one is two functions and a line in TOPICS."""
 
-from array import array
 from functools import cached_property
 import math
 from typing import Any, Callable, NamedTuple
 
-from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import (
+    Point, Pose, PoseStamped, Quaternion, Vector3, Vector3Stamped)
 import numpy as np
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 
 from timo_sim.log.recorder import Channel
+from timo_sim.physics.formulation import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, TORQUE
 
 NANOSECONDS = 1000000000
 
@@ -25,31 +29,49 @@ class Snapshot:
     simulator : Simulator
     tip : Points
         The tip of the arm, see `Formulation.at`.
-    effort : ndarray, shape (3,)
-        Forces on the carrier in world axes [N] and torque on the shaft [N m].
+    load : list of float, length 8
+        What acted at the end of the last step, columns as in `physics.formulation`.
+
+    Attributes
+    ----------
+    step : int
+    nanoseconds : int
+        Sim time [ns].
+    time : tuple of int
+        The same in [s] and [ns].
 
     """
 
-    def __init__(self, simulator, tip, effort):
-        self._formulation, self._tip, self.effort = simulator.formulation, tip, effort
+    def __init__(self, simulator, tip, load):
+        self._formulation, self._tip, self._load = simulator.formulation, tip, load
         self.step = simulator.steps
         self.nanoseconds = simulator.nanoseconds
+        self.time = divmod(self.nanoseconds, NANOSECONDS)
         self.motion = simulator.motion()
+        self._values = self.motion.tolist()
 
     @cached_property
     def _q(self):
         return self.motion[np.newaxis, 3:len(self.motion) // 2]
 
-    @cached_property
+    @property
     def joint_positions(self):
         """Carrier x, y [m] and shaft angle [rad]."""
-        return array('d', self.motion[:3])
+        return self._values[:3]
 
-    @cached_property
+    @property
     def joint_velocities(self):
         """Carrier x, y [m/s] and shaft speed [rad/s]."""
-        half = len(self.motion) // 2
-        return array('d', self.motion[half:half + 3])
+        half = len(self._values) // 2
+        return self._values[half:half + 3]
+
+    @property
+    def effort(self):
+        """Forces on the carrier in world axes [N] and torque on the shaft [N m]."""
+        load, theta = self._load, self._values[2]
+        cosine, sine = math.cos(theta), math.sin(theta)
+        return (load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II],
+                load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II], load[TORQUE])
 
     @cached_property
     def tip_in_arm(self):
@@ -71,67 +93,107 @@ class Snapshot:
         """Length of the arm [m]."""
         return float(self._tip.xi[0])
 
-    def stamp(self, time):
-        """Write sim time into a builtin_interfaces/Time."""
-        time.sec, time.nanosec = divmod(self.nanoseconds, NANOSECONDS)
+
+def _joint_state(time, *numbers):
+    return JointState(
+        header=Header(stamp=time), name=['carrier_x', 'carrier_y', 'shaft'],
+        position=numbers[:3], velocity=numbers[3:6], effort=numbers[6:])
 
 
-def _joint_states(snapshot, message):
-    snapshot.stamp(message.header.stamp)
-    message.name = ['carrier_x', 'carrier_y', 'shaft']
-    message.position = snapshot.joint_positions
-    message.velocity = snapshot.joint_velocities
-    message.effort = array('d', snapshot.effort)
+def _joints(snapshot):
+    return *snapshot.joint_positions, *snapshot.joint_velocities, *snapshot.effort
 
 
-def _tip_deflection(snapshot, message):
-    snapshot.stamp(message.header.stamp)
-    message.header.frame_id = 'arm'
+def _vector_in_arm(time, x, y):
+    return Vector3Stamped(header=Header(stamp=time, frame_id='arm'), vector=Vector3(x=x, y=y))
+
+
+def _tip_deflection(snapshot):
     along, across = snapshot.tip_in_arm
-    message.vector.x = along - snapshot.length
-    message.vector.y = across
+    return along - snapshot.length, across
 
 
-def _tip_pose(snapshot, message):
-    snapshot.stamp(message.header.stamp)
-    message.header.frame_id = 'world'
+def _pose_in_world(time, x, y, z, w):
+    return PoseStamped(
+        header=Header(stamp=time, frame_id='world'),
+        pose=Pose(position=Point(x=x, y=y), orientation=Quaternion(z=z, w=w)))
+
+
+def _tip_pose(snapshot):
     x, y, theta = snapshot.joint_positions
     along, across = snapshot.tip_in_arm
     cosine, sine = math.cos(theta), math.sin(theta)
-    message.pose.position.x = x + cosine * along - sine * across
-    message.pose.position.y = y + sine * along + cosine * across
     half = 0.5 * (theta + snapshot.tip_rotation)
-    message.pose.orientation.z = math.sin(half)
-    message.pose.orientation.w = math.cos(half)
+    return (x + cosine * along - sine * across, y + sine * along + cosine * across,
+            math.sin(half), math.cos(half))
 
 
-def _carrier_pose(snapshot, message):
-    snapshot.stamp(message.header.stamp)
-    message.header.frame_id = 'world'
-    message.pose.position.x, message.pose.position.y = snapshot.joint_positions[:2]
-    message.pose.orientation.w = 1.0
-
-
-def _clock(snapshot, message):
-    snapshot.stamp(message.clock)
+def _carrier_pose(snapshot):
+    return *snapshot.joint_positions[:2], 0.0, 1.0
 
 
 class Topic(NamedTuple):
-    """A topic, what fills its messages from a snapshot, and the parameter with its rate."""
+    """
+    A topic.
+
+    `message` builds a message from its time and numbers, `numbers` reads these off a snapshot,
+    `size` is how many there are; `rate` names the parameter with the topic's rate.
+    """
 
     name: str
     message_type: type
-    fill: Callable[[Snapshot, Any], None]
+    message: Callable[..., Any]
+    numbers: Callable[[Snapshot], tuple]
+    size: int
     rate: str
 
 
 TOPICS = [
-    Topic('joint_states', JointState, _joint_states, 'rate.joint_states'),
-    Topic('~/tip_deflection', Vector3Stamped, _tip_deflection, 'rate.tip_deflection'),
-    Topic('~/tip_pose', PoseStamped, _tip_pose, 'rate.tip_pose'),
-    Topic('~/carrier_pose', PoseStamped, _carrier_pose, 'rate.carrier_pose'),
-    Topic('/clock', Clock, _clock, 'rate.clock'),
+    Topic('joint_states', JointState, _joint_state, _joints, 9, 'rate.joint_states'),
+    Topic('~/tip_deflection', Vector3Stamped, _vector_in_arm, _tip_deflection, 2,
+          'rate.tip_deflection'),
+    Topic('~/tip_pose', PoseStamped, _pose_in_world, _tip_pose, 4, 'rate.tip_pose'),
+    Topic('~/carrier_pose', PoseStamped, _pose_in_world, _carrier_pose, 4, 'rate.carrier_pose'),
+    Topic('/clock', Clock, lambda time: Clock(clock=time), lambda snapshot: (), 0, 'rate.clock'),
 ]
+
+
+class Serializer:
+    """
+    Writes the numbers of a message straight into its serialised form.
+
+    Everything but time and numbers is the same in all messages of a topic. Where these are in the
+    CDR is found once, from a message with marks in their places.
+
+    Parameters
+    ----------
+    message : function(Time, *float) -> message
+        Its first field must be the time, or a header.
+    size : int
+        Numbers that it takes.
+
+    """
+
+    def __init__(self, message, size):
+        sec, nanosec, *numbers = marks = [1234567, 7654321] + [1.1 + n for n in range(size)]
+        self._data = bytearray(serialize_message(
+            message(Time(sec=sec, nanosec=nanosec), *numbers)))
+        # After four bytes CDR aligns every number to its size.
+        body = memoryview(self._data)[4:]
+        self._time = body[:8].cast('I')
+        self._numbers = body[:len(body) // 8 * 8].cast('d')
+        found = self._numbers.tolist()
+        self._places = [found.index(number) for number in numbers]
+        if self._time.tolist() != marks[:2]:
+            raise ValueError(f'{message} does not begin with the time')
+
+    def __call__(self, time, numbers):
+        """Return the message with this time ([s], [ns]) and these numbers, CDR."""
+        self._time[0], self._time[1] = time
+        view = self._numbers
+        for place, number in zip(self._places, numbers):
+            view[place] = number
+        return bytes(self._data)
 
 
 def type_name(message_type):
@@ -154,20 +216,25 @@ class Outlet:
     """
 
     def __init__(self, node, topic, message_type):
-        self._publisher = node.create_publisher(message_type, topic, 10)
+        self._subscribed = False
+        self._publisher = node.create_publisher(
+            message_type, topic, 10,
+            event_callbacks=PublisherEventCallbacks(matched=lambda event: self.look()))
         self.channel = Channel(self._publisher.topic_name, type_name(message_type))
         self.recorder, self.index = None, None
+
+    def look(self):
+        """Find out whether anybody subscribes; the executor does so on every change."""
+        self._subscribed = self._publisher.get_subscription_count() > 0
 
     @property
     def wanted(self):
         """Whether a message would reach anybody."""
-        recording = self.recorder is not None and self.recorder.error is None
-        return recording or self._publisher.get_subscription_count() > 0
+        return self._subscribed or self.recorder is not None and self.recorder.error is None
 
-    def send(self, message, step, nanoseconds):
-        """Serialise a message once, for subscribers and for the log."""
-        data = serialize_message(message)
-        if self._publisher.get_subscription_count() > 0:
+    def send(self, data, step, nanoseconds):
+        """Hand a message, CDR, to subscribers and to the log."""
+        if self._subscribed:
             self._publisher.publish(data)
         if self.recorder is not None:
             self.recorder.write(self.index, step, nanoseconds, data)
@@ -186,11 +253,11 @@ class MotionOutlet(Outlet):
 
     def __init__(self, node, topic):
         super().__init__(node, topic.name, topic.message_type)
-        self._message_type, self._fill, self.rate = topic.message_type, topic.fill, topic.rate
+        self._serialize = Serializer(topic.message, topic.size)
+        self._numbers, self.rate = topic.numbers, topic.rate
         self.every = 1
 
     def publish(self, snapshot):
         """Send what a snapshot holds."""
-        message = self._message_type()
-        self._fill(snapshot, message)
-        self.send(message, snapshot.step, snapshot.nanoseconds)
+        data = self._serialize(snapshot.time, self._numbers(snapshot))
+        self.send(data, snapshot.step, snapshot.nanoseconds)

@@ -1,0 +1,296 @@
+"""
+What the node costs, how evenly it ticks, how fast it starts: `python benchmark/node_speed.py`.
+
+CPU is user and system time of a whole process, for each time step that it published. The peers of
+a comparison run in turns of a second or two, stopped in between, so that a busy machine is busy
+for all of them; what is shown is the median over the turns of the ratio within a turn. See
+node_processes.py for who they are.
+"""
+
+import argparse
+from contextlib import contextmanager, ExitStack
+import os
+from pathlib import Path
+import re
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+import uuid
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+PROCESSES = Path(__file__).with_name('node_processes.py')
+RATES = ('joint_states', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
+START_UP, SETTLE = 4.0, 0.5   # [s]
+# Nobody else may listen; and a start reads the byte code that an earlier one wrote.
+DOMAIN = 1 + uuid.uuid4().int % 90
+ENVIRONMENT = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+               'ROS_DOMAIN_ID': str(DOMAIN)}
+ENVIRONMENT.pop('PYTHONDONTWRITEBYTECODE', None)
+
+
+def arguments(rate=1000.0, **parameters):
+    """Return the command line of a node with all topics at one rate."""
+    values = {'record': False, 'publish_clock': True,
+              **{f'rate.{topic}': rate for topic in RATES}, **parameters}
+    given = [f'{name}:={str(value).lower() if isinstance(value, bool) else value}'
+             for name, value in values.items()]
+    return ['--ros-args', '--params-file', str(ROOT / 'config' / 'paper.yaml'),
+            *(word for value in given for word in ('-p', value))]
+
+
+def processor_time(pid):
+    """Return the CPU time of all threads of a process [s]."""
+    return 1e-9 * sum(int(path.read_text().split()[0])
+                      for path in Path(f'/proc/{pid}/task').glob('*/schedstat'))
+
+
+class Peer:
+    """
+    A process that is measured in turns, stopped in between; and its listener, if any.
+
+    Attributes
+    ----------
+    cpu : ndarray
+        CPU time for each step, in each turn [s]; known after `end`.
+    ticks : list of ndarray, shape (n, 3)
+        Begin and end of the ticks of each turn [s], and their steps; known after `end`.
+
+    """
+
+    def __init__(self, name, folder, domain, listened=True, extra=()):
+        environment = {**ENVIRONMENT, 'ROS_DOMAIN_ID': str(domain)}
+        self._path = Path(folder) / f'{domain}.npy'
+        self._turns, self.cpu, self.ticks = [], None, []
+        self._stack = ExitStack()
+        with ExitStack() as stack:
+            if listened:
+                listener = stack.enter_context(
+                    started('listener', '-', environment, stdout=subprocess.PIPE))
+                _expect(listener, 'listening')
+            self._process = stack.enter_context(
+                started(name, self._path, environment, *extra, cwd=folder))
+            if listened:
+                _expect(listener, 'hearing')
+            else:
+                time.sleep(START_UP)
+            self._stack = stack.pop_all()
+        self._process.send_signal(signal.SIGSTOP)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._stack.close()
+
+    def turn(self, seconds):
+        """Let the process run, and measure."""
+        self._process.send_signal(signal.SIGCONT)
+        time.sleep(SETTLE)
+        begin, before = time.monotonic(), processor_time(self._process.pid)
+        time.sleep(seconds)
+        end, after = time.monotonic(), processor_time(self._process.pid)
+        self._process.send_signal(signal.SIGSTOP)
+        self._turns.append((begin, end, after - before))
+
+    def end(self):
+        """End the process and read when its ticks were."""
+        self._process.send_signal(signal.SIGCONT)
+        self._process.terminate()
+        if self._process.wait() != 0:
+            raise RuntimeError('a peer failed')
+        times = np.load(self._path)
+        self.ticks = [times[(times[:, 0] > begin) & (times[:, 1] < end)]
+                      for begin, end, _ in self._turns]
+        self.cpu = np.array([cpu / ticks[:, 2].sum()
+                             for (_, _, cpu), ticks in zip(self._turns, self.ticks)])
+
+
+def _expect(process, word):
+    lines = []
+    for line in process.stdout:  # the middleware may have something to say, too
+        lines.append(line.strip())
+        if lines[-1] == word:
+            return
+    raise RuntimeError('\n'.join(lines))
+
+
+@contextmanager
+def started(name, path, environment, *extra, **options):
+    """Start one of the processes, and end it."""
+    options = {'stdout': subprocess.DEVNULL, 'stderr': subprocess.STDOUT, 'text': True, **options}
+    process = subprocess.Popen([sys.executable, str(PROCESSES), name, str(path), *extra],
+                               env=environment, **options)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGCONT)
+            process.terminate()
+        process.wait()
+
+
+def compare(turns, seconds, **peers):
+    """Run peers, each the arguments of a `Peer`, in turns; return them by name."""
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        running = {name: stack.enter_context(Peer(kind, folder, DOMAIN + number, listened, extra))
+                   for number, (name, (kind, listened, extra)) in enumerate(peers.items())}
+        order = list(running.values())
+        for _ in range(turns):
+            for peer in order:
+                peer.turn(seconds)
+            order.append(order.pop(0))
+        for peer in order:
+            peer.end()
+    return running
+
+
+def ratio(over, under):
+    """Return the median of the ratios within a turn."""
+    return statistics.median(np.divide(over, under))
+
+
+def spread(values, factor=1e6):
+    """Return median, 99th percentile and maximum as text, in microseconds."""
+    return ' / '.join(f'{value:.0f}' for value in factor * np.percentile(values, [50, 99, 100]))
+
+
+def cpu_rows(turns, seconds):
+    """Compare the node with nodes without a simulation, and its log with none."""
+    peers = compare(
+        turns, seconds, bare=('bare', True, ()), timer=('timer', True, ()),
+        node=('node', True, arguments()),
+        log=('node', True, arguments(record=True, record_file='run.mcap')))
+    bare, timer, node, log = peers.values()
+    durations = {name: [np.divide(*_durations(ticks)) for ticks in peer.ticks]
+                 for name, peer in peers.items()}
+    each = ', '.join(f'{name} {1e6 * statistics.median(peer.cpu):.0f} us'
+                     for name, peer in peers.items())
+    p99 = {name: [np.percentile(turn, 99) for turn in durations[name]] for name in ('node', 'log')}
+    added = 1e6 * statistics.median(log.cpu - node.cpu) / len(RATES)
+    yield ('CPU over a bare node, 5 topics at 1 kHz, subscribed', '<= 1.15',
+           f'{ratio(node.cpu, bare.cpu):.2f}', each)
+    yield ('CPU over an rclpy timer in a SingleThreadedExecutor', '< 1',
+           f'{ratio(node.cpu, timer.cpu):.2f}', '')
+    yield 'CPU of the log', '<= 10 us per message', f'{added:.1f} us', ''
+    yield ('p99 of the time of a step, log on over log off', '<= 1.1',
+           f'{ratio(p99["log"], p99["node"]):.2f}',
+           ', '.join(f'{name} {spread(np.concatenate(durations[name]))} us'
+                     for name in ('bare', 'node', 'log')))
+    yield ('interval of the loops, p50 / p99 / max', '', '',
+           ', '.join(f'{name} {spread(intervals(peer))} us' for name, peer in peers.items()))
+
+
+def _durations(ticks):
+    # Those that did any step, and how many: a late tick makes up for others.
+    done = ticks[ticks[:, 2] > 0]
+    return done[:, 1] - done[:, 0], done[:, 2]
+
+
+def intervals(peer):
+    """Return the times between beginnings of ticks [s]."""
+    return np.concatenate([np.diff(ticks[:, 0]) for ticks in peer.ticks])
+
+
+def silent_rows(turns, seconds):
+    """Compare topics that nobody wants at 1 kHz with topics at 1 Hz."""
+    fast, slow = compare(turns, seconds, fast=('node', False, arguments()),
+                         slow=('node', False, arguments(rate=1.0))).values()
+    yield ('CPU of 5 topics at 1 kHz without subscriber and log, over 1 Hz', '1',
+           f'{ratio(fast.cpu, slow.cpu):.2f}', f'{1e6 * statistics.median(fast.cpu):.0f} us')
+
+
+def finished(*extra, environment=ENVIRONMENT):
+    """Run a node to its end; return when it was started, its ticks and its output."""
+    with tempfile.TemporaryDirectory() as folder:
+        begin = time.monotonic()
+        with started('node', 'ticks.npy', environment, *extra, cwd=folder,
+                     stdout=subprocess.PIPE) as process:
+            output = process.communicate()[0]
+            if process.returncode:
+                raise RuntimeError(output)
+        return begin, np.load(Path(folder) / 'ticks.npy'), output
+
+
+def jitter_rows(seconds, long):
+    """Run alone at three tick rates; the fastest for long enough to see what is dropped."""
+    for rate, duration in ((200, seconds), (500, seconds), (1000, long)):
+        _, ticks, output = finished(*arguments(
+            rate=100.0, duration=float(duration), **{'integrator.step': 1.0 / rate}))
+        yield (f'interval at {rate} Hz, p50 / p99 / max', f'{1e6 / rate:.0f} us',
+               spread(np.diff(ticks[:, 0])) + ' us', '')
+    dropped = re.search(r'(\d+) overruns, (\S+) s dropped', output)
+    yield (f'sim time dropped in {long:g} s at 1 kHz', '0 s', f'{dropped[2]} s',
+           f'{dropped[1]} overruns')
+
+
+def free_rows(times, duration):
+    """Run as fast as possible, with a log."""
+    factors = []
+    for _ in range(times):
+        _, _, output = finished(*arguments(
+            rate=100.0, publish_clock=False, record=True, record_file='run.mcap',
+            real_time_factor=0.0, duration=float(duration)))
+        sim_time, wall_time = re.search(r'simulated (\S+) s in (\S+) s', output).groups()
+        factors.append(float(sim_time) / float(wall_time))
+    yield ('free run, 1 ms, log on, 4 topics at 100 Hz', '>= 50 times real time',
+           f'{statistics.median(factors):.0f}', f'{min(factors):.0f} to {max(factors):.0f}')
+
+
+def start_rows(times):
+    """Time from the start of the process to the first tick, just after the first message."""
+    with tempfile.TemporaryDirectory() as cache:
+        environment = {**ENVIRONMENT, 'NUMBA_CACHE_DIR': cache}
+        taken, said = [], []
+        for _ in range(1 + times):
+            begin, ticks, output = finished(*arguments(duration=0.01), environment=environment)
+            taken.append(ticks[0, 0] - begin)
+            said.append('compiling once' in output)
+    cold, *warm = taken
+    yield ('start to first message, cold', '<= 12 s', f'{cold:.1f} s',
+           'says "compiling once"' if said == [True] + times * [False] else 'says it wrongly')
+    yield ('start to first message, warm', '<= 1.5 s', f'{statistics.median(warm):.2f} s',
+           f'{min(warm):.2f} to {max(warm):.2f} s')
+
+
+def overload_rows():
+    """Ask for more than the machine can do, and for an end."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        heavy = arguments(**{'model.modes': 20, 'integrator.step': 1e-5})
+        with tempfile.TemporaryDirectory() as folder, started(
+                'node', 'ticks.npy', ENVIRONMENT, *heavy, cwd=folder,
+                stdout=subprocess.PIPE) as process:
+            time.sleep(2 * START_UP)
+            begin = time.monotonic()
+            process.send_signal(number)
+            output = process.communicate()[0]
+            dropped = re.search(r'(\S+) s dropped', output)
+            yield (f'{number.name} to the end of an overloaded node', 'code 0',
+                   f'code {process.returncode}, {time.monotonic() - begin:.2f} s',
+                   f'{dropped[1]} s dropped')
+
+
+def rows(quick=False):
+    """Measure everything; return tuples of line, target, measured and a remark."""
+    turns, seconds = (3, 1.0) if quick else (12, 1.5)
+    return [*cpu_rows(turns, seconds), *silent_rows(turns, seconds),
+            *(jitter_rows(3.0, 5.0) if quick else jitter_rows(10.0, 60.0)),
+            *(free_rows(1, 50.0) if quick else free_rows(5, 100.0)),
+            *start_rows(2 if quick else 5), *overload_rows()]
+
+
+def main():
+    """Measure and print a Markdown table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--quick', action='store_true')
+    print('| | target | measured | |\n|---|---|---|---|')
+    for row in rows(parser.parse_args().quick):
+        print('| ' + ' | '.join(row) + ' |')
+
+
+if __name__ == '__main__':
+    main()

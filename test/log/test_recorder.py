@@ -1,0 +1,60 @@
+"""The recorder by itself: chunks, checksums, index, metadata in between."""
+
+from mcap.reader import make_reader
+import pytest
+
+from timo_sim.log.recorder import Channel, CHUNK_SIZE, Recorder
+
+CHANNELS = [Channel('/a', 'sensor_msgs/msg/JointState'), Channel('/b', 'std_msgs/msg/Float64'),
+            Channel('/silent', 'std_msgs/msg/Float64')]
+STEPS = 5000
+
+
+@pytest.fixture
+def path(tmp_path):
+    """Return the path of a log with two channels, one a tenth as dense, and a note inside."""
+    recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {'first': {'key': 'value'}})
+    for step in range(STEPS):
+        if step == STEPS // 2:
+            recorder.note('middle', {'step': str(step)})
+        recorder.write(0, step, step * 1000, step.to_bytes(4, 'little') + bytes(100))
+        if step % 10 == 0:
+            recorder.write(1, step, step * 1000, bytes(7))
+    recorder.close()
+    assert recorder.error is None
+    return recorder.path
+
+
+def test_every_message_is_there_with_checksums_in_order(path):
+    with open(path, 'rb') as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        found = {'/a': [], '/b': []}
+        for _, channel, message in reader.iter_messages():
+            assert message.log_time == message.publish_time == message.sequence * 1000
+            found[channel.topic].append((message.sequence, message.data))
+        assert found['/a'] == [(step, step.to_bytes(4, 'little') + bytes(100))
+                               for step in range(STEPS)]
+        assert found['/b'] == [(step, bytes(7)) for step in range(0, STEPS, 10)]
+        assert [(record.name, record.metadata) for record in reader.iter_metadata()][:2] == [
+            ('first', {'key': 'value'}), ('middle', {'step': str(STEPS // 2)})]
+
+
+def test_a_reader_that_seeks_finds_its_part(path):
+    with open(path, 'rb') as stream:
+        reader = make_reader(stream)
+        part = [message.sequence for _, _, message in reader.iter_messages(
+            topics=['/b'], starting_at=1000000, ending_before=1500000)]
+        summary = reader.get_summary()
+    assert part == list(range(1000, 1500, 10))
+    assert len(summary.chunk_indexes) >= STEPS * 135 // CHUNK_SIZE
+    assert summary.statistics.channel_message_counts == {1: STEPS, 2: STEPS // 10}
+    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (
+        0, (STEPS - 1) * 1000)
+    assert [channel.topic for channel in summary.channels.values()] == ['/a', '/b', '/silent']
+
+
+def test_a_log_without_messages_is_whole(tmp_path):
+    recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
+    recorder.close()
+    with open(recorder.path, 'rb') as stream:
+        assert make_reader(stream).get_summary().statistics.message_count == 0

@@ -1,0 +1,72 @@
+"""What the start of the node imports, and what its first steps do."""
+
+import subprocess
+import sys
+
+from mcap_ros2.reader import read_ros2_messages
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+
+import timo_sim
+
+
+def test_the_node_imports_only_what_it_needs(tmp_path):
+    code = (
+        'import sys; from timo_sim.ros.sim_node import main; '
+        'assert main(["--ros-args", "-p", "duration:=0.05", "-p", "record_file:=run.mcap"]) == 0; '
+        'needless = {"rerun", "matplotlib", "tqdm", "pandas", "scipy.integrate", '
+        '"scipy.interpolate", "scipy.signal", "scipy.stats"} & set(sys.modules); '
+        'assert not needless, needless')
+    result = subprocess.run([sys.executable, '-c', code], cwd=tmp_path, capture_output=True,
+                            text=True)
+    assert result.returncode == 0, result.stderr
+
+
+def test_each_topic_has_its_rate_in_one_run(start):
+    rates = {'joint_states': 500.0, 'tip_deflection': 200.0, 'tip_pose': 1000.0,
+             'carrier_pose': 8.0, 'clock': 40.0}
+    node = start(real_time_factor=0.0, duration=1.0, publish_clock=True,
+                 **{f'rate.{topic}': rate for topic, rate in rates.items()})
+    assert node.wait()[0] == 0
+    steps = {topic: [] for topic in rates}
+    for message in read_ros2_messages(str(node.log)):
+        topic = message.channel.topic.rpartition('/')[2]
+        if topic in steps:
+            steps[topic].append(message.sequence_count)
+    assert steps == {topic: list(range(0, 1001, round(1000 / rate)))
+                     for topic, rate in rates.items()}
+
+
+def test_a_command_to_a_manipulator_at_rest_acts_at_its_step(start, client):
+    node = start(start_paused=True, step_count=20)
+    states = client.collect(JointState, '/joint_states')
+    torque = client.command(Float64, '/timo_sim/motor_torque')
+    step = client.service(Trigger, '/timo_sim/step')
+    acting = []
+    while not acting:  # a publisher knows its subscriber before that one knows it
+        torque.publish(Float64(data=2.0))
+        end = int(step().message.removeprefix('at step '))
+        client.wait(lambda: states and stamp(states[-1]) == end, 'the state after a step')
+        acting = [state for state in states if state.effort[2] == 2.0]
+    for _ in range(10):
+        end = int(step().message.removeprefix('at step '))
+    client.wait(lambda: stamp(states[-1]) == end, 'the state after a step')
+    assert node.end()[0] == 0
+
+    command, = [message for message in read_ros2_messages(str(node.log))
+                if message.channel.topic.endswith('motor_torque')][:1]
+    begin = command.sequence_count
+    assert begin % 20 == 0
+    scene = timo_sim.load_scene({'load.torque.piecewise.time': [begin * 0.001],
+                                 'load.torque.piecewise.value': [2.0]})
+    run = timo_sim.simulate(scene, end * 0.001)
+    for state in states:
+        k = stamp(state)
+        assert state.position.tolist() == run.motion[k, :3].tolist()
+        assert state.effort.tolist() == [0.0, 0.0, 2.0 if k > begin else 0.0]
+
+
+def stamp(message):
+    """Return the step of a message."""
+    return message.header.stamp.sec * 1000 + message.header.stamp.nanosec // 1000000

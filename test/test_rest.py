@@ -1,0 +1,76 @@
+"""A manipulator at rest is not computed, and nothing shows the difference."""
+
+import numpy as np
+import pytest
+
+import timo_sim
+from timo_sim.physics import FORMULATIONS
+from timo_sim.physics.formulation import Formulation, LOADS, TORQUE
+from timo_sim.simulation import Simulator
+
+LONG = 700  # steps
+
+
+def torque(steps, value):
+    """Return loads of a constant torque."""
+    loads = np.zeros((steps, 3, LOADS))
+    loads[..., TORQUE] = value
+    return loads
+
+
+def history(scene):
+    """Return motions of a simulator at rest, then turned, then left alone again."""
+    simulator = Simulator(scene)
+    motions = np.empty((2 * LONG, simulator.formulation.size))
+    simulator.advance(simulator.scene_loads(LONG), 1, motions[:LONG])
+    assert simulator.steps == LONG
+    for k in range(LONG, 2 * LONG):
+        simulator.advance(torque(1, 2.0 if k < LONG + 50 else 0.0))
+        motions[k] = simulator.motion()
+    return motions
+
+
+@pytest.mark.parametrize('formulation', FORMULATIONS)
+@pytest.mark.parametrize('held', ['none', 'x', 'both'])
+def test_rest_is_what_computing_it_gives_to_the_last_bit(formulation, held, monkeypatch):
+    scene = timo_sim.load_scene({
+        'model.formulation': formulation, 'carrier.held': held, 'initial.shaft': 0.7,
+        'initial.carrier_x': 0.3, 'initial.carrier_y': -1.7, 'arm.damping_ratio': [0.01]})
+    skipped = history(scene)
+    monkeypatch.setattr(Simulator, '_rests', lambda simulator, loads: False)
+    assert skipped.tobytes() == history(scene).tobytes()
+    assert skipped[LONG, 2] != skipped[LONG - 1, 2] != skipped[-1, 2]
+
+
+def test_no_step_is_computed_at_rest(monkeypatch):
+    computed = []
+    advance = Formulation.advance
+
+    def counting(self, propagator, state, loads, every, samples):
+        computed.append(len(loads))
+        return advance(self, propagator, state, loads, every, samples)
+
+    monkeypatch.setattr(Formulation, 'advance', counting)
+    simulator = Simulator(timo_sim.load_scene({}))
+    simulator.advance(simulator.scene_loads(LONG))
+    assert simulator.nanoseconds == LONG * 1000000 and not computed
+    simulator.advance(torque(1, 1.0))
+    simulator.advance(torque(5, 0.0))
+    assert sum(computed) == 6
+    # Back at the start it rests again.
+    simulator.reset()
+    simulator.advance(simulator.scene_loads(LONG))
+    assert simulator.steps == 2 * LONG + 6 and sum(computed) == 6
+
+
+@pytest.mark.parametrize('moving', [
+    {'initial.carrier_x_velocity': 0.1}, {'initial.carrier_y_velocity': 0.1},
+    {'initial.shaft_velocity': 0.1}, {'initial.modal_coordinates': [0.0, 0.0, 1e-3]},
+    {'initial.modal_rates': [1e-3, 0.0, 0.0]},
+    {'load.force_y.piecewise.time': [0.5], 'load.force_y.piecewise.value': [1.0]},
+    {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 1.0], 'motor.drive.angle': [0.0, 1.0],
+     'motor.drive.speed': [0.0, 0.0], 'motor.drive.acceleration': [0.0, 0.0]}],
+    ids=lambda values: next(iter(values)))
+def test_what_moves_or_will_is_computed(moving):
+    motion = timo_sim.simulate(timo_sim.load_scene(moving), 1.0).motion
+    assert not np.array_equal(motion[0], motion[-1])

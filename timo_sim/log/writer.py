@@ -1,0 +1,150 @@
+"""MCAP files, chunk by chunk: a message costs a third of what it costs in `mcap.writer`."""
+
+from collections import Counter, defaultdict
+import struct
+import zlib
+
+import lz4.frame
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel, ChunkIndex, DataEnd, Footer, Header, Metadata, MetadataIndex, Schema, Statistics,
+    SummaryOffset)
+from mcap.records import Chunk as ChunkRecord
+from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
+
+# Opcode, length of what follows; channel, sequence number, log time and publish time.
+_MESSAGE = struct.Struct('<BQHIQQ')
+_OPCODE_AND_LENGTH = 9
+_MESSAGE_OPCODE = int(Opcode.MESSAGE)
+
+
+class Chunk:
+    """
+    Messages that are compressed together.
+
+    Attributes
+    ----------
+    data : bytearray
+    index : dict
+        For each channel a flat list: time and position of each of its messages.
+
+    """
+
+    def __init__(self):
+        self.data = bytearray()
+        self.index = defaultdict(list)
+
+    def add(self, channel, sequence, time, data):
+        """Append a message, not older than the one before."""
+        self.index[channel] += time, len(self.data)
+        length = _MESSAGE.size - _OPCODE_AND_LENGTH + len(data)
+        self.data += _MESSAGE.pack(_MESSAGE_OPCODE, length, channel, sequence, time, time)
+        self.data += data
+
+
+class Writer:
+    """
+    Writes a stream from its first byte to its last.
+
+    Parameters
+    ----------
+    stream : binary file
+    profile : str
+
+    Attributes
+    ----------
+    counts : Counter
+        Messages of each channel.
+    start, end : int
+        Times of the first and the last message [ns].
+
+    """
+
+    def __init__(self, stream, profile):
+        self._stream = stream
+        self._schemas, self._channels, self._chunks, self._metadata = [], [], [], []
+        self.counts = Counter()
+        self.start = self.end = 0
+        stream.write(MCAP0_MAGIC)
+        self._write(Header(profile=profile, library=LIBRARY_IDENTIFIER))
+
+    def add_schema(self, name, encoding, text):
+        """Add a schema; return its number, from 1."""
+        number = len(self._schemas) + 1
+        self._schemas.append(Schema(id=number, name=name, encoding=encoding, data=text.encode()))
+        self._write(self._schemas[-1])
+        return number
+
+    def add_channel(self, topic, encoding, schema, metadata):
+        """Add a channel; return its number, from 1."""
+        number = len(self._channels) + 1
+        self._channels.append(Channel(id=number, schema_id=schema, topic=topic,
+                                      message_encoding=encoding, metadata=metadata))
+        self._write(self._channels[-1])
+        return number
+
+    def add_metadata(self, name, values):
+        """Add a metadata record."""
+        offset = self._stream.tell()
+        length = self._write(Metadata(name=name, metadata=values))
+        self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
+
+    def add_chunk(self, chunk):
+        """Compress a chunk that has messages, and write it with its index."""
+        facts = {
+            'compression': 'lz4', 'uncompressed_size': len(chunk.data),
+            'message_start_time': min(entries[0] for entries in chunk.index.values()),
+            'message_end_time': max(entries[-2] for entries in chunk.index.values())}
+        if not self._chunks:
+            self.start = facts['message_start_time']
+        self.end = facts['message_end_time']
+        compressed = lz4.frame.compress(chunk.data)
+        offset = self._stream.tell()
+        length = self._write(
+            ChunkRecord(data=compressed, uncompressed_crc=zlib.crc32(chunk.data), **facts))
+        places, place = {}, offset + length
+        for channel, entries in chunk.index.items():
+            self.counts[channel] += len(entries) // 2
+            places[channel] = place
+            place += self._stream.write(struct.pack(
+                f'<BQHI{len(entries)}Q', Opcode.MESSAGE_INDEX, 6 + 8 * len(entries), channel,
+                8 * len(entries), *entries))
+        self._chunks.append(ChunkIndex(
+            chunk_start_offset=offset, chunk_length=length, compressed_size=len(compressed),
+            message_index_offsets=places, message_index_length=place - offset - length, **facts))
+
+    def finish(self):
+        """Write summary and end."""
+        self._write(DataEnd(0))
+        statistics = Statistics(
+            attachment_count=0, channel_count=len(self._channels),
+            channel_message_counts=dict(self.counts), chunk_count=len(self._chunks),
+            message_count=self.counts.total(), metadata_count=len(self._metadata),
+            message_start_time=self.start, message_end_time=self.end,
+            schema_count=len(self._schemas))
+        start, summary, offsets = self._stream.tell(), RecordBuilder(), []
+        for opcode, records in (
+                (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self._channels),
+                (Opcode.STATISTICS, [statistics]), (Opcode.CHUNK_INDEX, self._chunks),
+                (Opcode.METADATA_INDEX, self._metadata)):
+            before = summary.count
+            for record in records:
+                record.write(summary)
+            offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + before,
+                                         group_length=summary.count - before))
+        offsets_start = start + summary.count
+        for offset in offsets:
+            offset.write(summary)
+        data = summary.end()
+        # The checksum covers the footer up to the checksum itself.
+        head = struct.pack('<BQQQ', Opcode.FOOTER, 20, start, offsets_start)
+        self._stream.write(data)
+        self._write(Footer(summary_start=start, summary_offset_start=offsets_start,
+                           summary_crc=zlib.crc32(head, zlib.crc32(data))))
+        self._stream.write(MCAP0_MAGIC)
+
+    def _write(self, record):
+        builder = RecordBuilder()
+        record.write(builder)
+        return self._stream.write(builder.end())
