@@ -64,9 +64,9 @@ class Simulator:
         return mark is not None and mark.exists()
 
     def warm_up(self):
-        """Compile, or load from disk, what `advance` and `motion` call."""
+        """Compile, or load from disk, what `advance`, `motion` and `formulation.tip` call."""
         self.advance(np.zeros((0, etdrk4.STAGES, LOADS)))
-        self.motion()
+        self.formulation.tip(self.motion())
         mark = size_mark(self.formulation.packed, self._propagator)
         if mark is not None:
             mark.touch()

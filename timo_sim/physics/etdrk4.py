@@ -119,6 +119,23 @@ def observe(tables, state, load, out):
     """Write the motion (see `formulation`) that belongs to a state and a load."""
 
 
+@dispatch
+def tip(tables, motion, out):
+    """
+    Write where the tip of a motion's arm is.
+
+    Parameters
+    ----------
+    tables : record
+        The formulation's constants.
+    motion : ndarray
+        See `formulation`.
+    out : ndarray, shape (3,)
+        Along axes I and II from the root [m], rotation relative to the shaft [rad].
+
+    """
+
+
 @entry_point
 def rate_once(tables, state, load, out):
     """Call `rate` from Python."""
@@ -129,6 +146,12 @@ def rate_once(tables, state, load, out):
 def observe_once(tables, state, load, out):
     """Call `observe` from Python."""
     observe(tables, state, load, out)
+
+
+@entry_point
+def tip_once(tables, motion, out):
+    """Call `tip` from Python."""
+    tip(tables, motion, out)
 
 
 @entry_point

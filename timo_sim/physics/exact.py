@@ -57,6 +57,8 @@ class Tables(NamedTuple):
     damping: np.ndarray    # 2 zeta_i omega_i, (1 + N,)
     axes: np.ndarray       # along which the carrier is free
     anchor: np.ndarray     # where it is held, (2,)
+    reach: np.ndarray      # from nodal values to their integral over the arm, (n_g,)
+    turn: np.ndarray       # Phi_i at the tip, (1 + N,)
 
 
 @inner
@@ -228,6 +230,26 @@ def _observe(tables, state, load, out):
         out[half + axis] = state[len(state) // 2 + k] / tables.mass - centre_rate
 
 
+@etdrk4.tip.of(Tables)
+def _tip(tables, motion, out):
+    """Write where the tip is: the slopes' integral, as seen from the shaft."""
+    rotation, shear, reach = tables.rotation, tables.shear, tables.reach
+    count, nodes = rotation.shape
+    for k in range(3):
+        out[k] = 0.0
+    for j in range(nodes):
+        phi = 0.0
+        gamma = 0.0
+        for i in range(1, count):
+            phi += motion[2 + i] * rotation[i, j]
+            gamma += motion[2 + i] * shear[i, j]
+        sine, cosine = sincos(phi)
+        out[0] += (cosine - gamma * sine) * reach[j]
+        out[1] += (sine + gamma * cosine) * reach[j]
+    for i in range(1, count):
+        out[2] += motion[2 + i] * tables.turn[i]
+
+
 class Exact(Formulation):
     """The `exact` formulation, see the module's text."""
 
@@ -262,7 +284,7 @@ class Exact(Formulation):
         if axes != 1:
             kernel = kernel[:1]
         return Tables(self.mass, kernel, lever, rotation.T, shear.T, rotary, inverse, damping,
-                      self.axes, self.anchor), linear
+                      self.axes, self.anchor, self.points.integral[:, -1], at_points[-1]), linear
 
     def state(self, motion):
         """Return the state that belongs to a motion."""

@@ -155,6 +155,12 @@ class Formulation(ABC):
         etdrk4.observe_once(self.packed, state, load, motion)
         return motion
 
+    def tip(self, motion):
+        """Return where the tip is in the arm frame [m], its rotation to the shaft [rad], (3,)."""
+        place = np.empty(3)
+        etdrk4.tip_once(self.packed, motion, place)
+        return place
+
     def rate(self, state, load):
         """Return the rate of a state under a load, linear part included, shape (m,)."""
         rate = np.empty(len(state))

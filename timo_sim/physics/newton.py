@@ -80,6 +80,9 @@ class Tables(NamedTuple):
     damping: np.ndarray         # 2 zeta_n omega_n, (N,)
     axes: np.ndarray            # along which the carrier is free
     anchor: np.ndarray          # where it is held, (2,)
+    length: float               # l
+    sway: np.ndarray            # W_n at the tip, (N,)
+    turn: np.ndarray            # Phi_n at the tip, (N,)
 
 
 @inner
@@ -175,6 +178,17 @@ def _observe(tables, state, load, out):
             out[goal + 2 + i] = state[source + len(tables.axes) + i - first]
 
 
+@etdrk4.tip.of(Tables)
+def _tip(tables, motion, out):
+    """Write where the tip is: at (l, w)."""
+    out[0] = tables.length
+    out[1] = 0.0
+    out[2] = 0.0
+    for n in range(len(tables.sway)):
+        out[1] += motion[3 + n] * tables.sway[n]
+        out[2] += motion[3 + n] * tables.turn[n]
+
+
 class Newton(Formulation):
     """The `newton` formulation, see the module's text."""
 
@@ -238,7 +252,9 @@ class Newton(Formulation):
         tables = Tables(
             base_mass, self.arm_mass, self.lever, inverse, laws.matrix[:, 0], response,
             across, per_stress[0], reaction, in_linear, laws.softening, laws.shear_row,
-            laws.shear_softening, laws.axial, stiffness, damping, self.axes, self.anchor)
+            laws.shear_softening, laws.axial, stiffness, damping, self.axes, self.anchor,
+            self.manipulator.arm.length, self.points.deflection[:, -1],
+            self.points.rotation[:, -1])
         return tables, linear
 
     def state(self, motion):

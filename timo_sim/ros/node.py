@@ -64,7 +64,6 @@ class SimNode(Node):
         if not self._simulator.is_compiled:
             self.get_logger().info('compiling once, this takes some seconds')
         self._simulator.warm_up()
-        self._tip = self._simulator.formulation.at([scene.manipulator.arm.length])
         self._held = np.zeros(LOADS)
         self._applied = [0.0] * LOADS
         self._paused = self._values['start_paused']
@@ -167,7 +166,7 @@ class SimNode(Node):
             outlet.look()
 
     def _snapshot(self):
-        return Snapshot(self._simulator, self._tip, self._applied)
+        return Snapshot(self._simulator, self._applied)
 
     def _diagnose(self, now):
         before, steps_before = self._reported

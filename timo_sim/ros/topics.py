@@ -27,8 +27,6 @@ class Snapshot:
     Parameters
     ----------
     simulator : Simulator
-    tip : Points
-        The tip of the arm, see `Formulation.at`.
     load : list of float, length 8
         What acted at the end of the last step, columns as in `physics.formulation`.
 
@@ -42,17 +40,13 @@ class Snapshot:
 
     """
 
-    def __init__(self, simulator, tip, load):
-        self._formulation, self._tip, self._load = simulator.formulation, tip, load
+    def __init__(self, simulator, load):
+        self._formulation, self._load = simulator.formulation, load
         self.step = simulator.steps
         self.nanoseconds = simulator.nanoseconds
         self.time = divmod(self.nanoseconds, NANOSECONDS)
         self.motion = simulator.motion()
         self._values = self.motion.tolist()
-
-    @cached_property
-    def _q(self):
-        return self.motion[np.newaxis, 3:len(self.motion) // 2]
 
     @property
     def joint_positions(self):
@@ -74,14 +68,9 @@ class Snapshot:
                 load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II], load[TORQUE])
 
     @cached_property
-    def tip_in_arm(self):
-        """Where the tip is in the arm frame [m]."""
-        return self._formulation.centre_line(self._q, self._tip)[0, 0].tolist()
-
-    @cached_property
-    def tip_rotation(self):
-        """Rotation of the tip section relative to the shaft [rad]."""
-        return float(self._formulation.section_rotation(self._q, self._tip)[0, 0])
+    def tip(self):
+        """Where the tip is in the arm frame [m], and its rotation relative to the shaft [rad]."""
+        return self._formulation.tip(self.motion).tolist()
 
     @cached_property
     def energy(self):
@@ -91,7 +80,7 @@ class Snapshot:
     @property
     def length(self):
         """Length of the arm [m]."""
-        return float(self._tip.xi[0])
+        return self._formulation.manipulator.arm.length
 
 
 def _joint_state(time, *numbers):
@@ -109,7 +98,7 @@ def _vector_in_arm(time, x, y):
 
 
 def _tip_deflection(snapshot):
-    along, across = snapshot.tip_in_arm
+    along, across, _ = snapshot.tip
     return along - snapshot.length, across
 
 
@@ -121,9 +110,9 @@ def _pose_in_world(time, x, y, z, w):
 
 def _tip_pose(snapshot):
     x, y, theta = snapshot.joint_positions
-    along, across = snapshot.tip_in_arm
+    along, across, rotation = snapshot.tip
     cosine, sine = math.cos(theta), math.sin(theta)
-    half = 0.5 * (theta + snapshot.tip_rotation)
+    half = 0.5 * (theta + rotation)
     return (x + cosine * along - sine * across, y + sine * along + cosine * across,
             math.sin(half), math.cos(half))
 
