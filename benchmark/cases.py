@@ -112,10 +112,9 @@ def own_case(scene, formulation, modes, step):
     def run():
         simulator.reset()
         steps, every = round(scene.duration / step), round(period / step)
-        samples = np.empty((steps // every, simulator.formulation.size))
         start = time.process_time()
         try:
-            simulator.advance(simulator.scene_loads(steps), every, samples)
+            samples = simulator.advance(simulator.scene_loads(steps), every)[1:]
         except timo_sim.DivergenceError:
             return None
         seconds = time.process_time() - start

@@ -14,7 +14,8 @@ BELOW = {
     'parameters': {'physics'},
     'scene': {'physics', 'parameters'},
     'run': {'physics', 'scene'},
-    'simulation': {'physics', 'parameters', 'scene', 'run'},
+    'simulation': {'physics', 'parameters', 'scene', 'run', 'accuracy'},
+    'accuracy': {'parameters', 'scene', 'simulation'},
     'log': set(),
     'ros': {'physics', 'parameters', 'scene', 'simulation', 'log', ''},
 }

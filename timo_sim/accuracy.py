@@ -89,13 +89,12 @@ def _with(scene, modes, step):
 
 
 def _tip(scene, span):
-    # The modes' shares in the tip deflection, shape (span, N) [m], and the tip in the world and
-    # in the arm frame, shape (2, span, 2) [m], or None if the run diverges.
+    # The modes' shares in the tip deflection, shape (n, N) [m], and the tip in the world and
+    # in the arm frame, shape (2, n, 2) [m], or None if the run diverges.
     simulator, every = Simulator(scene), round(PERIOD / scene.step)
     formulation = simulator.formulation
-    motions = np.empty((span, formulation.size))
     try:
-        simulator.advance(simulator.scene_loads(span * every), every, motions)
+        motions = simulator.advance(simulator.scene_loads(span * every), every)
     except DivergenceError:
         return None, None
     tip = formulation.at([scene.manipulator.arm.length])

@@ -14,6 +14,7 @@ from timo_sim.run import Run
 # Steps whose loads are worked out at once: long enough to make that cheap, short enough for a
 # progress bar.
 _CHUNK, _FEW = 2048, 256
+_NO_LOADS = np.zeros((0, etdrk4.STAGES, LOADS))
 
 
 class DivergenceError(ArithmeticError):
@@ -53,7 +54,7 @@ class Simulator:
         # Without speeds, deflection, loads and drive nothing changes until the first command.
         self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any())
         self._origin = self.steps
-        self._block = 0, np.zeros((0, etdrk4.STAGES, LOADS))
+        self._block = 0, _NO_LOADS
         self._load = self.scene_loads(1)[0, 0].copy()
         self.caution = None
 
@@ -65,7 +66,6 @@ class Simulator:
 
     def warm_up(self):
         """Compile, or load from disk, what `advance`, `motion` and `formulation.tip` call."""
-        self.advance(np.zeros((0, etdrk4.STAGES, LOADS)))
         self.formulation.tip(self.motion())
         mark = size_mark(self.formulation.packed, self._propagator)
         if mark is not None:
@@ -87,7 +87,7 @@ class Simulator:
             self._block = begin, block
         return block[first - begin:first - begin + count]
 
-    def advance(self, loads, every=1, samples=None):
+    def advance(self, loads, every=0):
         """
         Do as many steps as there are loads.
 
@@ -96,9 +96,12 @@ class Simulator:
         loads : ndarray, shape (steps, 3, 8)
             See `physics.etdrk4.advance`.
         every : int
-            Steps between samples.
-        samples : ndarray, shape (steps // every, 2 (3 + N)), optional
-            Receives motions.
+            Steps between samples; 0: none are taken.
+
+        Returns
+        -------
+        ndarray, shape (1 + steps // every, 2 (3 + N))
+            Motions at the start and after each `every` steps; with every = 0 empty.
 
         Raises
         ------
@@ -108,21 +111,20 @@ class Simulator:
         """
         if self._rests(loads):
             self.steps += len(loads)
-            if samples is not None:
-                samples[:] = self.motion()
-            return
-        if samples is None:
-            every, samples = len(loads) + 1, np.empty((0, self.formulation.size))
-        done = self.formulation.advance(self._propagator, self._state, loads, every, samples)
+            samples = 1 + len(loads) // every if every else 0
+            return np.tile(self.motion() if samples else 0.0, (samples, 1))
+        done, motions = self.formulation.advance(self._propagator, self._state, self._load, loads,
+                                                 every)
         self.steps += done
         if done:
             self._load = loads[done - 1, -1].copy()
-        self._watch_speed(samples)
+        self._watch_speed(motions)
         if done < len(loads):
             raise DivergenceError(
                 f'the state is not finite after t = {self.steps * self.scene.step:.6g} s '
                 f'(step {self.steps}): ' + (self.caution or 'take fewer model.modes, a smaller '
                                             'integrator.step or model.formulation exact'))
+        return motions
 
     def _rests(self, loads):
         # Whether these steps would leave the state as it is, to the last bit.
@@ -131,13 +133,14 @@ class Simulator:
 
     def motion(self):
         """Return the motion now, shape (2 (3 + N),), see `physics.formulation`."""
-        return self.formulation.observe(self._state, self._load)
+        return self.formulation.advance(self._propagator, self._state, self._load, _NO_LOADS,
+                                        every=1)[1][0]
 
-    def _watch_speed(self, samples):
+    def _watch_speed(self, motions):
         limit, column = self.formulation.speed_limit, self.formulation.size // 2 + 2
         if math.isinf(limit) or self.caution:
             return
-        speed = max(abs(self.motion()[column]), np.abs(samples[:, column]).max(initial=0.0))
+        speed = max(abs(self.motion()[column]), np.abs(motions[:, column]).max(initial=0.0))
         if speed > limit:
             self.caution = (
                 f'at {speed:.3g} rad/s the shaft is faster than {limit:.3g} rad/s, where the arm '
@@ -187,14 +190,13 @@ def simulate(scene, duration, every=1):
         raise ParameterError(f'every = {every} must divide the number of steps, {steps}')
     simulator = Simulator(scene)
     motion = np.empty((steps // every + 1, simulator.formulation.size))
-    motion[0] = simulator.motion()
     chunk = max(1, _CHUNK // every) * every
     with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
               leave=False) as bar:
         for first in range(0, steps, chunk):
             count = min(chunk, steps - first)
-            samples = motion[first // every + 1:(first + count) // every + 1]
-            simulator.advance(simulator.scene_loads(count), every, samples)
+            motion[first // every:(first + count) // every + 1] = simulator.advance(
+                simulator.scene_loads(count), every)
             bar.update(count)
     if simulator.caution:
         warnings.warn(simulator.caution, ModelWarning, stacklevel=2)

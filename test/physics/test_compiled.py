@@ -1,6 +1,9 @@
 """The compiled side: arithmetic of its own, memory, sizes."""
 
 import math
+import os
+import subprocess
+import sys
 
 import numba
 from numba.core.runtime import _nrt_python, rtsys
@@ -46,14 +49,32 @@ def test_a_step_allocates_nothing(paper, formulation):
 
     def allocations(steps):
         loads = simulator.scene_loads(steps)
-        samples = np.empty((steps, simulator.formulation.size))
         before = rtsys.get_allocation_stats()
-        simulator.advance(loads, 1, samples)
+        simulator.advance(loads, 1)
         after = rtsys.get_allocation_stats()
         return after.alloc - before.alloc, after.mi_alloc - before.mi_alloc
 
     # What there is, is for the arrays that are handed over, once per call.
     assert allocations(1000) == allocations(10)
+
+
+RUN = """
+import timo_sim
+for modes in {}:
+    print(timo_sim.simulate(timo_sim.load_scene({{'model.modes': modes,
+          'initial.shaft_velocity': 3.0}}), 0.1).motion[-1].tobytes().hex())
+"""
+
+
+def test_sizes_compiled_apart_live_together(tmp_path):
+    """Several sizes from the disk, each compiled in another process: the same to the last bit."""
+    def run(*modes):
+        return subprocess.run([sys.executable, '-c', RUN.format(modes)], check=True, text=True,
+                              capture_output=True, env={**os.environ, 'NUMBA_CACHE_DIR': tmp_path}
+                              ).stdout
+
+    apart = run(2) + run(0) + run(1)
+    assert run(2, 0, 1) == apart
 
 
 def test_sizes_are_marked_once_compiled(paper):

@@ -26,6 +26,17 @@ import numpy as np
 FASTMATH = {'reassoc', 'contract', 'nsz'}
 
 
+def _name_by_contents(kind):
+    # numba names machine code after the types of its arguments, records by the order in which a
+    # process has met them, nested arrays without their shape. Two sizes compiled in different
+    # processes and loaded from disk into one would then call each other's code.
+    return f'{type(kind).__name__}{hashlib.sha256(kind.name.encode()).hexdigest()[:16]}', ()
+
+
+for _kind in (types.Record, types.NestedArray):
+    setattr(_kind, 'mangling_args', property(_name_by_contents))
+
+
 @functools.cache
 def cache_directory():
     """
@@ -159,6 +170,8 @@ def dispatch(declaration):
         return bodies.get(frozenset(getattr(types[0], 'fields', ())))
 
     choose.__signature__ = inspect.signature(declaration)
-    overload(declaration, jit_options={'fastmath': FASTMATH})(choose)
+    # Part of its callers: code that is linked may be compiled, and so rounded, apart from them in
+    # the process that compiles and not in one that loads from disk.
+    overload(declaration, jit_options={'fastmath': FASTMATH, 'forceinline': True})(choose)
     declaration.of = of
     return declaration

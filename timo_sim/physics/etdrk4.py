@@ -143,19 +143,13 @@ def rate_once(tables, state, load, out):
 
 
 @entry_point
-def observe_once(tables, state, load, out):
-    """Call `observe` from Python."""
-    observe(tables, state, load, out)
-
-
-@entry_point
 def tip_once(tables, motion, out):
     """Call `tip` from Python."""
     tip(tables, motion, out)
 
 
 @entry_point
-def advance(tables, propagator, state, loads, every, samples):
+def advance(tables, propagator, state, load, loads, every, samples):
     """
     Integrate over a run of equal steps.
 
@@ -167,13 +161,15 @@ def advance(tables, propagator, state, loads, every, samples):
         The matrices of the step.
     state : ndarray, shape (m,)
         Advanced in place.
+    load : ndarray, shape (8,)
+        Load at the start, for the first sample.
     loads : ndarray, shape (steps, 3, 8)
         Load of each step at its start, middle and end, as the step itself sees it: a jump on the
         boundary between two steps appears on the right side in either.
     every : int
-        Steps between samples.
-    samples : ndarray, shape (steps // every, 2 (3 + N))
-        Receives the motion after steps every, 2 every, ...
+        Steps between samples; 0: none are taken.
+    samples : ndarray, shape (1 + steps // every, 2 (3 + N))
+        Receives the motion at the start and after steps every, 2 every, ...
 
     Returns
     -------
@@ -186,7 +182,12 @@ def advance(tables, propagator, state, loads, every, samples):
     rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
     combined = local((size,))
     _copy(state, now)
-    for k in range(len(loads)):
+    for k in range(len(loads) + 1):
+        # The only place from which motions come: others would be rounded in another way.
+        if every and k % every == 0:
+            observe(tables, now, load, samples[k // every])
+        if k == len(loads):
+            break
         start, middle, end = loads[k, 0], loads[k, 1], loads[k, 2]
 
         rate(tables, now, start, rate_0)
@@ -216,7 +217,6 @@ def advance(tables, propagator, state, loads, every, samples):
             _copy(now, state)
             return k
         _copy(stage, now)
-        if (k + 1) % every == 0:
-            observe(tables, now, end, samples[(k + 1) // every - 1])
+        load = end
     _copy(now, state)
     return len(loads)

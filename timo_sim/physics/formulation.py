@@ -145,15 +145,26 @@ class Formulation(ABC):
     def centre_line_rate(self, q, qdot, points):
         """Return the rate of `centre_line` in the turning axes, shape (n, p, 2) [m/s]."""
 
-    def advance(self, propagator, state, loads, every, samples):
-        """Integrate `state` in place over `len(loads)` steps, see `etdrk4.advance`."""
-        return etdrk4.advance(self.packed, propagator, state, loads, every, samples)
+    def advance(self, propagator, state, load, loads, every=0):
+        """
+        Integrate `state` in place over `len(loads)` steps, see `etdrk4.advance`.
+
+        Returns
+        -------
+        done : int
+            Steps done; fewer than given if the state is no longer finite.
+        motions : ndarray, shape (1 + steps // every, 2 (3 + N))
+            At the start and after each `every` steps; with every = 0 empty.
+
+        """
+        motions = np.empty((1 + len(loads) // every if every else 0, self.size))
+        done = etdrk4.advance(self.packed, propagator, state, load, loads, every, motions)
+        return done, motions
 
     def observe(self, state, load):
         """Return the motion that belongs to a state and a load, shape (2 (3 + N),)."""
-        motion = np.empty(self.size)
-        etdrk4.observe_once(self.packed, state, load, motion)
-        return motion
+        unused = record(etdrk4.Propagator(*[self.linear] * 6))  # no step is done
+        return self.advance(unused, state, load, np.zeros((0, etdrk4.STAGES, LOADS)), 1)[1][0]
 
     def tip(self, motion):
         """Return where the tip is in the arm frame [m], its rotation to the shaft [rad], (3,)."""
