@@ -1,5 +1,8 @@
 """`model.accuracy`: the stated tip error holds against finite elements, at the least cost."""
 
+import json
+
+from mcap.reader import make_reader
 import numpy as np
 import pytest
 from references import read, spin_up as shaft_of_spin_up, TORQUE, world
@@ -71,3 +74,15 @@ def test_a_step_must_suit_jumps_and_the_caller(paper):
 def test_what_cannot_be_chosen_is_refused(values, message):
     with pytest.raises(timo_sim.ParameterError, match=message):
         settle(timo_sim.load_scene({'model.accuracy': 1e-3, **values}), 1.0)
+
+
+def test_the_node_chooses_what_its_rates_allow_and_says_it(start, paper):
+    node = start('--params-file', str(paper), duration=1.0, real_time_factor=0.0,
+                 **{'model.accuracy': 1e-3, 'rate.tip_pose': 200.0})
+    code, output = node.wait()
+    assert code == 0 and 'model.accuracy = 0.001 m: N = ' in output
+    with open(node.log, 'rb') as file:
+        notes = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
+    values = json.loads(notes['timo_sim']['parameters'])
+    assert values['integrator.step'] == 0.005 and values['model.accuracy'] == 0.0
+    assert f'N = {values["model.modes"]} modes' in output

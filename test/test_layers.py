@@ -17,7 +17,7 @@ BELOW = {
     'simulation': {'physics', 'parameters', 'scene', 'run', 'accuracy'},
     'accuracy': {'parameters', 'scene', 'simulation'},
     'log': set(),
-    'ros': {'physics', 'parameters', 'scene', 'simulation', 'log', ''},
+    'ros': {'physics', 'parameters', 'scene', 'simulation', 'accuracy', 'log', ''},
 }
 OUTSIDE_OF_PHYSICS = {'rclpy', 'yaml', 'mcap', 'rerun', 'logging', 'pathlib'}
 

@@ -15,8 +15,9 @@ from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool, Trigger
 
 import timo_sim
+from timo_sim.accuracy import settle
 from timo_sim.log.recorder import Recorder
-from timo_sim.parameters import whole_ratio
+from timo_sim.parameters import ParameterError, whole_ratio
 from timo_sim.physics.formulation import LOADS
 from timo_sim.ros import diagnostics
 from timo_sim.ros.commands import COMMANDS, Inlet
@@ -30,6 +31,11 @@ from timo_sim.simulation import DivergenceError, Simulator
 _BATCH = 500
 # How often a paused or sleeping loop looks at its flags [s].
 _PAUSED_POLL, _LONGEST_SLEEP = 0.01, 0.1
+
+
+def _steps_between_messages(values, step):
+    return {topic.rate: whole_ratio('1/integrator.step', 1.0 / step, topic.rate,
+                                    values[topic.rate]) for topic in TOPICS}
 
 
 class SimNode(Node):
@@ -55,8 +61,10 @@ class SimNode(Node):
         self._lock = threading.Lock()
         self._values = declare_parameters(self)
         scene = scene_from(self._values)
+        if scene.values['model.accuracy']:
+            scene = self._settled(scene)
         self._step = scene.step
-        steps_each = self._steps_between_messages(self._values)
+        steps_each = _steps_between_messages(self._values, self._step)
         self._end = whole_ratio('duration', self._values['duration'], 'integrator.step',
                                 self._step) or math.inf
 
@@ -81,6 +89,22 @@ class SimNode(Node):
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/step', self._on_step)
+
+    def _settled(self, scene):
+        self.get_logger().info('choosing modes and step for model.accuracy')
+        settled = settle(scene, self._values['duration'], self._suits)
+        self.get_logger().info(
+            f'model.accuracy = {scene.values["model.accuracy"]:g} m: {settled}')
+        self._values.update(settled.scene.values)
+        return settled.scene
+
+    def _suits(self, step):
+        try:
+            _steps_between_messages(self._values, step)
+            whole_ratio('duration', self._values['duration'], 'integrator.step', step)
+        except ParameterError:
+            return False
+        return True
 
     def open(self):
         """Open the log and show the initial state, before any callback can change it."""
@@ -204,10 +228,6 @@ class SimNode(Node):
 
     # Parameters and services, called by the executor.
 
-    def _steps_between_messages(self, values):
-        return {topic.rate: whole_ratio('1/integrator.step', 1.0 / self._step, topic.rate,
-                                        values[topic.rate]) for topic in TOPICS}
-
     def _apply(self, values, steps_each):
         for outlet in self._outlets:
             outlet.every = steps_each[outlet.rate]
@@ -217,7 +237,7 @@ class SimNode(Node):
 
     def _on_parameters(self, changed):
         values = {**self._values, **changed}
-        steps_each = self._steps_between_messages(values)
+        steps_each = _steps_between_messages(values, self._step)
         with self._lock:
             self._apply(values, steps_each)
 
