@@ -41,7 +41,7 @@ def main():
     parts = [f'# Speed\n\nMade by `make benchmark-speed`. {" ".join(__doc__.split()[14:])}\n\n'
              f'Measured on: {", ".join(f"{name} {value}" for name, value in facts.items())}.\n']
     for title, module in SECTIONS:
-        rows = [(line, target, measured, 'yes' if met else 'no', remark)
+        rows = [(line, target, measured, {True: 'yes', False: 'no', None: ''}[met], remark)
                 for line, target, measured, met, remark in module.rows(quick)]
         parts.append(f'## {title}\n\n' + table(
             ['', 'target', 'measured', 'met', 'remark'], rows) + '\n')

@@ -12,8 +12,8 @@ from timo_sim.log.schema import schema_text, type_hash
 from timo_sim.log.writer import Chunk, Writer
 
 FLUSH_PERIOD = 0.5       # [s] of wall time; half of what a crash may cost
-CHUNK_SIZE = 128 * 1024  # [B] so that little is lost in a crash
-BACKLOG = 100            # chunks that may wait before `write` does
+CHUNK_SIZE = 512 * 1024  # [B] so that a day has few; none waits longer than `FLUSH_PERIOD`
+BACKLOG = 20             # chunks that may wait before `write` does
 
 _FOR_EVER = {'sec': 9223372036, 'nsec': 854775807}
 # What the node offers on every topic, as rosbag2 writes it (metadata version 9).

@@ -63,7 +63,9 @@ class Writer:
 
     def __init__(self, stream, profile):
         self._stream = stream
-        self._schemas, self._channels, self._chunks, self._metadata = [], [], [], []
+        self._schemas, self._channels, self._metadata = [], [], []
+        # Kept as it will be written: a day has so many chunks that objects would fill the memory.
+        self._chunk_count, self._chunk_indexes = 0, RecordBuilder()
         self.counts = Counter()
         self.start = self.end = 0
         stream.write(MCAP0_MAGIC)
@@ -96,7 +98,7 @@ class Writer:
             'compression': 'lz4', 'uncompressed_size': len(chunk.data),
             'message_start_time': min(entries[0] for entries in chunk.index.values()),
             'message_end_time': max(entries[-2] for entries in chunk.index.values())}
-        if not self._chunks:
+        if not self._chunk_count:
             self.start = facts['message_start_time']
         self.end = facts['message_end_time']
         compressed = lz4.frame.compress(chunk.data)
@@ -110,33 +112,33 @@ class Writer:
             place += self._stream.write(struct.pack(
                 f'<BQHI{len(entries)}Q', Opcode.MESSAGE_INDEX, 6 + 8 * len(entries), channel,
                 8 * len(entries), *entries))
-        self._chunks.append(ChunkIndex(
+        ChunkIndex(
             chunk_start_offset=offset, chunk_length=length, compressed_size=len(compressed),
-            message_index_offsets=places, message_index_length=place - offset - length, **facts))
+            message_index_offsets=places, message_index_length=place - offset - length, **facts
+        ).write(self._chunk_indexes)
+        self._chunk_count += 1
 
     def finish(self):
         """Write summary and end."""
         self._write(DataEnd(0))
         statistics = Statistics(
             attachment_count=0, channel_count=len(self._channels),
-            channel_message_counts=dict(self.counts), chunk_count=len(self._chunks),
+            channel_message_counts=dict(self.counts), chunk_count=self._chunk_count,
             message_count=self.counts.total(), metadata_count=len(self._metadata),
             message_start_time=self.start, message_end_time=self.end,
             schema_count=len(self._schemas))
-        start, summary, offsets = self._stream.tell(), RecordBuilder(), []
-        for opcode, records in (
-                (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self._channels),
-                (Opcode.STATISTICS, [statistics]), (Opcode.CHUNK_INDEX, self._chunks),
-                (Opcode.METADATA_INDEX, self._metadata)):
-            before = summary.count
-            for record in records:
-                record.write(summary)
-            offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + before,
-                                         group_length=summary.count - before))
-        offsets_start = start + summary.count
-        for offset in offsets:
-            offset.write(summary)
-        data = summary.end()
+        start, data, offsets = self._stream.tell(), b'', []
+        for opcode, group in (
+                (Opcode.SCHEMA, _bytes_of(*self._schemas)),
+                (Opcode.CHANNEL, _bytes_of(*self._channels)),
+                (Opcode.STATISTICS, _bytes_of(statistics)),
+                (Opcode.CHUNK_INDEX, self._chunk_indexes.end()),
+                (Opcode.METADATA_INDEX, _bytes_of(*self._metadata))):
+            offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + len(data),
+                                         group_length=len(group)))
+            data += group
+        offsets_start = start + len(data)
+        data += _bytes_of(*offsets)
         # The checksum covers the footer up to the checksum itself.
         head = struct.pack('<BQQQ', Opcode.FOOTER, 20, start, offsets_start)
         self._stream.write(data)
@@ -145,6 +147,11 @@ class Writer:
         self._stream.write(MCAP0_MAGIC)
 
     def _write(self, record):
-        builder = RecordBuilder()
+        return self._stream.write(_bytes_of(record))
+
+
+def _bytes_of(*records):
+    builder = RecordBuilder()
+    for record in records:
         record.write(builder)
-        return self._stream.write(builder.end())
+    return builder.end()
