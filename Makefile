@@ -20,8 +20,8 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --use-pep517 --constraint constraints.txt
 
-.PHONY: sim test picture paper benchmark benchmark-quick references stability \
-	benchmark-node clean
+.PHONY: sim test picture paper benchmark benchmark-quick benchmark-speed benchmark-speed-quick \
+	references stability clean
 
 sim: $(VENV)/.run
 	@mkdir -p $(dir $(RUN))
@@ -50,8 +50,11 @@ references: $(VENV)/.benchmark
 stability: $(VENV)/.run
 	@$(BIN)/python benchmark/stability.py
 
-benchmark-node: $(VENV)/.run
-	@$(BIN)/python benchmark/node_speed.py
+benchmark-speed: $(VENV)/.benchmark
+	@$(BIN)/python benchmark/speed.py
+
+benchmark-speed-quick: $(VENV)/.benchmark
+	@$(BIN)/python benchmark/speed.py --quick
 
 clean:
 	rm -rf $(VENV) run build install log .pytest_cache .mypy_cache

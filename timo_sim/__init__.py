@@ -17,6 +17,7 @@ _HOMES = {
     'Scene': 'timo_sim.scene',
     'load_scene': 'timo_sim.scene',
     'project': 'timo_sim.scene',
+    'settle': 'timo_sim.accuracy',
     'simulate': 'timo_sim.simulation',
 }
 
