@@ -1,5 +1,7 @@
 """Gauss-Legendre nodes along the arm, and the integral of what is known there from the root."""
 
+import functools
+
 import numpy as np
 from numpy.polynomial import legendre
 
@@ -30,6 +32,17 @@ def legendre_values(x, count):
     return values[:, :count], integrals
 
 
+@functools.lru_cache(maxsize=64)
+def _rule(count):
+    # Nodes, weights, and the matrix from nodal values to Legendre coefficients, in [-1, 1].
+    x, weights = legendre.leggauss(count)
+    values, _ = legendre_values(x, count)
+    to_coefficients = (np.arange(count) + 0.5)[:, np.newaxis] * values.T * weights
+    for constant in (x, weights, to_coefficients):
+        constant.flags.writeable = False
+    return x, weights, to_coefficients
+
+
 class Quadrature:
     """
     Gauss-Legendre quadrature on the spans of an arm.
@@ -58,12 +71,12 @@ class Quadrature:
         shares = np.diff(breaks) / breaks[-1]
         # 1e-9: a share that is whole but for its rounding.
         counts = np.maximum(np.ceil(count * shares - 1e-9).astype(int), _FEWEST) + extra
-        self._spans = [(start, stop, *legendre.leggauss(n))
+        self._spans = [(start, stop, *_rule(n))
                        for start, stop, n in zip(breaks, breaks[1:], counts)]
         self.nodes = np.concatenate([start + 0.5 * (stop - start) * (x + 1.0)
-                                     for start, stop, x, _ in self._spans])
+                                     for start, stop, x, _, _ in self._spans])
         self.weights = np.concatenate([0.5 * (stop - start) * w
-                                       for start, stop, _, w in self._spans])
+                                       for start, stop, _, w, _ in self._spans])
         self.points = np.append(self.nodes, breaks[-1])
 
     def integrate_to(self, xi):
@@ -101,7 +114,5 @@ class Quadrature:
     def _within(self, xi):
         # Of each span: its ends, nodal values to Legendre coefficients, and xi in [-1, 1] of it.
         xi = np.asarray(xi, dtype=float)
-        for start, stop, x, w in self._spans:
-            at_nodes, _ = legendre_values(x, len(x))
-            to_coefficients = (np.arange(len(x)) + 0.5)[:, np.newaxis] * at_nodes.T * w
+        for start, stop, _, _, to_coefficients in self._spans:
             yield start, stop, to_coefficients, 2.0 * (xi - start) / (stop - start) - 1.0
