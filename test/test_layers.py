@@ -14,8 +14,9 @@ BELOW = {
     'parameters': {'physics'},
     'scene': {'physics', 'parameters'},
     'run': {'physics', 'scene'},
-    'simulation': {'physics', 'parameters', 'scene', 'run', 'accuracy'},
-    'accuracy': {'parameters', 'scene', 'simulation'},
+    'simulation': {'physics', 'parameters', 'scene', 'run'},
+    'sweep': {'physics', 'parameters', 'scene', 'simulation', ''},
+    'cli': {'parameters', 'sweep'},
     'log': set(),
     'ros': {'physics', 'parameters', 'scene', 'simulation', 'accuracy', 'log', ''},
 }

@@ -18,6 +18,7 @@ _HOMES = {
     'load_scene': 'timo_sim.scene',
     'project': 'timo_sim.scene',
     'simulate': 'timo_sim.simulation',
+    'simulate_many': 'timo_sim.sweep.many',
 }
 
 __all__ = list(_HOMES)
