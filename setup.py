@@ -14,8 +14,8 @@ setup(
         ('share/' + package_name + '/launch', ['launch/sim.launch.py']),
     ],
     python_requires='>=3.11',
-    install_requires=['setuptools', 'click', 'mcap', 'lz4', 'numba', 'numpy>=1.26', 'PyYAML', 'scipy>=1.11',
-                      'tqdm'],
+    install_requires=['setuptools', 'click', 'mcap', 'lz4', 'numba', 'numpy>=1.26', 'PyYAML',
+                      'scipy>=1.11', 'tqdm'],
     extras_require={
         # ROS 2 Jazzy from its wheels, for machines without an installed ROS.
         'ros': ['ros-jazzy-diagnostic-msgs', 'ros-jazzy-geometry-msgs',

@@ -230,7 +230,7 @@ def sampled_run(scene, steps, every=1, report=lambda count: None):
     simulator = Simulator(scene)
     motion = np.empty((steps // every + 1, simulator.formulation.size))
     chunk = max(1, _CHUNK // every) * every
-    for first in range(0, steps, chunk):
+    for first in range(0, max(1, steps), chunk):
         count = min(chunk, steps - first)
         motion[first // every:(first + count) // every + 1] = simulator.advance(
             simulator.scene_loads(count), every)

@@ -108,8 +108,10 @@ class UniformModes:
             return omega
         guesses = frequencies(manipulator, count + 1)
         # Between two limits the Galerkin count rises by one, and the determinant of the boundary
-        # conditions must change sign.
+        # conditions must change sign. Rounded: the last bits of the guesses depend on the number
+        # of BLAS threads, and those of the frequencies should not.
         limits = np.append(0.5 * guesses[0], np.sqrt(guesses[:-1] * guesses[1:]))
+        limits = limits.astype(np.float32).astype(float)
         found = bisect(self._arm, limits, omega)
         if found < count:
             raise ValueError(f'mode {found + 1} of the arm is not separate from its neighbours')
