@@ -9,12 +9,13 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),
-        ('share/' + package_name + '/config', ['config/paper.yaml', 'config/spin_up.yaml']),
+        ('share/' + package_name + '/config', [
+            'config/paper.yaml', 'config/spin_up.yaml', 'config/sweep.yaml']),
         ('share/' + package_name + '/launch', ['launch/sim.launch.py']),
     ],
     python_requires='>=3.11',
-    install_requires=['setuptools', 'mcap', 'lz4', 'numba', 'numpy>=1.26', 'PyYAML', 'scipy>=1.11',
-                      'tqdm'],
+    install_requires=['setuptools', 'click', 'mcap', 'lz4', 'numba', 'numpy>=1.26', 'PyYAML',
+                      'scipy>=1.11', 'tqdm'],
     extras_require={
         # ROS 2 Jazzy from its wheels, for machines without an installed ROS.
         'ros': ['ros-jazzy-diagnostic-msgs', 'ros-jazzy-geometry-msgs',
@@ -24,13 +25,16 @@ setup(
         # Needs numpy >= 2 by its own word; see the README for Ubuntu 24.04.
         'view': ['rerun-sdk'],
         'plot': ['matplotlib'],
+        # Results of sweeps as Parquet; sweeps on many machines.
+        'sweep': ['pyarrow'],
+        'cluster': ['distributed'],
         # exudyn is the finite-element engine that this package is compared with.
         'benchmark': ['exudyn', 'matplotlib'],
         'test': ['colcon-core', 'colcon-library-path', 'colcon-metadata', 'colcon-output',
                  'colcon-package-information', 'colcon-package-selection',
                  'colcon-parallel-executor', 'colcon-python-setup-py', 'colcon-recursive-crawl',
-                 'colcon-ros', 'colcon-test-result', 'flake8', 'flake8-quotes',
-                 'mcap-ros2-support', 'mypy', 'pydocstyle', 'pytest', 'rosbags',
+                 'colcon-ros', 'colcon-test-result', 'distributed', 'flake8', 'flake8-quotes',
+                 'mcap-ros2-support', 'mypy', 'pyarrow', 'pydocstyle', 'pytest', 'rosbags',
                  'types-PyYAML', 'types-tqdm'],
     },
     zip_safe=True,
@@ -41,6 +45,7 @@ setup(
     entry_points={
         'console_scripts': [
             'sim_node = timo_sim.ros.sim_node:main',
+            'timo_sim = timo_sim.cli:main',
         ],
     },
 )

@@ -16,6 +16,8 @@ BELOW = {
     'run': {'physics', 'scene'},
     'simulation': {'physics', 'parameters', 'scene', 'run', 'accuracy'},
     'accuracy': {'parameters', 'scene', 'simulation'},
+    'sweep': {'physics', 'parameters', 'scene', 'simulation', ''},
+    'cli': {'parameters', 'sweep'},
     'log': set(),
     'ros': {'physics', 'parameters', 'scene', 'simulation', 'accuracy', 'log', ''},
 }
@@ -57,5 +59,14 @@ def test_physics_knows_no_files_ros_or_log():
 def test_offline_use_needs_no_ros_and_the_package_itself_nothing_heavy():
     code = ('import sys, timo_sim; assert not {"numpy", "numba", "rclpy"} & set(sys.modules); '
             'timo_sim.simulate(timo_sim.load_scene({}), 0.01); '
-            'assert not {"rclpy", "mcap", "rerun", "matplotlib"} & set(sys.modules)')
+            'assert not {"rclpy", "mcap", "rerun", "matplotlib", "pyarrow", "distributed", '
+            '"click", "scipy.integrate"} & set(sys.modules); '
+            'timo_sim.simulate_many(timo_sim.load_scene({}), [{}], 0.01, workers=1); '
+            'assert not {"pyarrow", "distributed", "click"} & set(sys.modules)')
+    subprocess.run([sys.executable, '-c', code], check=True)
+
+
+def test_the_command_line_imports_what_a_subcommand_needs_when_it_runs():
+    code = ('import sys, timo_sim.cli; '
+            'assert not {"numpy", "yaml", "tqdm", "pyarrow"} & set(sys.modules)')
     subprocess.run([sys.executable, '-c', code], check=True)

@@ -19,6 +19,7 @@ _HOMES = {
     'project': 'timo_sim.scene',
     'settle': 'timo_sim.accuracy',
     'simulate': 'timo_sim.simulation',
+    'simulate_many': 'timo_sim.sweep.many',
 }
 
 __all__ = list(_HOMES)

@@ -1,6 +1,7 @@
 """A scene: what is simulated, checked, from a YAML file, a dictionary and overrides."""
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -37,11 +38,40 @@ class Scene:
     values: dict
 
     def build(self):
-        """Return the formulation of the equations of motion that the scene asks for."""
+        """Return the formulation of the equations of motion that the scene asks for, kept."""
+        return self._formulation
+
+    @cached_property
+    def _formulation(self):
         count = self.values['model.modes']
         damping = np.array(self.values['arm.damping_ratio'] or 0.0)
         return FORMULATIONS[self.values['model.formulation']](
             self.manipulator, count, damping, self.constraints)
+
+    def vary(self, overrides):
+        """
+        Return the scene with other values of some parameters.
+
+        Parameters
+        ----------
+        overrides : dict
+            Values by (nested or dotted) name.
+
+        Returns
+        -------
+        Scene
+
+        Raises
+        ------
+        ParameterError
+            As `load_scene`.
+
+        """
+        return scene_from({**self.values, **check(flatten(overrides), 'override')})
+
+    def __getstate__(self):
+        # Without the formulation, which another process makes again.
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def initial_motion(self):
         """Return the motion at t = 0, shape (2 (3 + N),), see `physics.formulation`."""
@@ -83,12 +113,12 @@ def load_scene(source, overrides=None):
 
     """
     if isinstance(source, dict):
-        given, origin = _flatten(source), 'given values'
+        given, origin = flatten(source), 'given values'
     else:
         given, origin = read_parameter_file(source), str(source)
     values = {name: parameter.default for name, parameter in PARAMETERS.items()}
     values.update(check(given, origin))
-    values.update(check(_flatten(overrides or {}), 'override'))
+    values.update(check(flatten(overrides or {}), 'override'))
     return scene_from(values)
 
 
@@ -157,17 +187,18 @@ def read_parameter_file(path):
     sections = content.items() if isinstance(content, dict) else ()
     for node, section in sections:
         if str(node).rpartition('/')[2] in ('**', 'timo_sim') and isinstance(section, dict):
-            values.update(_flatten(section.get('ros__parameters') or {}))
+            values.update(flatten(section.get('ros__parameters') or {}))
     if not values:
         raise ParameterError(f'{path} must have parameters under timo_sim: ros__parameters:')
     return values
 
 
-def _flatten(values, prefix=''):
+def flatten(values, prefix=''):
+    """Return values by dotted name, of values by nested or dotted name."""
     flat = {}
     for name, value in values.items():
         if isinstance(value, dict):
-            flat.update(_flatten(value, f'{prefix}{name}.'))
+            flat.update(flatten(value, f'{prefix}{name}.'))
         else:
             flat[f'{prefix}{name}'] = value
     return flat

@@ -55,7 +55,7 @@ class Simulator:
         self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any())
         self._origin = self.steps
         self._block = 0, _NO_LOADS
-        self._load = self.scene_loads(1)[0, 0].copy()
+        self._load = self.scene.load.stages(0, 1, self.scene.step)[0, 0]
         self.caution = None
 
     @property
@@ -182,23 +182,58 @@ def simulate(scene, duration, every=1):
 
     """
     from tqdm import tqdm  # here: the node has no progress bar
+    scene, steps = settled(scene, duration)
+    if every < 1 or steps % every:
+        raise ParameterError(f'every = {every} must divide the number of steps, {steps}')
+    with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
+              leave=False) as bar:
+        run, caution = sampled_run(scene, steps, every, bar.update)
+    if caution:
+        warnings.warn(caution, ModelWarning, stacklevel=2)
+    return run
+
+
+def settled(scene, duration):
+    """
+    Return the scene with modes and step chosen if it asks for that, and its number of steps.
+
+    Raises
+    ------
+    ParameterError
+        If the duration does not fit the step, or no choice is good enough.
+
+    """
     if scene.values['model.accuracy']:
         from timo_sim.accuracy import settle  # which simulates, with what is in this module
         scene = settle(scene, duration).scene
-    steps = whole_ratio('duration', duration, 'integrator.step', scene.step)
-    if every < 1 or steps % every:
-        raise ParameterError(f'every = {every} must divide the number of steps, {steps}')
+    return scene, whole_ratio('duration', duration, 'integrator.step', scene.step)
+
+
+def sampled_run(scene, steps, every=1, report=lambda count: None):
+    """
+    Do what `simulate` does, without bar and warning.
+
+    Parameters
+    ----------
+    scene : Scene
+    steps, every : int
+    report : function(int)
+        Receives how many further steps are done.
+
+    Returns
+    -------
+    Run
+    caution : str or None
+        See `Simulator`.
+
+    """
     simulator = Simulator(scene)
     motion = np.empty((steps // every + 1, simulator.formulation.size))
     chunk = max(1, _CHUNK // every) * every
-    with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
-              leave=False) as bar:
-        for first in range(0, steps, chunk):
-            count = min(chunk, steps - first)
-            motion[first // every:(first + count) // every + 1] = simulator.advance(
-                simulator.scene_loads(count), every)
-            bar.update(count)
-    if simulator.caution:
-        warnings.warn(simulator.caution, ModelWarning, stacklevel=2)
+    for first in range(0, max(1, steps), chunk):
+        count = min(chunk, steps - first)
+        motion[first // every:(first + count) // every + 1] = simulator.advance(
+            simulator.scene_loads(count), every)
+        report(count)
     t = np.arange(0, steps + 1, every) * scene.step
-    return Run(scene, simulator.formulation, t, motion)
+    return Run(scene, simulator.formulation, t, motion), simulator.caution

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from slips import THICK
 
 from timo_sim.physics.bodies import Beam, Manipulator, Section
-from timo_sim.physics.galerkin import GalerkinModes
+from timo_sim.physics.galerkin import frequencies, GalerkinModes
 from timo_sim.physics.modes import modes_of, UniformModes
 from timo_sim.physics.quadrature import Quadrature
 
@@ -140,6 +140,16 @@ def test_galerkin_agrees_with_the_frequency_equation(tip):
     for field in ('deflection', 'rotation', 'curvature', 'shear'):
         one, other = getattr(closed, field)(xi), getattr(galerkin, field)(xi)
         assert (np.abs(one - other) / np.abs(one).max(axis=0)).max() < 1e-9
+
+
+@pytest.mark.parametrize('count', [2, 4, 9, 41])
+@pytest.mark.parametrize('height', [0.002, 0.02, 0.6])
+@pytest.mark.parametrize('tip', [(0.0, 0.0), (2e-3, 1e-3), (2e3, 0.0), (0.0, 1e4), (2e3, 1e4)])
+def test_guesses_tell_modes_apart(tip, height, count):
+    """From a thousandth to the thousandfold of the arm's mass, slender and thick."""
+    body = arm(tip=tip, section=Section(0.02, height, 2710.0, 70.5e9, 27e9, 0.85))
+    exact = GalerkinModes(body, count).omega
+    assert np.abs(frequencies(body, count) / exact - 1.0).max() < 1e-6
 
 
 def test_cantilever_without_tip_body_is_that_of_the_textbook():

@@ -100,6 +100,8 @@ class Beam:
     @property
     def breaks(self):
         """Ends of the spans on which the section is smooth, from 0 to the length [m]."""
+        if self.uniform:
+            return np.array([0.0, self.length])
         return np.unique([0.0, *self.positions, self.length])
 
     def at(self, xi):

@@ -5,14 +5,16 @@ For `y' = L y + n(y, t)`, with the stiff constant part L propagated exactly. Sou
 Matthews, J. Comput. Phys. 176 (2002) 430-455, eqs. (26)-(29); doc/theory.md (T29).
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm, matrix_balance
+from scipy.linalg import matrix_balance
 
 from timo_sim.physics.compiled import dispatch, entry_point, inner, local, strict
 
 STAGES = 3  # a step evaluates its load at t, t + h/2 and t + h
+_NORM, _TERMS = 2.0, 22  # 2^23 3! / 26! = 1e-19 is left of the series of phi_3
 
 
 class Propagator(NamedTuple):
@@ -48,22 +50,39 @@ def propagator(linear, step):
     """
     # Stiffnesses and compliances differ by many decades; balanced (by powers of two, exactly),
     # the norm of h L is about that of the fastest wave and the exponential keeps its digits.
-    balanced, scale = matrix_balance(linear, permute=False)
+    balanced, (scale, _) = matrix_balance(linear, permute=False, separate=True)
+    half, whole = _phi(step * balanced)
+    (exp_half, phi1_half, _, _), (exp, phi1, phi2, phi3) = (
+        [scale[:, np.newaxis] * values / scale for values in phi] for phi in (half, whole))
+    return Propagator(exp, exp_half, 0.5 * step * phi1_half,
+                      step * (phi1 - 3.0 * phi2 + 4.0 * phi3),
+                      step * (2.0 * phi2 - 4.0 * phi3), step * (4.0 * phi3 - phi2))
 
-    def phi(z):
-        # Rows of one exponential of the augmented matrix: phi_0, phi_1, phi_2, phi_3 of z.
-        m = len(z)
-        augmented = np.zeros((4 * m, 4 * m))
-        augmented[:m, :m] = z
-        augmented[:-m, m:] += np.eye(3 * m)
-        top = expm(augmented)[:m]
-        return [scale @ top[:, k * m:(k + 1) * m] @ np.linalg.inv(scale) for k in range(4)]
 
-    exp, phi1, phi2, phi3 = phi(step * balanced)
-    exp_half, phi1_half, _, _ = phi(0.5 * step * balanced)
-    matrices = (exp, exp_half, 0.5 * step * phi1_half, step * (phi1 - 3.0 * phi2 + 4.0 * phi3),
-                step * (2.0 * phi2 - 4.0 * phi3), step * (4.0 * phi3 - phi2))
-    return Propagator(*matrices)
+def _phi(z):
+    """
+    Return phi_0 to phi_3 of half a matrix, and of the matrix.
+
+    By the series of phi_3 of the matrix divided by a power of two, then doubling the argument:
+    `2^k phi_k(2 z) = phi_0(z) phi_k(z) + sum_j phi_j(z) / (k - j)!`, j = 1..k. Source: Skaflestad
+    and Wright, Appl. Numer. Math. 59 (2009) 783-799.
+    """
+    norm = np.linalg.norm(z, 1)
+    doublings = max(1, math.ceil(math.log2(norm / _NORM))) if norm > 0.0 else 1
+    z, one = z / 2.0**doublings, np.eye(len(z))
+    phi_3 = one / math.factorial(_TERMS + 3)
+    for k in reversed(range(_TERMS)):
+        phi_3 = z @ phi_3
+        phi_3.flat[::len(z) + 1] += 1.0 / math.factorial(k + 3)
+    phi_2 = z @ phi_3 + 0.5 * one
+    phi_1 = z @ phi_2 + one
+    phi = z @ phi_1 + one, phi_1, phi_2, phi_3
+    for _ in range(doublings):
+        half, (phi_0, phi_1, phi_2, phi_3) = phi, phi
+        phi = (phi_0 @ phi_0, 0.5 * (phi_0 @ phi_1 + phi_1),
+               0.25 * (phi_0 @ phi_2 + phi_1 + phi_2),
+               0.125 * (phi_0 @ phi_3 + 0.5 * phi_1 + phi_2 + phi_3))
+    return half, phi
 
 
 @inner

@@ -9,6 +9,7 @@ the integrator its order.
 """
 
 from dataclasses import dataclass
+import functools
 
 import numpy as np
 
@@ -19,9 +20,13 @@ from timo_sim.physics.formulation import (
 CHANNELS = {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE}
 
 
+@functools.lru_cache(maxsize=2)
 def _times(first, count, step):
-    # Start, middle and end of each step, shape (count, 3): from whole numbers, never summed up.
-    return (np.arange(first, first + count)[:, np.newaxis] + np.array([0.0, 0.5, 1.0])) * step
+    # Start, middle and end of each step, shape (count, 3): from whole numbers, never summed up;
+    # kept for the next term, and the next run.
+    times = (np.arange(first, first + count)[:, np.newaxis] + np.array([0.0, 0.5, 1.0])) * step
+    times.flags.writeable = False
+    return times
 
 
 @dataclass(frozen=True)

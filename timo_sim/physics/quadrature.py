@@ -1,5 +1,7 @@
 """Gauss-Legendre nodes along the arm, and the integral of what is known there from the root."""
 
+import functools
+
 import numpy as np
 from numpy.polynomial import legendre
 
@@ -30,6 +32,30 @@ def legendre_values(x, count):
     return values[:, :count], integrals
 
 
+@functools.lru_cache(maxsize=64)
+def _rule(count):
+    # Nodes, weights, and the matrix from nodal values to Legendre coefficients, in [-1, 1].
+    x, weights = legendre.leggauss(count)
+    values, _ = legendre_values(x, count)
+    to_coefficients = (np.arange(count) + 0.5)[:, np.newaxis] * values.T * weights
+    for constant in (x, weights, to_coefficients):
+        constant.flags.writeable = False
+    return x, weights, to_coefficients
+
+
+@functools.lru_cache(maxsize=64)
+def _integrals(spans, xi):
+    # Of `Quadrature.integrate_to`; kept, since arms that differ in what they carry share it.
+    rows = []
+    for start, stop, count in spans:
+        # Left of the span this is nothing, right of it the whole span.
+        x = np.clip(2.0 * (np.array(xi) - start) / (stop - start) - 1.0, -1.0, 1.0)
+        rows.append(0.5 * (stop - start) * legendre_values(x, count)[1] @ _rule(count)[2])
+    rows = np.hstack(rows)
+    rows.flags.writeable = False
+    return rows
+
+
 class Quadrature:
     """
     Gauss-Legendre quadrature on the spans of an arm.
@@ -58,12 +84,12 @@ class Quadrature:
         shares = np.diff(breaks) / breaks[-1]
         # 1e-9: a share that is whole but for its rounding.
         counts = np.maximum(np.ceil(count * shares - 1e-9).astype(int), _FEWEST) + extra
-        self._spans = [(start, stop, *legendre.leggauss(n))
-                       for start, stop, n in zip(breaks, breaks[1:], counts)]
-        self.nodes = np.concatenate([start + 0.5 * (stop - start) * (x + 1.0)
-                                     for start, stop, x, _ in self._spans])
-        self.weights = np.concatenate([0.5 * (stop - start) * w
-                                       for start, stop, _, w in self._spans])
+        ends = np.asarray(breaks, dtype=float).tolist()
+        self._spans = tuple(zip(ends, ends[1:], counts.tolist()))
+        self.nodes = np.concatenate([start + 0.5 * (stop - start) * (_rule(n)[0] + 1.0)
+                                     for start, stop, n in self._spans])
+        self.weights = np.concatenate([0.5 * (stop - start) * _rule(n)[1]
+                                       for start, stop, n in self._spans])
         self.points = np.append(self.nodes, breaks[-1])
 
     def integrate_to(self, xi):
@@ -81,27 +107,16 @@ class Quadrature:
             [m]
 
         """
-        rows = []
-        for start, stop, to_coefficients, x in self._within(xi):
-            # Left of the span this is nothing, right of it the whole span.
-            _, integrals = legendre_values(np.clip(x, -1.0, 1.0), len(to_coefficients))
-            rows.append(0.5 * (stop - start) * integrals @ to_coefficients)
-        return np.hstack(rows)
+        return _integrals(self._spans, tuple(np.asarray(xi, dtype=float).tolist()))
 
     def interpolate_to(self, xi):
         """Return the rows that interpolate nodal values at the given points, shape (p, n)."""
+        xi = np.asarray(xi, dtype=float)
         rows, past = [], np.zeros(len(xi), dtype=bool)
-        for _, stop, to_coefficients, x in self._within(xi):
+        for start, stop, count in self._spans:
+            x = 2.0 * (xi - start) / (stop - start) - 1.0
             here = (x <= 1.0) & ~past if stop < self.points[-1] else ~past
-            values, _ = legendre_values(np.where(here, x, 0.0), len(to_coefficients))
-            rows.append(here[:, np.newaxis] * values @ to_coefficients)
+            values, _ = legendre_values(np.where(here, x, 0.0), count)
+            rows.append(here[:, np.newaxis] * values @ _rule(count)[2])
             past |= here
         return np.hstack(rows)
-
-    def _within(self, xi):
-        # Of each span: its ends, nodal values to Legendre coefficients, and xi in [-1, 1] of it.
-        xi = np.asarray(xi, dtype=float)
-        for start, stop, x, w in self._spans:
-            at_nodes, _ = legendre_values(x, len(x))
-            to_coefficients = (np.arange(len(x)) + 0.5)[:, np.newaxis] * at_nodes.T * w
-            yield start, stop, to_coefficients, 2.0 * (xi - start) / (stop - start) - 1.0

@@ -1,0 +1,177 @@
+"""Many runs: rows are those of `simulate`, failures are rows, whoever works and whatever dies."""
+
+import os
+from pathlib import Path
+import pickle
+import signal
+
+import numpy as np
+import pytest
+
+import timo_sim
+from timo_sim.sweep.chunk import Chunk, chunks_of, run_chunk, SUMMARY
+from timo_sim.sweep.local import LocalExecutor
+from timo_sim.sweep.many import outcomes
+
+FAST = {'integrator.step': 0.01}
+NUMBERS = [column.name for column in SUMMARY]
+
+
+@pytest.fixture(scope='module')
+def scene(paper):
+    """Return the paper's scene at 10 ms."""
+    return timo_sim.load_scene(paper, FAST)
+
+
+def expected(run):
+    """Return the numbers of a row, read off a run."""
+    deflection, rotation = run.deflection(2.0)[:, 1], run.rotation(2.0)
+    peak = np.argmax(np.abs(deflection))
+    return [abs(deflection[peak]), run.t[peak], np.sqrt(np.mean(deflection**2)), deflection[-1],
+            np.abs(rotation).max(), *run.carrier[-1], run.shaft[-1]]
+
+
+def numbers(table, row):
+    """Return the numbers of a row of a table."""
+    return [table[name][row] for name in NUMBERS]
+
+
+def test_rows_are_those_of_simulate_to_the_bit_for_one_worker_and_two(scene, paper):
+    random = np.random.default_rng(3)
+    variations = [{'end_effector.mass': random.uniform(0.5, 5.0), 'initial': {
+        'shaft_velocity': random.uniform(-1.0, 1.0), 'carrier_x': 1.0},
+        'load.torque.harmonic.amplitude': [random.uniform(1.0, 8.0)]} for _ in range(35)]
+    variations += [{'model.formulation': 'newton', 'end_effector.mass': 1.0},
+                   {'model.modes': 0}, {'carrier.held': 'x'}, {'integrator.step': 0.004}, {},
+                   {'load.torque.harmonic.amplitude': [], 'load.torque.harmonic.frequency': [],
+                    'load.torque.harmonic.phase': []}]
+    tables = [timo_sim.simulate_many(scene, iter(variations), 5.0, workers=workers)
+              for workers in (1, 2)]
+    for table in tables:
+        assert table['run'].tolist() == list(range(len(variations)))
+        assert not any(table['reason']) and not any(table['caution'])
+        for row, variation in enumerate(variations):
+            run = timo_sim.simulate(timo_sim.load_scene(scene.values, variation), 5.0)
+            assert numbers(table, row) == expected(run), variation
+    one, two = tables
+    assert list(one) == list(two)
+    assert all(one[name].tolist() == two[name].tolist() for name in one)
+
+
+def test_parameters_are_columns_with_the_scenes_value_where_a_run_does_not_set_them(scene):
+    table = timo_sim.simulate_many(scene, [
+        {'end_effector': {'mass': 1.0}}, {'load.torque.harmonic.amplitude': [3]},
+        {'model.formulation': 'newton'}], 0.1, workers=1)
+    assert list(table) == ['run', 'end_effector.mass', 'load.torque.harmonic.amplitude',
+                           'model.formulation', *NUMBERS, 'caution', 'reason']
+    assert table['end_effector.mass'].tolist() == [1.0, 2.0, 2.0]
+    assert table['load.torque.harmonic.amplitude'].tolist() == [(5.0,), (3.0,), (5.0,)]
+    assert table['model.formulation'].tolist() == ['exact', 'exact', 'newton']
+
+
+DIVERGES = {'initial.shaft_velocity': 300.0, 'model.modes': 8}
+FAILURES = [
+    (DIVERGES, timo_sim.DivergenceError, 'the state is not finite after t = '),
+    ({'end_effector.mass': -1.0}, timo_sim.ParameterError, 'end_effector.mass must be .* got -1'),
+    ({'arm.length': 'two'}, timo_sim.ParameterError, 'arm.length must be .*two'),
+    ({'arm.lenght': 2.0}, timo_sim.ParameterError, 'arm.lenght = 2.0 is not a parameter'),
+    ({'initial.modal_rates': [1.0]}, timo_sim.ParameterError, 'must have 0 or 3 elements'),
+    ({'integrator.step': 0.03}, timo_sim.ParameterError, 'duration = 2 must be a whole multiple'),
+    ({'model.modes': [3]}, timo_sim.ParameterError, 'model.modes must be a whole number'),
+    ({'integrator.step': 1e-14}, MemoryError, 'Unable to allocate'),
+]
+
+
+def test_a_run_that_fails_is_a_row_with_the_reason(scene):
+    variations = [variation for pair in FAILURES for variation in (pair[0], {})]
+    table = timo_sim.simulate_many(scene, variations, 2.0, workers=2)
+    good = expected(timo_sim.simulate(scene, 2.0))
+    for row, (variation, kind, words) in enumerate(FAILURES):
+        with pytest.raises(kind, match=words) as caught:
+            timo_sim.simulate(timo_sim.load_scene(scene.values, variation), 2.0)
+        assert table['reason'][2 * row] == ' '.join(str(caught.value).split())
+        assert np.isnan(numbers(table, 2 * row)).all()
+        assert table['reason'][2 * row + 1] == '' and numbers(table, 2 * row + 1) == good
+    assert np.isnan(table['end_effector.mass'][2]) and np.isnan(table['arm.length'][4])
+    assert table['model.modes'].tolist()[:2] == [8, 3] and table['model.modes'][12] is None
+
+
+def test_a_run_that_should_not_be_trusted_says_so(scene):
+    fast = {'model.formulation': 'newton', 'initial.shaft_velocity': 20.0}
+    table = timo_sim.simulate_many(scene, [fast, {}], 0.1, workers=1)
+    with pytest.warns(timo_sim.ModelWarning) as caught:
+        timo_sim.simulate(scene.vary(fast), 0.1)
+    assert table['caution'].tolist() == [str(caught[0].message), '']
+
+
+def test_what_does_not_fit_at_all_is_refused(scene):
+    with pytest.raises(timo_sim.ParameterError, match='at least one element, got none'):
+        timo_sim.simulate_many(scene, [], 1.0)
+    with pytest.raises(timo_sim.ParameterError, match='the ratio is 12.5'):
+        timo_sim.simulate_many(scene, [{}], 0.125)
+
+
+def test_chunks_hold_every_run_once_and_are_neither_long_nor_few(scene):
+    for count in (1, 7, 33, 1000, 100_003):
+        sizes, first = [], 0
+        for chunk in chunks_of(scene, 10.0, count, ({} for _ in range(count))):
+            assert chunk.first == first
+            first += len(chunk.variations)
+            sizes.append(len(chunk.variations))
+        assert first == count and len(sizes) >= min(count, 16) and max(sizes) <= 100
+    long = next(chunks_of(scene, 10_000.0, 1000, [{}] * 1000))
+    assert len(long.variations) == 1
+
+
+def test_no_more_chunks_are_made_than_keep_all_busy(scene):
+    """Memory does not grow with the number of runs."""
+    made = []
+
+    class Executor:
+        width = 2
+
+        def submit(self, function, chunk):
+            made.append(chunk)
+            return self
+
+        def result(self):
+            return None
+
+    for done, _ in enumerate(outcomes(Executor(), iter(range(1000)))):
+        assert len(made) - done <= 3 * Executor.width + 1
+    assert made == list(range(1000))
+
+
+def die_once(mark):
+    """Kill this process, but only the first one that comes here."""
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return os.getpid()
+
+
+def die():
+    """Kill this process."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_worker_process_loses_nothing(tmp_path, monkeypatch):
+    with LocalExecutor(2) as executor:
+        pids = [executor.submit(die_once, tmp_path / 'mark') for _ in range(20)]
+        alive = {future.result() for future in pids}
+        assert os.getpid() not in alive and 1 <= len(alive) <= 3
+        with pytest.raises(ConnectionError, match='ended 3 times over the same runs.* -9'):
+            executor.submit(die).result()
+        assert executor.submit(os.getenv, 'OPENBLAS_NUM_THREADS').result() == '1'
+        # What a call prints does not get between the answers.
+        assert executor.submit(os.system, 'echo noise').result() == 0
+        last = executor.submit(os.getpid).result()
+    assert not Path(f'/proc/{last}').exists()
+
+
+def test_a_chunk_needs_no_formulation_of_the_sender(scene):
+    """What goes to a worker is small."""
+    chunk = Chunk(0, scene, 0.1, ({},))
+    assert len(pickle.dumps(chunk)) < 10_000
+    again = run_chunk(pickle.loads(pickle.dumps(chunk)))
+    assert np.array_equal(again.numbers, run_chunk(chunk).numbers)

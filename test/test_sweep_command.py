@@ -1,0 +1,229 @@
+"""`timo_sim sweep`: file in, Parquet out; refusals; killed and given again; on a Dask cluster."""
+
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+import dask
+from distributed import Client, LocalCluster
+import numpy as np
+from pyarrow import parquet
+import pytest
+import yaml
+
+import timo_sim
+from timo_sim.sweep.cluster import cluster_executor
+from timo_sim.sweep.plan import read_plan
+
+COMMAND = [sys.executable, '-c', 'from timo_sim.cli import main; main(prog_name="timo_sim")']
+ROOT = Path(__file__).resolve().parents[1]
+RANDOM = {'seed': 7, 'count': 96, 'ranges': {
+    'end_effector.mass': [0.5, 5.0], 'load.torque.harmonic.amplitude': [[1.0], [8.0]]}}
+
+
+@pytest.fixture
+def write(tmp_path, paper):
+    """Return a function that writes the file of a sweep, of the paper's scene unless it says."""
+    def write(**entries):
+        given = {'scene': str(paper), 'duration': 2.0, 'parameters': {'integrator.step': 0.01},
+                 **entries}
+        path = tmp_path / 'study.yaml'
+        path.write_text(yaml.safe_dump({key: value for key, value in given.items()
+                                        if value is not None}))
+        return path
+    return write
+
+
+def start(folder, *arguments):
+    """Start `timo_sim sweep` in a folder."""
+    return subprocess.Popen([*COMMAND, 'sweep', *map(str, arguments)], cwd=folder, text=True,
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                            env={**os.environ, 'PYTHONPATH': os.pathsep.join(
+                                entry or os.getcwd() for entry in sys.path)})
+
+
+def end(command):
+    """Return code, output and errors of a command that ends."""
+    output, errors = command.communicate(timeout=120)
+    return command.returncode, output, errors
+
+
+def rows(path):
+    """Return a Parquet file's columns by name."""
+    return parquet.read_table(path).to_pydict()
+
+
+def wait_for_parts(folder, count):
+    """Return the names of the parts as soon as there are so many."""
+    for _ in range(6000):
+        parts = sorted(folder.glob('study.parquet.parts/*.parquet'))
+        if len(parts) >= count:
+            return parts
+        time.sleep(0.01)
+    raise TimeoutError(f'{len(parts)} parts')
+
+
+def many(path):
+    """Return what `simulate_many` gives for the file of a sweep."""
+    plan = read_plan(path)
+    table = timo_sim.simulate_many(plan.scene, plan.variations(), plan.duration)
+    return {name: [list(cell) if isinstance(cell, tuple) else cell for cell in column.tolist()]
+            for name, column in table.items()}
+
+
+def test_file_in_parquet_out(write, tmp_path):
+    path = write(grid={'end_effector.mass': [1.0, 2.0],
+                       'load.torque.harmonic.amplitude': [[1.0], [5.0]],
+                       'initial.modal_rates': [[1.0, 0.0, 0.0], [1e200, 0.0, 0.0]]})
+    code, output, errors = end(start(tmp_path, path, '--workers', '2'))
+    assert (code, errors) == (0, '')
+    table = rows(tmp_path / 'study.parquet')
+    assert [bool(reason) for reason in table['reason']] == 4 * [False, True]
+    assert output.startswith('8 runs in ') and ', 4 failed: study.parquet' in output
+    assert not (tmp_path / 'study.parquet.parts').exists()
+    direct = many(path)
+    assert list(table) == list(direct)
+    for name, column in table.items():
+        np.testing.assert_array_equal(column, direct[name])
+
+    schema = parquet.read_schema(tmp_path / 'study.parquet')
+    units = {field.name: field.metadata[b'unit'].decode() for field in schema}
+    assert units['end_effector.mass'] == 'kg' and units['peak_deflection'] == 'm'
+    assert units['peak_rotation'] == 'rad' and b'largest' in schema.field(
+        'peak_deflection').metadata[b'meaning']
+    assert schema.metadata[b'duration'] == b'2.0 s'
+
+    code, output, errors = end(start(tmp_path, path))
+    assert code == 2 and errors == ('timo_sim: study.parquet exists: remove it or choose another '
+                                    '--output\n')
+
+
+def test_the_example_can_be_read_as_it_is_and_with_each_of_its_ways_to_vary(write):
+    text = (ROOT / 'config' / 'sweep.yaml').read_text()
+    plan = read_plan(ROOT / 'config' / 'sweep.yaml')
+    assert plan.count == len(list(plan.variations())) == 80
+    assert plan.scene.step == 0.01 and plan.duration == 10.0
+    assert next(plan.variations()) == {
+        'end_effector.mass': 0.5, 'load.torque.harmonic.amplitude': [1.0]}
+    for kind, count in ('random', 10000), ('runs', 2):
+        block = text[text.index(f'# {kind}:'):].split('\n\n')[0].replace('\n# ', '\n')[2:]
+        given = yaml.safe_load(text.split('grid:')[0] + block)
+        del given['scene']
+        assert read_plan(write(**given)).count == count
+
+
+def test_a_grid_is_all_combinations_the_last_fastest(write):
+    plan = read_plan(write(grid={'end_effector.mass': [1.0, 2.0], 'model.modes': [1, 2, 3]}))
+    assert plan.count == 6 and [tuple(values.values()) for values in plan.variations()] == [
+        (1.0, 1), (1.0, 2), (1.0, 3), (2.0, 1), (2.0, 2), (2.0, 3)]
+
+
+def test_random_values_fill_their_ranges_and_repeat_with_their_seed(write):
+    first, again = ([*read_plan(write(random=RANDOM)).variations()] for _ in range(2))
+    other = [*read_plan(write(random={**RANDOM, 'seed': 8})).variations()]
+    assert first == again and first != other
+    for name, low, high in (('end_effector.mass', 0.5, 5.0),
+                            ('load.torque.harmonic.amplitude', 1.0, 8.0)):
+        share = (np.ravel([values[name] for values in first]) - low) / (high - low)
+        assert share.min() > 0.0 and share.max() < 1.0 and len(set(share)) == 96
+        # The mean of 96 even values: 0.5 within 3.4 times sqrt(1 / 12 / 96).
+        assert abs(share.mean() - 0.5) < 0.1
+
+
+@pytest.mark.parametrize('entries, words', [
+    ({}, 'one of runs, grid, random; got duration, parameters, scene'),
+    ({'grid': {'model.modes': [1]}, 'runs': [{}]}, 'one of runs, grid, random'),
+    ({'grids': {}}, "got ['grids']"),
+    ({'scene': None, 'runs': [{}]}, 'must have a scene'),
+    ({'scene': 'none.yaml', 'runs': [{}]}, 'none.yaml'),
+    ({'scene': 3, 'runs': [{}]}, 'scene must be the name of a file, or parameters, got 3'),
+    ({'scene': {'arm.length': -1}, 'runs': [{}]}, 'arm.length must be a finite number > 0 m'),
+    ({'parameters': [1], 'runs': [{}]}, 'parameters must be parameters with values, got [1]'),
+    ({'duration': None, 'runs': [{}]}, 'duration must be a finite number > 0 s, got None'),
+    ({'duration': -1.0, 'runs': [{}]}, 'duration must be a finite number > 0 s, got -1.0'),
+    ({'duration': 0.125, 'runs': [{}]}, 'the ratio is 12.5'),
+    ({'runs': []}, 'runs must be a list of sets of parameters, got []'),
+    ({'runs': [{}, 1]}, 'runs[1] must be parameters with values, got 1'),
+    ({'runs': [{'arm.lenght': 1.0}]}, 'arm.lenght = 1.0 is not a parameter of timo_sim (runs[0])'),
+    ({'runs': [{'record': True}]}, 'record is a parameter of the node, not of the scene'),
+    ({'grid': {'model.modes': 3}}, 'grid: model.modes must be a list of values, got 3'),
+    ({'grid': {'model.modes': [3, 41]}}, 'model.modes must be a whole number >= 0 and <= 40'),
+    ({'random': {'seed': 1}}, "random must have seed, count and ranges, got ['seed']"),
+    ({'random': {**RANDOM, 'count': 0}}, 'random: count must be a whole number >= 1, got 0'),
+    ({'random': {**RANDOM, 'seed': -1}}, 'random: seed must be a whole number >= 0, got -1'),
+    ({'random': {**RANDOM, 'ranges': {'end_effector.mass': [5.0, 0.5]}}}, 'in ascending order'),
+    ({'random': {**RANDOM, 'ranges': {'end_effector.mass': [5.0]}}}, 'a lower and an upper end'),
+    ({'random': {**RANDOM, 'ranges': {'model.modes': [1.5, 3]}}}, 'model.modes must be a whole'),
+])
+def test_what_a_file_must_not_say(write, entries, words):
+    with pytest.raises((timo_sim.ParameterError, FileNotFoundError)) as caught:
+        read_plan(write(**entries))
+    assert words in str(caught.value) and 'yaml' in str(caught.value)
+
+
+def test_bad_input_ends_with_one_line_and_code_2(write, tmp_path):
+    (tmp_path / 'broken.yaml').write_text('scene: [')
+    for path, words in ((write(grid={'model.modes': [-1]}), 'model.modes must be'),
+                        (tmp_path / 'broken.yaml', 'broken.yaml is not a YAML file')):
+        code, output, errors = end(start(tmp_path, path))
+        assert code == 2 and output == '' and errors.count('\n') == 1
+        assert errors.startswith('timo_sim: ') and words in errors
+    code, _, errors = end(start(tmp_path, 'nowhere.yaml'))
+    assert code == 2 and "'nowhere.yaml' does not exist" in errors
+
+
+def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
+    path = write(random=RANDOM, duration=20.0)
+    sweep = start(tmp_path, path, '--workers', '2')
+    wait_for_parts(tmp_path, 4)
+    workers = [int(pid) for task in Path(f'/proc/{sweep.pid}/task').iterdir()
+               for pid in (task / 'children').read_text().split()]
+    sweep.send_signal(signal.SIGKILL)
+    assert end(sweep)[0] == -signal.SIGKILL and len(workers) == 2
+    parts = wait_for_parts(tmp_path, 4)
+    assert len(parts) < 32 and not (tmp_path / 'study.parquet').exists()
+    for _ in range(1000):  # workers end with their parent
+        if not any(Path(f'/proc/{pid}').exists() for pid in workers):
+            break
+        time.sleep(0.01)
+    assert not any(Path(f'/proc/{pid}').exists() for pid in workers)
+
+    # A part that is there is taken as it is: one of them says so in the result.
+    known = parquet.read_table(parts[1])
+    column = known.schema.get_field_index('caution')
+    parquet.write_table(known.set_column(column, known.schema.field(column),
+                                         [['seen'] * len(known)]), parts[1])
+    # Another sweep must not take over these parts.
+    code, _, errors = end(start(tmp_path, write(random=RANDOM, duration=10.0)))
+    assert code == 2 and 'study.parquet.parts is of another sweep' in errors
+
+    assert end(start(tmp_path, write(random=RANDOM, duration=20.0)))[0] == 0
+    table, direct = rows(tmp_path / 'study.parquet'), many(path)
+    seen = [run for run, caution in zip(table['run'], table['caution']) if caution == 'seen']
+    assert seen == known['run'].to_pylist()
+    table['caution'] = direct['caution']
+    assert table == direct
+
+
+def test_on_a_cluster_a_killed_worker_loses_and_doubles_nothing(write, tmp_path):
+    path = write(random=RANDOM, duration=20.0)
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        with Client(cluster) as client:
+            pids = list(client.run(os.getpid).values())
+        sweep = start(tmp_path, path, '--scheduler', cluster.scheduler_address)
+        done = wait_for_parts(tmp_path, 10)
+        os.kill(pids[0], signal.SIGKILL)
+        assert len(done) < 32
+        code, output, _ = end(sweep)
+    assert code == 0 and output.startswith('96 runs in ')
+    assert rows(tmp_path / 'study.parquet') == many(path)
+
+
+def test_no_scheduler_is_one_line_and_code_1(write, tmp_path):
+    with dask.config.set({'distributed.comm.timeouts.connect': '0.3s'}):
+        with pytest.raises(ConnectionError, match='no Dask scheduler at tcp://127.0.0.1:1'):
+            with cluster_executor('tcp://127.0.0.1:1'):
+                pass

@@ -1,0 +1,1 @@
+"""Sweeps: many runs of one scene with varied parameters, on many cores or machines."""

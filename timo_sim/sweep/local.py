@@ -1,0 +1,95 @@
+"""
+Worker processes of this machine.
+
+Not those of `multiprocessing`: these need no `if __name__ == '__main__'` in the caller's script,
+have one BLAS thread each from the start, and one that is killed loses nothing.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+
+_ATTEMPTS = 3  # processes that may die over the same call
+_ONE_THREAD = dict.fromkeys(('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'), '1')
+
+
+class LocalExecutor:
+    """
+    Calls in processes of their own, one for each of some threads that wait for them.
+
+    Parameters
+    ----------
+    width : int, optional
+        Number of processes; by default that of the cores this process may use.
+
+    """
+
+    def __init__(self, width=None):
+        self.width = width or len(os.sched_getaffinity(0))
+        self._threads = ThreadPoolExecutor(self.width, 'sweep')
+        self._own = threading.local()
+        self._children = []
+        self._closing = False
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._closing = True
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        self._kill()
+        self._threads.shutdown()
+        self._kill()  # one that was just being started
+        for child in self._children:
+            with suppress(BrokenPipeError), child:
+                pass
+
+    def _kill(self):
+        for child in self._children:
+            child.kill()
+
+    def submit(self, function, *arguments):
+        """Return the future of a call; function and arguments can be pickled."""
+        return self._threads.submit(self._call, pickle.dumps((function, arguments)))
+
+    def _call(self, call):
+        for _ in range(_ATTEMPTS):
+            child = getattr(self._own, 'child', None) or self._start()
+            try:
+                child.stdin.write(call)
+                child.stdin.flush()
+                return pickle.load(child.stdout)
+            except (EOFError, BrokenPipeError, pickle.UnpicklingError):
+                self._own.child = None
+                if self._closing:
+                    break
+        raise ConnectionError(f'worker processes ended {_ATTEMPTS} times over the same runs, the '
+                              f'last with code {child.wait()}')
+
+    def _start(self):
+        path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+        self._own.child = subprocess.Popen(
+            [sys.executable, '-c', f'from {__name__} import serve; serve()'],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            env={**os.environ, **_ONE_THREAD, 'PYTHONPATH': path})
+        self._children.append(self._own.child)
+        return self._own.child
+
+
+def serve():
+    """Answer calls from standard input until it ends; what they print goes to standard error."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent's affair
+    with os.fdopen(os.dup(1), 'wb') as answers:
+        os.dup2(2, 1)
+        while True:
+            try:
+                function, arguments = pickle.load(sys.stdin.buffer)
+            except EOFError:
+                return
+            pickle.dump(function(*arguments), answers)
+            answers.flush()

@@ -1,0 +1,118 @@
+"""
+The result of a sweep on disk: Parquet, one part for each chunk until all are there.
+
+A part appears under its name only when it is whole. A sweep that was killed goes on with the parts
+that are missing; each chunk is in the result once.
+"""
+
+from pathlib import Path
+import shutil
+
+import numpy as np
+import pyarrow
+from pyarrow import compute, parquet
+
+from timo_sim.parameters import ParameterError, PARAMETERS
+from timo_sim.sweep.chunk import SUMMARY
+
+_TYPES = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(),
+          str: pyarrow.string(), tuple: pyarrow.list_(pyarrow.float64())}
+_ROW_GROUP = 64  # parts
+
+
+class Store:
+    """
+    The parts of a sweep, and the file that they become.
+
+    Parameters
+    ----------
+    output : str or Path
+        The file; its parts are in a folder beside it.
+    plan : Plan
+
+    Raises
+    ------
+    ParameterError
+        If the file exists, or the parts are those of another sweep.
+
+    """
+
+    def __init__(self, output, plan):
+        self._output, self._count = Path(output), plan.count
+        self._parts = self._output.with_name(self._output.name + '.parts')
+        self._schema = _schema(plan)
+        if self._output.exists():
+            raise ParameterError(f'{output} exists: remove it or choose another --output')
+        self._parts.mkdir(parents=True, exist_ok=True)
+        mark = self._parts / 'sweep'
+        if mark.exists() and mark.read_text() != plan.fingerprint:
+            raise ParameterError(f'{self._parts} is of another sweep: remove it or choose another '
+                                 '--output')
+        _write_whole(mark, lambda path: path.write_text(plan.fingerprint))
+
+    def has(self, chunk):
+        """Return whether the part of a chunk is there."""
+        return self._part(chunk.first).exists()
+
+    def add(self, chunk, table):
+        """Write the part of a chunk."""
+        part = pyarrow.table(table, schema=self._schema)
+        _write_whole(self._part(chunk.first), lambda path: parquet.write_table(part, path))
+
+    def finish(self):
+        """
+        Join the parts.
+
+        Returns
+        -------
+        int
+            How many runs failed.
+
+        """
+        parts, failed, runs = sorted(self._parts.glob('*.parquet')), 0, 0
+
+        def join(path):
+            nonlocal failed, runs
+            with parquet.ParquetWriter(path, self._schema) as writer:
+                for first in range(0, len(parts), _ROW_GROUP):
+                    table = pyarrow.concat_tables(
+                        parquet.read_table(part) for part in parts[first:first + _ROW_GROUP])
+                    expected = np.arange(runs, runs + len(table))
+                    if not np.array_equal(table['run'].to_numpy(), expected):
+                        raise RuntimeError(f'{self._parts}: runs {runs} and on are not whole')
+                    failed += compute.sum(compute.not_equal(table['reason'], '')).as_py()
+                    runs += len(table)
+                    writer.write_table(table)
+            if runs != self._count:
+                raise RuntimeError(f'{self._parts}: {runs} of {self._count} runs')
+
+        _write_whole(self._output, join)
+        shutil.rmtree(self._parts)
+        return failed
+
+    def _part(self, first):
+        return self._parts / f'{first:012d}.parquet'
+
+
+def _write_whole(path, write):
+    unfinished = path.with_name(path.name + '.unfinished')
+    write(unfinished)
+    unfinished.replace(path)
+
+
+def _schema(plan):
+    fields = [_field('run', pyarrow.int64(), '', 'number of the run, from 0')]
+    for name in plan.names:
+        parameter = PARAMETERS[name]
+        fields.append(_field(name, _TYPES[type(parameter.default)], parameter.unit,
+                             parameter.meaning))
+    fields += [_field(column.name, pyarrow.float64(), column.unit, column.meaning)
+               for column in SUMMARY]
+    fields += [_field('caution', pyarrow.string(), '', 'why not to trust the run, or empty'),
+               _field('reason', pyarrow.string(), '', 'why the run failed, or empty')]
+    return pyarrow.schema(fields, {'duration': f'{plan.duration!r} s',
+                                   'scene': repr(plan.scene.values)})
+
+
+def _field(name, kind, unit, meaning):
+    return pyarrow.field(name, kind, metadata={'unit': unit, 'meaning': meaning})
