@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.physics.compiled import size_mark
+from timo_sim.physics.compiled import FASTMATH, size_mark
 from timo_sim.physics.sincos import sincos
 from timo_sim.simulation import Simulator
 
 
-@numba.njit
+@numba.njit(fastmath=FASTMATH)
 def _sincos(angles, sines, cosines):
     for j in range(len(angles)):
         sines[j], cosines[j] = sincos(angles[j])

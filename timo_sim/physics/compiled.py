@@ -94,7 +94,8 @@ def inner(function):
 
 def strict(function):
     """Compile a function that only compiled functions call, without any fast math."""
-    return numba.njit(forceinline=True, no_cpython_wrapper=True)(function)
+    # Said, not left out: what is not said is inherited from the function that calls first.
+    return numba.njit(fastmath=False, forceinline=True, no_cpython_wrapper=True)(function)
 
 
 @functools.cache
