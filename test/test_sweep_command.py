@@ -32,7 +32,7 @@ def write(tmp_path, paper):
                  **entries}
         path = tmp_path / 'study.yaml'
         path.write_text(yaml.safe_dump({key: value for key, value in given.items()
-                                        if value is not None}))
+                                        if value is not None}, sort_keys=False))
         return path
     return write
 
@@ -58,7 +58,7 @@ def rows(path):
 
 def wait_for_parts(folder, count):
     """Return the names of the parts as soon as there are so many."""
-    for _ in range(6000):
+    for _ in range(3000):
         parts = sorted(folder.glob('study.parquet.parts/*.parquet'))
         if len(parts) >= count:
             return parts
@@ -134,7 +134,7 @@ def test_random_values_fill_their_ranges_and_repeat_with_their_seed(write):
 
 
 @pytest.mark.parametrize('entries, words', [
-    ({}, 'one of runs, grid, random; got duration, parameters, scene'),
+    ({}, 'one of runs, grid, random; got scene, duration, parameters'),
     ({'grid': {'model.modes': [1]}, 'runs': [{}]}, 'one of runs, grid, random'),
     ({'grids': {}}, "got ['grids']"),
     ({'scene': None, 'runs': [{}]}, 'must have a scene'),
@@ -176,7 +176,7 @@ def test_bad_input_ends_with_one_line_and_code_2(write, tmp_path):
 
 
 def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
-    path = write(random=RANDOM, duration=20.0)
+    path = write(random=RANDOM, duration=10.0)
     sweep = start(tmp_path, path, '--workers', '2')
     wait_for_parts(tmp_path, 4)
     workers = [int(pid) for task in Path(f'/proc/{sweep.pid}/task').iterdir()
@@ -197,10 +197,10 @@ def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
     parquet.write_table(known.set_column(column, known.schema.field(column),
                                          [['seen'] * len(known)]), parts[1])
     # Another sweep must not take over these parts.
-    code, _, errors = end(start(tmp_path, write(random=RANDOM, duration=10.0)))
+    code, _, errors = end(start(tmp_path, write(random=RANDOM, duration=5.0)))
     assert code == 2 and 'study.parquet.parts is of another sweep' in errors
 
-    assert end(start(tmp_path, write(random=RANDOM, duration=20.0)))[0] == 0
+    assert end(start(tmp_path, write(random=RANDOM, duration=10.0)))[0] == 0
     table, direct = rows(tmp_path / 'study.parquet'), many(path)
     seen = [run for run, caution in zip(table['run'], table['caution']) if caution == 'seen']
     assert seen == known['run'].to_pylist()
@@ -209,7 +209,7 @@ def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
 
 
 def test_on_a_cluster_a_killed_worker_loses_and_doubles_nothing(write, tmp_path):
-    path = write(random=RANDOM, duration=20.0)
+    path = write(random=RANDOM, duration=10.0)
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         with Client(cluster) as client:
             pids = list(client.run(os.getpid).values())

@@ -55,7 +55,7 @@ class Plan:
         else:
             random = np.random.default_rng(self.given['seed'])
             for _ in range(self.count):
-                yield {name: random.uniform(*ends).tolist()
+                yield {name: np.asarray(random.uniform(*ends)).tolist()
                        for name, ends in self.given['ranges'].items()}
 
     @property

@@ -1,0 +1,135 @@
+"""
+How fast a sweep is: 10 000 runs of the paper's 10 s scene, N = 3, h = 10 ms, summary of the tip.
+
+Mass at the tip, amplitude of the torque and initial shaft speed all differ from run to run, so
+nothing is shared but the arm. The time is that of the whole call, start of the processes included.
+A compiled product of a 16 x 16 matrix and a vector, timed on as many cores at once right before and
+after, says what the machine gave; its peer is a plain loop over `simulate`.
+"""
+
+import argparse
+import os
+from pathlib import Path
+import statistics
+import threading
+import time
+
+import numpy as np
+from timing import product
+
+import timo_sim
+from timo_sim.sweep.local import LocalExecutor
+
+PAPER = Path(__file__).resolve().parents[1] / 'config' / 'paper.yaml'
+DURATION, STEP, TARGET = 10.0, 0.01, 20.0
+COUNTS, QUICK_COUNTS = (1000, 2000, 5000, 10000), (200, 400)
+PRODUCTS = 25
+
+
+def variations(count):
+    """Return overrides that differ in all three parameters from run to run."""
+    random = np.random.default_rng(1)
+    return [{'end_effector.mass': random.uniform(0.5, 5.0),
+             'load.torque.harmonic.amplitude': [random.uniform(1.0, 8.0)],
+             'initial.shaft_velocity': random.uniform(-1.0, 1.0)} for _ in range(count)]
+
+
+def products(executor):
+    """Return the median of that time on all workers at once [s]."""
+    futures = [executor.submit(product) for _ in range(PRODUCTS * executor.width)]
+    return statistics.median(future.result() for future in futures)
+
+
+class Memory(threading.Thread):
+    """Largest memory of this process and of its children while it runs [MB]."""
+
+    def __init__(self):
+        super().__init__(daemon=True)
+        self.own, self.children, self._over = 0.0, 0.0, threading.Event()
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *_):
+        self._over.set()
+        self.join()
+
+    def run(self):
+        """Look ten times a second."""
+        while not self._over.wait(0.1):
+            self.own = max(self.own, _resident('self'))
+            children = [child for task in Path('/proc/self/task').iterdir()
+                        for child in (task / 'children').read_text().split()]
+            self.children = max([self.children, *map(_resident, children)])
+
+
+def _resident(process):
+    try:
+        pages = int(Path(f'/proc/{process}/statm').read_text().split()[1])
+    except (OSError, IndexError):  # it has just ended
+        return 0.0
+    return pages * os.sysconf('SC_PAGE_SIZE') / 1e6
+
+
+def rows(quick=False):
+    """
+    Measure.
+
+    Returns
+    -------
+    list of tuple
+        (line, target, measured, remark), texts.
+
+    """
+    scene = timo_sim.load_scene(PAPER, {'model.modes': 3, 'integrator.step': STEP})
+    counts = QUICK_COUNTS if quick else COUNTS
+    cores = len(os.sched_getaffinity(0))
+    timo_sim.simulate_many(scene, variations(4), DURATION)  # machine code
+
+    few = variations(100)
+    start = time.perf_counter()
+    runs = [timo_sim.simulate(timo_sim.load_scene(scene.values, values), DURATION)
+            for values in few]
+    loop = (time.perf_counter() - start) / len(few)
+    table = timo_sim.simulate_many(scene, few, DURATION)
+    assert all(table['final_shaft'][k] == run.shaft[-1] and table['peak_deflection'][k]
+               == np.abs(run.deflection(2.0)[:, 1]).max() for k, run in enumerate(runs))
+
+    seconds, memories = [], []
+    with LocalExecutor() as executor:
+        unit = [products(executor)]
+    for count in counts:
+        with Memory() as memory:
+            start = time.perf_counter()
+            table = timo_sim.simulate_many(scene, variations(count), DURATION)
+            seconds.append(time.perf_counter() - start)
+        memories.append(memory)
+        assert len(table['run']) == count and not any(table['reason'])
+    with LocalExecutor() as executor:
+        unit.append(products(executor))
+
+    slope, offset = np.polyfit(counts, seconds, 1)
+    most, last = counts[-1], seconds[-1]
+    shown = ', '.join(f'{count}: {span:.1f} s' for count, span in zip(counts, seconds))
+    per_run = last / most * cores / statistics.mean(unit)
+    return [
+        (f'{most} runs of 10 s, N = 3, h = 10 ms', '' if quick else f'{TARGET:g} s',
+         f'{last:.1f} s', f'{cores} cores; mass, torque and shaft speed differ in all runs'),
+        ('time of a core for a run, in 16 x 16 products', '', f'{per_run:.0f}',
+         f'a product: {1e9 * statistics.mean(unit):.0f} ns with all cores busy'),
+        ('linear in runs', '', f'{1e3 * slope:.2f} ms a run and {offset:.1f} s', shown),
+        ('memory of this process and of a worker', '',
+         f'{memories[-1].own:.0f} MB, {memories[-1].children:.0f} MB',
+         f'{counts[0]} runs: {memories[0].own:.0f} MB, {memories[0].children:.0f} MB'),
+        ('loop over `simulate` for as many runs', '', f'{loop * most:.0f} s',
+         f'{loop * most / last:.1f} times as long; {1e3 * loop:.1f} ms a run'),
+    ]
+
+
+if __name__ == '__main__':
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--quick', action='store_true')
+    print('| | target | measured | |\n|---|---|---|---|')
+    for row in rows(parser.parse_args().quick):
+        print('| ' + ' | '.join(row) + ' |')
