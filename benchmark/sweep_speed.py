@@ -115,7 +115,8 @@ def rows(quick=False):
     per_run = last / most * cores / statistics.mean(unit)
     return [
         (f'{most} runs of 10 s, N = 3, h = 10 ms', '' if quick else f'{TARGET:g} s',
-         f'{last:.1f} s', None if quick else last <= TARGET, f'{cores} cores; mass, torque and shaft speed differ in all runs'),
+         f'{last:.1f} s', None if quick else last <= TARGET,
+         f'{cores} cores; mass, torque and shaft speed differ in all runs'),
         ('time of a core for a run, in 16 x 16 products', '', f'{per_run:.0f}', None,
          f'a product: {1e9 * statistics.mean(unit):.0f} ns with all cores busy'),
         ('linear in runs', '', f'{1e3 * slope:.2f} ms a run and {offset:.1f} s', None,
