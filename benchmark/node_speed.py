@@ -265,8 +265,9 @@ def start_rows(times):
 
 def overload_rows():
     """Ask for more than the machine can do, and for an end."""
+    heavy = arguments(**{'model.modes': 20, 'integrator.step': 1e-5})
+    finished(*heavy, '-p', 'duration:=0.001')  # compiles
     for number in (signal.SIGINT, signal.SIGTERM):
-        heavy = arguments(**{'model.modes': 20, 'integrator.step': 1e-5})
         with tempfile.TemporaryDirectory() as folder, started(
                 'node', 'ticks.npy', ENVIRONMENT, *heavy, cwd=folder,
                 stdout=subprocess.PIPE) as process:

@@ -1,9 +1,8 @@
 """
 Every speed target, measured: step, run, memory, node, start, sweep, and what is left out.
 
-`make benchmark-speed` writes doc/speed.md and its plot, `--quick` the same in a few minutes to
-run/speed. A time is a median; in brackets its least value and the ratio to a calibrating loop
-(a compiled 16 x 16 matrix-vector product) timed in between, since machines change their speed.
+`make benchmark-speed` writes doc/speed.md and its plot (a quarter of an hour), `--quick` the same
+in a few minutes to run/speed.
 """
 
 import os
@@ -20,6 +19,12 @@ import step_speed  # noqa: E402
 import sweep_speed  # noqa: E402
 from timing import product  # noqa: E402
 
+INTRODUCTION = """# Speed
+
+Made by `make benchmark-speed`. A time is a median; in brackets its least value and its ratio to a
+calibrating loop, a compiled product of a 16 x 16 matrix and a vector timed in between, since
+machines change their speed. Measured on: {}.
+"""
 SECTIONS = [('Step and run', step_speed), ('Memory', memory), ('Node', node_speed),
             ('Sweep', sweep_speed)]
 
@@ -38,8 +43,7 @@ def main():
     folder = ROOT / 'run' / 'speed' if quick else ROOT / 'doc'
     (folder / 'speed').mkdir(parents=True, exist_ok=True)
     facts = {**machine(), 'calibrating product': f'{1e9 * product():.0f} ns'}
-    parts = [f'# Speed\n\nMade by `make benchmark-speed`. {" ".join(__doc__.split()[14:])}\n\n'
-             f'Measured on: {", ".join(f"{name} {value}" for name, value in facts.items())}.\n']
+    parts = [INTRODUCTION.format(', '.join(f'{name} {value}' for name, value in facts.items()))]
     for title, module in SECTIONS:
         rows = [(line, target, measured, {True: 'yes', False: 'no', None: ''}[met], remark)
                 for line, target, measured, met, remark in module.rows(quick)]
