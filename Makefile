@@ -30,7 +30,7 @@ sim: $(VENV)/.run
 	@echo "next: 'make picture' draws the arm; README.md shows how to command the node"
 
 test: $(VENV)/.test
-	@$(BIN)/python -m pytest test
+	@$(BIN)/python -m pytest test --numprocesses 2 --dist loadfile
 
 picture: $(VENV)/.plot
 	@$(BIN)/python benchmark/picture.py

@@ -25,6 +25,11 @@ Made by `make benchmark-speed`. A time is a median; in brackets its least value 
 calibrating loop, a compiled product of a 16 x 16 matrix and a vector timed in between, since
 machines change their speed. Measured on: {}.
 """
+LIMITS = """Limits. N = 10: kernel, mass matrix and factor are most of a step (see the exponent
+below). Sweep: half of a run is its steps, the rest modes, tables, loads and summary, one by one.
+Cold start: type inference and optimisation by numba for one size. A locked shaft saves nothing:
+what is prescribed still moves every section.
+"""
 SECTIONS = [('Step and run', step_speed), ('Memory', memory), ('Node', node_speed),
             ('Sweep', sweep_speed)]
 
@@ -44,6 +49,7 @@ def main():
     (folder / 'speed').mkdir(parents=True, exist_ok=True)
     facts = {**machine(), 'calibrating product': f'{1e9 * product():.0f} ns'}
     parts = [INTRODUCTION.format(', '.join(f'{name} {value}' for name, value in facts.items()))]
+    parts.append(LIMITS)
     for title, module in SECTIONS:
         rows = [(line, target, measured, {True: 'yes', False: 'no', None: ''}[met], remark)
                 for line, target, measured, met, remark in module.rows(quick)]

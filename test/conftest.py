@@ -10,9 +10,14 @@ from references import read
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / 'config' / 'paper.yaml'
 
-# Tests talk to nobody but themselves.
+# Tests talk to nobody but themselves: neither to other runs nor to a worker process beside them.
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-os.environ['ROS_DOMAIN_ID'] = str(1 + uuid.uuid4().int % 100)
+if 'PYTEST_XDIST_WORKER' in os.environ:
+    _DOMAIN = int(os.environ['PYTEST_XDIST_TESTRUNUID'], 16) + int(
+        os.environ['PYTEST_XDIST_WORKER'].removeprefix('gw'))
+else:
+    _DOMAIN = uuid.uuid4().int
+os.environ['ROS_DOMAIN_ID'] = str(1 + _DOMAIN % 100)
 
 
 @pytest.fixture(scope='session')

@@ -44,7 +44,8 @@ def test_the_stated_error_holds(name, goal, source):
                      run.formulation.centre_line(run.q, run.formulation.at([length]))[:, 0]])
     error = np.linalg.norm(ours - tip_of_reference(name, length), axis=2).max()
     assert error <= goal
-    # The estimate is no guess either, nor is the choice much finer than it must be.
+    # The estimate is no guess either (it was within 6 %: the rest is the finite elements' and
+    # that of twelve modes), nor is the choice much finer than it must be.
     assert error == pytest.approx(settled.estimate, rel=0.15)
     assert settled.scene.values['model.modes'] <= 5 and settled.scene.step >= 0.01
 

@@ -92,6 +92,7 @@ def _tip(scene, span):
     # The modes' shares in the tip deflection, shape (n, N) [m], and the tip in the world and
     # in the arm frame, shape (2, n, 2) [m], or None if the run diverges.
     simulator, every = Simulator(scene), round(PERIOD / scene.step)
+    simulator.warm_up()
     formulation = simulator.formulation
     try:
         motions = simulator.advance(simulator.scene_loads(span * every), every)

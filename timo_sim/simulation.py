@@ -7,7 +7,7 @@ import numpy as np
 
 from timo_sim.parameters import ParameterError, whole_ratio
 from timo_sim.physics import etdrk4
-from timo_sim.physics.compiled import record, size_mark
+from timo_sim.physics.compiled import compiling, record, size_mark
 from timo_sim.physics.formulation import LOADS
 from timo_sim.run import Run
 
@@ -66,10 +66,8 @@ class Simulator:
 
     def warm_up(self):
         """Compile, or load from disk, what `advance`, `motion` and `formulation.tip` call."""
-        self.formulation.tip(self.motion())
-        mark = size_mark(self.formulation.packed, self._propagator)
-        if mark is not None:
-            mark.touch()
+        with compiling(self.formulation.packed, self._propagator):
+            self.formulation.tip(self.motion())
 
     @property
     def nanoseconds(self):
@@ -111,8 +109,10 @@ class Simulator:
         """
         if self._rests(loads):
             self.steps += len(loads)
-            samples = 1 + len(loads) // every if every else 0
-            return np.tile(self.motion() if samples else 0.0, (samples, 1))
+            motions = np.empty((1 + len(loads) // every if every else 0, self.formulation.size))
+            if every:
+                motions[:] = self.motion()
+            return motions
         done, motions = self.formulation.advance(self._propagator, self._state, self._load, loads,
                                                  every)
         self.steps += done
@@ -228,6 +228,7 @@ def sampled_run(scene, steps, every=1, report=lambda count: None):
 
     """
     simulator = Simulator(scene)
+    simulator.warm_up()
     motion = np.empty((steps // every + 1, simulator.formulation.size))
     chunk = max(1, _CHUNK // every) * every
     for first in range(0, max(1, steps), chunk):

@@ -4,6 +4,7 @@ import math
 import os
 import subprocess
 import sys
+import threading
 
 import numba
 from numba.core.runtime import _nrt_python, rtsys
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.physics.compiled import FASTMATH, size_mark
+from timo_sim.physics.compiled import alone, entry_point, FASTMATH, size_mark
 from timo_sim.physics.sincos import sincos
 from timo_sim.simulation import Simulator
 
@@ -67,14 +68,28 @@ for modes in {}:
 
 
 def test_sizes_compiled_apart_live_together(tmp_path):
-    """Several sizes from the disk, each compiled in another process: the same to the last bit."""
-    def run(*modes):
-        return subprocess.run([sys.executable, '-c', RUN.format(modes)], check=True, text=True,
-                              capture_output=True, env={**os.environ, 'NUMBA_CACHE_DIR': tmp_path}
-                              ).stdout
+    """Sizes from the disk, compiled by two processes at once: the same to the last bit."""
+    def start(*modes):
+        return subprocess.Popen(
+            [sys.executable, '-c', RUN.format(modes)], text=True, stdout=subprocess.PIPE,
+            env={**os.environ, 'NUMBA_CACHE_DIR': tmp_path})
 
-    apart = run(2) + run(0)
-    assert run(2, 0) == apart
+    apart = [start(2), start(0)]
+    outputs = [process.communicate()[0] for process in apart]
+    assert all(outputs) and start(2, 0).communicate()[0] == ''.join(outputs)
+
+
+def test_code_is_filed_by_one_process_at_a_time():
+    @entry_point
+    def half(number):
+        return 0.5 * number
+
+    caller = threading.Thread(target=half, args=(1.0,))
+    with alone('index.lock'):
+        caller.start()
+        caller.join(2.0)
+        assert caller.is_alive()
+    caller.join()
 
 
 def test_sizes_are_marked_once_compiled(paper):

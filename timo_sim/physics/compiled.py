@@ -7,6 +7,7 @@ type, and what a function computes on the way is `local` to it. One machine code
 """
 
 from contextlib import contextmanager
+import fcntl
 import functools
 import hashlib
 import inspect
@@ -65,9 +66,33 @@ def cache_directory():
 
 def size_mark(*records):
     """Return the file that stands for machine code on disk for records of these sizes, or None."""
-    sizes = hashlib.sha256(repr([entry.dtype for entry in records]).encode())
-    directory = cache_directory()
-    return directory and directory / f'{sizes.hexdigest()[:16]}.compiled'
+    return _mark_of(*(entry.dtype for entry in records))
+
+
+@functools.lru_cache
+def _mark_of(*layouts):
+    sizes = hashlib.sha256(repr(layouts).encode()).hexdigest()[:16]
+    return cache_directory() and cache_directory() / f'{sizes}.compiled'
+
+
+@contextmanager
+def alone(name):
+    """Let one process at a time do something, among all that share the folder of machine code."""
+    with open(cache_directory() / name, 'w', encoding='utf-8') as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+@contextmanager
+def compiling(*records):
+    """Let one process compile for records of these sizes, while others wait for its code."""
+    mark = size_mark(*records)
+    if mark is None or mark.exists():
+        yield
+        return
+    with alone('compiling.lock'):
+        yield
+        mark.touch()
 
 
 @contextmanager
@@ -84,7 +109,11 @@ def entry_point(function):
     if cache_directory() is None:
         return numba.njit(fastmath=FASTMATH)(function)
     with _cache_in(cache_directory()):
-        return numba.njit(fastmath=FASTMATH, cache=True)(function)
+        compiled = numba.njit(fastmath=FASTMATH, cache=True)(function)
+    # Two processes that add to numba's index at once would take each other's code for their own.
+    index = compiled._cache._cache_file
+    index.save = alone('index.lock')(index.save)
+    return compiled
 
 
 def inner(function):

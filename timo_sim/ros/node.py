@@ -91,7 +91,8 @@ class SimNode(Node):
         self.create_service(Trigger, '~/step', self._on_step)
 
     def _settled(self, scene):
-        self.get_logger().info('choosing modes and step for model.accuracy')
+        self.get_logger().info(
+            'choosing modes and step for model.accuracy, compiling once for each new size')
         settled = settle(scene, self._values['duration'], self._suits)
         self.get_logger().info(
             f'model.accuracy = {scene.values["model.accuracy"]:g} m: {settled}')
