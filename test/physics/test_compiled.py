@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 
 import numba
 from numba.core.runtime import _nrt_python, rtsys
@@ -80,11 +81,13 @@ def test_sizes_compiled_apart_live_together(tmp_path):
 
 
 def test_code_is_filed_by_one_process_at_a_time():
-    @entry_point
-    def half(number):
-        return 0.5 * number
+    never_filed_before = time.time()
 
-    caller = threading.Thread(target=half, args=(1.0,))
+    @entry_point
+    def scaled(number):
+        return never_filed_before * number
+
+    caller = threading.Thread(target=scaled, args=(1.0,))
     with alone('index.lock'):
         caller.start()
         caller.join(2.0)
