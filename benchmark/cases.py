@@ -114,7 +114,7 @@ def own_case(scene, formulation, modes, step):
         steps, every = round(scene.duration / step), round(period / step)
         start = time.process_time()
         try:
-            samples = simulator.advance(simulator.scene_loads(steps), every)[1:]
+            samples = simulator.advance(steps, every=every)[1:]
         except timo_sim.DivergenceError:
             return None
         seconds = time.process_time() - start

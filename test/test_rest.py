@@ -11,20 +11,20 @@ from timo_sim.simulation import Simulator
 LONG = 700  # steps
 
 
-def torque(steps, value):
-    """Return loads of a constant torque."""
-    loads = np.zeros((steps, 3, LOADS))
-    loads[..., TORQUE] = value
-    return loads
+def torque(value):
+    """Return the load of a torque."""
+    load = np.zeros(LOADS)
+    load[TORQUE] = value
+    return load
 
 
 def history(scene):
     """Return motions of a simulator at rest, then turned, then left alone again."""
     simulator = Simulator(scene)
-    motions = list(simulator.advance(simulator.scene_loads(LONG), 1))
+    motions = list(simulator.advance(LONG, every=1))
     assert simulator.steps == LONG and len(motions) == 1 + LONG
     for k in range(LONG, 2 * LONG):
-        simulator.advance(torque(1, 2.0 if k < LONG + 50 else 0.0))
+        simulator.advance(1, torque(2.0 if k < LONG + 50 else 0.0))
         motions.append(simulator.motion())
     return np.array(motions)
 
@@ -36,7 +36,7 @@ def test_rest_is_what_computing_it_gives_to_the_last_bit(formulation, held, monk
         'model.formulation': formulation, 'carrier.held': held, 'initial.shaft': 0.7,
         'initial.carrier_x': 0.3, 'initial.carrier_y': -1.7, 'arm.damping_ratio': [0.01]})
     skipped = history(scene)
-    monkeypatch.setattr(Simulator, '_rests', lambda simulator, loads: False)
+    monkeypatch.setattr(Simulator, '_rests', lambda *_: False)
     assert skipped.tobytes() == history(scene).tobytes()
     assert skipped[LONG + 1, 2] != skipped[LONG, 2] != skipped[-1, 2]
 
@@ -51,14 +51,14 @@ def test_no_step_is_computed_at_rest(monkeypatch):
 
     monkeypatch.setattr(Formulation, 'advance', counting)
     simulator = Simulator(timo_sim.load_scene({}))
-    simulator.advance(simulator.scene_loads(LONG))
+    simulator.advance(LONG)
     assert simulator.nanoseconds == LONG * 1000000 and not computed
-    simulator.advance(torque(1, 1.0))
-    simulator.advance(torque(5, 0.0))
+    simulator.advance(1, torque(1.0))
+    simulator.advance(5, torque(0.0))
     assert sum(computed) == 6
     # Back at the start it rests again.
     simulator.reset()
-    simulator.advance(simulator.scene_loads(LONG))
+    simulator.advance(LONG)
     assert simulator.steps == 2 * LONG + 6 and sum(computed) == 6
 
 

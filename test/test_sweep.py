@@ -71,7 +71,7 @@ def test_parameters_are_columns_with_the_scenes_value_where_a_run_does_not_set_t
 
 DIVERGES = {'initial.shaft_velocity': 300.0, 'model.modes': 8}
 FAILURES = [
-    (DIVERGES, timo_sim.DivergenceError, 'the state is not finite after t = '),
+    (DIVERGES, timo_sim.DivergenceError, 'the state diverges after t = '),
     ({'end_effector.mass': -1.0}, timo_sim.ParameterError, 'end_effector.mass must be .* got -1'),
     ({'arm.length': 'two'}, timo_sim.ParameterError, 'arm.length must be .*two'),
     ({'arm.lenght': 2.0}, timo_sim.ParameterError, 'arm.lenght = 2.0 is not a parameter'),

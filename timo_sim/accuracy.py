@@ -95,7 +95,7 @@ def _tip(scene, span):
     simulator.warm_up()
     formulation = simulator.formulation
     try:
-        motions = simulator.advance(simulator.scene_loads(span * every), every)
+        motions = simulator.advance(span * every, every=every)
     except DivergenceError:
         return None, None
     tip = formulation.at([scene.manipulator.arm.length])

@@ -7,18 +7,25 @@ import numpy as np
 
 from timo_sim.parameters import ParameterError, whole_ratio
 from timo_sim.physics import etdrk4
-from timo_sim.physics.compiled import compiling, record, size_mark
+from timo_sim.physics.compiled import compiling, size_mark
 from timo_sim.physics.formulation import LOADS
 from timo_sim.run import Run
+from timo_sim.step_control import FINEST, StepControl
 
 # Steps whose loads are worked out at once: long enough to make that cheap, short enough for a
 # progress bar.
 _CHUNK, _FEW = 2048, 256
+# Steps between looks at the error of a step.
+_WATCH = 512
+# Part of the period of a harmonic load that a step may cover: its three values then are the load.
+_MOST_OF_A_PERIOD = 0.25
+# Deflection that is no arm's any more, in arm lengths.
+_MOST_BENT = 10.0
 _NO_LOADS = np.zeros((0, etdrk4.STAGES, LOADS))
 
 
 class DivergenceError(ArithmeticError):
-    """The state stopped being finite; the text says when, and what to do."""
+    """The state stops being that of an arm, or finite; the text says when, and what to do."""
 
 
 class ModelWarning(UserWarning):
@@ -33,6 +40,7 @@ class Simulator:
     ----------
     scene : Scene
     formulation : Formulation
+    control : StepControl
     steps : int
         Steps done since the start; sim time is `steps * scene.step`.
     caution : str or None
@@ -43,7 +51,7 @@ class Simulator:
     def __init__(self, scene):
         self.scene = scene
         self.formulation = scene.build()
-        self._propagator = record(etdrk4.propagator(self.formulation.linear, scene.step))
+        self.control = StepControl(scene, self.formulation)
         self.steps = 0
         self.reset()
 
@@ -53,21 +61,27 @@ class Simulator:
         self._state = self.formulation.state(motion)
         # Without speeds, deflection, loads and drive nothing changes until the first command.
         self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any())
-        self._origin = self.steps
+        self._origin = self._watched = self.steps
         self._block = 0, _NO_LOADS
         self._load = self.scene.load.stages(0, 1, self.scene.step)[0, 0]
-        self.caution = None
+        self.caution = self._unseen_load()
 
     @property
     def is_compiled(self):
         """Whether machine code for a formulation of this size is on disk."""
-        mark = size_mark(self.formulation.packed, self._propagator)
+        mark = size_mark(*self._sizes())
         return mark is not None and mark.exists()
 
     def warm_up(self):
         """Compile, or load from disk, what `advance`, `motion` and `formulation.tip` call."""
-        with compiling(self.formulation.packed, self._propagator):
+        with compiling(*self._sizes()):
             self.formulation.tip(self.motion())
+            if self.control.tolerance:
+                self.control.advance(self._state, self._load, _NO_LOADS, 0, None, 0)
+
+    def _sizes(self):
+        return [self.formulation.packed] + [self.control.propagator()] * (
+            2 if self.control.tolerance else 1)
 
     @property
     def nanoseconds(self):
@@ -85,14 +99,15 @@ class Simulator:
             self._block = begin, block
         return block[first - begin:first - begin + count]
 
-    def advance(self, loads, every=0):
+    def advance(self, steps, held=None, every=0):
         """
-        Do as many steps as there are loads.
+        Do some steps.
 
         Parameters
         ----------
-        loads : ndarray, shape (steps, 3, 8)
-            See `physics.etdrk4.advance`.
+        steps : int
+        held : ndarray, shape (8,), optional
+            What is added to the scene's own loads during all of them, see `physics.formulation`.
         every : int
             Steps between samples; 0: none are taken.
 
@@ -104,37 +119,48 @@ class Simulator:
         Raises
         ------
         DivergenceError
-            The state is then the last finite one.
+            The state is then that before the first step that fails.
 
         """
-        if self._rests(loads):
-            self.steps += len(loads)
-            motions = np.empty((1 + len(loads) // every if every else 0, self.formulation.size))
+        if self._rests(steps, held):
+            self.steps += steps
+            self._watched = self.steps
+            motions = np.empty((1 + steps // every if every else 0, self.formulation.size))
             if every:
                 motions[:] = self.motion()
             return motions
-        done, motions = self.formulation.advance(self._propagator, self._state, self._load, loads,
-                                                 every)
-        self.steps += done
-        if done:
-            self._load = loads[done - 1, -1].copy()
+        before, loads = self._state.copy(), self.scene_loads(steps)
+        if held is not None:
+            loads = loads + held
+        if self.control.tolerance:
+            done, motions = self.control.advance(
+                self._state, self._load, loads, self.steps - self._origin, held, every)
+        else:
+            done, motions = self.formulation.advance(
+                self.control.propagator(), self._state, self._load, loads, every)
         self._watch_speed(motions)
-        if done < len(loads):
-            raise DivergenceError(
-                f'the state is not finite after t = {self.steps * self.scene.step:.6g} s '
-                f'(step {self.steps}): ' + (self.caution or 'take fewer model.modes, a smaller '
-                                            'integrator.step or model.formulation exact'))
+        if done < steps or not self._bent() <= _MOST_BENT * self.scene.manipulator.arm.length:
+            self._give_up(before, steps, held)
+        self.steps += steps
+        if steps:
+            self._load = loads[-1, -1].copy()
+        self._watch_error(held)
         return motions
 
-    def _rests(self, loads):
+    def _rests(self, steps, held):
         # Whether these steps would leave the state as it is, to the last bit.
-        self._resting = self._resting and not loads.any()
-        return self._resting and len(loads) > 0
+        self._resting = self._resting and (held is None or not held.any())
+        return self._resting and steps > 0
+
+    @property
+    def load(self):
+        """Load at the end of the last step, shape (8,), see `physics.formulation`."""
+        return self._load
 
     def motion(self):
         """Return the motion now, shape (2 (3 + N),), see `physics.formulation`."""
-        return self.formulation.advance(self._propagator, self._state, self._load, _NO_LOADS,
-                                        every=1)[1][0]
+        return self.formulation.advance(self.control.propagator(), self._state, self._load,
+                                        _NO_LOADS, every=1)[1][0]
 
     def _watch_speed(self, motions):
         limit, column = self.formulation.speed_limit, self.formulation.size // 2 + 2
@@ -147,6 +173,58 @@ class Simulator:
                 f'loses its stiffness in model.formulation '
                 f'{self.scene.values["model.formulation"]}, which has no centrifugal stiffening: '
                 'take model.formulation exact')
+
+    def _unseen_load(self):
+        frequency, channel = self.scene.load.fastest()
+        if frequency * self.scene.step <= _MOST_OF_A_PERIOD:
+            return None
+        return (f'load.{channel}.harmonic.frequency = {frequency:g} Hz is too high for '
+                f'integrator.step = {self.scene.step:g} s: take at most '
+                f'{_MOST_OF_A_PERIOD / frequency:.2g} s')
+
+    def _watch_error(self, held):
+        if self.caution:
+            return
+        now = f't = {self.steps * self.scene.step:.6g} s'
+        if self.control.tolerance:
+            if self.control.coarse:
+                self.caution = (
+                    f'before {now} the error of a step was above integrator.tolerance = '
+                    f'{self.control.tolerance:g} m when split in {2**FINEST} parts, too: take a '
+                    'smaller integrator.step or fewer model.modes')
+        elif self.steps - self._watched >= _WATCH:
+            self._watched = self.steps
+            error, alarming = self.control.look_ahead(
+                self._state, self._load, self.steps - self._origin, held)
+            if alarming:
+                self.caution = (
+                    f'at {now} a step is wrong by about {error:.1g} m at the tip: take a smaller '
+                    'integrator.step, or let it be split by an integrator.tolerance')
+
+    def _bent(self):
+        # Deflection by all modes together [m].
+        modes = self.formulation.reach[3:]
+        half = len(self._state) // 2
+        return np.abs(self._state[half - len(modes):half]) @ modes
+
+    def _give_up(self, before, steps, held):
+        # Go to the last good state and say what it is.
+        self._state = before
+        if steps > 1:
+            for part in (steps // 2, steps - steps // 2):
+                self.advance(part, held)
+        motion, reach = self.motion(), self.formulation.reach
+        largest = np.argmax(np.abs(motion[:len(reach)]) * reach)
+        name = (['carrier x', 'carrier y', 'shaft angle'] + [
+            f'modal coordinate {n + 1}' for n in range(len(reach) - 3)])[largest]
+        raise DivergenceError(
+            f'the state diverges after t = {self.steps * self.scene.step:.6g} s (step '
+            f'{self.steps}), at {name} = {motion[largest]:.3g} with the arm bent by '
+            f'{self._bent():.3g} m: {self._advice()}')
+
+    def _advice(self):
+        return self.caution or ('take a smaller integrator.step, an integrator.tolerance, fewer '
+                                'model.modes or model.formulation exact')
 
 
 def simulate(scene, duration, every=1):
@@ -173,7 +251,7 @@ def simulate(scene, duration, every=1):
     ParameterError
         If the duration does not fit the step, or `every` the number of steps.
     DivergenceError
-        If the state stops being finite.
+        If the state stops being that of an arm, or finite.
 
     Warns
     -----
@@ -234,7 +312,7 @@ def sampled_run(scene, steps, every=1, report=lambda count: None):
     for first in range(0, max(1, steps), chunk):
         count = min(chunk, steps - first)
         motion[first // every:(first + count) // every + 1] = simulator.advance(
-            simulator.scene_loads(count), every)
+            count, every=every)
         report(count)
     t = np.arange(0, steps + 1, every) * scene.step
     return Run(scene, simulator.formulation, t, motion), simulator.caution

@@ -25,6 +25,8 @@ import numpy as np
 # Sums may be reordered and fused, which vectorises the short loops; NaN and Inf keep their
 # meaning, so that a diverged state is still seen ('fast' would assume them away).
 FASTMATH = {'reassoc', 'contract', 'nsz'}
+# A division by zero gives Inf or NaN, too, and raises nothing.
+_OPTIONS = {'fastmath': FASTMATH, 'error_model': 'numpy'}
 
 
 def _name_by_contents(kind):
@@ -107,9 +109,9 @@ def _cache_in(directory):
 def entry_point(function):
     """Compile a function that Python calls, and keep its machine code on disk."""
     if cache_directory() is None:
-        return numba.njit(fastmath=FASTMATH)(function)
+        return numba.njit(**_OPTIONS)(function)
     with _cache_in(cache_directory()):
-        compiled = numba.njit(fastmath=FASTMATH, cache=True)(function)
+        compiled = numba.njit(**_OPTIONS, cache=True)(function)
     # Two processes that add to numba's index at once would take each other's code for their own.
     index = compiled._cache._cache_file
     index.save = alone('index.lock')(index.save)
@@ -118,13 +120,20 @@ def entry_point(function):
 
 def inner(function):
     """Compile a function that only compiled functions call; it becomes part of its callers."""
-    return numba.njit(fastmath=FASTMATH, forceinline=True, no_cpython_wrapper=True)(function)
+    return numba.njit(**_OPTIONS, forceinline=True, no_cpython_wrapper=True)(function)
 
 
 def strict(function):
     """Compile a function that only compiled functions call, without any fast math."""
     # Said, not left out: what is not said is inherited from the function that calls first.
-    return numba.njit(fastmath=False, forceinline=True, no_cpython_wrapper=True)(function)
+    return numba.njit(**{**_OPTIONS, 'fastmath': False}, forceinline=True,
+                      no_cpython_wrapper=True)(function)
+
+
+def pasted(function):
+    """Compile a function whose text takes the place of its calls in compiled functions."""
+    # As `inner` it would be slower: that arrays it is given do not overlap is found out too late.
+    return numba.njit(**_OPTIONS, inline='always')(function)
 
 
 @functools.cache
@@ -202,6 +211,6 @@ def dispatch(declaration):
     choose.__signature__ = inspect.signature(declaration)
     # Part of its callers: code that is linked may be compiled, and so rounded, apart from them in
     # the process that compiles and not in one that loads from disk.
-    overload(declaration, jit_options={'fastmath': FASTMATH, 'forceinline': True})(choose)
+    overload(declaration, jit_options={**_OPTIONS, 'forceinline': True})(choose)
     declaration.of = of
     return declaration

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import matrix_balance
 
-from timo_sim.physics.compiled import dispatch, entry_point, inner, local, strict
+from timo_sim.physics.compiled import dispatch, entry_point, inner, local, pasted, strict
 
 STAGES = 3  # a step evaluates its load at t, t + h/2 and t + h
 _NORM, _TERMS = 2.0, 22  # 2^23 3! / 26! = 1e-19 is left of the series of phi_3
@@ -167,6 +167,34 @@ def tip_once(tables, motion, out):
     tip(tables, motion, out)
 
 
+@pasted
+def _step(tables, propagator, now, start, middle, end, half, following, combined,
+          rate_0, rate_a, rate_b, rate_c, stage):
+    """Write the state one step after `now`, and the rates of the four stages."""
+    rate(tables, now, start, rate_0)
+    _multiply(propagator.half, now, half)
+    _copy(half, stage)
+    _multiply_add(propagator.half_weight, rate_0, stage)
+
+    rate(tables, stage, middle, rate_a)
+    _multiply(propagator.half, stage, following)
+    _copy(half, stage)
+    _multiply_add(propagator.half_weight, rate_a, stage)
+
+    rate(tables, stage, middle, rate_b)
+    for i in range(len(propagator.half)):
+        combined[i] = 2.0 * rate_b[i] - rate_0[i]
+    _multiply_add(propagator.half_weight, combined, following)
+
+    rate(tables, following, end, rate_c)
+    for i in range(len(propagator.half)):
+        combined[i] = rate_a[i] + rate_b[i]
+    _multiply(propagator.whole, now, stage)
+    _multiply_add(propagator.first, rate_0, stage)
+    _multiply_add(propagator.middle, combined, stage)
+    _multiply_add(propagator.last, rate_c, stage)
+
+
 @entry_point
 def advance(tables, propagator, state, load, loads, every, samples):
     """
@@ -198,8 +226,8 @@ def advance(tables, propagator, state, load, loads, every, samples):
     """
     size = propagator.whole
     now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
-    rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
     combined = local((size,))
+    rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
     _copy(state, now)
     for k in range(len(loads) + 1):
         # The only place from which motions come: others would be rounded in another way.
@@ -208,30 +236,8 @@ def advance(tables, propagator, state, load, loads, every, samples):
         if k == len(loads):
             break
         start, middle, end = loads[k, 0], loads[k, 1], loads[k, 2]
-
-        rate(tables, now, start, rate_0)
-        _multiply(propagator.half, now, half)
-        _copy(half, stage)
-        _multiply_add(propagator.half_weight, rate_0, stage)
-
-        rate(tables, stage, middle, rate_a)
-        _multiply(propagator.half, stage, following)
-        _copy(half, stage)
-        _multiply_add(propagator.half_weight, rate_a, stage)
-
-        rate(tables, stage, middle, rate_b)
-        for i in range(len(size)):
-            combined[i] = 2.0 * rate_b[i] - rate_0[i]
-        _multiply_add(propagator.half_weight, combined, following)
-
-        rate(tables, following, end, rate_c)
-        for i in range(len(size)):
-            combined[i] = rate_a[i] + rate_b[i]
-        _multiply(propagator.whole, now, stage)
-        _multiply_add(propagator.first, rate_0, stage)
-        _multiply_add(propagator.middle, combined, stage)
-        _multiply_add(propagator.last, rate_c, stage)
-
+        _step(tables, propagator, now, start, middle, end, half, following, combined, rate_0,
+              rate_a, rate_b, rate_c, stage)
         if not _is_finite(stage):
             _copy(now, state)
             return k
@@ -239,3 +245,61 @@ def advance(tables, propagator, state, load, loads, every, samples):
         load = end
     _copy(now, state)
     return len(loads)
+
+
+@entry_point
+def advance_within(tables, propagator, gauge, tolerance, state, load, loads, first, every, samples,
+                   errors):
+    """
+    Integrate as `advance`, until the estimated error of a step exceeds a tolerance.
+
+    The estimate is the difference to a solution of third order, which takes the rate at the end of
+    the step in place of that of the last stage.
+
+    Parameters
+    ----------
+    gauge : ndarray, shape (m, m)
+        Turns the difference of these rates into errors, of which the sizes are summed up.
+    tolerance : float
+    first : int
+        Steps of `loads` that are done.
+    errors : ndarray, shape (2,)
+        Receives the largest error of a step that was done, and that of the one that was not.
+
+    Returns
+    -------
+    int
+        Steps done, the first ones included.
+
+    """
+    size = propagator.whole
+    now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
+    combined = local((size,))
+    rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
+    ahead, difference = local((size,)), local((size,))
+    _copy(state, now)
+    done = first
+    for k in range(first, len(loads) + 1):
+        if every and k % every == 0:
+            observe(tables, now, load, samples[k // every])
+        if k == len(loads):
+            break
+        start, middle, end = loads[k, 0], loads[k, 1], loads[k, 2]
+        _step(tables, propagator, now, start, middle, end, half, following, combined, rate_0,
+              rate_a, rate_b, rate_c, stage)
+        rate(tables, stage, end, ahead)
+        for i in range(len(ahead)):
+            ahead[i] -= rate_c[i]
+        _multiply(gauge, ahead, difference)
+        error = 0.0
+        for i in range(len(difference)):
+            error += abs(difference[i])
+        if not (error <= tolerance and _is_finite(stage)):
+            errors[1] = error
+            break
+        errors[0] = max(errors[0], error)
+        _copy(stage, now)
+        load = end
+        done += 1
+    _copy(now, state)
+    return done

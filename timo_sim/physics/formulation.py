@@ -166,6 +166,28 @@ class Formulation(ABC):
         unused = record(etdrk4.Propagator(*[self.linear] * 6))  # no step is done
         return self.advance(unused, state, load, np.zeros((0, etdrk4.STAGES, LOADS)), 1)[1][0]
 
+    @property
+    def reach(self):
+        """Shift of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, sizes, (3 + N,)."""
+        length = self.manipulator.arm.length
+        return np.concatenate([[1.0, 1.0, length], np.abs(self.modes.deflection([length]))[0]])
+
+    def tip_shift(self):
+        """
+        Return what an error in the state means for the tip, shape (m, m).
+
+        Applied to an error it gives shifts of the tip [m]: of the straight arm by each coordinate;
+        then, from each rate, by carrier and shaft within a second, by a mode within a radian of
+        its vibration.
+        """
+        half, count = len(self.linear) // 2, len(self.modes)
+        reach = np.concatenate([self.reach[:len(self.axes)], self.reach[2 + self.first:]])
+        duration = np.concatenate([np.ones(half - count), 1.0 / self.modes.omega])
+        shift = np.zeros_like(self.linear)
+        shift[:half, :half] = np.diag(reach)
+        shift[half:, half:] = (reach * duration)[:, np.newaxis] * self.linear[:half, half:]
+        return shift
+
     def tip(self, motion):
         """Return where the tip is in the arm frame [m], its rotation to the shaft [rad], (3,)."""
         place = np.empty(3)

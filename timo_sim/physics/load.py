@@ -142,6 +142,11 @@ class Load:
     def __bool__(self):
         return any(self.terms.values())
 
+    def fastest(self):
+        """Return the highest frequency of a harmonic term [Hz] and its channel, or (0, '')."""
+        return max(((term.frequency, channel) for channel, terms in self.terms.items()
+                    for term in terms if isinstance(term, Harmonic)), default=(0.0, ''))
+
     def stages(self, first, count, step):
         """Return the loads of steps first, first + 1, ..., shape (count, 3, 8)."""
         loads = np.zeros((count, STAGES, LOADS))

@@ -152,14 +152,13 @@ class SimNode(Node):
             last = first + 1
             if goal > last:
                 last = min(goal, first + _BATCH, self._next_event(first))
-            loads = simulator.scene_loads(last - first) + self._held
             try:
-                simulator.advance(loads)
+                simulator.advance(last - first, self._held)
             except DivergenceError as error:
                 self._diverged, self._paused = str(error), True
                 self.get_logger().error(f'paused, {error}; ~/reset goes back to the start')
                 return
-            self._applied = loads[-1, -1].tolist()
+            self._applied = simulator.load.tolist()
             self._publish()
 
     def _next_event(self, step):
@@ -195,7 +194,8 @@ class SimNode(Node):
 
     def _diagnose(self, now):
         before, steps_before = self._reported
-        steps = self._simulator.steps
+        simulator = self._simulator
+        steps = simulator.steps
         self._reported = now, steps
         if self._recorder is not None and self._recorder.error and not self._log_error:
             self._log_error = f'the log ends early: {self._recorder.error}'
@@ -210,15 +210,18 @@ class SimNode(Node):
                 'overruns': self._pace.overruns,
                 'dropped_time_s': self._pace.dropped_steps * self._step,
                 'refused_commands': sum(inlet.refused for inlet in self._inlets),
-                'stale_commands': sum(inlet.stale for inlet in self._inlets)},
+                'stale_commands': sum(inlet.stale for inlet in self._inlets),
+                'coarse_steps': simulator.control.coarse},
             facts={
                 'state': 'paused' if self._paused else 'running',
                 'sim_time_s': snapshot.nanoseconds / NANOSECONDS,
                 'real_time_factor': f'{(steps - steps_before) * self._step / (now - before):.4f}',
                 'energy_J': snapshot.energy,
+                'step_error_m': f'{simulator.control.largest:.2g}',
+                'split_steps': simulator.control.splits,
                 'log': self._recorder.path if self._recorder is not None else 'off'},
             errors=[error for error in (self._diverged, self._log_error) if error],
-            caution=self._simulator.caution)
+            caution=simulator.caution)
         self._health_outlet.send(serialize_message(message), snapshot.step, snapshot.nanoseconds)
 
     def _pass_on_caution(self):
@@ -270,8 +273,10 @@ class SimNode(Node):
 
     def _on_step(self, request, response):
         with self._lock:
-            if not self._paused:
-                response.success, response.message = False, '~/step needs a paused simulation'
+            if not self._paused or self._diverged:
+                response.success = False
+                response.message = (f'~/reset is needed first: {self._diverged}' if self._diverged
+                                    else '~/step needs a paused simulation')
                 return response
             self._look()
             for inlet in self._inlets:

@@ -1,0 +1,136 @@
+"""The error of a time step: estimated now and then, or in each step and kept below a tolerance."""
+
+import math
+
+import numpy as np
+
+from timo_sim.physics import etdrk4
+from timo_sim.physics.compiled import record
+
+# A step is split into 2^FINEST parts at most.
+FINEST = 6
+# Error per second of sim time, in arm lengths, that needs a warning.
+_ALARMING = 1e-3
+
+
+class StepControl:
+    """
+    Errors of the steps of a scene, as shifts of the tip (`Formulation.tip_shift`).
+
+    Attributes
+    ----------
+    tolerance : float
+        Of a step [m]; 0: none is split.
+    largest : float
+        Largest estimated error of a step so far [m].
+    splits : int
+        Steps that were split.
+    coarse : int
+        Steps whose error was above the tolerance in the smallest parts, too.
+
+    """
+
+    def __init__(self, scene, formulation):
+        self._scene, self._formulation = scene, formulation
+        self.tolerance = scene.values['integrator.tolerance']
+        self._alarming = _ALARMING * scene.manipulator.arm.length * scene.step
+        self._shift = formulation.tip_shift()
+        self._propagators, self._gauges = {}, {}
+        self.largest, self.splits, self.coarse = 0.0, 0, 0
+
+    def propagator(self, level=0):
+        """Return the matrices of a step divided by 2^level, a record."""
+        if level not in self._propagators:
+            matrices = etdrk4.propagator(self._formulation.linear, self._scene.step / 2**level)
+            self._propagators[level] = record(matrices)
+            self._gauges[level] = np.ascontiguousarray(self._shift @ matrices.last)
+        return self._propagators[level]
+
+    def loads(self, first, count, held, level=0):
+        """Return the loads of parts of steps, those of the scene and commands, (parts, 3, 8)."""
+        parts = 2**level
+        loads = self._scene.load.stages(parts * first, parts * count, self._scene.step / parts)
+        return loads if held is None else loads + held
+
+    def advance(self, state, load, loads, first, held, every):
+        """
+        Integrate `state` in place, each step in as many parts as the tolerance asks for.
+
+        Parameters
+        ----------
+        state, load, loads, every
+            See `Formulation.advance`.
+        first : int
+            Number of the first step, since the start of the scene's loads.
+        held : ndarray, shape (8,), or None
+            Commands, which are part of `loads`.
+
+        Returns
+        -------
+        done, motions
+            See `Formulation.advance`.
+
+        """
+        formulation, errors = self._formulation, np.zeros(2)
+        propagator, gauge = self.propagator(), self._gauges[0]
+        motions = np.empty((1 + len(loads) // every if every else 0, formulation.size))
+        done = 0
+        while True:
+            done = etdrk4.advance_within(formulation.packed, propagator, gauge, self.tolerance,
+                                         state, load, loads, done, every, motions, errors)
+            if done == len(loads) or not self._split(state, load, first + done, held, errors):
+                break
+            load = loads[done, -1]
+            done += 1
+        self.largest = max(self.largest, errors[0])
+        return done, motions
+
+    def _split(self, state, load, number, held, errors):
+        # Do one step in parts; say whether the state is still finite.
+        level, none = 0, np.empty((0, self._formulation.size))
+        while True:
+            # Of parts half as large each makes 1/16 of the error, all together 1/8.
+            excess = errors[1] / self.tolerance * 2**level
+            level += max(1, math.ceil(math.log2(excess) / 3.0)) if math.isfinite(excess) else 1
+            level = min(level, FINEST)
+            parts, trial, of_parts = 2**level, state.copy(), np.zeros(2)
+            tolerance = math.inf if level == FINEST else self.tolerance / parts
+            propagator, loads = self.propagator(level), self.loads(number, 1, held, level)
+            done = etdrk4.advance_within(
+                self._formulation.packed, propagator, self._gauges[level], tolerance, trial, load,
+                loads, 0, 0, none, of_parts)
+            errors[1] = of_parts[1]
+            if done == parts:
+                break
+            if level == FINEST:
+                return False
+        state[:] = trial
+        self.splits += 1
+        error = parts * of_parts[0]
+        self.coarse += int(error > self.tolerance)
+        errors[0] = max(errors[0], error)
+        return True
+
+    def look_ahead(self, state, load, first, held):
+        """
+        Estimate the error of the next step: it is done as a whole and in halves, on copies.
+
+        Returns
+        -------
+        error : float
+            [m]; inf if the step diverges.
+        alarming : bool
+            Whether a run of such steps would be off by more than a thousandth of the arm's length
+            after a second.
+
+        """
+        ends = []
+        for level in range(2):
+            loads, end = self.loads(first, 1, held, level), state.copy()
+            done, _ = self._formulation.advance(self.propagator(level), end, load, loads)
+            if done < len(loads):
+                return math.inf, True
+            ends.append(end)
+        error = float(np.abs(self._shift @ (ends[0] - ends[1])).sum())
+        self.largest = max(self.largest, error)
+        return error, not error <= self._alarming
