@@ -94,7 +94,7 @@ def test_the_look_ahead_is_the_error_of_the_next_step(formulation):
     simulator = Simulator(scene)
     for _ in range(20):
         start = simulator._state.copy()
-        estimate, _ = simulator.control.look_ahead(start, simulator.load, simulator.steps, None)
+        estimate, _ = simulator.control.look_ahead(start, simulator.scene_loads(1))
         fine = start.copy()
         loads = simulator.control.loads(simulator.steps, 1, None, 5)
         simulator.formulation.advance(simulator.control.propagator(5), fine, simulator.load, loads)

@@ -12,11 +12,9 @@ from timo_sim.physics.formulation import LOADS
 from timo_sim.run import Run
 from timo_sim.step_control import FINEST, StepControl
 
-# Steps whose loads are worked out at once: long enough to make that cheap, short enough for a
-# progress bar.
-_CHUNK, _FEW = 2048, 256
-# Steps between looks at the error of a step.
-_WATCH = 512
+# Steps whose loads are worked out at once, enough to make that cheap; after so many the error of
+# a step is looked at.
+_CHUNK, _FEW = 512, 256
 # Part of the period of a harmonic load that a step may cover: its three values then are the load.
 _MOST_OF_A_PERIOD = 0.25
 # Deflection that is no arm's any more, in arm lengths.
@@ -61,7 +59,8 @@ class Simulator:
         self._state = self.formulation.state(motion)
         # Without speeds, deflection, loads and drive nothing changes until the first command.
         self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any())
-        self._origin = self._watched = self.steps
+        self._origin = self.steps
+        self._watched = -math.inf
         self._block = 0, _NO_LOADS
         self._load = self.scene.load.stages(0, 1, self.scene.step)[0, 0]
         self.caution = self._unseen_load()
@@ -124,7 +123,6 @@ class Simulator:
         """
         if self._rests(steps, held):
             self.steps += steps
-            self._watched = self.steps
             motions = np.empty((1 + steps // every if every else 0, self.formulation.size))
             if every:
                 motions[:] = self.motion()
@@ -132,6 +130,7 @@ class Simulator:
         before, loads = self._state.copy(), self.scene_loads(steps)
         if held is not None:
             loads = loads + held
+        self._watch_error(loads)
         if self.control.tolerance:
             done, motions = self.control.advance(
                 self._state, self._load, loads, self.steps - self._origin, held, every)
@@ -144,7 +143,7 @@ class Simulator:
         self.steps += steps
         if steps:
             self._load = loads[-1, -1].copy()
-        self._watch_error(held)
+        self._watch_splitting()
         return motions
 
     def _rests(self, steps, held):
@@ -182,24 +181,26 @@ class Simulator:
                 f'integrator.step = {self.scene.step:g} s: take at most '
                 f'{_MOST_OF_A_PERIOD / frequency:.2g} s')
 
-    def _watch_error(self, held):
-        if self.caution:
+    def _watch_error(self, loads):
+        # Now and then, at the first of some steps.
+        if (self.caution or self.control.tolerance or not len(loads)
+                or self.steps - self._watched < _CHUNK):
             return
-        now = f't = {self.steps * self.scene.step:.6g} s'
-        if self.control.tolerance:
-            if self.control.coarse:
-                self.caution = (
-                    f'before {now} the error of a step was above integrator.tolerance = '
-                    f'{self.control.tolerance:g} m when split in {2**FINEST} parts, too: take a '
-                    'smaller integrator.step or fewer model.modes')
-        elif self.steps - self._watched >= _WATCH:
-            self._watched = self.steps
-            error, alarming = self.control.look_ahead(
-                self._state, self._load, self.steps - self._origin, held)
-            if alarming:
-                self.caution = (
-                    f'at {now} a step is wrong by about {error:.1g} m at the tip: take a smaller '
-                    'integrator.step, or let it be split by an integrator.tolerance')
+        self._watched = self.steps
+        error, alarming = self.control.look_ahead(self._state, loads[:1])
+        if alarming:
+            self.caution = (
+                f'at t = {self.steps * self.scene.step:.6g} s a step is wrong by about '
+                f'{error:.1g} m at the tip: take a smaller integrator.step, or let it be split by '
+                'an integrator.tolerance')
+
+    def _watch_splitting(self):
+        if self.control.coarse and not self.caution:
+            self.caution = (
+                'the error of a step was above integrator.tolerance = '
+                f'{self.control.tolerance:g} m when split in {2**FINEST} parts, too, before t = '
+                f'{self.steps * self.scene.step:.6g} s: take a smaller integrator.step or fewer '
+                'model.modes')
 
     def _bent(self):
         # Deflection by all modes together [m].
@@ -220,11 +221,9 @@ class Simulator:
         raise DivergenceError(
             f'the state diverges after t = {self.steps * self.scene.step:.6g} s (step '
             f'{self.steps}), at {name} = {motion[largest]:.3g} with the arm bent by '
-            f'{self._bent():.3g} m: {self._advice()}')
-
-    def _advice(self):
-        return self.caution or ('take a smaller integrator.step, an integrator.tolerance, fewer '
-                                'model.modes or model.formulation exact')
+            f'{self._bent():.3g} m: take a smaller integrator.step, an integrator.tolerance, '
+            'fewer model.modes or model.formulation exact' + (
+                f'; {self.caution}' if self.caution else ''))
 
 
 def simulate(scene, duration, every=1):

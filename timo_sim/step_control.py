@@ -11,6 +11,9 @@ from timo_sim.physics.compiled import record
 FINEST = 6
 # Error per second of sim time, in arm lengths, that needs a warning.
 _ALARMING = 1e-3
+# From a load at start, middle and end of a step to the same of its halves: a parabola.
+_HALVES = np.array([[1.0, 0.0, 0.0], [0.375, 0.75, -0.125], [0.0, 1.0, 0.0],
+                    [0.0, 1.0, 0.0], [-0.125, 0.75, 0.375], [0.0, 0.0, 1.0]])
 
 
 class StepControl:
@@ -41,10 +44,16 @@ class StepControl:
     def propagator(self, level=0):
         """Return the matrices of a step divided by 2^level, a record."""
         if level not in self._propagators:
-            matrices = etdrk4.propagator(self._formulation.linear, self._scene.step / 2**level)
-            self._propagators[level] = record(matrices)
-            self._gauges[level] = np.ascontiguousarray(self._shift @ matrices.last)
+            pair = etdrk4.propagators(self._formulation.linear, self._scene.step / 2**level)
+            for number, matrices in enumerate(pair, start=level):
+                self._propagators[number] = record(matrices)
         return self._propagators[level]
+
+    def _gauge(self, level=0):
+        if level not in self._gauges:
+            last = self.propagator(level)['last']
+            self._gauges[level] = np.ascontiguousarray(self._shift @ last)
+        return self._gauges[level]
 
     def loads(self, first, count, held, level=0):
         """Return the loads of parts of steps, those of the scene and commands, (parts, 3, 8)."""
@@ -72,7 +81,7 @@ class StepControl:
 
         """
         formulation, errors = self._formulation, np.zeros(2)
-        propagator, gauge = self.propagator(), self._gauges[0]
+        propagator, gauge = self.propagator(), self._gauge()
         motions = np.empty((1 + len(loads) // every if every else 0, formulation.size))
         done = 0
         while True:
@@ -97,7 +106,7 @@ class StepControl:
             tolerance = math.inf if level == FINEST else self.tolerance / parts
             propagator, loads = self.propagator(level), self.loads(number, 1, held, level)
             done = etdrk4.advance_within(
-                self._formulation.packed, propagator, self._gauges[level], tolerance, trial, load,
+                self._formulation.packed, propagator, self._gauge(level), tolerance, trial, load,
                 loads, 0, 0, none, of_parts)
             errors[1] = of_parts[1]
             if done == parts:
@@ -111,24 +120,30 @@ class StepControl:
         errors[0] = max(errors[0], error)
         return True
 
-    def look_ahead(self, state, load, first, held):
+    def look_ahead(self, state, loads):
         """
-        Estimate the error of the next step: it is done as a whole and in halves, on copies.
+        Estimate the error of a step: it is done as a whole and in halves, on copies.
+
+        Parameters
+        ----------
+        state : ndarray, shape (m,)
+            At its start.
+        loads : ndarray, shape (1, 3, 8)
+            Of the step; those of its halves are interpolated.
 
         Returns
         -------
         error : float
             [m]; inf if the step diverges.
         alarming : bool
-            Whether a run of such steps would be off by more than a thousandth of the arm's length
-            after a second.
+            Whether after a second of such steps the tip would be off by `_ALARMING` arm lengths.
 
         """
         ends = []
-        for level in range(2):
-            loads, end = self.loads(first, 1, held, level), state.copy()
-            done, _ = self._formulation.advance(self.propagator(level), end, load, loads)
-            if done < len(loads):
+        for level, parts in enumerate((loads, (_HALVES @ loads[0]).reshape(2, *loads.shape[1:]))):
+            end = state.copy()
+            done, _ = self._formulation.advance(self.propagator(level), end, parts[0, 0], parts)
+            if done < len(parts):
                 return math.inf, True
             ends.append(end)
         error = float(np.abs(self._shift @ (ends[0] - ends[1])).sum())

@@ -47,6 +47,7 @@ def test_sine_of_what_is_not_finite_is_not_a_number():
 def test_a_step_allocates_nothing(paper, formulation):
     simulator = Simulator(timo_sim.load_scene(paper, {'model.formulation': formulation}))
     simulator.warm_up()
+    simulator.advance(1)
     _nrt_python.memsys_enable_stats()
 
     def allocations(steps):

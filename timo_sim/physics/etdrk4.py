@@ -33,8 +33,13 @@ class Propagator(NamedTuple):
 
 
 def propagator(linear, step):
+    """Build the matrices of a step, see `propagators`."""
+    return propagators(linear, step)[0]
+
+
+def propagators(linear, step):
     """
-    Build the matrices of a step.
+    Build the matrices of a step and, for little more, those of a step half as long.
 
     Parameters
     ----------
@@ -45,30 +50,33 @@ def propagator(linear, step):
 
     Returns
     -------
-    Propagator
+    list of Propagator
 
     """
     # Stiffnesses and compliances differ by many decades; balanced (by powers of two, exactly),
     # the norm of h L is about that of the fastest wave and the exponential keeps its digits.
     balanced, (scale, _) = matrix_balance(linear, permute=False, separate=True)
-    half, whole = _phi(step * balanced)
-    (exp_half, phi1_half, _, _), (exp, phi1, phi2, phi3) = (
-        [scale[:, np.newaxis] * values / scale for values in phi] for phi in (half, whole))
-    return Propagator(exp, exp_half, 0.5 * step * phi1_half,
-                      step * (phi1 - 3.0 * phi2 + 4.0 * phi3),
-                      step * (2.0 * phi2 - 4.0 * phi3), step * (4.0 * phi3 - phi2))
+    whole, half, quarter = (scale[:, np.newaxis] * phi / scale for phi in _phi(step * balanced))
+    return [_combined(step, whole, half), _combined(0.5 * step, half, quarter)]
+
+
+def _combined(step, whole, half):
+    _, phi_1, phi_2, phi_3 = whole
+    return Propagator(whole[0], half[0], 0.5 * step * half[1],
+                      step * (phi_1 - 3.0 * phi_2 + 4.0 * phi_3),
+                      step * (2.0 * phi_2 - 4.0 * phi_3), step * (4.0 * phi_3 - phi_2))
 
 
 def _phi(z):
     """
-    Return phi_0 to phi_3 of half a matrix, and of the matrix.
+    Return phi_0 to phi_3 of a matrix, of its half and of its quarter, each of shape (4, m, m).
 
     By the series of phi_3 of the matrix divided by a power of two, then doubling the argument:
     `2^k phi_k(2 z) = phi_0(z) phi_k(z) + sum_j phi_j(z) / (k - j)!`, j = 1..k. Source: Skaflestad
     and Wright, Appl. Numer. Math. 59 (2009) 783-799.
     """
     norm = np.linalg.norm(z, 1)
-    doublings = max(1, math.ceil(math.log2(norm / _NORM))) if norm > 0.0 else 1
+    doublings = max(2, math.ceil(math.log2(norm / _NORM))) if norm > 0.0 else 2
     z, one = z / 2.0**doublings, np.eye(len(z))
     phi_3 = one / math.factorial(_TERMS + 3)
     for k in reversed(range(_TERMS)):
@@ -76,13 +84,13 @@ def _phi(z):
         phi_3.flat[::len(z) + 1] += 1.0 / math.factorial(k + 3)
     phi_2 = z @ phi_3 + 0.5 * one
     phi_1 = z @ phi_2 + one
-    phi = z @ phi_1 + one, phi_1, phi_2, phi_3
+    found = [np.array([z @ phi_1 + one, phi_1, phi_2, phi_3])]
     for _ in range(doublings):
-        half, (phi_0, phi_1, phi_2, phi_3) = phi, phi
-        phi = (phi_0 @ phi_0, 0.5 * (phi_0 @ phi_1 + phi_1),
-               0.25 * (phi_0 @ phi_2 + phi_1 + phi_2),
-               0.125 * (phi_0 @ phi_3 + 0.5 * phi_1 + phi_2 + phi_3))
-    return half, phi
+        phi_0, phi_1, phi_2, phi_3 = found[0]
+        found.insert(0, np.array([
+            phi_0 @ phi_0, 0.5 * (phi_0 @ phi_1 + phi_1), 0.25 * (phi_0 @ phi_2 + phi_1 + phi_2),
+            0.125 * (phi_0 @ phi_3 + 0.5 * phi_1 + phi_2 + phi_3)]))
+    return found[:3]
 
 
 @inner

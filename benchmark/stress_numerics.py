@@ -1,0 +1,171 @@
+"""
+Stress test of the numerics: scenes from the corners of what can be asked for.
+
+Each cell is a scene drawn from `LEVELS`, besides all that differ from the first of each in one
+or two of them. It is run with its fixed step, and with an `integrator.tolerance`; the tip is
+compared with a run at a tenth of the step and a thousandth of the tolerance. A cell is
+
+- accurate: the tip stays within a thousandth of the arm's length of the reference;
+- flagged: it does not, and the run says so (`ModelWarning`);
+- refused: a ParameterError or a DivergenceError says why;
+- silent: none of these. There must be none.
+"""
+
+import os
+for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
+    os.environ[threads] = '1'
+
+from collections import Counter  # noqa: E402
+import itertools  # noqa: E402
+import math  # noqa: E402
+
+import numpy as np  # noqa: E402
+
+import timo_sim  # noqa: E402
+from timo_sim.simulation import sampled_run  # noqa: E402
+
+LENGTH = 2.0  # of the arm [m]
+ACCURATE, TOLERANCE = 1e-3 * LENGTH, 1e-6 * LENGTH  # [m]
+# The first level of each is that of the plain scene.
+LEVELS = {
+    'modes': [3, 0, 1, 5, 8, 12, 20, 40],
+    'formulation': ['exact', 'newton'],
+    'step': [0.01, 1e-4, 1e-3, 5e-3, 0.02],          # [s]
+    'speed': [1.0, 0.0, 10.0, 30.0, 100.0],          # of the shaft [rad/s]
+    'vibration': [0.01, 1e-3, 0.1, 1.0],             # of the tip, in the first mode [m]
+    'slenderness': [100.0, 4.0, 10.0, 50.0, 500.0],  # length over height
+    'tip mass': [1.0, 0.0, 10.0, 100.0],             # arm masses
+    'tip inertia': [0.01, 0.0, 1.0, 100.0],          # masses of the arm times its length squared
+    'carrier': [10.0, 1e-3, 1e6, 'held'],            # [kg]
+    'damping': [0.0, 0.01, 0.1, 1.0],                # ratio of all modes
+    'load': ['none', 'resonance 1', 'near resonance 1', 'resonance 2', 'resonance 3', 'torque',
+             'impulse'],
+}
+DURATION = 2.0  # [s]
+# Sizes that are compiled: others would take minutes for nothing new.
+_COMPILED = {('exact', 'held'): (3,), ('newton', 'held'): (3,), ('newton', 'free'): (3, 8)}
+_MOST = 40000  # steps of a reference, for three modes
+
+
+def cells(count, seed=1):
+    """Return the plain scene, all that differ in one or two levels up to `count`, and others."""
+    plain = {name: levels[0] for name, levels in LEVELS.items()}
+    found = [plain]
+    for name, levels in LEVELS.items():
+        found += [{**plain, name: level} for level in levels[1:]]
+    random = np.random.default_rng(seed)
+    pairs = [{**plain, a: x, b: y} for a, b in itertools.combinations(LEVELS, 2)
+             for x in LEVELS[a][1:] for y in LEVELS[b][1:]]
+    random.shuffle(pairs)
+    found += pairs[:max(0, count // 3)]
+    while len(found) < count:
+        found.append({name: levels[random.integers(len(levels))]
+                      for name, levels in LEVELS.items()})
+    return [cell for cell in found[:count] if _is_compiled(cell)]
+
+
+def _is_compiled(cell):
+    kind = 'held' if cell['carrier'] == 'held' else 'free'
+    return cell['modes'] in _COMPILED.get((cell['formulation'], kind), LEVELS['modes'])
+
+
+def scene_of(cell, step, tolerance=0.0):
+    """Return the scene of a cell."""
+    mass = 2710.0 * LENGTH * 0.02 * LENGTH / cell['slenderness']
+    values = {
+        'model.formulation': cell['formulation'], 'model.modes': cell['modes'],
+        'integrator.step': step, 'integrator.tolerance': tolerance,
+        'arm.length': LENGTH, 'arm.height': LENGTH / cell['slenderness'],
+        'end_effector.mass': mass * cell['tip mass'],
+        'end_effector.inertia': mass * LENGTH**2 * cell['tip inertia'],
+        'motor.mass': 0.0, 'initial.shaft_velocity': cell['speed'],
+        'arm.damping_ratio': [cell['damping']],
+        **({'carrier.held': 'both'} if cell['carrier'] == 'held' else
+           {'carrier.mass': cell['carrier']})}
+    scene = timo_sim.load_scene(values)
+    formulation = scene.build()
+    if cell['modes']:
+        shape = np.zeros(cell['modes'])
+        shape[0] = cell['vibration'] / formulation.reach[3]
+        values['initial.modal_coordinates'] = shape.tolist()
+    values.update(_load(cell['load'], formulation, mass))
+    return timo_sim.load_scene(values)
+
+
+def _load(kind, formulation, mass):
+    torque = 0.3 * mass * LENGTH**2
+    if kind == 'none':
+        return {}
+    if kind == 'torque':
+        return {'load.torque.piecewise.time': [0.0, 0.2],
+                'load.torque.piecewise.value': [torque, 0.0]}
+    if kind == 'impulse':
+        return {'load.torque.piecewise.time': [0.1, 0.12],
+                'load.torque.piecewise.value': [20.0 * torque, 0.0]}
+    vibrating = np.sort(np.linalg.eigvals(formulation.linear).imag)
+    vibrating = vibrating[vibrating > 1.0]  # carrier and shaft do not
+    number = int(kind[-1]) - 1
+    if number >= len(vibrating):
+        return {}
+    off = 1.05 if kind.startswith('near') else 1.0
+    return {'load.torque.harmonic.amplitude': [torque],
+            'load.torque.harmonic.frequency': [off * vibrating[number] / (2.0 * np.pi)]}
+
+
+def tip(scene, steps, every):
+    """Return the path of the tip, shape (n, 2) [m], and the run's caution."""
+    run, caution = sampled_run(scene, steps, every)
+    return run.formulation.world(run.motion, run.formulation.at([LENGTH]))[:, 0], caution
+
+
+def judge(cell):
+    """Return for fixed steps, and for split ones, what became of a cell, and its error [m]."""
+    step = cell['step']
+    # Less time for what costs more: a step takes about N^2.
+    most = _MOST / max(1.0, cell['modes'] / 3.0)**2
+    steps = max(20, math.floor(min(DURATION, most * step / 10.0) / step))
+    every = max(1, steps // 20)
+    steps -= steps % every
+    try:
+        fixed = scene_of(cell, step)
+    except timo_sim.ParameterError as error:
+        return [('refused', math.nan, str(error))] * 2
+    reference = _reference(cell, step / 10.0, 10 * steps, 10 * every)
+    found = []
+    for scene in fixed, scene_of(cell, step, TOLERANCE):
+        try:
+            path, caution = tip(scene, steps, every)
+        except timo_sim.DivergenceError as error:
+            found.append(('refused', math.nan, str(error)))
+            continue
+        error = math.inf if reference is None else np.abs(path - reference).max()
+        verdict = 'accurate' if error <= ACCURATE else 'flagged' if caution else 'silent'
+        found.append((verdict, error, caution or ''))
+    return found
+
+
+def _reference(cell, step, steps, every):
+    try:
+        return tip(scene_of(cell, step, TOLERANCE / 1000.0), steps, every)[0]
+    except timo_sim.DivergenceError:
+        return None
+
+
+def main():
+    import sys, time
+    count = int(sys.argv[1])
+    tally = [Counter(), Counter()]
+    for number, cell in enumerate(cells(count)):
+        start = time.perf_counter()
+        verdicts = judge(cell)
+        for one, (verdict, error, _) in zip(tally, verdicts):
+            one[verdict] += 1
+        false = [v == 'accurate' and bool(c) for v, _, c in verdicts]
+        if any(v[0] == 'silent' for v in verdicts) or any(false) or time.perf_counter() - start > 5:
+            print(number, cell, [(v, f'{e:.1e}', c[:70]) for v, e, c in verdicts],
+                  f'{time.perf_counter() - start:.1f} s', flush=True)
+    print(*tally, sep='\n')
+
+
+if __name__ == '__main__':
+    main()
