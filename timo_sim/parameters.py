@@ -197,8 +197,8 @@ _ALL = [
     _not_negative('model.accuracy', 0.0, 'm', 'tip error for which model.modes and '
                   'integrator.step are chosen, instead of given; 0: they are given'),
     _positive('integrator.step', 0.001, 's', 'time step'),
-    _not_negative('integrator.tolerance', 0.0, 'm', 'largest estimated tip error of a step; '
-                  'a step above it is split, in 64 parts at most; 0: none is split'),
+    _not_negative('integrator.tolerance', 0.0, 'm', 'largest estimated tip error of a step, '
+                  'which is done in two to 64 parts to stay below; 0: in one, whatever its error'),
     *_load('force_x', 'N', 'force on the carrier along world x'),
     *_load('force_y', 'N', 'force on the carrier along world y'),
     *_load('torque', 'N m', 'torque on the shaft'),

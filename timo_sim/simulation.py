@@ -12,9 +12,11 @@ from timo_sim.physics.formulation import LOADS
 from timo_sim.run import Run
 from timo_sim.step_control import FINEST, StepControl
 
-# Steps whose loads are worked out at once, enough to make that cheap; after so many the error of
-# a step is looked at.
+# Steps whose loads are worked out at once: enough to make that cheap.
 _CHUNK, _FEW = 512, 256
+# The error of a step is looked at at the start, after so many steps, twice as many, and so on up
+# to each chunk: what begins wildly calms down, as a rule.
+_FIRST_LOOK = 64
 # Part of the period of a harmonic load that a step may cover: its three values then are the load.
 _MOST_OF_A_PERIOD = 0.25
 # Deflection that is no arm's any more, in arm lengths.
@@ -60,7 +62,7 @@ class Simulator:
         # Without speeds, deflection, loads and drive nothing changes until the first command.
         self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any())
         self._origin = self.steps
-        self._watched = -math.inf
+        self._next_look = self.steps
         self._block = 0, _NO_LOADS
         self._load = self.scene.load.stages(0, 1, self.scene.step)[0, 0]
         self.caution = self._unseen_load()
@@ -76,7 +78,7 @@ class Simulator:
         with compiling(*self._sizes()):
             self.formulation.tip(self.motion())
             if self.control.tolerance:
-                self.control.advance(self._state, self._load, _NO_LOADS, 0, None, 0)
+                self.control.advance(self._state, self._load, 0, 0, None, 0)
 
     def _sizes(self):
         return [self.formulation.packed] + [self.control.propagator()] * (
@@ -133,13 +135,13 @@ class Simulator:
         self._watch_error(loads)
         if self.control.tolerance:
             done, motions = self.control.advance(
-                self._state, self._load, loads, self.steps - self._origin, held, every)
+                self._state, self._load, self.steps - self._origin, steps, held, every)
         else:
             done, motions = self.formulation.advance(
                 self.control.propagator(), self._state, self._load, loads, every)
-        self._watch_speed(motions)
         if done < steps or not self._bent() <= _MOST_BENT * self.scene.manipulator.arm.length:
             self._give_up(before, steps, held)
+        self._watch_speed(motions)
         self.steps += steps
         if steps:
             self._load = loads[-1, -1].copy()
@@ -150,6 +152,11 @@ class Simulator:
         # Whether these steps would leave the state as it is, to the last bit.
         self._resting = self._resting and (held is None or not held.any())
         return self._resting and steps > 0
+
+    @property
+    def spacing(self):
+        """Steps from one look at the error of a step to the next."""
+        return min(max(self.steps - self._origin, _FIRST_LOOK), _CHUNK)
 
     @property
     def load(self):
@@ -184,9 +191,9 @@ class Simulator:
     def _watch_error(self, loads):
         # Now and then, at the first of some steps.
         if (self.caution or self.control.tolerance or not len(loads)
-                or self.steps - self._watched < _CHUNK):
+                or self.steps < self._next_look):
             return
-        self._watched = self.steps
+        self._next_look = self.steps + self.spacing
         error, alarming = self.control.look_ahead(self._state, loads[:1])
         if alarming:
             self.caution = (
@@ -198,7 +205,7 @@ class Simulator:
         if self.control.coarse and not self.caution:
             self.caution = (
                 'the error of a step was above integrator.tolerance = '
-                f'{self.control.tolerance:g} m when split in {2**FINEST} parts, too, before t = '
+                f'{self.control.tolerance:g} m when done in {2**(FINEST + 1)} parts, too, before t = '
                 f'{self.steps * self.scene.step:.6g} s: take a smaller integrator.step or fewer '
                 'model.modes')
 
@@ -307,9 +314,10 @@ def sampled_run(scene, steps, every=1, report=lambda count: None):
     simulator = Simulator(scene)
     simulator.warm_up()
     motion = np.empty((steps // every + 1, simulator.formulation.size))
-    chunk = max(1, _CHUNK // every) * every
-    for first in range(0, max(1, steps), chunk):
-        count = min(chunk, steps - first)
+    motion[0] = simulator.motion()
+    while simulator.steps < steps:
+        first = simulator.steps
+        count = min(max(1, simulator.spacing // every) * every, steps - first)
         motion[first // every:(first + count) // every + 1] = simulator.advance(
             count, every=every)
         report(count)

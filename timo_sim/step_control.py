@@ -7,8 +7,8 @@ import numpy as np
 from timo_sim.physics import etdrk4
 from timo_sim.physics.compiled import record
 
-# A step is split into 2^FINEST parts at most.
-FINEST = 6
+# With a tolerance, a step is done in 2^(1 + FINEST) parts at most.
+FINEST = 5
 # Error per second of sim time, in arm lengths, that needs a warning.
 _ALARMING = 1e-3
 # From a load at start, middle and end of a step to the same of its halves: a parabola.
@@ -37,8 +37,8 @@ class StepControl:
         self._scene, self._formulation = scene, formulation
         self.tolerance = scene.values['integrator.tolerance']
         self._alarming = _ALARMING * scene.manipulator.arm.length * scene.step
-        self._shift = formulation.tip_shift()
-        self._propagators, self._gauges = {}, {}
+        self._shift = np.ascontiguousarray(formulation.tip_shift())
+        self._propagators = {}
         self.largest, self.splits, self.coarse = 0.0, 0, 0
 
     def propagator(self, level=0):
@@ -49,30 +49,25 @@ class StepControl:
                 self._propagators[number] = record(matrices)
         return self._propagators[level]
 
-    def _gauge(self, level=0):
-        if level not in self._gauges:
-            last = self.propagator(level)['last']
-            self._gauges[level] = np.ascontiguousarray(self._shift @ last)
-        return self._gauges[level]
-
     def loads(self, first, count, held, level=0):
         """Return the loads of parts of steps, those of the scene and commands, (parts, 3, 8)."""
         parts = 2**level
         loads = self._scene.load.stages(parts * first, parts * count, self._scene.step / parts)
         return loads if held is None else loads + held
 
-    def advance(self, state, load, loads, first, held, every):
+    def advance(self, state, load, first, steps, held, every):
         """
         Integrate `state` in place, each step in as many parts as the tolerance asks for.
 
         Parameters
         ----------
-        state, load, loads, every
+        state, load, every
             See `Formulation.advance`.
         first : int
             Number of the first step, since the start of the scene's loads.
+        steps : int
         held : ndarray, shape (8,), or None
-            Commands, which are part of `loads`.
+            Commands, which are added to the scene's loads.
 
         Returns
         -------
@@ -80,34 +75,35 @@ class StepControl:
             See `Formulation.advance`.
 
         """
-        formulation, errors = self._formulation, np.zeros(2)
-        propagator, gauge = self.propagator(), self._gauge()
-        motions = np.empty((1 + len(loads) // every if every else 0, formulation.size))
-        done = 0
+        motions = np.empty((1 + steps // every if every else 0, self._formulation.size))
+        loads, errors, done = self.loads(first, steps, held, 1), np.zeros(2), 0
         while True:
-            done = etdrk4.advance_within(formulation.packed, propagator, gauge, self.tolerance,
-                                         state, load, loads, done, every, motions, errors)
-            if done == len(loads) or not self._split(state, load, first + done, held, errors):
+            done = self._advance_within(
+                self.tolerance, 0, state, load, loads, done, every, motions, errors)
+            if done == steps or not self._split(state, load, first + done, held, errors):
                 break
-            load = loads[done, -1]
+            load = loads[2 * done + 1, -1]
             done += 1
         self.largest = max(self.largest, errors[0])
         return done, motions
+
+    def _advance_within(self, tolerance, level, state, load, loads, *rest):
+        return etdrk4.advance_within(
+            self._formulation.packed, self.propagator(level), self.propagator(level + 1),
+            self._shift, tolerance, state, load, loads, *rest)
 
     def _split(self, state, load, number, held, errors):
         # Do one step in parts; say whether the state is still finite.
         level, none = 0, np.empty((0, self._formulation.size))
         while True:
-            # Of parts half as large each makes 1/16 of the error, all together 1/8.
+            # Of parts half as large each makes 1/32 of the error, all together 1/16.
             excess = errors[1] / self.tolerance * 2**level
-            level += max(1, math.ceil(math.log2(excess) / 3.0)) if math.isfinite(excess) else 1
+            level += max(1, math.ceil(math.log2(excess) / 4.0)) if math.isfinite(excess) else 1
             level = min(level, FINEST)
             parts, trial, of_parts = 2**level, state.copy(), np.zeros(2)
             tolerance = math.inf if level == FINEST else self.tolerance / parts
-            propagator, loads = self.propagator(level), self.loads(number, 1, held, level)
-            done = etdrk4.advance_within(
-                self._formulation.packed, propagator, self._gauge(level), tolerance, trial, load,
-                loads, 0, 0, none, of_parts)
+            loads = self.loads(number, 1, held, level + 1)
+            done = self._advance_within(tolerance, level, trial, load, loads, 0, 0, none, of_parts)
             errors[1] = of_parts[1]
             if done == parts:
                 break

@@ -256,21 +256,24 @@ def advance(tables, propagator, state, load, loads, every, samples):
 
 
 @entry_point
-def advance_within(tables, propagator, gauge, tolerance, state, load, loads, first, every, samples,
-                   errors):
+def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, first, every,
+                   samples, errors):
     """
-    Integrate as `advance`, until the estimated error of a step exceeds a tolerance.
+    Integrate as `advance`, until a step and its two halves differ by more than a tolerance.
 
-    The estimate is the difference to a solution of third order, which takes the rate at the end of
-    the step in place of that of the last stage.
+    It is the halves that count; their error is about 1/15 of the difference.
 
     Parameters
     ----------
-    gauge : ndarray, shape (m, m)
-        Turns the difference of these rates into errors, of which the sizes are summed up.
+    whole, halves : record
+        The matrices of the step, and of one half as long.
+    shift : ndarray, shape (m, m)
+        Turns the difference of the states into errors, of which the sizes are summed up.
     tolerance : float
+    loads : ndarray, shape (2 steps, 3, 8)
+        Of the halves.
     first : int
-        Steps of `loads` that are done.
+        Steps that are done.
     errors : ndarray, shape (2,)
         Receives the largest error of a step that was done, and that of the one that was not.
 
@@ -280,27 +283,38 @@ def advance_within(tables, propagator, gauge, tolerance, state, load, loads, fir
         Steps done, the first ones included.
 
     """
-    size = propagator.whole
+    size = whole.whole
     now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
     combined = local((size,))
     rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
-    ahead, difference = local((size,)), local((size,))
+    begin, coarse, difference = local((size,)), local((size,)), local((size,))
     _copy(state, now)
+    steps = len(loads) // 2
     done = first
-    for k in range(first, len(loads) + 1):
+    for k in range(first, steps + 1):
         if every and k % every == 0:
             observe(tables, now, load, samples[k // every])
-        if k == len(loads):
+        if k == steps:
             break
-        start, middle, end = loads[k, 0], loads[k, 1], loads[k, 2]
-        _step(tables, propagator, now, start, middle, end, half, following, combined, rate_0,
-              rate_a, rate_b, rate_c, stage)
-        rate(tables, stage, end, ahead)
-        for i in range(len(ahead)):
-            ahead[i] -= rate_c[i]
-        _multiply(gauge, ahead, difference)
+        _copy(now, begin)
+        for part in range(3):  # the whole, then the halves
+            if part == 0:
+                matrices = whole
+                start, middle, end = loads[2 * k, 0], loads[2 * k, 2], loads[2 * k + 1, 2]
+            else:
+                matrices, i = halves, 2 * k + part - 1
+                start, middle, end = loads[i, 0], loads[i, 1], loads[i, 2]
+            _step(tables, matrices, begin, start, middle, end, half, following, combined, rate_0,
+                  rate_a, rate_b, rate_c, stage)
+            if part == 0:
+                _copy(stage, coarse)
+            else:
+                _copy(stage, begin)
+        for i in range(len(size)):
+            coarse[i] -= stage[i]
+        _multiply(shift, coarse, difference)
         error = 0.0
-        for i in range(len(difference)):
+        for i in range(len(size)):
             error += abs(difference[i])
         if not (error <= tolerance and _is_finite(stage)):
             errors[1] = error
