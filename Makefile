@@ -21,7 +21,7 @@ export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --use-pep517 --constraint constraints.txt
 
 .PHONY: sim test picture paper benchmark benchmark-quick benchmark-speed benchmark-speed-quick \
-	references stability clean
+	references stability stress stress-quick clean
 
 sim: $(VENV)/.run
 	@mkdir -p $(dir $(RUN))
@@ -55,6 +55,12 @@ benchmark-speed: $(VENV)/.benchmark
 
 benchmark-speed-quick: $(VENV)/.benchmark
 	@$(BIN)/python benchmark/speed.py --quick
+
+stress: $(VENV)/.benchmark
+	@$(BIN)/python benchmark/stress.py
+
+stress-quick: $(VENV)/.benchmark
+	@$(BIN)/python benchmark/stress.py --quick
 
 clean:
 	rm -rf $(VENV) run build install log .pytest_cache .mypy_cache
