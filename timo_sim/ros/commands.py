@@ -60,9 +60,9 @@ COMMANDS = [
 
 class Inlet:
     """
-    The subscription to a command topic.
+    The subscription to a command topic, read under the node's lock by whoever does steps.
 
-    Its callback runs in the executor's thread, all else under the node's lock.
+    No executor serves it: its queue of messages would have no end, that of the middleware has.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class Inlet:
         self._pending = values, data
 
     def poll(self):
-        """Receive what has arrived but waits for the executor, as a service must see it."""
+        """Receive what has arrived."""
         handle = self._subscription.handle
         with handle:
             # No more than waited at first: a fast publisher would keep this up for ever.

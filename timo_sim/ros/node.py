@@ -94,6 +94,11 @@ class SimNode(Node):
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/step', self._on_step)
 
+    @property
+    def subscriptions(self):
+        """Those that an executor serves: all but the commands."""
+        return (entry for entry in super().subscriptions if not entry.raw)
+
     def _settled(self, scene):
         self.get_logger().info(
             'choosing modes and step for model.accuracy, compiling once for each new size')
@@ -138,6 +143,7 @@ class SimNode(Node):
         now = time.monotonic()
         if now - self._reported[0] >= diagnostics.PERIOD:
             self._diagnose(now)
+        self._poll()
         if self._paused:
             return _PAUSED_POLL
         if self._pace.free:
@@ -166,6 +172,10 @@ class SimNode(Node):
                 return
             self._applied = loads[-1, -1].tolist()
             self._publish()
+
+    def _poll(self):
+        for inlet in self._inlets:
+            inlet.poll()
 
     def _next_event(self, step):
         # The next step at which something is published or a command falls to zero.
@@ -293,8 +303,7 @@ class SimNode(Node):
                 response.success, response.message = False, '~/step needs a paused simulation'
                 return response
             self._look()
-            for inlet in self._inlets:
-                inlet.poll()
+            self._poll()
             first = self._simulator.steps
             self._advance(self._values['step_count'])
             done = self._simulator.steps - first
