@@ -168,7 +168,7 @@ def _rate(topic, default):
                      scope=NODE, runtime=True)
 
 
-_ANGLE = {'low': -1e6, 'high': 1e6}  # of which sine and cosine are still accurate
+_TURNS = 1e6  # [rad] of which sine and cosine are still accurate
 
 _ALL = [
     _positive('arm.length', 2.0, 'm', 'length of the arm'),
@@ -196,7 +196,8 @@ _ALL = [
               'driven along motor.drive', choices=('free', 'locked', 'driven')),
     _not_negative('motor.drive.time', (), 's', 'a driven shaft passes these points, quintic in '
                   'between and at the last speed afterwards; the first is at 0'),
-    Parameter('motor.drive.angle', (), 'rad', 'angles at these times', **_ANGLE),
+    Parameter('motor.drive.angle', (), 'rad', 'angles at these times',
+              low=-_TURNS, high=_TURNS),
     Parameter('motor.drive.speed', (), 'rad/s', 'speeds at these times'),
     Parameter('motor.drive.acceleration', (), 'rad/s2',
               'accelerations at these times, the last 0'),
@@ -204,7 +205,8 @@ _ALL = [
     _not_negative('end_effector.inertia', 0.5, 'kg m2', 'moment of inertia at the tip'),
     Parameter('initial.carrier_x', 0.0, 'm', 'carrier position at t = 0'),
     Parameter('initial.carrier_y', 0.0, 'm', 'carrier position at t = 0'),
-    Parameter('initial.shaft', math.pi / 4, 'rad', 'shaft angle at t = 0', **_ANGLE),
+    Parameter('initial.shaft', math.pi / 4, 'rad', 'shaft angle at t = 0',
+              low=-_TURNS, high=_TURNS),
     Parameter('initial.carrier_x_velocity', 0.0, 'm/s', 'carrier velocity at t = 0'),
     Parameter('initial.carrier_y_velocity', 0.0, 'm/s', 'carrier velocity at t = 0'),
     Parameter('initial.shaft_velocity', 0.0, 'rad/s', 'shaft speed at t = 0'),

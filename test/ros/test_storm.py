@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from mcap_ros2.reader import read_ros2_messages
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_what_is_refused_is_counted_and_the_log_is_readable(start, client):
     health = client.collect(DiagnosticArray, '/diagnostics')
     with attack('bad') as bad:
         assert bad.stdout.readline() == 'sent 100\n'
-        client.wait(lambda: values(health).get('refused_commands') == '100', 'a hundred refusals')
+        client.wait(lambda: values(health).get('refused_commands') == '100', '100 refusals')
     assert values(health)['failed_calls'] == '0'
 
     step = client.service(Trigger, '/timo_sim/step')
@@ -66,7 +66,7 @@ def test_what_is_refused_is_counted_and_the_log_is_readable(start, client):
 
 
 def test_what_is_dropped_is_counted_and_the_physics_stays_exact(start, client, paper):
-    """A process that is stopped stands for a machine that is busy: no clock is needed to see it."""
+    """A process that is stopped stands for a busy machine: no clock is needed to see it."""
     node = start('--params-file', str(paper), catch_up_limit=0.05)
     with attack('reader') as reader:
         assert reader.stdout.readline() == 'hearing\n'
