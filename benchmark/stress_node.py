@@ -271,10 +271,11 @@ FILES = {
                              + b'1.0, ' * 20000 + b'1.0]}}', 2),
     'with a huge number': (b'timo_sim: {ros__parameters: {arm.length: 1.0e+400}}', 2),
     'with a nonsense scene': (b'timo_sim: {ros__parameters: {arm.height: 1.0e+300}}', 2)}
-VALUES = ('arm.length:=-1.0', 'arm.length:=.nan', 'arm.length:=[1, a]', 'arm.length:=1.0e+300',
-          'rate.joint_states:=1.0e+13', 'duration:=1.0e-13', 'duration:=1.0e+308',
-          'integrator.step:=1.0e-300', 'command_timeout:=.inf', 'model.modes:=99999999999999999999',
-          'initial.shaft:=1.0e+100', 'no.such:=1', 'record:=7', 'arm.length:={a: 1}', 'arm:=')
+VALUES = (
+    'arm.length:=-1.0', 'arm.length:=.nan', 'arm.length:=[1, a]', 'arm.length:=1.0e+300',
+    'rate.joint_states:=1.0e+13', 'duration:=1.0e-13', 'duration:=1.0e+308',
+    'integrator.step:=1.0e-300', 'command_timeout:=.inf', 'model.modes:=99999999999999999999',
+    'initial.shaft:=1.0e+100', 'no.such:=1', 'record:=7', 'arm.length:={a: 1}', 'arm:=')
 
 
 def parameter_rows(quick):

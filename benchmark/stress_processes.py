@@ -41,7 +41,8 @@ VALUES = (
         0.0, 1.0, 500.0, 1e13, 1e300, -1.0, 1e-300, *BAD_NUMBERS)]
     + [ParameterValue(type=2, integer_value=value) for value in (0, 1, -1, 2**62)]
     + [ParameterValue(), ParameterValue(type=1, bool_value=True), ParameterValue(type=200),
-       ParameterValue(type=4, string_value='1e3\n'), ParameterValue(type=7, integer_array_value=[1]),
+       ParameterValue(type=4, string_value='1e3\n'),
+       ParameterValue(type=7, integer_array_value=[1]),
        ParameterValue(type=9, string_array_value=['a'] * 1000)])
 
 
@@ -133,6 +134,8 @@ def _call_all(node, calls, period):
     executor.add_node(node)
     while not END.is_set():
         client, request = calls()
+        if not client.wait_for_service(timeout_sec=0.5):
+            continue
         future = client.call_async(request)
         executor.spin_until_future_complete(future, timeout_sec=1.0)
         count, answers = count + 1, answers + future.done()
@@ -144,7 +147,6 @@ def _call_all(node, calls, period):
 def setter(node):
     """Set random parameters to random values, a hundred times a second."""
     client = node.create_client(SetParameters, 'timo_sim/set_parameters')
-    client.wait_for_service()
     _call_all(node, lambda: (client, SetParameters.Request(parameters=[
         Parameter(name=random.choice(PARAMETERS), value=random.choice(VALUES))])), 0.01)
 
@@ -154,7 +156,6 @@ def caller(node):
     pause, reset, step = (
         node.create_client(kind, f'timo_sim/{name}')
         for kind, name in ((SetBool, 'pause'), (Trigger, 'reset'), (Trigger, 'step')))
-    step.wait_for_service()
     _call_all(node, lambda: random.choice((
         (pause, SetBool.Request(data=True)), (pause, SetBool.Request(data=False)),
         (reset, Trigger.Request()), (step, Trigger.Request()))), 0.0)

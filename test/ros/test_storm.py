@@ -1,4 +1,4 @@
-"""The node among processes that wish it ill: it stays, counts, answers, and its log can be read."""
+"""The node among processes that wish it ill: it stays, counts, answers; its log is readable."""
 
 from contextlib import contextmanager, ExitStack
 import signal
