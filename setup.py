@@ -34,6 +34,7 @@ setup(
                  'colcon-package-information', 'colcon-package-selection',
                  'colcon-parallel-executor', 'colcon-python-setup-py', 'colcon-recursive-crawl',
                  'colcon-ros', 'colcon-test-result', 'distributed', 'flake8', 'flake8-quotes',
+                 'hypothesis',
                  'mcap-ros2-support', 'mypy', 'pyarrow', 'pydocstyle', 'pytest', 'pytest-xdist',
                  'rosbags', 'types-PyYAML', 'types-tqdm'],
     },

@@ -6,12 +6,19 @@ The defaults are the paper's manipulator (its Tables 1 and 3) at rest, without l
 
 from dataclasses import dataclass
 import math
+import reprlib
 
 import numpy as np
 
 from timo_sim.physics import FORMULATIONS
 
 SCENE, NODE = 'scene', 'node'
+LATEST = 2**31 - 1  # [s] that a stamp of ROS can hold, 68 years; it counts in nanoseconds
+
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel, _SHORT.maxlist, _SHORT.maxtuple, _SHORT.maxother = 2, 8, 8, 60
+_SHORT.maxstring = 60
 
 
 class ParameterError(ValueError):
@@ -85,7 +92,7 @@ class Parameter:
             if isinstance(self.default, tuple):
                 if value is None:  # what ROS makes of an empty list
                     return ()
-                if isinstance(value, (str, bytes, dict)) or not hasattr(value, '__iter__'):
+                if isinstance(value, (str, bytes, dict, set)) or not hasattr(value, '__iter__'):
                     raise ValueError
                 return tuple(self._checked_number(element) for element in value)
             if isinstance(self.default, float):
@@ -96,13 +103,14 @@ class Parameter:
                 raise ValueError
             if self.choices and value not in self.choices:
                 raise ValueError
+            if isinstance(value, str) and '\0' in value:
+                raise ValueError
             if isinstance(value, int) and not self.low <= value <= self.high:
                 raise ValueError
             return value
-        except (ValueError, TypeError):
-            shown = repr(value)
-            shown = shown if len(shown) <= 60 else shown[:57] + '...'
-            raise ParameterError(f'{self.name} must be {self.rule}, got {shown}') from None
+        except (ValueError, TypeError, OverflowError):
+            raise ParameterError(
+                f'{self.name} must be {self.rule}, got {short(value)}') from None
 
     def _checked_number(self, value):
         if isinstance(value, (bool, np.bool_)):
@@ -112,6 +120,16 @@ class Parameter:
         if not (math.isfinite(number) and above and number <= self.high):
             raise ValueError
         return number
+
+
+def short(value, show=_SHORT.repr):
+    """Return a value as one line of text that cannot be long, whatever the value."""
+    try:
+        shown = show(value)
+    except ValueError:  # a whole number of thousands of digits
+        shown = f'a huge {type(value).__name__}'
+    shown = ''.join(sign if sign.isprintable() else ' ' for sign in shown)
+    return shown if len(shown) <= 60 else shown[:57] + '...'
 
 
 def _positive(name, default, unit, meaning, **more):
@@ -150,6 +168,8 @@ def _rate(topic, default):
                      scope=NODE, runtime=True)
 
 
+_TURNS = 1e6  # [rad] of which sine and cosine are still accurate
+
 _ALL = [
     _positive('arm.length', 2.0, 'm', 'length of the arm'),
     _positive('arm.width', 0.02, 'm', 'section size normal to the plane of motion'),
@@ -176,7 +196,8 @@ _ALL = [
               'driven along motor.drive', choices=('free', 'locked', 'driven')),
     _not_negative('motor.drive.time', (), 's', 'a driven shaft passes these points, quintic in '
                   'between and at the last speed afterwards; the first is at 0'),
-    Parameter('motor.drive.angle', (), 'rad', 'angles at these times'),
+    Parameter('motor.drive.angle', (), 'rad', 'angles at these times',
+              low=-_TURNS, high=_TURNS),
     Parameter('motor.drive.speed', (), 'rad/s', 'speeds at these times'),
     Parameter('motor.drive.acceleration', (), 'rad/s2',
               'accelerations at these times, the last 0'),
@@ -184,7 +205,8 @@ _ALL = [
     _not_negative('end_effector.inertia', 0.5, 'kg m2', 'moment of inertia at the tip'),
     Parameter('initial.carrier_x', 0.0, 'm', 'carrier position at t = 0'),
     Parameter('initial.carrier_y', 0.0, 'm', 'carrier position at t = 0'),
-    Parameter('initial.shaft', math.pi / 4, 'rad', 'shaft angle at t = 0'),
+    Parameter('initial.shaft', math.pi / 4, 'rad', 'shaft angle at t = 0',
+              low=-_TURNS, high=_TURNS),
     Parameter('initial.carrier_x_velocity', 0.0, 'm/s', 'carrier velocity at t = 0'),
     Parameter('initial.carrier_y_velocity', 0.0, 'm/s', 'carrier velocity at t = 0'),
     Parameter('initial.shaft_velocity', 0.0, 'rad/s', 'shaft speed at t = 0'),
@@ -196,20 +218,20 @@ _ALL = [
     Parameter('model.modes', 3, '', 'number of assumed modes; 0 is a rigid arm', low=0, high=40),
     _not_negative('model.accuracy', 0.0, 'm', 'tip error for which model.modes and '
                   'integrator.step are chosen, instead of given; 0: they are given'),
-    _positive('integrator.step', 0.001, 's', 'time step'),
+    Parameter('integrator.step', 0.001, 's', 'time step', low=1e-9, high=1000.0),
     _not_negative('integrator.tolerance', 0.0, 'm', 'largest estimated tip error of a step, '
                   'which is done in two to 64 parts to stay below; 0: in one, whatever its error'),
     *_load('force_x', 'N', 'force on the carrier along world x'),
     *_load('force_y', 'N', 'force on the carrier along world y'),
     *_load('torque', 'N m', 'torque on the shaft'),
     _not_negative('real_time_factor', 1.0, '', 'sim time per wall time; 0: as fast as possible',
-                  scope=NODE, runtime=True),
+                  high=1e6, scope=NODE, runtime=True),
     _not_negative('catch_up_limit', 0.1, 's', 'wall time that is caught up after a delay; what is '
-                  'beyond it is dropped and counted', scope=NODE, runtime=True),
+                  'beyond it is dropped and counted', high=LATEST, scope=NODE, runtime=True),
     _not_negative('duration', 0.0, 's', 'sim time after which the node ends; 0: never',
-                  scope=NODE),
+                  high=LATEST, scope=NODE),
     _not_negative('command_timeout', 0.0, 's', 'sim time after which a command without successor '
-                  'falls to zero; 0: held for ever', scope=NODE, runtime=True),
+                  'falls to zero; 0: held for ever', high=LATEST, scope=NODE, runtime=True),
     Parameter('start_paused', False, '', 'whether the simulation waits for ~/pause or ~/step',
               scope=NODE),
     Parameter('step_count', 1, '', 'time steps of one call of ~/step', low=1, high=1000000,
@@ -253,7 +275,8 @@ def check(values, source):
     checked = {}
     for name, value in values.items():
         if name not in PARAMETERS:
-            raise ParameterError(f'{name} = {value!r} is not a parameter of timo_sim ({source})')
+            raise ParameterError(f'{short(name, str)} = {short(value)} is not a parameter of '
+                                 f'timo_sim ({source})')
         try:
             checked[name] = PARAMETERS[name].check(value)
         except ParameterError as error:
@@ -274,7 +297,7 @@ def whole_ratio(name, value, unit_name, unit):
     """
     ratio = value / unit
     count = round(ratio) if math.isfinite(ratio) else 0
-    if abs(ratio - count) > 1e-9 * max(1.0, ratio):
+    if abs(ratio - count) > 1e-9 * ratio or not math.isfinite(ratio):
         raise ParameterError(f'{name} = {value:.12g} must be a whole multiple of '
                              f'{unit_name} = {unit:.12g}, the ratio is {ratio:.12g}')
     return count

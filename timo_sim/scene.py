@@ -1,5 +1,6 @@
 """A scene: what is simulated, checked, from a YAML file, a dictionary and overrides."""
 
+from bisect import bisect_left
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -7,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from timo_sim.parameters import check, ParameterError, PARAMETERS, SCENE, whole_ratio
+from timo_sim.parameters import check, ParameterError, PARAMETERS, SCENE, short, whole_ratio
 from timo_sim.physics import FORMULATIONS
 from timo_sim.physics.bodies import Beam, Manipulator, Section
 from timo_sim.physics.formulation import Constraints
 from timo_sim.physics.load import CHANNELS, Drive, Harmonic, Load, Piecewise, Table
+
+
+_DEEPEST = max(name.count('.') for name in PARAMETERS)
 
 
 @dataclass(frozen=True)
@@ -160,11 +164,17 @@ def scene_from(values):
                 _drive(values))
     scene = Scene(manipulator, _constraints(values), load, step, values)
     try:
-        scene.build()
+        with np.errstate(over='raise', divide='raise', invalid='raise'):
+            energy = scene.build().energy(scene.initial_motion()[np.newaxis])[0]
+    except ArithmeticError:
+        energy = np.nan
     except ValueError as error:
         # What only the physics can tell, such as modes too close to each other.
         raise ParameterError(f'model.formulation = {values["model.formulation"]}, model.modes = '
                              f'{values["model.modes"]}: {error}') from None
+    if not np.isfinite(energy):
+        raise ParameterError('the values of this scene are too large or too small together: no '
+                             'finite equations of motion, or no finite initial energy')
     return scene
 
 
@@ -180,7 +190,8 @@ def read_parameter_file(path):
     """
     try:
         content = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
+        # PyYAML raises nearly anything for a tag on a value that does not suit it.
         reason = ' '.join(str(error).split())
         raise ParameterError(f'{path} is not a YAML file: {reason}') from None
     values = {}
@@ -197,7 +208,8 @@ def flatten(values, prefix=''):
     """Return values by dotted name, of values by nested or dotted name."""
     flat = {}
     for name, value in values.items():
-        if isinstance(value, dict):
+        # No name is deeper; what YAML aliases can make of few lines must not be walked through.
+        if isinstance(value, dict) and prefix.count('.') <= _DEEPEST:
             flat.update(flatten(value, f'{prefix}{name}.'))
         else:
             flat[f'{prefix}{name}'] = value
@@ -230,7 +242,7 @@ def _arm(values):
     if len(positions) < 2 or positions[0] != 0.0 or positions[-1] != length or not np.all(
             np.less_equal(positions[:-1], positions[1:])):
         raise ParameterError('arm.profile.position must ascend from 0 to arm.length = '
-                             f'{length:g} m, got {list(positions)}')
+                             f'{length:g} m, got {short(list(positions))}')
     _same_length({f'arm.profile.{name}': values for name, values in
                   {'position': positions, **profiles}.items()})
     return Beam(length, Section(**{**section, **profiles}), positions)
@@ -264,7 +276,7 @@ def _drive(values):
     if not time:
         return None
     if time[0] != 0.0 or not np.all(np.less(time[:-1], time[1:])):
-        raise ParameterError(f'motor.drive.time must ascend from 0, got {list(time)}')
+        raise ParameterError(f'motor.drive.time must ascend from 0, got {short(list(time))}')
     if acceleration[-1] != 0.0:
         raise ParameterError('motor.drive.acceleration must end with 0, since the shaft goes on '
                              f'at the last speed; got {acceleration[-1]}')
@@ -285,9 +297,10 @@ def _terms(prefix, values, step):
         if not time:
             continue
         if not np.all(ordered(time[:-1], time[1:])):
-            raise ParameterError(f'{names[0]} must ascend, got {list(time)}')
+            raise ParameterError(f'{names[0]} must ascend, got {short(list(time))}')
         for jump in term(time, value).jumps():
-            whole_ratio(f'{names[0]}[{time.index(jump)}]', jump, 'integrator.step', step)
+            place = bisect_left(time, jump)
+            whole_ratio(f'{names[0]}[{place}]', jump, 'integrator.step', step)
         yield term(time, value)
 
 

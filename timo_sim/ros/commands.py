@@ -12,8 +12,18 @@ from timo_sim.physics.formulation import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, TO
 from timo_sim.ros.topics import type_name
 
 
+QUEUE = 10  # commands that may wait on a topic
+
+
 class _Refused(ValueError):
     """A command that is not applied; the text says why."""
+
+
+def _decode(data, message_type):
+    try:
+        return deserialize_message(data, message_type)
+    except RuntimeError:  # what rclpy raises
+        raise _Refused(f'it is not a serialised {type_name(message_type)}') from None
 
 
 def _read_wrench(message):
@@ -22,7 +32,7 @@ def _read_wrench(message):
         raise _Refused('every component must be finite')
     columns = {'': (FORCE_X, FORCE_Y), 'world': (FORCE_X, FORCE_Y), 'arm': (FORCE_I, FORCE_II)}
     if frame not in columns:
-        raise _Refused(f"frame_id must be empty, 'world' or 'arm', got '{frame[:40]}'")
+        raise _Refused(f"frame_id must be empty, 'world' or 'arm', got {frame[:40]!r}")
     return dict(zip(columns[frame], (force.x, force.y)))
 
 
@@ -50,9 +60,9 @@ COMMANDS = [
 
 class Inlet:
     """
-    The subscription to a command topic.
+    The subscription to a command topic, read under the node's lock by whoever does steps.
 
-    Its callback runs in the executor's thread, all else under the node's lock.
+    No executor serves it: its queue of messages would have no end, that of the middleware has.
 
     Attributes
     ----------
@@ -68,7 +78,7 @@ class Inlet:
         # A logger of its own: warnings are throttled for each.
         self._logger = node.get_logger().get_child(command.name.removeprefix('~/'))
         self._subscription = node.create_subscription(
-            command.message_type, command.name, self._receive, 10, raw=True)
+            command.message_type, command.name, self._receive, QUEUE, raw=True)
         self.channel = Channel(self._subscription.topic_name, type_name(command.message_type))
         self._pending = None
         self._since = None  # step from which the command in force has acted
@@ -77,7 +87,7 @@ class Inlet:
 
     def _receive(self, data):
         try:
-            values = self._command.read(deserialize_message(data, self._command.message_type))
+            values = self._command.read(_decode(data, self._command.message_type))
         except _Refused as reason:
             self.refused += 1
             self._logger.warning(
@@ -87,10 +97,14 @@ class Inlet:
         self._pending = values, data
 
     def poll(self):
-        """Receive what has arrived but waits for the executor, as a service must see it."""
+        """Receive what has arrived."""
         handle = self._subscription.handle
         with handle:
-            while taken := handle.take_message(self._command.message_type, True):
+            # No more than waited at first: a fast publisher would keep this up for ever.
+            for _ in range(QUEUE):
+                taken = handle.take_message(self._command.message_type, True)
+                if taken is None:
+                    break
                 self._receive(taken[0])
 
     def apply(self, step, timeout_steps, held):
@@ -124,7 +138,8 @@ class Inlet:
             return None
         self.stale += 1
         self._logger.warning(
-            f'no command for {timeout_steps} steps, the input falls to zero')
+            f'no command for {timeout_steps} steps, the input falls to zero',
+            throttle_duration_sec=5.0)
         self.clear(held)
         return serialize_message(self._command.message_type())
 

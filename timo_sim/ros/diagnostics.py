@@ -7,12 +7,20 @@ PERIOD = 1.0  # [s] of wall time
 
 
 class Health:
-    """Turns counters into a level: what has grown since the last report is a warning."""
+    """
+    Turns counters into a level: what has grown since the last report is a warning.
 
-    def __init__(self):
-        self._before = {}
+    Parameters
+    ----------
+    node : str
+        Its fully qualified name, by which nodes in namespaces are told apart.
 
-    def message(self, snapshot, counters, facts, errors, caution=None):
+    """
+
+    def __init__(self, node):
+        self._name, self._before = node.removeprefix('/'), {}
+
+    def message(self, snapshot, counters, facts, errors, cautions=()):
         """
         Build the message.
 
@@ -25,7 +33,7 @@ class Health:
             Further values by name.
         errors : list of str
             What is wrong now, if anything.
-        caution : str, optional
+        cautions : list of str, optional
             Why the results should not be trusted.
 
         Returns
@@ -35,8 +43,8 @@ class Health:
         """
         grown = [name for name, count in counters.items() if count > self._before.get(name, 0)]
         self._before = dict(counters)
-        status = DiagnosticStatus(name='timo_sim: simulation', hardware_id='timo_sim')
-        warnings = ([caution] if caution else []) + (['more ' + ', '.join(grown)] if grown else [])
+        status = DiagnosticStatus(name=f'{self._name}: simulation', hardware_id='timo_sim')
+        warnings = [*cautions, *(['more ' + ', '.join(grown)] if grown else [])]
         if errors:
             status.level, status.message = DiagnosticStatus.ERROR, '; '.join(errors)
         elif warnings:

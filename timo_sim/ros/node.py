@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 import timo_sim
 from timo_sim.accuracy import settle
 from timo_sim.log.recorder import Recorder
-from timo_sim.parameters import ParameterError, whole_ratio
+from timo_sim.parameters import LATEST, ParameterError, whole_ratio
 from timo_sim.physics.formulation import LOADS
 from timo_sim.ros import diagnostics
 from timo_sim.ros.commands import COMMANDS, Inlet
@@ -31,6 +31,7 @@ from timo_sim.simulation import DivergenceError, Simulator
 _BATCH = 500
 # How often a paused or sleeping loop looks at its flags [s].
 _PAUSED_POLL, _LONGEST_SLEEP = 0.01, 0.1
+_TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees it jump'
 
 
 def _steps_between_messages(values, step):
@@ -48,6 +49,8 @@ class SimNode(Node):
     Parameters
     ----------
     stop : StopRequest
+    **options
+        Of rclpy.node.Node, such as the namespace of one of several nodes in a process.
 
     Raises
     ------
@@ -55,8 +58,8 @@ class SimNode(Node):
 
     """
 
-    def __init__(self, stop):
-        super().__init__('timo_sim')
+    def __init__(self, stop, **options):
+        super().__init__('timo_sim', **options)
         self._stop = stop
         self._lock = threading.Lock()
         self._values = declare_parameters(self)
@@ -66,7 +69,7 @@ class SimNode(Node):
         self._step = scene.step
         steps_each = _steps_between_messages(self._values, self._step)
         self._end = whole_ratio('duration', self._values['duration'], 'integrator.step',
-                                self._step) or math.inf
+                                self._step) or math.floor(LATEST / self._step)
 
         self._simulator = Simulator(scene)
         if not self._simulator.is_compiled:
@@ -78,7 +81,8 @@ class SimNode(Node):
         self._diverged = None
         self._pace = Pace(self._step)
         self._recorder, self._log_error, self._cautioned = None, None, None
-        self._health = diagnostics.Health()
+        self._foreign_clock, self.failed_calls = False, 0
+        self._health = diagnostics.Health(self.get_fully_qualified_name())
 
         self._inlets = [Inlet(self, command) for command in COMMANDS]
         self._outlets = [MotionOutlet(self, topic) for topic in TOPICS
@@ -89,6 +93,11 @@ class SimNode(Node):
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/step', self._on_step)
+
+    @property
+    def subscriptions(self):
+        """Those that an executor serves: all but the commands."""
+        return (entry for entry in super().subscriptions if not entry.raw)
 
     def _settled(self, scene):
         self.get_logger().info(
@@ -134,12 +143,14 @@ class SimNode(Node):
         now = time.monotonic()
         if now - self._reported[0] >= diagnostics.PERIOD:
             self._diagnose(now)
+        self._poll()
         if self._paused:
             return _PAUSED_POLL
         if self._pace.free:
             self._advance(_BATCH)
             return 0.0
-        self._advance(self._pace.due(self._simulator.steps, now))
+        # The rest of what is due comes with the next tick, after whoever waits for the lock.
+        self._advance(min(self._pace.due(self._simulator.steps, now), _BATCH))
         return self._pace.deadline(self._simulator.steps) - time.monotonic()
 
     def _advance(self, count):
@@ -160,6 +171,10 @@ class SimNode(Node):
                 return
             self._applied = simulator.load.tolist()
             self._publish()
+
+    def _poll(self):
+        for inlet in self._inlets:
+            inlet.poll()
 
     def _next_event(self, step):
         # The next step at which something is published or a command falls to zero.
@@ -201,6 +216,7 @@ class SimNode(Node):
             self._log_error = f'the log ends early: {self._recorder.error}'
             self.get_logger().error(self._log_error)
         self._pass_on_caution()
+        self._look_for_clocks()
         if not self._health_outlet.wanted:
             return
         snapshot = self._snapshot()
@@ -211,6 +227,7 @@ class SimNode(Node):
                 'dropped_time_s': self._pace.dropped_steps * self._step,
                 'refused_commands': sum(inlet.refused for inlet in self._inlets),
                 'stale_commands': sum(inlet.stale for inlet in self._inlets),
+                'failed_calls': self.failed_calls,
                 'coarse_steps': simulator.control.coarse},
             facts={
                 'state': 'paused' if self._paused else 'running',
@@ -221,7 +238,8 @@ class SimNode(Node):
                 'split_steps': simulator.control.splits,
                 'log': self._recorder.path if self._recorder is not None else 'off'},
             errors=[error for error in (self._diverged, self._log_error) if error],
-            caution=simulator.caution)
+            cautions=[text for text in (
+                simulator.caution, self._foreign_clock and _TWO_CLOCKS) if text])
         self._health_outlet.send(serialize_message(message), snapshot.step, snapshot.nanoseconds)
 
     def _pass_on_caution(self):
@@ -230,7 +248,18 @@ class SimNode(Node):
             if self._cautioned:
                 self.get_logger().warning(self._cautioned)
 
+    def _look_for_clocks(self):
+        before = self._foreign_clock
+        self._foreign_clock = self._values['publish_clock'] and self.count_publishers('/clock') > 1
+        if self._foreign_clock and not before:
+            self.get_logger().warning(_TWO_CLOCKS)
+
     # Parameters and services, called by the executor.
+
+    def survive(self, error):
+        """Say that a callback failed, for example rclpy's at a request that makes no sense."""
+        self.failed_calls += 1
+        self.get_logger().error(f'a callback failed: {error!r}', throttle_duration_sec=5.0)
 
     def _apply(self, values, steps_each):
         for outlet in self._outlets:
@@ -279,8 +308,7 @@ class SimNode(Node):
                                     else '~/step needs a paused simulation')
                 return response
             self._look()
-            for inlet in self._inlets:
-                inlet.poll()
+            self._poll()
             first = self._simulator.steps
             self._advance(self._values['step_count'])
             done = self._simulator.steps - first
@@ -302,7 +330,7 @@ class SimNode(Node):
                     'initial_motion': json.dumps(scene.initial_motion().tolist()),
                     'timo_sim': timo_sim.__version__, 'python': platform.python_version(),
                     **{package: version(package) for package in ('numpy', 'scipy', 'numba')}}})
-        except OSError as error:
+        except (OSError, ValueError) as error:  # ValueError: a path without a name
             self._log_error = f'no log is written to {path}: {error}'
             self.get_logger().error(self._log_error)
             return

@@ -41,27 +41,26 @@ def run(stop, args):
     Returns
     -------
     int
-        Exit code: 0, or 2 for a parameter that breaks its rule, or 1 if a callback failed.
+        Exit code: 0, or 2 for a parameter that breaks its rule.
 
     """
     sys.setswitchinterval(SWITCH_INTERVAL)
-    failures = []
     done = threading.Event()
 
     def spin():
-        try:
-            while not done.is_set():  # EventsExecutor.spin() does not work in rclpy 7.1
+        while not done.is_set():  # EventsExecutor.spin() does not work in rclpy 7.1
+            try:
                 executor.spin_once(timeout_sec=_POLL)
-        except ExternalShutdownException:
-            stop.set = True
-        except Exception as error:  # a node that no longer listens must not go on as if it did
-            failures.append(error)
-            stop.set = True
+            except ExternalShutdownException:
+                stop.set = True
+                return
+            except Exception as error:  # nobody's request may end the node for all others
+                node.survive(error)
 
     stop.building()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # ROS arguments or a parameter file that rcl cannot read
+    except (RuntimeError, UnicodeError) as error:  # what rcl cannot read: arguments or a file
         return _refuse(error)
     try:
         node = SimNode(stop)
@@ -83,6 +82,4 @@ def run(stop, args):
         executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
-    for failure in failures:
-        print(f'timo_sim: a callback failed: {failure!r}', file=sys.stderr)
-    return 1 if failures else 0
+    return 0

@@ -1,0 +1,219 @@
+"""
+The processes that attack a node; each runs until SIGTERM and prints what it counted.
+
+    python benchmark/stress_processes.py NAME [NAMESPACE]
+
+`storm` sends commands of every kind, good and bad, as fast as it can; `bad` sends a hundred that
+must be refused, each after the other has had time to arrive; `reader` subscribes to all topics and
+says so; `setter` sets parameters, `caller` calls services; `clock` publishes a /clock of its own;
+`busy` keeps a core busy; `two` is two nodes in one process, for two seconds.
+"""
+
+import itertools
+import math
+import random
+import signal
+import sys
+import threading
+import time
+
+from geometry_msgs.msg import PoseStamped, Vector3Stamped, WrenchStamped
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+from rclpy.signals import SignalHandlerOptions
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+
+TOPICS = {'joint_states': JointState, 'timo_sim/tip_deflection': Vector3Stamped,
+          'timo_sim/tip_pose': PoseStamped, 'timo_sim/carrier_pose': PoseStamped}
+HUGE = 'x' * 1000000
+BAD_NUMBERS = (math.nan, math.inf, -math.inf)
+PARAMETERS = ('rate.joint_states', 'rate.tip_pose', 'real_time_factor', 'catch_up_limit',
+              'command_timeout', 'step_count', 'arm.length', 'use_sim_time', 'no.such', '')
+VALUES = (
+    [ParameterValue(type=3, double_value=value) for value in (
+        0.0, 1.0, 500.0, 1e13, 1e300, -1.0, 1e-300, *BAD_NUMBERS)]
+    + [ParameterValue(type=2, integer_value=value) for value in (0, 1, -1, 2**62)]
+    + [ParameterValue(), ParameterValue(type=1, bool_value=True), ParameterValue(type=200),
+       ParameterValue(type=4, string_value='1e3\n'),
+       ParameterValue(type=7, integer_array_value=[1]),
+       ParameterValue(type=9, string_array_value=['a'] * 1000)])
+
+
+def wrench(frame='', force=0.0, stamp=0):
+    """Return a wrench command."""
+    message = WrenchStamped()
+    message.header.frame_id, message.header.stamp.sec = frame, stamp
+    message.wrench.force.x = force
+    return message
+
+
+def bad_commands():
+    """Return what must be refused: topic, type and message, or bytes that should be one."""
+    torque = ('timo_sim/motor_torque', Float64)
+    push = ('timo_sim/carrier_wrench', WrenchStamped)
+    good = serialize_message(wrench('world', 1.0))
+    return [*((*torque, Float64(data=value)) for value in BAD_NUMBERS),
+            *((*push, wrench(force=value)) for value in BAD_NUMBERS),
+            *((*push, wrench(frame)) for frame in ('map', 'a\nb\x1b[2J', HUGE)),
+            *((*torque, bytes(data)) for data in (b'\0\1\0\0', b'\0\1\0\0\1', b'\xff' * 7)),
+            *((*push, good[:size]) for size in (4, 12, 20, len(good) - 9)),
+            (*push, good[:12] + b'\xff' * 4 + good[16:]), (*push, b'\xff' * 100)]
+
+
+def good_commands():
+    """Return what must be accepted, whatever its stamp."""
+    return [*(('timo_sim/carrier_wrench', WrenchStamped, wrench('arm', 0.1, stamp))
+              for stamp in (0, 2**31 - 1, -2**31, int(time.time()))),
+            ('timo_sim/motor_torque', Float64, Float64(data=0.1)),
+            ('timo_sim/motor_torque', Float64, Float64(data=-0.1))]
+
+
+class Attacker(Node):
+    """A node whose publishers and clients are made when they are first used."""
+
+    def __init__(self, namespace):
+        super().__init__('attacker', namespace=namespace)
+        self.publishers_by_topic = {}
+
+    def send(self, topic, message_type, message):
+        """Publish a message, or bytes in its place."""
+        if topic not in self.publishers_by_topic:
+            publisher = self.create_publisher(message_type, topic, 10)
+            self.publishers_by_topic[topic] = publisher
+            while publisher.get_subscription_count() == 0 and not END.is_set():
+                time.sleep(0.01)
+            time.sleep(0.5)  # until the other side knows us, too
+        self.publishers_by_topic[topic].publish(message)
+
+
+END = threading.Event()
+
+
+def storm(node):
+    """Send all but 1 MB as fast as possible."""
+    # Big and small messages at once make the middleware keep many big buffers; see doc/design.md.
+    choices = [command for command in bad_commands() + good_commands()
+               if len(getattr(getattr(command[2], 'header', None), 'frame_id', '')) < 100]
+    count = 0
+    while not END.is_set():
+        node.send(*random.choice(choices))
+        count += 1
+    print('sent', count)
+
+
+def bad(node, number=100):
+    """Send what must be refused, slowly enough for all of it to arrive."""
+    commands = itertools.cycle(bad_commands())
+    for _ in range(number):
+        node.send(*next(commands))
+        time.sleep(0.03)
+    print('sent', number, flush=True)
+    END.wait()
+
+
+def reader(node):
+    """Subscribe; whoever started this may stop it with SIGSTOP."""
+    for topic, message_type in TOPICS.items():
+        node.create_subscription(message_type, topic, lambda message: None, 10)
+    rclpy.spin_once(node, timeout_sec=10.0)
+    print('hearing', flush=True)
+    while not END.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+
+
+def _call_all(node, calls, period):
+    """Make calls until the end; each waits for its answer for a second at most."""
+    executor, count, answers = SingleThreadedExecutor(), 0, 0
+    executor.add_node(node)
+    while not END.is_set():
+        client, request = calls()
+        if not client.wait_for_service(timeout_sec=0.5):
+            continue
+        future = client.call_async(request)
+        executor.spin_until_future_complete(future, timeout_sec=1.0)
+        count, answers = count + 1, answers + future.done()
+        client.remove_pending_request(future)
+        time.sleep(period)
+    print('called', count, 'answered', answers)
+
+
+def setter(node):
+    """Set random parameters to random values, a hundred times a second."""
+    client = node.create_client(SetParameters, 'timo_sim/set_parameters')
+    _call_all(node, lambda: (client, SetParameters.Request(parameters=[
+        Parameter(name=random.choice(PARAMETERS), value=random.choice(VALUES))])), 0.01)
+
+
+def caller(node):
+    """Call pause, reset and step in any order."""
+    pause, reset, step = (
+        node.create_client(kind, f'timo_sim/{name}')
+        for kind, name in ((SetBool, 'pause'), (Trigger, 'reset'), (Trigger, 'step')))
+    _call_all(node, lambda: random.choice((
+        (pause, SetBool.Request(data=True)), (pause, SetBool.Request(data=False)),
+        (reset, Trigger.Request()), (step, Trigger.Request()))), 0.0)
+
+
+def clock(node):
+    """Publish a time that jumps."""
+    publisher = node.create_publisher(Clock, '/clock', 10)
+    while not END.is_set():
+        message = Clock()
+        message.clock.sec = random.randrange(2**31)
+        publisher.publish(message)
+        time.sleep(0.01)
+
+
+def busy(node):
+    """Keep a core busy."""
+    while not END.is_set():
+        sum(range(10000))
+
+
+def two(namespace):
+    """Run two nodes in this process, each with its loop in a thread."""
+    from timo_sim.ros.node import SimNode
+    from timo_sim.ros.signals import StopRequest
+    stop = StopRequest()
+    stop.running()
+    nodes = [SimNode(stop, namespace=name, parameter_overrides=[
+        rclpy.Parameter('record_file', value=f'{name}.mcap'),
+        rclpy.Parameter('initial.shaft_velocity', value=speed)])
+        for name, speed in (('left', 1.0), ('right', 2.0))]
+    executor = SingleThreadedExecutor()
+    threads = [threading.Thread(target=node.run) for node in nodes]
+    for node, thread in zip(nodes, threads):
+        executor.add_node(node)
+        node.open()
+        thread.start()
+    end = time.monotonic() + 2.0
+    while time.monotonic() < end:
+        executor.spin_once(timeout_sec=0.1)
+    stop.set = True
+    for node, thread in zip(nodes, threads):
+        thread.join()
+        node.destroy_node()
+
+
+def main(name, namespace='/'):
+    """Run one of them."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: END.set())
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    if name == 'two':
+        two(namespace)
+    else:
+        {'storm': storm, 'bad': bad, 'reader': reader, 'setter': setter, 'caller': caller,
+         'clock': clock, 'busy': busy}[name](Attacker(namespace))
+    rclpy.shutdown()
+
+
+if __name__ == '__main__':
+    main(*sys.argv[1:])

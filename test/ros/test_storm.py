@@ -1,0 +1,126 @@
+"""The node among processes that wish it ill: it stays, counts, answers; its log is readable."""
+
+from contextlib import contextmanager, ExitStack
+import signal
+import subprocess
+import sys
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+from mcap_ros2.reader import read_ros2_messages
+import numpy as np
+import pytest
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+import stress_processes
+
+import timo_sim
+
+
+@contextmanager
+def attack(name):
+    """Run one of the attacking processes."""
+    process = subprocess.Popen([sys.executable, stress_processes.__file__, name],
+                               stdout=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGCONT)
+        process.terminate()
+        process.communicate()
+
+
+def values(health):
+    """Return the newest diagnostics as a dictionary."""
+    return {pair.key: pair.value for pair in health[-1].status[0].values} if health else {}
+
+
+def test_what_is_refused_is_counted_and_the_log_is_readable(start, client):
+    """Every kind of bad command; then all attackers at once, of which one is killed."""
+    node = start(publish_clock=True)
+    health = client.collect(DiagnosticArray, '/diagnostics')
+    with attack('bad') as bad:
+        assert bad.stdout.readline() == 'sent 100\n'
+        client.wait(lambda: values(health).get('refused_commands') == '100', '100 refusals')
+    assert values(health)['failed_calls'] == '0'
+
+    step = client.service(Trigger, '/timo_sim/step')
+    with ExitStack() as stack:
+        storms = [stack.enter_context(attack('storm')) for _ in range(3)]
+        for name in ('setter', 'caller', 'clock'):
+            stack.enter_context(attack(name))
+        client.wait(lambda: int(values(health)['refused_commands']) > 300, 'a storm')
+        storms[0].kill()
+        client.wait(lambda: 'failed_calls' in values(health)
+                    and int(values(health)['failed_calls']) > 0, 'a request without sense')
+        client.wait(lambda: any('/clock' in message.status[0].message for message in health),
+                    'a warning of the other clock')
+    pause = client.service(SetBool, '/timo_sim/pause')
+    assert pause(data=True).success and step().success
+    code, output = node.end()
+    assert code == 0
+    assert output.count('somebody else publishes /clock') == 1
+    # What rclpy says of a failed callback is its own.
+    assert '\x1b' not in output and len(max(output.splitlines(), key=len)) < 1000
+    assert sum(1 for _ in read_ros2_messages(str(node.log))) > 100
+
+
+def test_what_is_dropped_is_counted_and_the_physics_stays_exact(start, client, paper):
+    """A process that is stopped stands for a busy machine: no clock is needed to see it."""
+    node = start('--params-file', str(paper), catch_up_limit=0.05)
+    with attack('reader') as reader:
+        assert reader.stdout.readline() == 'hearing\n'
+        reader.send_signal(signal.SIGSTOP)  # a reliable subscriber that never reads
+        states = client.collect(JointState, '/joint_states')
+        health = client.collect(DiagnosticArray, '/diagnostics')
+        for _ in range(3):
+            count = len(states)
+            client.wait(lambda: len(states) > count + 20, 'joint states')
+            node.send(signal.SIGSTOP)
+            time.sleep(0.5)
+            node.send(signal.SIGCONT)
+        client.wait(lambda: float(values(health).get('dropped_time_s', 0)) > 1.0, 'drops')
+    assert int(values(health)['overruns']) >= 3
+    assert node.end()[0] == 0
+
+    steps = [state.header.stamp.sec * 1000 + state.header.stamp.nanosec // 1000000
+             for state in states]
+    assert np.array_equal(np.diff(steps), [10] * (len(steps) - 1))
+    run = timo_sim.simulate(timo_sim.load_scene(paper), 0.01 * np.ceil(0.1 * steps[-1]))
+    assert np.array_equal([state.position for state in states], run.motion[steps, :3])
+    assert np.array_equal([state.velocity for state in states], run.motion[steps, 6:9])
+
+
+def test_two_nodes_in_one_process(tmp_path):
+    subprocess.run([sys.executable, stress_processes.__file__, 'two'], cwd=tmp_path, check=True,
+                   timeout=120)
+    for name, speed in (('left', 1.0), ('right', 2.0)):
+        messages = list(read_ros2_messages(str(tmp_path / f'{name}.mcap')))
+        states = [message for message in messages
+                  if message.channel.topic == f'/{name}/joint_states']
+        assert states[0].ros_msg.velocity[2] == speed and len(states) > 1
+        statuses = {message.ros_msg.status[0].name for message in messages
+                    if message.channel.topic == '/diagnostics'}
+        assert statuses <= {f'{name}/timo_sim: simulation'}
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['-p', b'record_file:=a\xff'], "'utf-8' codec can't encode"),
+    (['-p', 'integrator.step:=1e-320'], 'integrator.step must be a finite number >= 1e-09'),
+    (['-p', 'duration:=1.0e+300'], 'duration must be a finite number >= 0 and <= 2.147'),
+    (['-p', 'arm.length:=1.0e+300'], 'too large or too small together'),
+    (['--params-file', 'bad.yaml'], 'tag')])
+def test_what_is_refused_ends_with_one_line_and_code_2(tmp_path, arguments, words):
+    (tmp_path / 'bad.yaml').write_text(
+        'timo_sim: {ros__parameters: {arm.length: !!python/object/apply:os.system [touch tag]}}')
+    result = subprocess.run([sys.executable, '-m', 'timo_sim.ros.sim_node', '--ros-args',
+                             *arguments], cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 2 and 'Traceback' not in result.stderr
+    line, = [line for line in result.stderr.splitlines() if line.startswith('timo_sim: ')]
+    assert words in line
+    assert not (tmp_path / 'tag').exists()
+
+
+def test_a_log_that_cannot_be_is_an_error_and_the_simulation_goes_on(start):
+    code, output = start(duration=0.01, record_file='/').wait()
+    assert code == 0 and 'Traceback' not in output and 'no log is written to /' in output
