@@ -17,7 +17,7 @@ BELOW = {
     'simulation': {'physics', 'parameters', 'scene', 'run', 'accuracy'},
     'accuracy': {'parameters', 'scene', 'simulation'},
     'sweep': {'physics', 'parameters', 'scene', 'simulation', ''},
-    'cli': {'parameters', 'sweep'},
+    'cli': {'parameters', 'log', 'sweep'},
     'log': set(),
     'ros': {'physics', 'parameters', 'scene', 'simulation', 'accuracy', 'log', ''},
 }
