@@ -134,6 +134,8 @@ class Reader:
         if len(head) < _HEAD.size:
             raise _End('it ends in the middle of a record')
         opcode, length = _HEAD.unpack(head)
+        if not opcode:
+            raise _End('there are no more records')
         if length > self._size - place - _HEAD.size:
             raise _End('it ends in the middle of a record, or its length is wrong')
         self._place += _HEAD.size + length
@@ -147,11 +149,15 @@ class Reader:
         crc, self._crc = self._crc, zlib.crc32(content, zlib.crc32(head, self._crc))
         try:
             yield from self._contents(opcode, content, crc)
+        except _End:
+            self._place = place
+            raise
         except _Broken as error:
             self._complain(error, place)
-        else:
-            if not _is_foreign(opcode):
-                self.kept += _HEAD.size + length
+            if opcode not in _DERIVED:
+                return
+        if not _is_foreign(opcode):
+            self.kept += _HEAD.size + length
 
     def _contents(self, opcode, content, crc):
         if opcode == Opcode.CHUNK:
@@ -202,7 +208,8 @@ class Reader:
         """Yield a schema, a channel or metadata, unless it is known."""
         if not isinstance(record, Metadata) and self._is_known(record):
             return
-        self._held += _ENTRY + len(_bytes_of(record))
+        if not isinstance(record, Metadata) or record.name != 'rosbag2':  # which is made again
+            self._held += _ENTRY + len(_bytes_of(record))
         if self._held > _LARGEST_KEPT:
             raise _End(f'there are more than {_LARGEST_KEPT} bytes of schemas, channels and '
                        'metadata')

@@ -142,7 +142,7 @@ class Recorder:
             self._drain()
             add_rosbag2_metadata(self._writer, self.path.name)
             self._writer.finish()
-            os.fsync(self._file.fileno())
+            sync(self._file)
         except Exception as error:  # whatever it is, `write` must not wait for this thread
             self.error = f'{self.path}: {error}'
             self._queue.clear()
@@ -192,3 +192,9 @@ def create(path):
         except FileExistsError:
             continue
     raise FileExistsError(f'{path} and 9999 numbered names after it exist')
+
+
+def sync(stream):
+    """Return when all that was written is on the disk: what is closed survives a power cut."""
+    stream.flush()
+    os.fsync(stream.fileno())

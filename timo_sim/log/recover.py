@@ -8,7 +8,7 @@ import stat
 from mcap.records import Channel, Metadata, Schema
 
 from timo_sim.log.reader import LogError, Message, Reader
-from timo_sim.log.recorder import CHUNK_SIZE, create
+from timo_sim.log.recorder import CHUNK_SIZE, create, sync
 from timo_sim.log.rosbag2 import add_rosbag2_metadata, shown
 from timo_sim.log.writer import Chunk, Writer
 
@@ -82,7 +82,7 @@ def _write(reader, profile, path, output):
     try:
         with stream:
             _copy(reader, profile, stream, new.name)
-            os.fsync(stream.fileno())
+            sync(stream)
     except BaseException:
         new.unlink()  # what is not whole would be taken for it
         raise

@@ -12,7 +12,7 @@ _QOS = {
     'liveliness_lease_duration': _FOR_EVER, 'avoid_ros_namespace_conventions': False}
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
     def ignore_aliases(self, data):
         return True
 
