@@ -2,8 +2,8 @@
 Search for a file that `timo_sim recover` does not survive: `python benchmark/fuzz_log.py`.
 
 Needs atheris (`pip install atheris`; Python 3.11). What follows on the command line goes to
-libFuzzer, for instance `-max_total_time=600`, which is the default; a file that it finds is left in
-the working directory. What is tried: anything, after the beginning of a log; chunks whose checksum
+libFuzzer, for instance `-max_total_time=600`, which is the default; a file that it finds is left
+in the working directory. What is tried: anything, after the beginning of a log; chunks whose checksum
 was made right, so that what is inside them is read.
 """
 

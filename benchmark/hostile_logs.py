@@ -207,7 +207,7 @@ def outcome(path):
         text = recover(path, new)
     except LogError as error:
         if new.exists() or '\n' in str(error) or path.name not in str(error):
-            raise RuntimeError(f'a refusal should be one line and write nothing: {error}') from None
+            raise RuntimeError(f'a refusal is one line and writes nothing: {error}') from None
         return 'refused'
     if not new.exists():
         return 'complete'
@@ -221,7 +221,7 @@ def outcome(path):
 
 
 def contents(path):
-    """Return messages by topic, as mcap's own reader finds them from start to end and by seeking."""
+    """Return messages by topic, as mcap's own reader finds them."""
     with open(path, 'rb') as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()

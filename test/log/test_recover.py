@@ -4,7 +4,6 @@ import os
 from pathlib import Path
 import random
 import resource
-import shutil
 import signal
 import subprocess
 import sys
@@ -182,7 +181,7 @@ def test_a_flipped_bit_costs_one_chunk(log, intact):
 
 @pytest.fixture(scope='module')
 def hostile(tmp_path_factory):
-    """Return what became of hostile files in a process with little memory, and how much it took."""
+    """Return what became of hostile files where memory is scarce, and how much it took."""
     folder = tmp_path_factory.mktemp('hostile')
     paths = [folder / f'{name}.mcap' for name in hostile_logs.hostile()]
     for path, content in zip(paths, hostile_logs.hostile().values()):
@@ -281,19 +280,19 @@ def test_a_name_that_is_no_text(tmp_path, intact):
 def test_the_command_itself(log, intact):
     """In a process of its own, from the shell."""
     log.write_bytes(intact[:-20])
-    command = [sys.executable, '-c', 'from timo_sim.cli import main; main()', 'recover', 'run.mcap']
+    command = [sys.executable, '-c', 'from timo_sim.cli import main; main()', 'recover', log.name]
     done = subprocess.run(command, cwd=log.parent, capture_output=True, text=True, env={
         **os.environ, 'PYTHONPATH': os.pathsep.join(entry or os.getcwd() for entry in sys.path)})
     assert (done.returncode, done.stderr) == (0, '')
     assert done.stdout.startswith('run.mcap: ') and 'complete in run_recovered.mcap' in done.stdout
 
 
-@pytest.mark.skipif(not shutil.which('rerun', path=Path(sys.executable).parent),
+@pytest.mark.skipif(not Path(sys.executable).with_name('rerun').exists(),
                     reason='rerun-sdk is not installed')
 def test_rerun_has_nothing_against_it(log, intact):
     log.write_bytes(intact[:-20])
     recover(log)
-    done = subprocess.run([shutil.which('rerun', path=Path(sys.executable).parent), 'mcap', 'check',
+    done = subprocess.run([Path(sys.executable).with_name('rerun'), 'mcap', 'check',
                            log.with_name('run_recovered.mcap')], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
 
