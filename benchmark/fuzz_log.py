@@ -3,8 +3,8 @@ Search for a file that `timo_sim recover` does not survive: `python benchmark/fu
 
 Needs atheris (`pip install atheris`; Python 3.11). What follows on the command line goes to
 libFuzzer, for instance `-max_total_time=600`, which is the default; a file that it finds is left
-in the working directory. What is tried: anything, after the beginning of a log; chunks whose checksum
-was made right, so that what is inside them is read.
+in the working directory. What is tried: anything, also after the beginning of a log, and chunks
+whose checksum was made right, so that what is inside them is read.
 """
 
 import os

@@ -32,7 +32,7 @@ def payload(value):
     return b'\0\1\0\0' + struct.pack('<d', value)
 
 
-def record(path, steps=300, chunk=50):
+def record(path, steps=120, chunk=20):
     """Record a log with a reset after each chunk; return its contents."""
     recorder = Recorder(path, CHANNELS, {'timo_sim': {'parameters': '{}'}})
     for step in range(steps):
