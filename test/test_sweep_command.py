@@ -199,6 +199,7 @@ def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
     column = known.schema.get_field_index('caution')
     parquet.write_table(known.set_column(column, known.schema.field(column),
                                          [['seen'] * len(known)]), parts[1])
+    parts[1].with_suffix('.sha256').unlink()
     # Another sweep must not take over these parts.
     code, _, errors = end(start(tmp_path, write(random=RANDOM, duration=5.0)))
     assert code == 2 and 'study.parquet.parts is of another sweep' in errors
@@ -211,6 +212,12 @@ def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
     assert table == direct
 
 
+def _flip_footer(part):
+    content = bytearray(part.read_bytes())
+    content[-200] ^= 1
+    part.write_bytes(content)
+
+
 def _cut(part):
     part.write_bytes(part.read_bytes()[:-10])
 
@@ -221,11 +228,21 @@ def _flip(part):
     part.write_bytes(content)
 
 
+def _other_runs(part):
+    part.write_bytes(part.with_name('000000000001.parquet').read_bytes())
+    part.with_suffix('.sha256').unlink()
+
+
+def _other_columns(part):
+    parquet.write_table(parquet.read_table(part).drop_columns('reason'), part)
+    part.with_suffix('.sha256').unlink()
+
+
 @pytest.mark.parametrize('damage', [
-    _cut, _flip, lambda part: part.write_bytes(b''), lambda part: part.write_bytes(bytes(1000)),
-    lambda part: part.write_bytes(part.with_name('000000000001.parquet').read_bytes()),
-    lambda part: parquet.write_table(parquet.read_table(part).drop_columns('reason'), part)],
-    ids=['cut', 'one bit', 'empty', 'zeros', 'of other runs', 'of other columns'])
+    _cut, _flip, _flip_footer, lambda part: part.write_bytes(b''),
+    lambda part: part.write_bytes(bytes(1000)), _other_runs, _other_columns],
+    ids=['cut', 'one bit', 'one bit of the footer', 'empty', 'zeros', 'of other runs',
+         'of other columns'])
 def test_a_part_that_is_not_whole_is_done_again(write, tmp_path, damage):
     plan = read_plan(write(random={**RANDOM, 'count': 2}))
     chunks = [*chunks_of(plan.scene, plan.duration, plan.count, plan.variations())]

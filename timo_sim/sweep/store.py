@@ -5,6 +5,7 @@ A part appears under its name only when it is whole. A sweep that was killed goe
 that are missing; each chunk is in the result once.
 """
 
+import hashlib
 from pathlib import Path
 import shutil
 
@@ -55,6 +56,9 @@ class Store:
         """Return whether the part of a chunk is there, and whole."""
         path = self._part(chunk.first)
         try:
+            checksum = _checksum_of(path)
+            if checksum.exists() and checksum.read_bytes() != _digest(path):
+                return False
             part = self._read(path)
         except (OSError, ValueError, pyarrow.ArrowException):
             return False
@@ -68,6 +72,8 @@ class Store:
         """Write the part of a chunk."""
         part, path = pyarrow.table(table, schema=self._schema), self._part(chunk.first)
         _write_whole(path, lambda path: parquet.write_table(part, path, write_page_checksum=True))
+        # Parquet has none for what it says about its columns.
+        _write_whole(_checksum_of(path), lambda file: file.write_bytes(_digest(path)))
         self._found.append(path)
 
     def finish(self):
@@ -109,6 +115,14 @@ class Store:
 
     def _part(self, first):
         return self._parts / f'{first:012d}.parquet'
+
+
+def _checksum_of(part):
+    return part.with_suffix('.sha256')
+
+
+def _digest(part):
+    return hashlib.sha256(part.read_bytes()).digest()
 
 
 def _write_whole(path, write):
