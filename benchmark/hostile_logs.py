@@ -184,11 +184,11 @@ def hostile(large=False):
             chunk(b'', compression, stored=bomb, size=60 << 20, crc=0))
     if large:
         note = written(Metadata('timo_sim.reset', {'step': '1'}))
-        files['endless metadata'] = start + note * 1500000
+        files['endless metadata'] = start + note * 700000
         files['a record of 100 MB'] = start + raw(12, bytes(100 << 20))
         files['metadata of 60 MB'] = start + 4 * written(Metadata('a', {'b': 'c' * (60 << 20)}))
         files['messages of 22 bytes'] = start + written(
-            chunk(raw(5, struct.pack('<HIQQ', 1, 0, 0, 0)) * (60000000 // 31), 'lz4'))
+            chunk(raw(5, struct.pack('<HIQQ', 1, 0, 0, 0)) * (10000000 // 31), 'lz4'))
     return files
 
 

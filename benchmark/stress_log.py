@@ -36,6 +36,7 @@ LIFE = 3.0             # [s] of a node, at most, from its first message; of some
 PATIENCE = 60.0        # [s] until a node is heard
 MOST_LOST = 1.0        # [s] of sim time that a killed node may cost
 MEMORY = 1200          # [MB] of address space for hostile files
+MEMORY_DISK = '/dev/shm' if os.access('/dev/shm', os.W_OK) else None  # three times as fast
 # Shared memory would stay behind when a node is killed.
 ON_THE_WIRE = {**ENVIRONMENT, 'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4'}
 
@@ -188,7 +189,7 @@ def hostile(folder, quick):
         stream.truncate(11 * hostile_logs.GIGABYTE)
     for path in [*paths, hole]:
         with tally.trial(path.stem):
-            _, memory = limited([path], MEMORY, timeout=150.0)
+            _, memory = limited([path], MEMORY, timeout=300.0)
             most = max(most, memory)
     for path in ('/dev/zero', folder):
         with tally.trial(path):
@@ -408,7 +409,7 @@ def rows(quick=False, seed=None):
     generator = random.Random(seed)
     sync, os.fsync = os.fsync, lambda number: None  # thousands of logs need not wait for the disk
     try:
-        with tempfile.TemporaryDirectory() as name:
+        with tempfile.TemporaryDirectory(dir=MEMORY_DISK) as name:
             folder = Path(name)
             yield kills(4 if quick else 100, generator)
             yield cuts(folder, quick)

@@ -22,7 +22,7 @@ import zstandard
 LARGEST_CHUNK = 64 * 1024 * 1024  # [B] uncompressed
 _LARGEST_RECORD = LARGEST_CHUNK + 1024 * 1024
 # Of schemas, channels and metadata of one file [B]; an entry in a table costs something, too.
-_LARGEST_KEPT, _ENTRY = 128 * 1024 * 1024, 100
+_LARGEST_KEPT, _ENTRY = 64 * 1024 * 1024, 100
 
 _HEAD = struct.Struct('<BQ')            # opcode, length of the content
 _CHUNK_HEAD = struct.Struct('<QQQII')   # times, size, checksum, length of compression's name
