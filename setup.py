@@ -15,7 +15,7 @@ setup(
     ],
     python_requires='>=3.11',
     install_requires=['setuptools', 'click', 'mcap', 'lz4', 'numba', 'numpy>=1.26', 'PyYAML',
-                      'scipy>=1.11', 'tqdm'],
+                      'scipy>=1.11', 'tqdm', 'zstandard'],
     extras_require={
         # ROS 2 Jazzy from its wheels, for machines without an installed ROS.
         'ros': ['ros-jazzy-diagnostic-msgs', 'ros-jazzy-geometry-msgs',

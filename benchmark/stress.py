@@ -19,11 +19,12 @@ Made by `make stress` in {minutes:.0f} minutes on: {machine}.
 
 ## Numerics
 
-Scenes from the corners of what can be asked for (`benchmark/stress_numerics.py`): 0 to 40 modes, 0.1 to 20 ms, a
-shaft of up to 100 rad/s, vibrations up to half an arm's length, slenderness 4 to 500, up to 100 arm masses at the tip,
-carriers of 1 g to 1000 t and held, damping up to critical, loads at and beside resonances, steps and impulses of torque.
-Accurate: within 1/1000 of the arm's length of a run at a tenth of the step, itself split to a thousandth of the tolerance.
-Flagged: not so, but the run says so. Refused: an error says why. Silent: none of these; there may be none.
+Scenes from the corners of what can be asked for (`benchmark/stress_numerics.py`): 0 to 40 modes,
+0.1 to 20 ms, a shaft of up to 100 rad/s, vibrations up to half an arm's length, slenderness 4 to
+500, up to 100 arm masses at the tip, carriers of 1 g to 1000 t and held, damping up to critical,
+loads at and beside resonances, steps and impulses of torque. Accurate: within 1/1000 of the arm's
+length of a run at a tenth of the step, which is split to a thousandth of the tolerance. Flagged:
+not so, but the run says so. Refused: an error says why. Silent: none of these; there may be none.
 """
 
 
@@ -35,8 +36,8 @@ def main():
     start = time.monotonic()
     parts = [
         table(['', 'tried', *stress_numerics.VERDICTS, 'remark'], stress_numerics.rows(quick)),
-        'Without loads and damping, default step, {}: relative drift of energy and linear momentum.'
-        .format('a minute' if quick else 'an hour'),
+        f'Without loads and damping, at 1 ms, {"a minute" if quick else "an hour"}: '
+        'relative drift of energy and of linear momentum.',
         table(['scene', 'formulation', 'energy', 'momentum', 'remark'],
               stress_numerics.long_rows(quick))]
     for title, module in ('Node', stress_node), ('Log and files', stress_log):

@@ -1,6 +1,7 @@
 """Fixtures: a real node in its own process and a real client, over DDS."""
 
 from pathlib import Path
+import re
 import signal
 import subprocess
 import sys
@@ -99,6 +100,17 @@ class Process:
     def send(self, number):
         """Send a signal."""
         self._process.send_signal(number)
+
+    def wait_for_handlers(self):
+        """Wait until the process has a handler of its own for SIGTERM; SIGINT's comes first."""
+        status = Path(f'/proc/{self._process.pid}/status')
+        end = time.monotonic() + PATIENCE
+        while True:
+            caught = re.search(r'SigCgt:\s*(\w+)', status.read_text())
+            if int(caught.group(1), 16) >> signal.SIGTERM - 1 & 1:
+                return
+            assert time.monotonic() < end, 'no handler for SIGTERM'
+            time.sleep(0.002)
 
     def end(self, number=signal.SIGINT):
         """Send a signal; return exit code and output."""

@@ -19,7 +19,7 @@ BELOW = {
     'step_control': {'physics'},
     'accuracy': {'parameters', 'scene', 'simulation'},
     'sweep': {'physics', 'parameters', 'scene', 'simulation', ''},
-    'cli': {'parameters', 'sweep'},
+    'cli': {'parameters', 'log', 'sweep'},
     'log': set(),
     'ros': {'physics', 'parameters', 'scene', 'simulation', 'accuracy', 'log', ''},
 }

@@ -15,8 +15,11 @@ import pytest
 import yaml
 
 import timo_sim
+from timo_sim.sweep.chunk import chunks_of, run_chunk
 from timo_sim.sweep.cluster import cluster_executor
 from timo_sim.sweep.plan import read_plan
+from timo_sim.sweep.store import Store
+from timo_sim.sweep.table import table_of
 
 COMMAND = [sys.executable, '-c', 'from timo_sim.cli import main; main(prog_name="timo_sim")']
 ROOT = Path(__file__).resolve().parents[1]
@@ -196,6 +199,7 @@ def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
     column = known.schema.get_field_index('caution')
     parquet.write_table(known.set_column(column, known.schema.field(column),
                                          [['seen'] * len(known)]), parts[1])
+    parts[1].with_suffix('.sha256').unlink()
     # Another sweep must not take over these parts.
     code, _, errors = end(start(tmp_path, write(random=RANDOM, duration=5.0)))
     assert code == 2 and 'study.parquet.parts is of another sweep' in errors
@@ -206,6 +210,55 @@ def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
     assert seen == known['run'].to_pylist()
     table['caution'] = direct['caution']
     assert table == direct
+
+
+def _flip_footer(part):
+    content = bytearray(part.read_bytes())
+    content[-200] ^= 1
+    part.write_bytes(content)
+
+
+def _cut(part):
+    part.write_bytes(part.read_bytes()[:-10])
+
+
+def _flip(part):
+    content = bytearray(part.read_bytes())
+    content[50] ^= 1  # in the first page
+    part.write_bytes(content)
+
+
+def _other_runs(part):
+    part.write_bytes(part.with_name('000000000001.parquet').read_bytes())
+    part.with_suffix('.sha256').unlink()
+
+
+def _other_columns(part):
+    parquet.write_table(parquet.read_table(part).drop_columns('reason'), part)
+    part.with_suffix('.sha256').unlink()
+
+
+@pytest.mark.parametrize('damage', [
+    _cut, _flip, _flip_footer, lambda part: part.write_bytes(b''),
+    lambda part: part.write_bytes(bytes(1000)), _other_runs, _other_columns],
+    ids=['cut', 'one bit', 'one bit of the footer', 'empty', 'zeros', 'of other runs',
+         'of other columns'])
+def test_a_part_that_is_not_whole_is_done_again(write, tmp_path, damage):
+    plan = read_plan(write(random={**RANDOM, 'count': 2}))
+    chunks = [*chunks_of(plan.scene, plan.duration, plan.count, plan.variations())]
+    store = Store(tmp_path / 'study.parquet', plan)
+    for chunk in chunks:
+        store.add(chunk, table_of(chunk, plan.names, run_chunk(chunk)))
+    part, _ = sorted((tmp_path / 'study.parquet.parts').glob('*.parquet'))
+    intact = part.read_bytes()
+    damage(part)
+    (part.parent / 'stranger.parquet').write_bytes(b'of nobody')
+
+    again = Store(tmp_path / 'study.parquet', plan)
+    assert [again.has(chunk) for chunk in chunks] == [False, True]
+    part.write_bytes(intact)
+    assert again.has(chunks[0]) and again.finish() == 0
+    assert parquet.read_table(tmp_path / 'study.parquet')['run'].to_pylist() == [0, 1]
 
 
 def test_on_a_cluster_a_killed_worker_loses_and_doubles_nothing(write, tmp_path):

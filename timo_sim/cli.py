@@ -15,12 +15,11 @@ def main():
 
 
 @contextmanager
-def one_line_for_errors():
+def one_line_for_errors(wrong_input):
     """End the process with one line: code 2 for wrong input, 1 for what the machine lacks."""
-    from timo_sim.parameters import ParameterError
     try:
         yield
-    except (ParameterError, FileNotFoundError) as error:
+    except (wrong_input, FileNotFoundError) as error:
         code, text = 2, str(error)
     except OSError as error:
         code, text = 1, str(error)
@@ -47,6 +46,23 @@ def sweep(file, output, workers, scheduler):
 
     A sweep that was stopped goes on where it was when the command is given again.
     """
-    with one_line_for_errors():
+    from timo_sim.parameters import ParameterError
+    with one_line_for_errors(ParameterError):
         from timo_sim.sweep.command import run_sweep
         run_sweep(file, output, workers, scheduler)
+
+
+@main.command()
+@click.argument('file', type=click.Path())
+@click.option('--output', '-o', type=click.Path(),
+              help='New log; by default beside FILE, with _recovered after its name.')
+def recover(file, output):
+    """
+    Write what is intact in FILE, a log that ends early or is damaged, to a new log.
+
+    FILE is only read. Of a complete log nothing is written.
+    """
+    from timo_sim.log.reader import LogError
+    with one_line_for_errors(LogError):
+        from timo_sim.log.recover import recover
+        click.echo(recover(file, output))

@@ -205,9 +205,9 @@ class Simulator:
         if self.control.coarse and not self.caution:
             self.caution = (
                 'the error of a step was above integrator.tolerance = '
-                f'{self.control.tolerance:g} m when done in {2**(FINEST + 1)} parts, too, before t = '
-                f'{self.steps * self.scene.step:.6g} s: take a smaller integrator.step or fewer '
-                'model.modes')
+                f'{self.control.tolerance:g} m when done in {2**(FINEST + 1)} parts, too, before '
+                f't = {self.steps * self.scene.step:.6g} s: take a smaller integrator.step or '
+                'fewer model.modes')
 
     def _bent(self):
         # Deflection by all modes together [m].

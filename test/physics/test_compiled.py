@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 import threading
-import time
 
 import numba
 from numba.core.runtime import _nrt_python, rtsys
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 import timo_sim
+from timo_sim.physics import compiled
 from timo_sim.physics.compiled import alone, entry_point, FASTMATH, size_mark
 from timo_sim.physics.sincos import sincos
 from timo_sim.simulation import Simulator
@@ -81,19 +81,83 @@ def test_sizes_compiled_apart_live_together(tmp_path):
     assert all(outputs) and start(2, 0).communicate()[0] == ''.join(outputs)
 
 
-def test_code_is_filed_by_one_process_at_a_time():
-    never_filed_before = time.time()
+def test_one_process_at_a_time_compiles():
+    entered = threading.Event()
 
-    @entry_point
-    def scaled(number):
-        return never_filed_before * number
+    def enter():
+        with alone('test.lock'):
+            entered.set()
 
-    caller = threading.Thread(target=scaled, args=(1.0,))
-    with alone('index.lock'):
-        caller.start()
-        caller.join(2.0)
-        assert caller.is_alive()
-    caller.join()
+    other = threading.Thread(target=enter)
+    with alone('test.lock'):
+        other.start()
+        assert not entered.wait(0.2)
+    other.join()
+    assert entered.is_set()
+
+
+@pytest.fixture
+def shelf(tmp_path, monkeypatch):
+    """Keep machine code in a folder of the test's own; return the folder."""
+    monkeypatch.setattr(compiled, 'cache_directory', lambda: tmp_path)
+    return tmp_path
+
+
+def doubled(number):
+    return 2.0 * number
+
+
+def compile_and_call():
+    """Compile, or load, as a new process would; return whether it was loaded."""
+    function = entry_point(doubled)
+    assert function(1.5) == 3.0
+    return sum(function._cache_hits.values()) == 1
+
+
+def test_code_is_loaded_from_disk(shelf):
+    assert not compile_and_call()
+    assert compile_and_call()
+
+
+@pytest.mark.parametrize('damage', [
+    lambda content: b'', lambda content: content[:20], lambda content: content[:-100],
+    lambda content: bytes(len(content)), lambda content: content[::-1],
+    lambda content: content[:5000] + bytes([content[5000] ^ 1]) + content[5001:]],
+    ids=['empty', 'within the checksum', 'cut', 'zeros', 'garbage', 'one bit'])
+def test_damaged_code_is_compiled_again(shelf, damage):
+    compile_and_call()
+    file, = shelf.glob('*.code')
+    file.write_bytes(damage(file.read_bytes()))
+    assert not compile_and_call()
+    assert compile_and_call()
+
+
+def test_code_that_cannot_be_read_is_compiled_and_one_that_cannot_be_written_warned_of(shelf):
+    compile_and_call()
+    file, = shelf.glob('*.code')
+    file.unlink()
+    file.mkdir()
+    with pytest.warns(UserWarning, match='machine code is not kept'):
+        assert not compile_and_call()
+    assert [*shelf.iterdir()] == [file]
+
+
+def test_a_folder_of_code_that_disappears_does_no_harm(tmp_path, paper):
+    code = RUN_AND_REMOVE.format(str(paper))
+    run = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                         env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)})
+    assert run.returncode == 0, run.stderr
+    assert run.stdout == 'done\n' and 'machine code is not kept' in run.stderr
+
+
+RUN_AND_REMOVE = """
+import shutil, timo_sim
+from timo_sim.physics.compiled import cache_directory
+scene = timo_sim.load_scene('{}', {{'model.formulation': 'newton', 'model.modes': 1}})
+shutil.rmtree(cache_directory())
+timo_sim.simulate(scene, 0.1)
+print('done')
+"""
 
 
 def test_sizes_are_marked_once_compiled(paper):

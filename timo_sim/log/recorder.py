@@ -1,31 +1,21 @@
 """A recorder that writes MCAP from a thread of its own."""
 
 from collections import deque
+from contextlib import suppress
+import errno
+import os
 from pathlib import Path
 import threading
 import time
 from typing import NamedTuple
 
-import yaml
-
+from timo_sim.log.rosbag2 import add_rosbag2_metadata, channel_metadata
 from timo_sim.log.schema import schema_text, type_hash
 from timo_sim.log.writer import Chunk, Writer
 
 FLUSH_PERIOD = 0.5       # [s] of wall time; half of what a crash may cost
 CHUNK_SIZE = 512 * 1024  # [B] so that a day has few; none waits longer than `FLUSH_PERIOD`
 BACKLOG = 20             # chunks that may wait before `write` does
-
-_FOR_EVER = {'sec': 9223372036, 'nsec': 854775807}
-# What the node offers on every topic, as rosbag2 writes it (metadata version 9).
-QOS = {
-    'history': 'keep_last', 'depth': 10, 'reliability': 'reliable', 'durability': 'volatile',
-    'deadline': _FOR_EVER, 'lifespan': _FOR_EVER, 'liveliness': 'automatic',
-    'liveliness_lease_duration': _FOR_EVER, 'avoid_ros_namespace_conventions': False}
-
-
-class _Dumper(yaml.SafeDumper):
-    def ignore_aliases(self, data):
-        return True
 
 
 class Channel(NamedTuple):
@@ -66,7 +56,6 @@ class Recorder:
 
     def __init__(self, path, channels, notes):
         self.error = None
-        self._channels = channels
         self._lock = threading.Lock()  # of the chunk that grows
         self._chunk = Chunk()
         self._queue = deque()  # full chunks, and metadata in between
@@ -74,12 +63,14 @@ class Recorder:
         self._closing = False
         definitions = {name: (schema_text(name), type_hash(name))
                        for name in {channel.type_name for channel in channels}}
-        self.path, self._file = _create(Path(path))
+        self.path, self._file = create(Path(path))
         try:
             self._writer = Writer(self._file, 'ros2')
-            self._start(definitions, notes)
+            self._start(channels, definitions, notes)
         except OSError:
-            self._file.close()
+            with suppress(OSError):
+                self._file.close()
+            self.path.unlink()  # ours, and of no use to anybody
             raise
         self._thread = threading.Thread(target=self._run, name='recorder', daemon=True)
         self._thread.start()
@@ -123,14 +114,12 @@ class Recorder:
         self._ready.set()
         self._thread.join()
 
-    def _start(self, definitions, notes):
+    def _start(self, channels, definitions, notes):
         schemas = {name: self._writer.add_schema(name, 'ros2msg', text)
                    for name, (text, _) in definitions.items()}
-        qos = yaml.dump([QOS], Dumper=_Dumper, sort_keys=False)
-        for channel in self._channels:
-            self._writer.add_channel(channel.topic, 'cdr', schemas[channel.type_name], {
-                'offered_qos_profiles': qos,
-                'topic_type_hash': definitions[channel.type_name][1]})
+        for channel in channels:
+            self._writer.add_channel(channel.topic, 'cdr', schemas[channel.type_name],
+                                     channel_metadata(definitions[channel.type_name][1]))
         for name, values in notes.items():
             self._writer.add_metadata(name, values)
         self._file.flush()
@@ -151,9 +140,10 @@ class Recorder:
                 self._drain()
             self._pass_on()
             self._drain()
-            self._writer.add_metadata('rosbag2', {'serialized_metadata': self._rosbag2()})
+            add_rosbag2_metadata(self._writer, self.path.name)
             self._writer.finish()
-        except (OSError, ValueError) as error:
+            sync(self._file)
+        except Exception as error:  # whatever it is, `write` must not wait for this thread
             self.error = f'{self.path}: {error}'
             self._queue.clear()
         finally:
@@ -171,30 +161,30 @@ class Recorder:
                 self._writer.add_metadata(*item)
         self._file.flush()
 
-    def _rosbag2(self):
-        """Return what rosbag2 keeps in its metadata record, version 9."""
-        first, counts = self._writer.start, self._writer.counts
-        span = {'duration': {'nanoseconds': self._writer.end - first},
-                'starting_time': {'nanoseconds_since_epoch': first},
-                'message_count': counts.total()}
-        topics = [
-            {'topic_metadata': {
-                'name': channel.topic, 'type': channel.type_name, 'serialization_format': 'cdr',
-                'offered_qos_profiles': [QOS],
-                'type_description_hash': type_hash(channel.type_name)},
-             'message_count': counts[index]}
-            for index, channel in enumerate(self._channels, start=1)]
-        return yaml.dump({
-            'version': 9, 'storage_identifier': 'mcap', **span,
-            'topics_with_message_count': topics, 'compression_format': '', 'compression_mode': '',
-            'relative_file_paths': [self.path.name],
-            'files': [{'path': self.path.name, **span}],
-            'custom_data': {}, 'ros_distro': 'jazzy'}, Dumper=_Dumper, sort_keys=False)
 
+def create(path):
+    """
+    Make a new file and the folders above it.
 
-def _create(path):
-    # Mode 'x' is the file system's own promise that nothing is overwritten.
+    Parameters
+    ----------
+    path : Path
+        If there is such a file, `_1`, `_2`, ... is appended to the stem.
+
+    Returns
+    -------
+    Path, binary file
+
+    Raises
+    ------
+    OSError
+        If it cannot be made.
+
+    """
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
+    # Mode 'x' is the file system's own promise that nothing is overwritten.
     for attempt in range(10000):
         candidate = path.with_stem(f'{path.stem}_{attempt}') if attempt else path
         try:
@@ -202,3 +192,9 @@ def _create(path):
         except FileExistsError:
             continue
     raise FileExistsError(f'{path} and 9999 numbered names after it exist')
+
+
+def sync(stream):
+    """Return when all that was written is on the disk: what is closed survives a power cut."""
+    stream.flush()
+    os.fsync(stream.fileno())

@@ -15,7 +15,8 @@ from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 
 # Opcode, length of what follows; channel, sequence number, log time and publish time.
 _MESSAGE = struct.Struct('<BQHIQQ')
-_OPCODE_AND_LENGTH = 9
+_HEAD = struct.Struct('<BQ')
+_OPCODE_AND_LENGTH = _HEAD.size
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
 
 
@@ -36,11 +37,17 @@ class Chunk:
         self.index = defaultdict(list)
 
     def add(self, channel, sequence, time, data):
-        """Append a message, not older than the one before."""
+        """Append a message."""
         self.index[channel] += time, len(self.data)
         length = _MESSAGE.size - _OPCODE_AND_LENGTH + len(data)
         self.data += _MESSAGE.pack(_MESSAGE_OPCODE, length, channel, sequence, time, time)
         self.data += data
+
+    def add_record(self, channel, time, content):
+        """Append a message as it is in another file, without opcode and length."""
+        self.index[channel] += time, len(self.data)
+        self.data += _HEAD.pack(_MESSAGE_OPCODE, len(content))
+        self.data += content
 
 
 class Writer:
@@ -54,53 +61,61 @@ class Writer:
 
     Attributes
     ----------
+    schemas, channels : list
+        Records.
     counts : Counter
         Messages of each channel.
     start, end : int
-        Times of the first and the last message [ns].
+        Earliest and latest time of a message [ns].
 
     """
 
     def __init__(self, stream, profile):
         self._stream = stream
-        self._schemas, self._channels, self._metadata = [], [], []
-        # Kept as it will be written: a day has so many chunks that objects would fill the memory.
+        self._crc = 0
+        self.schemas, self.channels = [], []
+        # Kept as they will be written: a day has so many that objects would fill the memory.
         self._chunk_count, self._chunk_indexes = 0, RecordBuilder()
+        self._metadata_count, self._metadata_indexes = 0, RecordBuilder()
         self.counts = Counter()
         self.start = self.end = 0
-        stream.write(MCAP0_MAGIC)
+        self._put(MCAP0_MAGIC)
         self._write(Header(profile=profile, library=LIBRARY_IDENTIFIER))
 
     def add_schema(self, name, encoding, text):
         """Add a schema; return its number, from 1."""
-        number = len(self._schemas) + 1
-        self._schemas.append(Schema(id=number, name=name, encoding=encoding, data=text.encode()))
-        self._write(self._schemas[-1])
+        number = len(self.schemas) + 1
+        self.add_record(Schema(id=number, name=name, encoding=encoding, data=text.encode()))
         return number
 
     def add_channel(self, topic, encoding, schema, metadata):
         """Add a channel; return its number, from 1."""
-        number = len(self._channels) + 1
-        self._channels.append(Channel(id=number, schema_id=schema, topic=topic,
-                                      message_encoding=encoding, metadata=metadata))
-        self._write(self._channels[-1])
+        number = len(self.channels) + 1
+        self.add_record(Channel(id=number, schema_id=schema, topic=topic,
+                                message_encoding=encoding, metadata=metadata))
         return number
+
+    def add_record(self, record):
+        """Add a Schema or a Channel that has a number of its own."""
+        (self.schemas if isinstance(record, Schema) else self.channels).append(record)
+        self._write(record)
 
     def add_metadata(self, name, values):
         """Add a metadata record."""
         offset = self._stream.tell()
         length = self._write(Metadata(name=name, metadata=values))
-        self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
+        MetadataIndex(offset=offset, length=length, name=name).write(self._metadata_indexes)
+        self._metadata_count += 1
 
     def add_chunk(self, chunk):
         """Compress a chunk that has messages, and write it with its index."""
+        times = [entries[::2] for entries in chunk.index.values()]
         facts = {
             'compression': 'lz4', 'uncompressed_size': len(chunk.data),
-            'message_start_time': min(entries[0] for entries in chunk.index.values()),
-            'message_end_time': max(entries[-2] for entries in chunk.index.values())}
-        if not self._chunk_count:
-            self.start = facts['message_start_time']
-        self.end = facts['message_end_time']
+            'message_start_time': min(map(min, times)), 'message_end_time': max(map(max, times))}
+        start = facts['message_start_time']
+        self.start = min(self.start, start) if self._chunk_count else start
+        self.end = max(self.end, facts['message_end_time'])
         compressed = lz4.frame.compress(chunk.data)
         offset = self._stream.tell()
         length = self._write(
@@ -109,7 +124,7 @@ class Writer:
         for channel, entries in chunk.index.items():
             self.counts[channel] += len(entries) // 2
             places[channel] = place
-            place += self._stream.write(struct.pack(
+            place += self._put(struct.pack(
                 f'<BQHI{len(entries)}Q', Opcode.MESSAGE_INDEX, 6 + 8 * len(entries), channel,
                 8 * len(entries), *entries))
         ChunkIndex(
@@ -120,20 +135,20 @@ class Writer:
 
     def finish(self):
         """Write summary and end."""
-        self._write(DataEnd(0))
+        self._write(DataEnd(self._crc))
         statistics = Statistics(
-            attachment_count=0, channel_count=len(self._channels),
+            attachment_count=0, channel_count=len(self.channels),
             channel_message_counts=dict(self.counts), chunk_count=self._chunk_count,
-            message_count=self.counts.total(), metadata_count=len(self._metadata),
+            message_count=self.counts.total(), metadata_count=self._metadata_count,
             message_start_time=self.start, message_end_time=self.end,
-            schema_count=len(self._schemas))
+            schema_count=len(self.schemas))
         start, data, offsets = self._stream.tell(), b'', []
         for opcode, group in (
-                (Opcode.SCHEMA, _bytes_of(*self._schemas)),
-                (Opcode.CHANNEL, _bytes_of(*self._channels)),
+                (Opcode.SCHEMA, _bytes_of(*self.schemas)),
+                (Opcode.CHANNEL, _bytes_of(*self.channels)),
                 (Opcode.STATISTICS, _bytes_of(statistics)),
                 (Opcode.CHUNK_INDEX, self._chunk_indexes.end()),
-                (Opcode.METADATA_INDEX, _bytes_of(*self._metadata))):
+                (Opcode.METADATA_INDEX, self._metadata_indexes.end())):
             offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + len(data),
                                          group_length=len(group)))
             data += group
@@ -147,7 +162,11 @@ class Writer:
         self._stream.write(MCAP0_MAGIC)
 
     def _write(self, record):
-        return self._stream.write(_bytes_of(record))
+        return self._put(_bytes_of(record))
+
+    def _put(self, data):
+        self._crc = zlib.crc32(data, self._crc)
+        return self._stream.write(data)
 
 
 def _bytes_of(*records):

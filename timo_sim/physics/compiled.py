@@ -6,7 +6,7 @@ no two arrays overlap: constants are packed into a `record`, of which the shapes
 type, and what a function computes on the way is `local` to it. One machine code per size follows.
 """
 
-from contextlib import contextmanager
+from contextlib import contextmanager, ExitStack, suppress
 import fcntl
 import functools
 import hashlib
@@ -14,11 +14,15 @@ import inspect
 import math
 import os
 from pathlib import Path
+import pickle
+import sys
 import tempfile
+import uuid
+import warnings
 
 from llvmlite import ir
 import numba
-from numba.core import cgutils, types
+from numba.core import cgutils, compiler, serialize, types
 from numba.extending import intrinsic, overload
 import numpy as np
 
@@ -27,6 +31,7 @@ import numpy as np
 FASTMATH = {'reassoc', 'contract', 'nsz'}
 # A division by zero gives Inf or NaN, too, and raises nothing.
 _OPTIONS = {'fastmath': FASTMATH, 'error_model': 'numpy'}
+_CHECKSUM = 32  # [B] of SHA-256
 
 
 def _name_by_contents(kind):
@@ -48,7 +53,7 @@ def cache_directory():
     numba tells a stale entry by the date of one file only. The physics calls across files, so the
     folder is named after the contents of all of them.
     """
-    digest = hashlib.sha256(numba.__version__.encode())
+    digest = hashlib.sha256(f'{numba.__version__} {sys.implementation.cache_tag}'.encode())
     for source in sorted(Path(__file__).parent.glob('*.py')):
         digest.update(source.read_bytes())
     home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
@@ -80,8 +85,11 @@ def _mark_of(*layouts):
 @contextmanager
 def alone(name):
     """Let one process at a time do something, among all that share the folder of machine code."""
-    with open(cache_directory() / name, 'w', encoding='utf-8') as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with ExitStack() as held:
+        # Without the folder, or on a full disk, there is nothing to share.
+        with suppress(OSError):
+            lock = held.enter_context(open(cache_directory() / name, 'w', encoding='utf-8'))
+            fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 
 
@@ -94,27 +102,57 @@ def compiling(*records):
         return
     with alone('compiling.lock'):
         yield
-        mark.touch()
+        with suppress(OSError):
+            mark.touch()
 
 
-@contextmanager
-def _cache_in(directory):
-    previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(directory)
-    try:
-        yield
-    finally:
-        numba.config.CACHE_DIR = previous
+class _Shelf:
+    """
+    Machine code of a function on disk, a file for each signature, in place of numba's cache.
+
+    numba believes the files that it finds and needs those that it writes: one that a crash or a
+    full disk left short, or a folder that is gone, ends the process. Here a file appears under its
+    name when it is whole and begins with a checksum; whatever is wrong, the function is compiled.
+    """
+
+    def __init__(self, function):
+        self._name = f'{function.__module__}.{function.__qualname__}'
+        self._code = function.__code__.co_code
+
+    def _path(self, signature, codegen):
+        key = repr((self._code, signature, codegen.magic_tuple()))
+        return cache_directory() / f'{self._name}-{hashlib.sha256(key.encode()).hexdigest()}.code'
+
+    def load_overload(self, signature, target):
+        """Return what was saved, or None."""
+        target.refresh()
+        try:
+            content = self._path(signature, target.codegen()).read_bytes()
+        except OSError:
+            return None
+        checksum, data = content[:_CHECKSUM], content[_CHECKSUM:]
+        if hashlib.sha256(data).digest() != checksum:
+            return None
+        return compiler.CompileResult._rebuild(target, *pickle.loads(data))
+
+    def save_overload(self, signature, result):
+        """Save machine code, or warn that it is not."""
+        data = serialize.dumps(result._reduce())
+        unfinished = cache_directory() / uuid.uuid4().hex
+        try:
+            unfinished.write_bytes(hashlib.sha256(data).digest() + data)
+            unfinished.replace(self._path(signature, result.codegen))
+        except OSError as error:
+            with suppress(OSError):
+                unfinished.unlink()
+            warnings.warn(f'machine code is not kept, it will be compiled again: {error}')
 
 
 def entry_point(function):
-    """Compile a function that Python calls, and keep its machine code on disk."""
-    if cache_directory() is None:
-        return numba.njit(**_OPTIONS)(function)
-    with _cache_in(cache_directory()):
-        compiled = numba.njit(**_OPTIONS, cache=True)(function)
-    # Two processes that add to numba's index at once would take each other's code for their own.
-    index = compiled._cache._cache_file
-    index.save = alone('index.lock')(index.save)
+    """Compile a function of a module that Python calls, and keep its machine code on disk."""
+    compiled = numba.njit(**_OPTIONS)(function)
+    if cache_directory() is not None:
+        compiled._cache = _Shelf(function)
     return compiled
 
 

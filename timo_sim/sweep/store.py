@@ -5,6 +5,7 @@ A part appears under its name only when it is whole. A sweep that was killed goe
 that are missing; each chunk is in the result once.
 """
 
+import hashlib
 from pathlib import Path
 import shutil
 
@@ -41,23 +42,39 @@ class Store:
         self._output, self._count = Path(output), plan.count
         self._parts = self._output.with_name(self._output.name + '.parts')
         self._schema = _schema(plan)
+        self._found = []  # parts that are whole
         if self._output.exists():
             raise ParameterError(f'{output} exists: remove it or choose another --output')
         self._parts.mkdir(parents=True, exist_ok=True)
         mark = self._parts / 'sweep'
-        if mark.exists() and mark.read_text() != plan.fingerprint:
+        if mark.exists() and mark.read_bytes() != plan.fingerprint.encode():
             raise ParameterError(f'{self._parts} is of another sweep: remove it or choose another '
                                  '--output')
         _write_whole(mark, lambda path: path.write_text(plan.fingerprint))
 
     def has(self, chunk):
-        """Return whether the part of a chunk is there."""
-        return self._part(chunk.first).exists()
+        """Return whether the part of a chunk is there, and whole."""
+        path = self._part(chunk.first)
+        try:
+            checksum = _checksum_of(path)
+            if checksum.exists() and checksum.read_bytes() != _digest(path):
+                return False
+            part = self._read(path)
+        except (OSError, ValueError, pyarrow.ArrowException):
+            return False
+        whole = part.schema == self._schema and part['run'].to_pylist() == [
+            *range(chunk.first, chunk.first + len(chunk.variations))]
+        if whole:
+            self._found.append(path)
+        return whole
 
     def add(self, chunk, table):
         """Write the part of a chunk."""
-        part = pyarrow.table(table, schema=self._schema)
-        _write_whole(self._part(chunk.first), lambda path: parquet.write_table(part, path))
+        part, path = pyarrow.table(table, schema=self._schema), self._part(chunk.first)
+        _write_whole(path, lambda path: parquet.write_table(part, path, write_page_checksum=True))
+        # Parquet has none for what it says about its columns.
+        _write_whole(_checksum_of(path), lambda file: file.write_bytes(_digest(path)))
+        self._found.append(path)
 
     def finish(self):
         """
@@ -69,14 +86,14 @@ class Store:
             How many runs failed.
 
         """
-        parts, failed, runs = sorted(self._parts.glob('*.parquet')), 0, 0
+        parts, failed, runs = sorted(self._found), 0, 0
 
         def join(path):
             nonlocal failed, runs
             with parquet.ParquetWriter(path, self._schema) as writer:
                 for first in range(0, len(parts), _ROW_GROUP):
                     table = pyarrow.concat_tables(
-                        parquet.read_table(part) for part in parts[first:first + _ROW_GROUP])
+                        self._read(part) for part in parts[first:first + _ROW_GROUP])
                     expected = np.arange(runs, runs + len(table))
                     if not np.array_equal(table['run'].to_numpy(), expected):
                         raise RuntimeError(f'{self._parts}: runs {runs} and on are not whole')
@@ -90,8 +107,22 @@ class Store:
         shutil.rmtree(self._parts)
         return failed
 
+    @staticmethod
+    def _read(part):
+        # Not `read_table`, which would take a folder for a table in pieces.
+        with parquet.ParquetFile(part, page_checksum_verification=True) as file:
+            return file.read()
+
     def _part(self, first):
         return self._parts / f'{first:012d}.parquet'
+
+
+def _checksum_of(part):
+    return part.with_suffix('.sha256')
+
+
+def _digest(part):
+    return hashlib.sha256(part.read_bytes()).digest()
 
 
 def _write_whole(path, write):

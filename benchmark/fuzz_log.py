@@ -1,0 +1,68 @@
+"""
+Search for a file that `timo_sim recover` does not survive: `python benchmark/fuzz_log.py`.
+
+Needs atheris (`pip install atheris`; Python 3.11). What follows on the command line goes to
+libFuzzer, for instance `-max_total_time=600`, which is the default; a file that it finds is left
+in the working directory. What is tried: anything, also after the beginning of a log, and chunks
+whose checksum was made right, so that what is inside them is read.
+"""
+
+import os
+from pathlib import Path
+import struct
+import sys
+import tempfile
+import zlib
+
+import atheris
+
+with atheris.instrument_imports(include=['timo_sim.log', 'mcap']):
+    import hostile_logs
+
+LONGEST = 20000  # [B] of a file
+START = hostile_logs.hostile()['header only']
+
+
+def mended(data):
+    """Return a log with the checksum of each uncompressed chunk made right."""
+    data, place = bytearray(data), len(hostile_logs.MCAP0_MAGIC)
+    while place + 9 <= len(data):
+        opcode, length = struct.unpack_from('<BQ', data, place)
+        place += 9
+        if opcode == 6 and 40 <= length <= len(data) - place:
+            head = struct.pack('<I', 0) + struct.pack('<Q', length - 40)
+            data[place + 28:place + 40] = head
+            inside = data[place + 40:place + length]
+            struct.pack_into('<QI', data, place + 16, len(inside), zlib.crc32(inside))
+        place += length
+    return bytes(data)
+
+
+def main():
+    """Fuzz until the time is over or something is found."""
+    folder = Path(tempfile.mkdtemp(prefix='fuzz_log_'))
+    corpus, path = folder / 'corpus', folder / 'log.mcap'
+    corpus.mkdir()
+    intact = hostile_logs.record(folder / 'run.mcap', steps=30, chunk=10)
+    for number, content in enumerate([intact, intact[:-20], *hostile_logs.hostile().values()]):
+        if len(content) <= LONGEST:
+            (corpus / str(number)).write_bytes(b'\0' + content)
+    os.fsync = lambda number: None  # thousands of logs need not wait for the disk
+
+    def one(data):
+        if not data:
+            return
+        content = data[1:]
+        if data[0] & 1:
+            content = START + content
+        path.write_bytes(mended(content) if data[0] & 2 else content)
+        hostile_logs.outcome(path)
+
+    limits = ['-max_total_time=600', f'-max_len={LONGEST}', '-rss_limit_mb=1500', '-timeout=20',
+              '-print_final_stats=1']
+    atheris.Setup([sys.argv[0], *limits, *sys.argv[1:], str(corpus)], one)
+    atheris.Fuzz()
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,287 @@
+"""Logs as a crash, a bad disk or somebody with bad intentions leaves them, and who reads them."""
+
+from collections import Counter
+import os
+import struct
+import subprocess
+import sys
+import zlib
+
+import lz4.frame
+from mcap.data_stream import RecordBuilder
+from mcap.reader import make_reader
+from mcap.records import Channel as ChannelRecord
+from mcap.records import Chunk, DataEnd, Footer, Header, Message, Metadata, Schema, Statistics
+from mcap.writer import MCAP0_MAGIC
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+import zstandard
+
+from timo_sim.log.reader import LogError
+from timo_sim.log.recorder import Channel, Recorder
+from timo_sim.log.recover import recover
+
+CHANNELS = [Channel('/state', 'std_msgs/msg/Float64'), Channel('/rare', 'std_msgs/msg/Float64'),
+            Channel('/silent', 'sensor_msgs/msg/JointState')]
+STEP = 1000000  # [ns]
+GIGABYTE = 1 << 30
+
+
+def payload(value):
+    """Return a std_msgs/Float64 as it is on the wire."""
+    return b'\0\1\0\0' + struct.pack('<d', value)
+
+
+def record(path, steps=120, chunk=20):
+    """Record a log with a reset after each chunk; return its contents."""
+    recorder = Recorder(path, CHANNELS, {'timo_sim': {'parameters': '{}'}})
+    for step in range(steps):
+        if step and step % chunk == 0:
+            recorder.note('timo_sim.reset', {'step': str(step)})
+        recorder.write(0, step, step * STEP, payload(step))
+        if step % 10 == 0:
+            recorder.write(1, step, step * STEP, payload(-step))
+    recorder.close()
+    if recorder.error:
+        raise RuntimeError(recorder.error)
+    return recorder.path.read_bytes()
+
+
+def places(content):
+    """Return place, opcode and length of each record of an intact log."""
+    found, place = [], len(MCAP0_MAGIC)
+    while place < len(content) - len(MCAP0_MAGIC):
+        opcode, length = struct.unpack_from('<BQ', content, place)
+        found.append((place, opcode, 9 + length))
+        place += 9 + length
+    return found
+
+
+def raw(opcode, content, length=None):
+    """Return a record that may lie about its length."""
+    return struct.pack('<BQ', opcode, len(content) if length is None else length) + content
+
+
+def written(*records):
+    """Return records as mcap writes them; bytes are taken as they are."""
+    parts = []
+    for entry in records:
+        builder = RecordBuilder()
+        if isinstance(entry, bytes):
+            builder.write(entry)
+        else:
+            entry.write(builder)
+        parts.append(builder.end())
+    return b''.join(parts)
+
+
+def message(channel=1, time=STEP, value=1.0):
+    """Return a message record."""
+    return Message(channel_id=channel, log_time=time, publish_time=time, sequence=1,
+                   data=payload(value))
+
+
+def chunk(data, compression='', size=None, crc=None, stored=None):
+    """Return a chunk record that may lie."""
+    compress = {'lz4': lz4.frame.compress, 'zstd': zstandard.compress}.get(compression, bytes)
+    return Chunk(data=compress(data) if stored is None else stored, compression=compression,
+                 message_start_time=STEP, message_end_time=STEP,
+                 uncompressed_crc=zlib.crc32(data) if crc is None else crc,
+                 uncompressed_size=len(data) if size is None else size)
+
+
+def _bomb(compression, size):
+    """Return compressed zeros without ever holding them."""
+    block = bytes(1 << 20)
+    if compression == 'zstd':
+        compressor = zstandard.ZstdCompressor().compressobj()
+        parts = [compressor.compress(block) for _ in range(size >> 20)]
+        return b''.join([*parts, compressor.flush()])
+    with lz4.frame.LZ4FrameCompressor(block_size=lz4.frame.BLOCKSIZE_MAX4MB) as compressor:
+        parts = [compressor.begin()]
+        parts += [compressor.compress(block) for _ in range(size >> 20)]
+        return b''.join([*parts, compressor.flush()])
+
+
+def hostile(large=False):
+    """
+    Return files that lie, by name.
+
+    Parameters
+    ----------
+    large : bool
+        Also those that take a while to make and to read.
+
+    Returns
+    -------
+    dict of bytes
+
+    """
+    head = MCAP0_MAGIC + written(Header(profile='ros2', library=''))
+    schema = Schema(id=1, name='std_msgs/msg/Float64', encoding='ros2msg', data=b'float64 data')
+    channel = ChannelRecord(id=1, schema_id=1, topic='/a', message_encoding='cdr', metadata={})
+    start = head + written(schema, channel, chunk(written(message()), 'lz4'))
+    one = written(message())
+    end = written(DataEnd(0), Footer(0, 0, 0)) + MCAP0_MAGIC
+    size = GIGABYTE if large else GIGABYTE // 8
+    files = {
+        'empty': b'', 'half a magic': MCAP0_MAGIC[:4], 'text': b'a text\n' * 100,
+        'magic only': MCAP0_MAGIC, 'magic and zeros': MCAP0_MAGIC + bytes(5000),
+        'header only': head, 'no summary': start + end,
+        'a length of 2^64 - 1': start + raw(6, b'x', 2**64 - 1),
+        'a length of 10 GB': start + raw(6, b'x', 10 * GIGABYTE),
+        'a length of 10 GB in a chunk': start + written(chunk(raw(5, one[9:], 10 * GIGABYTE))),
+        'a chunk that claims 10 GB': start + written(chunk(one, 'lz4', size=10 * GIGABYTE)),
+        'a chunk that claims 2^64 - 1': start + written(chunk(one, 'lz4', size=2**64 - 1)),
+        'a chunk that claims less': start + written(chunk(one, 'lz4', size=3)),
+        'a chunk that claims nothing': start + written(chunk(one, 'lz4', size=0, crc=0)),
+        'a chunk that claims more': start + written(chunk(one, size=1000, crc=0)),
+        'a chunk of garbage': start + written(chunk(one, 'lz4', stored=bytes(1000), crc=0)),
+        'zstd of garbage': start + written(chunk(one, 'zstd', stored=bytes(1000), crc=0)),
+        'a zstd chunk': start + written(chunk(one, 'zstd')),
+        'zstd with a window of 2 GB': start + written(chunk(
+            one, 'zstd', stored=b'\x28\xb5\x2f\xfd\0\xa8' + bytes(100), crc=0)),
+        'an unknown compression': start + written(chunk(one, 'bzip2', stored=one)),
+        'a wrong checksum': start + written(chunk(one, crc=1)),
+        'a chunk within a chunk': start + written(chunk(written(chunk(one)))),
+        'a chunk that ends early': start + written(chunk(one[:-3])),
+        'an unknown channel': start + written(message(channel=9)),
+        'a short message': start + raw(5, b'short'),
+        'an unknown schema': start + written(
+            ChannelRecord(id=2, schema_id=7, topic='/b', message_encoding='cdr', metadata={})),
+        'a schema of another type': start + written(
+            Schema(id=2, name='std_msgs/msg/Float64', encoding='ros2msg', data=b'string data'),
+            ChannelRecord(id=2, schema_id=2, topic='/b', message_encoding='cdr', metadata={}),
+            message(channel=2)),
+        'a schema number for two': start + written(
+            Schema(id=1, name='a/msg/B', encoding='ros2msg', data=b'')),
+        'a channel number for two': start + written(
+            ChannelRecord(id=1, schema_id=1, topic='/b', message_encoding='cdr', metadata={})),
+        'a string of 4 GB': start + raw(4, struct.pack('<HHI', 2, 1, 2**32 - 1) + b'x'),
+        'a map of 4 GB': start + raw(12, struct.pack('<I1sI', 1, b'a', 2**32 - 1)),
+        'no UTF-8': start + raw(12, struct.pack('<I2sI', 2, b'\xff\xfe', 0)),
+        'an unknown record': start + raw(0x42, b'what?') + raw(0, b''),
+        'two ends': start + end + end,
+        'statistics that lie': start + written(DataEnd(0), Statistics(
+            0, 1, {1: 99}, 1, 99, 0, 0, 0, 1), Footer(len(start) + 13, 0, 0)) + MCAP0_MAGIC,
+        'a code to run': start + written(Metadata(
+            'timo_sim', {'parameters': '!!python/object/apply:os.system ["touch hacked"]'})),
+        'QoS that explodes': start + written(ChannelRecord(
+            id=2, schema_id=1, topic='/b', message_encoding='cdr', metadata={
+                'offered_qos_profiles': 'a: &a [1]\n' + ''.join(
+                    f'{b}: &{b} [*{a}, *{a}, *{a}, *{a}, *{a}, *{a}, *{a}, *{a}, *{a}]\n'
+                    for a, b in zip('abcdefghijk', 'bcdefghijkl'))})),
+        'every channel there can be': start + b''.join(written(ChannelRecord(
+            id=number, schema_id=1, topic=f'/{number}', message_encoding='cdr', metadata={}))
+            for number in range(2, 65536 if large else 3000)),
+        'a name that is a path': start + written(ChannelRecord(
+            id=2, schema_id=1, topic='/../../etc/passwd\0', message_encoding='', metadata={}))}
+    for compression in ('lz4', 'zstd'):
+        bomb = _bomb(compression, size)
+        files[f'a {compression} bomb'] = start + written(
+            chunk(b'', compression, stored=bomb, size=size, crc=0))
+        files[f'a {compression} bomb that claims 60 MB'] = start + written(
+            chunk(b'', compression, stored=bomb, size=60 << 20, crc=0))
+    if large:
+        note = written(Metadata('timo_sim.reset', {'step': '1'}))
+        files['endless metadata'] = start + note * 700000
+        files['a record of 100 MB'] = start + raw(12, bytes(100 << 20))
+        files['metadata of 60 MB'] = start + 4 * written(Metadata('a', {'b': 'c' * (60 << 20)}))
+        files['messages of 22 bytes'] = start + written(
+            chunk(raw(5, struct.pack('<HIQQ', 1, 0, 0, 0)) * (10000000 // 31), 'lz4'))
+    return files
+
+
+def outcome(path):
+    """
+    Recover a log; check what came out.
+
+    Returns
+    -------
+    str
+        'complete', 'refused' or 'recovered'. Whatever else happens is an exception.
+
+    """
+    new = path.with_name('out.mcap')
+    try:
+        text = recover(path, new)
+    except LogError as error:
+        if new.exists() or '\n' in str(error) or path.name not in str(error):
+            raise RuntimeError(f'a refusal is one line and writes nothing: {error}') from None
+        return 'refused'
+    if not new.exists():
+        return 'complete'
+    try:
+        said = f'{contents(new).total()} messages'
+        if said not in text or f'is complete: {said}' not in recover(new):
+            raise RuntimeError(f'{said} are there: {text}')
+    finally:
+        new.unlink()
+    return 'recovered'
+
+
+def contents(path):
+    """Return messages by topic, as mcap's own reader finds them."""
+    with open(path, 'rb') as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        found = Counter(channel.topic for _, channel, _ in reader.iter_messages())
+        last = summary.statistics.message_end_time
+        latest = [entry.log_time for _, _, entry in reader.iter_messages(start_time=last)]
+    if found.total() != summary.statistics.message_count or any(
+            time != last for time in latest) or bool(latest) != bool(found):
+        raise RuntimeError(f'{path} has {found}, its summary says {summary.statistics}')
+    return found
+
+
+def decoded(path):
+    """Return a log's messages by topic, as mcap_ros2 and rosbags decode them, if they agree."""
+    with open(path, 'rb') as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        first = Counter(channel.topic for _, channel, _, _ in reader.iter_decoded_messages())
+    second = Counter()
+    with AnyReader([path]) as reader:
+        for connection, _, data in reader.messages():
+            reader.deserialize(data, connection.msgtype)
+            second[connection.topic] += 1
+    if first != second:
+        raise RuntimeError(f'{path}: mcap_ros2 finds {first}, rosbags {second}')
+    return first
+
+
+LIMITED = """
+import pathlib, resource, sys
+from hostile_logs import outcome
+resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)
+for path in map(pathlib.Path, sys.argv[2:]):
+    print(path.stem, outcome(path), sep=': ')
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10)
+"""
+
+
+def limited(paths, limit, timeout):
+    """
+    Recover logs in a process of bounded memory.
+
+    Parameters
+    ----------
+    paths : list of Path
+    limit : int
+        Of its address space [MB].
+    timeout : float
+        [s]
+
+    Returns
+    -------
+    dict, int
+        What `outcome` says, by name; largest resident memory [MB].
+
+    """
+    process = subprocess.run(
+        [sys.executable, '-c', LIMITED, str(limit), *map(str, paths)], timeout=timeout,
+        capture_output=True, text=True,
+        env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
+    if process.returncode:
+        raise RuntimeError(process.stdout + process.stderr)
+    *lines, memory = process.stdout.splitlines()
+    return dict(line.split(': ') for line in lines), int(memory)

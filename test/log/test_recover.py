@@ -1,0 +1,414 @@
+"""Logs that end early, are damaged or lie: what `timo_sim recover` makes of them."""
+
+import os
+from pathlib import Path
+import random
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+from click.testing import CliRunner
+import hostile_logs
+from hostile_logs import contents, decoded, limited, outcome, payload, places
+import lz4.frame
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+import pytest
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+import yaml
+
+from timo_sim.cli import main
+from timo_sim.log import recorder as recorder_module
+from timo_sim.log.reader import LogError
+from timo_sim.log.recorder import Channel, Recorder
+from timo_sim.log.recover import recover
+
+SEED = 20240  # of the random damage; another one tries other places
+
+
+@pytest.fixture(scope='module')
+def intact(tmp_path_factory):
+    """Return the contents of a log that was closed: 120 and 12 messages, resets in between."""
+    return hostile_logs.record(tmp_path_factory.mktemp('intact') / 'run.mcap')
+
+
+@pytest.fixture
+def log(tmp_path, intact):
+    """Return the path of a copy of that log."""
+    path = tmp_path / 'run.mcap'
+    path.write_bytes(intact)
+    return path
+
+
+def run(*arguments):
+    """Return code, output and errors of `timo_sim recover`."""
+    result = CliRunner().invoke(main, ['recover', *map(str, arguments)], prog_name='timo_sim')
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def test_a_complete_log_is_left_alone(log, intact):
+    assert run(log) == (0, f'{log} is complete: 132 messages until sim time 0.119 s; '
+                        'nothing is written\n', '')
+    assert [*log.parent.iterdir()] == [log] and log.read_bytes() == intact
+
+
+def records_of(path):
+    """Return what a reader finds besides messages."""
+    with open(path, 'rb') as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        return (reader.get_header().profile, summary.schemas, summary.channels,
+                [(entry.name, entry.metadata) for entry in reader.iter_metadata()],
+                summary.statistics)
+
+
+def messages_of(path):
+    """Return all that a reader says about each message."""
+    with open(path, 'rb') as stream:
+        return [(channel.topic, schema.name, message.log_time, message.publish_time,
+                 message.sequence, message.data)
+                for schema, channel, message in make_reader(stream).iter_messages()]
+
+
+def test_a_log_without_its_summary_gets_the_same_again(log, intact):
+    """Cut where the summary begins: what is written is what the recorder had written."""
+    end = next(place for place, opcode, _ in places(intact) if opcode == Opcode.DATA_END)
+    cut = log.with_name('cut.mcap')
+    cut.write_bytes(intact[:end])
+    code, output, errors = run(cut)
+    assert (code, errors) == (0, '')
+    new = log.with_name('cut_recovered.mcap')
+    assert output == (f'{cut}: it ends early (byte {end}); 132 messages until sim time 0.119 s, '
+                      f'0 bytes lost; complete in {new}\n')
+    assert messages_of(new) == messages_of(log)
+    *same, notes, statistics = records_of(new)
+    *expected, expected_notes, expected_statistics = records_of(log)
+    assert same == expected
+    assert notes[:-1] == expected_notes[:-1] and len(notes) == 7
+    assert [name for name, _ in notes] == ['timo_sim', *5 * ['timo_sim.reset'], 'rosbag2']
+    ours, bag = (yaml.safe_load(found[-1][1]['serialized_metadata'])
+                 for found in (expected_notes, notes))
+    assert bag['relative_file_paths'] == [new.name] and bag['files'][0]['path'] == new.name
+    for differing in (ours, bag):
+        del differing['relative_file_paths'], differing['files'][0]['path']
+    assert ours == bag
+    assert statistics.channel_message_counts == expected_statistics.channel_message_counts
+    assert decoded(new) == {'/state': 120, '/rare': 12}
+    assert run(new)[1].startswith(f'{new} is complete: 132 messages')
+
+
+def test_no_file_is_overwritten(log, intact):
+    log.write_bytes(intact[:-20])
+    for name in ('run_recovered.mcap', 'run_recovered_1.mcap', 'run_recovered_2.mcap'):
+        assert run(log)[1].endswith(f'complete in {log.with_name(name)}\n')
+    taken = log.with_name('taken.mcap')
+    taken.write_bytes(b'precious')
+    code, output, errors = run(log, '--output', taken)
+    assert (code, output) == (2, '')
+    assert errors == f'timo_sim: {taken} exists: remove it or choose another --output\n'
+    assert taken.read_bytes() == b'precious' and log.read_bytes() == intact[:-20]
+    code, output, _ = run(log, '-o', log.with_name('mine.mcap'))
+    assert code == 0 and contents(log.with_name('mine.mcap')).total() == 132
+
+
+@pytest.fixture
+def no_sync(monkeypatch):
+    """Let hundreds of logs not wait for the disk."""
+    monkeypatch.setattr(os, 'fsync', lambda number: None)
+
+
+def cuts(content):
+    """Return places to cut at: around and within each record, and in the magic."""
+    yield from range(9)
+    for place, _, length in places(content):
+        yield from {place, place + 4, place + 9, place + length // 2}
+    yield from (len(content) - 8, len(content) - 1)
+
+
+def test_a_cut_costs_what_is_behind_it(log, intact, no_sync):
+    """Each chunk that is there as a whole is kept."""
+    ends = [place + length for place, opcode, length in places(intact) if opcode == Opcode.CHUNK]
+    each = [length for place, opcode, length in places(intact) if opcode == Opcode.CHUNK]
+    assert len(each) >= 6
+    for cut in cuts(intact):
+        log.write_bytes(intact[:cut])
+        new = log.with_name('new.mcap')
+        try:
+            recover(log, new)
+        except LogError:
+            # Nothing is there but the header, or less.
+            assert cut < places(intact)[1][0] + places(intact)[1][2]
+            continue
+        with open(new, 'rb') as stream:
+            kept = sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages())
+        whole = sum(end <= cut for end in ends)
+        assert (kept == 132) == (whole == len(ends)) and kept >= 20 * whole
+        new.unlink()
+
+
+def flipped(content, generator):
+    """Return a log with one, or now and then several, of its bits wrong."""
+    damaged = bytearray(content)
+    for _ in range(generator.choice((1, 1, 1, 2, 20))):
+        damaged[generator.randrange(len(damaged))] ^= 1 << generator.randrange(8)
+    return bytes(damaged)
+
+
+def test_flipped_bits_are_noticed(log, intact, no_sync):
+    """A log that was closed has a checksum over every byte but the magic at its end."""
+    generator, seen = random.Random(SEED), set()
+    for _ in range(300):
+        log.write_bytes(flipped(intact, generator))
+        seen.add(outcome(log))
+    assert 'complete' not in seen and 'recovered' in seen
+
+
+def test_a_flipped_bit_costs_one_chunk(log, intact):
+    place, _, length = [entry for entry in places(intact) if entry[1] == Opcode.CHUNK][2]
+    damaged = bytearray(intact)
+    damaged[place + length - 20] ^= 4
+    log.write_bytes(damaged)
+    code, output, _ = run(log)
+    assert code == 0 and f'(byte {place})' in output and f'{length} bytes lost' in output
+    found = decoded(log.with_name('run_recovered.mcap'))
+    assert 80 <= found['/state'] <= 100
+
+
+@pytest.fixture(scope='module')
+def hostile(tmp_path_factory):
+    """Return what became of hostile files where memory is scarce, and how much it took."""
+    folder = tmp_path_factory.mktemp('hostile')
+    paths = [folder / f'{name}.mcap' for name in hostile_logs.hostile()]
+    for path, content in zip(paths, hostile_logs.hostile().values()):
+        path.write_bytes(content)
+    # 10 GB that a record claims and that are there, as a hole.
+    hole = folder / 'a hole of 10 GB.mcap'
+    start = hostile_logs.hostile()['a length of 10 GB']
+    with open(hole, 'wb') as stream:
+        stream.write(start)
+        stream.truncate(11 * hostile_logs.GIGABYTE)
+    outcomes, memory = limited([*paths, hole], limit=1200, timeout=300)
+    assert [*folder.rglob('hacked')] == [] and not Path('hacked').exists()
+    return outcomes, memory
+
+
+def test_hostile_files_are_refused_or_recovered(hostile):
+    outcomes, _ = hostile
+    refused = {'empty', 'half a magic', 'text', 'magic only', 'magic and zeros', 'header only'}
+    assert {name for name, what in outcomes.items() if what == 'refused'} == refused
+    assert {what for name, what in outcomes.items() if name not in refused} == {'recovered'}
+
+
+def test_hostile_files_do_not_fill_the_memory(hostile):
+    # A chunk of 64 MB, compressed and not, twice, and what Python and its modules take.
+    assert hostile[1] < 400
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    pipe = tmp_path / 'pipe'
+    os.mkfifo(pipe)
+    for path in (tmp_path, pipe, '/dev/zero', '/dev/null'):
+        assert run(path) == (2, '', f'timo_sim: {path} is not a file\n')
+    code, output, errors = run(tmp_path / 'nowhere.mcap')
+    assert (code, output) == (2, '') and 'nowhere.mcap' in errors and errors.count('\n') == 1
+    pipe.unlink()
+    pipe.write_bytes(b'')
+    assert run(pipe / 'below')[0] == 2
+
+
+def test_what_may_not_be_read_or_written(log, intact):
+    log.write_bytes(intact[:-20])
+    log.chmod(0)
+    before = os.geteuid()
+    try:
+        if before == 0:  # who may read everything
+            for folder in log.parents[:-2]:
+                folder.chmod(0o755)
+            os.seteuid(65534)
+        assert run(log) == (2, '', f'timo_sim: {log}: Permission denied\n')
+        os.seteuid(before)
+        log.chmod(0o644)
+        if before == 0:
+            os.seteuid(65534)
+        else:
+            log.parent.chmod(0o555)
+        code, output, errors = run(log)
+    finally:
+        os.seteuid(before)
+        log.parent.chmod(0o755)
+    assert (code, output) == (1, '') and errors.startswith('timo_sim: [Errno 13] Permission')
+    assert errors.count('\n') == 1
+
+
+@pytest.fixture
+def small_disk():
+    """Let no file of this process grow beyond 2 kB, as a full disk would."""
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+def test_a_full_disk_leaves_no_half_recovered_log(log, intact, small_disk):
+    code, output, errors = run(log, '-o', log.with_name('unused.mcap'))
+    assert code == 0 and 'is complete' in output
+    resource.setrlimit(resource.RLIMIT_FSIZE, resource.getrlimit(resource.RLIMIT_FSIZE)[1:] * 2)
+    log.write_bytes(intact[:-20])
+    resource.setrlimit(resource.RLIMIT_FSIZE,
+                       (2000, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
+    code, output, errors = run(log)
+    assert (code, output) == (1, '') and 'File too large' in errors and errors.count('\n') == 1
+    assert [*log.parent.iterdir()] == [log]
+
+
+def test_a_name_that_is_no_text(tmp_path, intact):
+    path = tmp_path / os.fsdecode(b'run\xff.mcap')
+    path.write_bytes(intact[:-20])
+    assert 'run\ufffd_recovered.mcap' in recover(path)
+    new = tmp_path / os.fsdecode(b'run\xff_recovered.mcap')
+    assert contents(new).total() == 132
+    assert 'is complete: 132 messages' in recover(new)
+
+
+def test_the_command_itself(log, intact):
+    """In a process of its own, from the shell."""
+    log.write_bytes(intact[:-20])
+    command = [sys.executable, '-c', 'from timo_sim.cli import main; main()', 'recover', log.name]
+    done = subprocess.run(command, cwd=log.parent, capture_output=True, text=True, env={
+        **os.environ, 'PYTHONPATH': os.pathsep.join(entry or os.getcwd() for entry in sys.path)})
+    assert (done.returncode, done.stderr) == (0, '')
+    assert done.stdout.startswith('run.mcap: ') and 'complete in run_recovered.mcap' in done.stdout
+
+
+@pytest.mark.skipif(not Path(sys.executable).with_name('rerun').exists(),
+                    reason='rerun-sdk is not installed')
+def test_rerun_has_nothing_against_it(log, intact):
+    log.write_bytes(intact[:-20])
+    recover(log)
+    done = subprocess.run([Path(sys.executable).with_name('rerun'), 'mcap', 'check',
+                           log.with_name('run_recovered.mcap')], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_killed_nodes_leave_logs_that_can_be_recovered(start, client, tmp_path):
+    """At three random moments: all but the last second is there, for every reader."""
+    generator = random.Random(SEED)
+    nodes = []
+    for name in ('first', 'second', 'third'):
+        node = start('-r', f'__ns:=/{name}', record_file=str(tmp_path / f'{name}.mcap'))
+        nodes.append((name, node, client.collect(JointState, f'/{name}/joint_states')))
+        client.service(Trigger, f'/{name}/timo_sim/reset')()
+    for name, node, states in nodes:
+        moment = generator.uniform(0.5, 2.5)
+        client.wait(lambda: states and time_of(states[-1]) > moment, f'{moment} s of {name}')
+        node.send(signal.SIGKILL)
+        node.wait()
+    time.sleep(0.1)  # what was on its way to the client
+    for name, node, states in nodes:
+        text = recover(tmp_path / f'{name}.mcap')
+        new = tmp_path / f'{name}_recovered.mcap'
+        found, latest = decoded(new), max(entry[2] for entry in messages_of(new))
+        assert f'{found.total()} messages until sim time {1e-9 * latest:.3f} s' in text
+        assert 1e-9 * latest > time_of(states[-1]) - 1.0
+        profile, schemas, channels, notes, _ = records_of(new)
+        assert profile == 'ros2' and len(schemas) >= 5 and len(channels) >= 6
+        assert [entry for entry, _ in notes] == ['timo_sim', 'timo_sim.reset', 'rosbag2']
+        assert set(notes[0][1]) >= {'parameters', 'initial_motion', 'timo_sim'}
+
+
+def time_of(state):
+    """Return the stamp of a message [s]."""
+    return state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec
+
+
+def test_a_log_that_filled_the_disk_can_be_recovered(start, client):
+    limit = 60000
+    node = start(preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    states = client.collect(JointState, '/joint_states')
+    client.wait(lambda: node.log.exists() and node.log.stat().st_size == limit, 'a full disk')
+    count = len(states)
+    client.wait(lambda: len(states) > count + 50, 'time going on')
+    code, output = node.end()
+    assert code == 0 and output.count('the log ends early') == 1
+    assert 'complete in' in recover(node.log)
+    assert decoded(node.log.with_name('run_recovered.mcap'))['/joint_states'] > 0
+
+
+# The recorder where it cannot write.
+
+CHANNELS = [Channel('/a', 'std_msgs/msg/Float64')]
+
+
+def test_a_path_that_is_a_folder_is_an_error(tmp_path):
+    with pytest.raises(IsADirectoryError, match=str(tmp_path)):
+        Recorder(tmp_path, CHANNELS, {})
+    assert not tmp_path.with_name(tmp_path.name + '_1').exists()
+
+
+def test_no_file_descriptor_left_is_an_error(tmp_path):
+    Recorder(tmp_path / 'first.mcap', CHANNELS, {}).close()  # reads the message definitions
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (os.dup(0), hard))
+    try:
+        with pytest.raises(OSError, match='Too many open files'):
+            Recorder(tmp_path / 'run.mcap', CHANNELS, {})
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert not (tmp_path / 'run.mcap').exists()
+
+
+def test_a_disk_that_is_full_at_the_start_leaves_no_file(tmp_path, small_disk):
+    with pytest.raises(OSError, match='File too large'):
+        Recorder(tmp_path / 'run.mcap', CHANNELS, {'timo_sim': {'long': 'x' * 10000}})
+    assert not (tmp_path / 'run.mcap').exists()
+
+
+def test_whatever_ends_the_thread_does_not_end_the_simulation(tmp_path, monkeypatch):
+    def fail(_):
+        raise RuntimeError('no lz4 today')
+
+    monkeypatch.setattr(lz4.frame, 'compress', fail)
+    monkeypatch.setattr(recorder_module, 'CHUNK_SIZE', 100)
+    recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
+    writing = threading.Thread(target=lambda: [
+        recorder.write(0, step, step, payload(step)) for step in range(1000)], daemon=True)
+    writing.start()
+    writing.join(30.0)
+    assert not writing.is_alive()
+    recorder.close()
+    assert 'no lz4 today' in recorder.error
+
+
+def test_a_log_is_on_the_disk_when_it_is_closed(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(os, 'fsync', lambda number: synced.append(os.fstat(number).st_size))
+    recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
+    recorder.write(0, 0, 0, payload(1.0))
+    recorder.close()
+    assert synced == [recorder.path.stat().st_size]
+
+
+def test_messages_in_any_order_keep_their_span(tmp_path):
+    recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
+    for stamp in (5, 3, 9, 4):
+        recorder.write(0, stamp, stamp, payload(stamp))
+    recorder.close()
+    *_, statistics = records_of(recorder.path)
+    assert (statistics.message_start_time, statistics.message_end_time) == (3, 9)
+
+
+def test_only_the_name_of_a_log_depends_on_the_wall_clock():
+    """A clock that is set back moves no stamp and no deadline, because nobody looks at it."""
+    package = Path(recorder_module.__file__).parents[1]
+    looking = {path.name: line.strip() for path in package.rglob('*.py')
+               for line in path.read_text().splitlines()
+               if 'time.time(' in line or 'time_ns(' in line or '.now' in line or 'utcnow' in line
+               or 'get_clock' in line}
+    assert list(looking) == ['node.py'] and 'datetime.now():%Y%m%d_%H%M%S' in looking['node.py']

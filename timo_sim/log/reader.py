@@ -1,0 +1,308 @@
+"""
+What is intact in an MCAP file, of which no length, number or checksum is believed.
+
+A file is read once from its beginning, a record at a time, in bounded memory. What does not hold
+what it says is left out; where even the length of a record cannot be true, reading ends.
+"""
+
+from collections import Counter
+from io import BytesIO
+import struct
+from typing import NamedTuple
+import zlib
+
+import lz4.frame
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
+from mcap.writer import MCAP0_MAGIC
+import zstandard
+
+LARGEST_CHUNK = 64 * 1024 * 1024  # [B] uncompressed
+_LARGEST_RECORD = LARGEST_CHUNK + 1024 * 1024
+# Of schemas, channels and metadata of one file [B]; an entry in a table costs something, too.
+_LARGEST_KEPT, _ENTRY = 64 * 1024 * 1024, 100
+
+_HEAD = struct.Struct('<BQ')            # opcode, length of the content
+_CHUNK_HEAD = struct.Struct('<QQQII')   # times, size, checksum, length of compression's name
+_MESSAGE_HEAD = struct.Struct('<H4xQ')  # channel, sequence number, log time
+_MESSAGE_HEAD_SIZE = 22
+_KEPT = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
+# Made again from the messages, or of no use without what is made again.
+_DERIVED = {Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX, Opcode.METADATA_INDEX,
+            Opcode.SUMMARY_OFFSET, Opcode.STATISTICS, Opcode.DATA_END, Opcode.FOOTER}
+
+
+def _is_foreign(opcode):
+    # Allowed, but not written by this package and not kept: attachments and private records.
+    return opcode in (Opcode.ATTACHMENT, Opcode.ATTACHMENT_INDEX) or opcode >= 0x80
+
+
+class LogError(ValueError):
+    """A file that is not a log; the text says which and why."""
+
+
+class _Broken(ValueError):
+    """A record that does not hold what it says."""
+
+
+class _End(ValueError):
+    """A place beyond which nothing can be read."""
+
+
+class Message(NamedTuple):
+    """A message; its content is all of the record, without opcode and length."""
+
+    channel: int
+    time: int  # [ns]
+    content: memoryview
+
+
+class Reader:
+    """
+    Reads what is intact in a log.
+
+    Parameters
+    ----------
+    stream : binary file
+        At its beginning.
+    size : int
+        Of the file [B].
+    name : str
+        For errors.
+
+    Attributes
+    ----------
+    profile : str
+    kept : int
+        Bytes of the file that were intact so far.
+    damage : str or None
+        The first that was not, and where. None after the last record: the file is complete.
+
+    Raises
+    ------
+    LogError
+        If the file does not begin as MCAP files do.
+
+    """
+
+    def __init__(self, stream, size, name):
+        self._stream, self._size = stream, size
+        start = stream.read(len(MCAP0_MAGIC))
+        if start != MCAP0_MAGIC:
+            raise LogError(f'{name} is empty' if not start else
+                           f'{name} is not an MCAP file: it begins with {start!r}')
+        self.profile = 'ros2'
+        self.kept = self._place = len(start)
+        self.damage = None
+        self._crc = zlib.crc32(start)
+        self._schemas, self._channels = {}, {}
+        self._held = 0
+        self._counts = Counter()
+        # Where the summary says the summary begins, and what it counts.
+        self._summary_start, self._expected = None, None
+        self._ended = False
+
+    def records(self):
+        """
+        Yield what is intact, in the order of the file.
+
+        Yields
+        ------
+        Schema, Channel, Metadata or Message
+            Each schema and channel once, and before what refers to it.
+
+        """
+        try:
+            while not self._ended:
+                yield from self._next()
+            self._check_end()
+        except _End as error:
+            self._complain(error, self._place)
+
+    def _complain(self, error, place):
+        if self.damage is None:
+            self.damage = f'{error} (byte {place})'
+
+    def _next(self):
+        """Read a record; yield what is in it."""
+        place = self._place
+        if place == self._size:
+            raise _End('it ends early')
+        head = self._stream.read(_HEAD.size)
+        if len(head) < _HEAD.size:
+            raise _End('it ends in the middle of a record')
+        opcode, length = _HEAD.unpack(head)
+        if not opcode:
+            raise _End('there are no more records')
+        if length > self._size - place - _HEAD.size:
+            raise _End('it ends in the middle of a record, or its length is wrong')
+        self._place += _HEAD.size + length
+        if length > _LARGEST_RECORD:
+            self._stream.seek(self._place)
+            self._complain(f'a record of {length} bytes is larger than any should be', place)
+            return
+        content = self._stream.read(length)
+        if len(content) < length:
+            raise _End('it ends in the middle of a record')
+        crc, self._crc = self._crc, zlib.crc32(content, zlib.crc32(head, self._crc))
+        try:
+            yield from self._contents(opcode, content, crc)
+        except _End:
+            self._place = place
+            raise
+        except _Broken as error:
+            self._complain(error, place)
+            if opcode not in _DERIVED:
+                return
+        if not _is_foreign(opcode):
+            self.kept += _HEAD.size + length
+
+    def _contents(self, opcode, content, crc):
+        if opcode == Opcode.CHUNK:
+            yield from self._inside(memoryview(_uncompressed(content)))
+        elif opcode == Opcode.MESSAGE:
+            yield self._message(memoryview(content))
+        elif opcode in _KEPT:
+            yield from self._keep(_parsed(_KEPT[opcode], content))
+        elif opcode == Opcode.HEADER:
+            self.profile = _parsed(Header, content).profile
+        elif opcode == Opcode.DATA_END:
+            self._end_data(content, crc)
+        elif opcode == Opcode.STATISTICS:
+            self._expected = _parsed(Statistics, content)
+        elif opcode == Opcode.FOOTER:
+            self._end_summary(_parsed(Footer, content), content, crc)
+        elif opcode not in _DERIVED and not _is_foreign(opcode):
+            raise _Broken(f'a record of kind {opcode} has no place in a log')
+
+    def _inside(self, data):
+        """Yield what is in an uncompressed chunk."""
+        place = 0
+        while place < len(data):
+            if place + _HEAD.size > len(data):
+                raise _Broken('a chunk ends in the middle of a record')
+            opcode, length = _HEAD.unpack_from(data, place)
+            place += _HEAD.size
+            if length > len(data) - place:
+                raise _Broken('a chunk ends in the middle of a record')
+            if opcode == Opcode.MESSAGE:
+                yield self._message(data[place:place + length])
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                yield from self._keep(_parsed(_KEPT[opcode], bytes(data[place:place + length])))
+            else:
+                raise _Broken(f'a record of kind {opcode} has no place in a chunk')
+            place += length
+
+    def _message(self, content):
+        if len(content) < _MESSAGE_HEAD_SIZE:
+            raise _Broken('a message is too short')
+        channel, time = _MESSAGE_HEAD.unpack_from(content)
+        if channel not in self._channels:
+            raise _Broken(f'a message is of an unknown channel, {channel}')
+        self._counts[channel] += 1
+        return Message(channel, time, content)
+
+    def _keep(self, record):
+        """Yield a schema, a channel or metadata, unless it is known."""
+        if not isinstance(record, Metadata) and self._is_known(record):
+            return
+        if not isinstance(record, Metadata) or record.name != 'rosbag2':  # which is made again
+            self._held += _ENTRY + len(_bytes_of(record))
+        if self._held > _LARGEST_KEPT:
+            raise _End(f'there are more than {_LARGEST_KEPT} bytes of schemas, channels and '
+                       'metadata')
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record
+        elif isinstance(record, Channel):
+            self._channels[record.id] = record
+        yield record
+
+    def _is_known(self, record):
+        known = self._schemas if isinstance(record, Schema) else self._channels
+        if record.id in known and known[record.id] != record:
+            raise _Broken(f'there are two {type(record).__name__.lower()}s {record.id}')
+        if isinstance(record, Channel) and record.schema_id not in self._schemas:
+            raise _Broken(f'{record.topic[:80]!r} is of an unknown schema, {record.schema_id}')
+        if isinstance(record, Schema) and record.id == 0:
+            raise _Broken('a schema has the number 0')
+        return record.id in known
+
+    def _end_data(self, content, crc):
+        if len(content) != 4:
+            raise _Broken('the end of the data has a wrong length')
+        expected, = struct.unpack('<I', content)
+        if expected not in (0, crc):
+            raise _Broken('the checksum of all data is wrong')
+        self._summary_start, self._crc = self._place, 0
+
+    def _end_summary(self, footer, content, crc):
+        self._ended = True
+        crc = zlib.crc32(content[:-4], zlib.crc32(_HEAD.pack(Opcode.FOOTER, len(content)), crc))
+        if footer.summary_crc not in (0, crc):
+            raise _Broken('the checksum of the summary is wrong')
+        if footer.summary_start != self._summary_start or self._expected is None:
+            raise _Broken('there is no summary')
+        if Counter(self._expected.channel_message_counts) != self._counts:
+            raise _Broken(f'{self._counts.total()} messages are there, the summary says '
+                          f'{self._expected.message_count}')
+
+    def _check_end(self):
+        end = self._stream.read(len(MCAP0_MAGIC) + 1)
+        if end != MCAP0_MAGIC:
+            raise _End('after its end there is something else' if len(end) >= len(MCAP0_MAGIC)
+                       else 'it ends early')
+        self.kept += len(MCAP0_MAGIC)
+
+
+def _uncompressed(content):
+    """Return the data of a chunk if it is what the chunk says."""
+    try:
+        _, _, size, crc, length = _CHUNK_HEAD.unpack_from(content)
+        compression = content[_CHUNK_HEAD.size:_CHUNK_HEAD.size + length]
+        place = _CHUNK_HEAD.size + length
+        stored, = struct.unpack_from('<Q', content, place)
+        if stored != len(content) - place - 8:
+            raise _Broken('a chunk has a wrong length')
+        if size > LARGEST_CHUNK:
+            raise _Broken(f'a chunk claims to hold {size} bytes, more than {LARGEST_CHUNK}')
+        if compression not in _DECOMPRESS:
+            raise _Broken(f'a chunk is compressed by {bytes(compression[:20])!r}')
+        # One byte more than it says, so that a chunk which holds more is found out.
+        data = _DECOMPRESS[compression](memoryview(content)[place + 8:], size + 1)
+    except (struct.error, RuntimeError, EOFError, zstandard.ZstdError) as error:
+        raise _Broken(f'a chunk cannot be read: {error}') from None
+    if len(data) != size:
+        raise _Broken(f'a chunk does not hold the {size} bytes that it says')
+    if crc and zlib.crc32(data) != crc:
+        raise _Broken('the checksum of a chunk is wrong')
+    return data
+
+
+def _zstd(data, limit):
+    decompressor = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
+    return decompressor.stream_reader(data).read(limit)
+
+
+_DECOMPRESS = {
+    b'': lambda data, limit: data[:limit],
+    b'lz4': lambda data, limit: lz4.frame.LZ4FrameDecompressor().decompress(data, limit),
+    b'zstd': _zstd}
+
+
+def _parsed(kind, content):
+    """Return a record if it says the same when it is written again."""
+    try:
+        record = kind.read(ReadDataStream(BytesIO(content)))
+        if _bytes_of(record)[_HEAD.size:] == content:
+            return record
+    except (McapError, struct.error, UnicodeDecodeError):
+        pass
+    raise _Broken(f'a record of kind {kind.__name__.lower()} does not hold what it says')
+
+
+def _bytes_of(record):
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()

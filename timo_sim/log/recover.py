@@ -1,0 +1,110 @@
+"""A complete log from one that ends early or is damaged."""
+
+from collections import Counter
+import os
+from pathlib import Path
+import stat
+
+from mcap.records import Channel, Metadata, Schema
+
+from timo_sim.log.reader import LogError, Message, Reader
+from timo_sim.log.recorder import CHUNK_SIZE, create, sync
+from timo_sim.log.rosbag2 import add_rosbag2_metadata, shown
+from timo_sim.log.writer import Chunk, Writer
+
+
+def recover(file, output=None):
+    """
+    Write what is intact in a log to a new one, with index and summary.
+
+    Parameters
+    ----------
+    file : str or Path
+        It is only read.
+    output : str or Path, optional
+        A file that does not exist; by default beside `file`, with `_recovered` after its stem,
+        and a number if that exists.
+
+    Returns
+    -------
+    str
+        What was found and done. If the log is complete, nothing is written.
+
+    Raises
+    ------
+    LogError
+        If there is nothing to recover, or `output` exists.
+    OSError
+        If the new log cannot be written.
+
+    """
+    path = Path(file)
+    with _open(path) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        # Read once before anything is written: most files are complete, and some are no logs.
+        reader = Reader(stream, size, shown(path))
+        found, last = Counter(), 0
+        for record in reader.records():
+            found[type(record)] += 1
+            if isinstance(record, Message):
+                last = max(last, record.time)
+        contents = f'{found[Message]} messages until sim time {1e-9 * last:.3f} s'
+        if reader.damage is None:
+            return f'{shown(path)} is complete: {contents}; nothing is written'
+        if not found:
+            raise LogError(f'{shown(path)}: nothing in it is intact: {reader.damage}')
+        stream.seek(0)
+        new = _write(Reader(stream, size, shown(path)), reader.profile, path, output)
+    return (f'{shown(path)}: {reader.damage}; {contents}, {size - reader.kept} bytes lost; '
+            f'complete in {shown(new)}')
+
+
+def _open(path):
+    """Open what must be a file: a pipe would never end, a device might do something."""
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise LogError(f'{shown(path)} is not a file')
+        return open(path, 'rb')
+    except (PermissionError, NotADirectoryError) as error:
+        raise LogError(f'{shown(path)}: {error.strerror}') from None
+
+
+def _write(reader, profile, path, output):
+    """Write a new log; return its path."""
+    if output is None:
+        new, stream = create(path.with_stem(path.stem + '_recovered'))
+    else:
+        try:
+            new, stream = Path(output), open(output, 'xb')
+        except FileExistsError:
+            raise LogError(
+                f'{shown(output)} exists: remove it or choose another --output') from None
+    try:
+        with stream:
+            _copy(reader, profile, stream, new.name)
+            sync(stream)
+    except BaseException:
+        new.unlink()  # what is not whole would be taken for it
+        raise
+    return new
+
+
+def _copy(reader, profile, stream, name):
+    writer, chunk = Writer(stream, profile), Chunk()
+    for record in reader.records():
+        if isinstance(record, Message):
+            chunk.add_record(*record)
+            if len(chunk.data) < CHUNK_SIZE:
+                continue
+        if chunk.data:
+            writer.add_chunk(chunk)
+            chunk = Chunk()
+        if isinstance(record, (Schema, Channel)):
+            writer.add_record(record)
+        elif isinstance(record, Metadata) and record.name != 'rosbag2':
+            writer.add_metadata(record.name, record.metadata)
+    if chunk.data:
+        writer.add_chunk(chunk)
+    if profile == 'ros2':
+        add_rosbag2_metadata(writer, name)
+    writer.finish()

@@ -1,0 +1,66 @@
+"""What rosbag2 keeps in a log besides the messages: QoS, and its own metadata record."""
+
+import os
+
+import yaml
+
+_FOR_EVER = {'sec': 9223372036, 'nsec': 854775807}
+# What the node offers on every topic, as rosbag2 writes it (metadata version 9).
+_QOS = {
+    'history': 'keep_last', 'depth': 10, 'reliability': 'reliable', 'durability': 'volatile',
+    'deadline': _FOR_EVER, 'lifespan': _FOR_EVER, 'liveliness': 'automatic',
+    'liveliness_lease_duration': _FOR_EVER, 'avoid_ros_namespace_conventions': False}
+
+
+class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
+    def ignore_aliases(self, data):
+        return True
+
+
+def _text(value):
+    return yaml.dump(value, Dumper=_Dumper, sort_keys=False)
+
+
+_QOS_TEXT = _text([_QOS])
+
+
+def shown(path):
+    """Return a path as text that can be written anywhere: names are bytes on Linux."""
+    return os.fsencode(path).decode(errors='replace')
+
+
+def channel_metadata(type_hash):
+    """Return the metadata of a channel: what the node offers, and the hash of its type."""
+    return {'offered_qos_profiles': _QOS_TEXT, 'topic_type_hash': type_hash}
+
+
+def add_rosbag2_metadata(writer, name):
+    """
+    Add rosbag2's metadata record, version 9, to a log whose messages are written.
+
+    Parameters
+    ----------
+    writer : Writer
+    name : str
+        Of the file.
+
+    """
+    span = {'duration': {'nanoseconds': writer.end - writer.start},
+            'starting_time': {'nanoseconds_since_epoch': writer.start},
+            'message_count': writer.counts.total()}
+    types = {schema.id: schema.name for schema in writer.schemas}
+    topics = [
+        {'topic_metadata': {
+            'name': channel.topic, 'type': types[channel.schema_id],
+            'serialization_format': channel.message_encoding,
+            # A text that is not ours is left alone: it may come from a hostile file.
+            'offered_qos_profiles':
+                [_QOS] if channel.metadata.get('offered_qos_profiles') == _QOS_TEXT else [],
+            'type_description_hash': channel.metadata.get('topic_type_hash', '')},
+         'message_count': writer.counts[channel.id]}
+        for channel in writer.channels]
+    writer.add_metadata('rosbag2', {'serialized_metadata': _text({
+        'version': 9, 'storage_identifier': 'mcap', **span,
+        'topics_with_message_count': topics, 'compression_format': '', 'compression_mode': '',
+        'relative_file_paths': [shown(name)], 'files': [{'path': shown(name), **span}],
+        'custom_data': {}, 'ros_distro': 'jazzy'})})
