@@ -36,7 +36,7 @@ setup(
                  'colcon-ros', 'colcon-test-result', 'distributed', 'flake8', 'flake8-quotes',
                  'hypothesis',
                  'mcap-ros2-support', 'mypy', 'pyarrow', 'pydocstyle', 'pytest', 'pytest-xdist',
-                 'rosbags', 'types-PyYAML', 'types-tqdm'],
+                 'rerun-sdk', 'rosbags', 'types-PyYAML', 'types-tqdm'],
     },
     zip_safe=True,
     maintainer='The timo_sim authors',

@@ -250,12 +250,13 @@ def decoded(path):
 
 
 LIMITED = """
-import pathlib, resource, sys
+import pathlib, re, resource, sys
 from hostile_logs import outcome
 resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)
 for path in map(pathlib.Path, sys.argv[2:]):
     print(path.stem, outcome(path), sep=': ')
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10)
+# Not ru_maxrss, which begins with that of the process that started this one.
+print(int(re.search(r'VmHWM:\\s*(\\d+)', pathlib.Path('/proc/self/status').read_text())[1]) >> 10)
 """
 
 

@@ -287,8 +287,6 @@ def test_the_command_itself(log, intact):
     assert done.stdout.startswith('run.mcap: ') and 'complete in run_recovered.mcap' in done.stdout
 
 
-@pytest.mark.skipif(not Path(sys.executable).with_name('rerun').exists(),
-                    reason='rerun-sdk is not installed')
 def test_rerun_has_nothing_against_it(log, intact):
     log.write_bytes(intact[:-20])
     recover(log)

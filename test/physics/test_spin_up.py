@@ -29,9 +29,9 @@ def test_exact_gives_the_deflection_of_the_literature(spin_up, modes, step, lowe
 
 
 def test_newton_diverges_beyond_its_first_frequency_and_says_so(spin_up):
-    with pytest.warns(timo_sim.ModelWarning, match='faster than 3.8 rad/s.*centrifugal stiffen'):
-        run = run_of(spin_up, **{'model.formulation': 'newton'})
-    assert np.abs(run.deflection(LENGTH)[run.t > 18.0, 1]).max() > 1e3
+    with pytest.raises(timo_sim.DivergenceError,
+                       match='faster than 3.8 rad/s.*centrifugal stiffen'):
+        run_of(spin_up, **{'model.formulation': 'newton'})
 
 
 def test_newton_diverges_at_the_speed_that_it_names(spin_up):
@@ -45,9 +45,9 @@ def test_newton_diverges_at_the_speed_that_it_names(spin_up):
             'motor.drive.acceleration': [0.0], 'initial.modal_rates': [1e-3, 0.0, 0.0]})
         if share > 1:
             with pytest.warns(timo_sim.ModelWarning):
-                run = timo_sim.simulate(scene, 40.0)
+                run = timo_sim.simulate(scene, 20.0)
         else:
-            run = timo_sim.simulate(scene, 40.0)
+            run = timo_sim.simulate(scene, 20.0)
         peaks.append(np.abs(run.q[:, 0]).max())
     omega = timo_sim.load_scene(spin_up).build().modes.omega[0]
     # Below: an oscillation at sqrt(omega^2 - theta'^2); above: growth, exp(0.54 t).
