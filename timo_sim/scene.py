@@ -165,17 +165,24 @@ def scene_from(values):
     scene = Scene(manipulator, _constraints(values), load, step, values)
     try:
         with np.errstate(over='raise', divide='raise', invalid='raise'):
-            energy = scene.build().energy(scene.initial_motion()[np.newaxis])[0]
+            finite = _is_finite(scene)
     except ArithmeticError:
-        energy = np.nan
+        finite = False
     except ValueError as error:
         # What only the physics can tell, such as modes too close to each other.
         raise ParameterError(f'model.formulation = {values["model.formulation"]}, model.modes = '
                              f'{values["model.modes"]}: {error}') from None
-    if not np.isfinite(energy):
+    if not finite:
         raise ParameterError('the values of this scene are too large or too small together: no '
                              'finite equations of motion, or no finite initial energy')
     return scene
+
+
+def _is_finite(scene):
+    # Whether equations of motion and initial energy are finite.
+    formulation, motion = scene.build(), scene.initial_motion()
+    return np.isfinite(formulation.linear).all() and (
+        not motion[3:].any() or np.isfinite(formulation.energy(motion[np.newaxis])[0]))
 
 
 def read_parameter_file(path):

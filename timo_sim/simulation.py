@@ -16,7 +16,7 @@ from timo_sim.step_control import FINEST, StepControl
 _CHUNK, _FEW = 512, 256
 # The error of a step is looked at at the start, after so many steps, twice as many, and so on up
 # to each chunk: what begins wildly calms down, as a rule.
-_FIRST_LOOK = 64
+_FIRST_LOOK = 128
 # Part of the period of a harmonic load that a step may cover: its three values then are the load.
 _MOST_OF_A_PERIOD = 0.25
 # Deflection that is no arm's any more, in arm lengths.
