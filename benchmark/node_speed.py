@@ -119,19 +119,23 @@ def _expect(process, word):
     raise RuntimeError('\n'.join(lines))
 
 
-@contextmanager
 def started(name, path, environment, *extra, **options):
     """Start one of the processes, and end it."""
-    options = {'stdout': subprocess.DEVNULL, 'stderr': subprocess.STDOUT, 'text': True, **options}
-    process = subprocess.Popen([sys.executable, str(PROCESSES), name, str(path), *extra],
-                               env=environment, **options)
+    options = {'stdout': subprocess.DEVNULL, 'stderr': subprocess.STDOUT, **options}
+    return running([str(PROCESSES), name, str(path), *extra], env=environment, **options)
+
+
+@contextmanager
+def running(arguments, **options):
+    """Start a Python process, and end it, even if it is stopped."""
+    process = subprocess.Popen([sys.executable, *arguments], text=True, **options)
     try:
         yield process
     finally:
         if process.poll() is None:
             process.send_signal(signal.SIGCONT)
             process.terminate()
-        process.wait()
+        process.communicate()
 
 
 def compare(turns, seconds, **peers):

@@ -1,7 +1,7 @@
 """
 The torture bench: numerics, node, log and files. It writes doc/stress.md.
 
-`make stress` takes half an hour, `--quick` some minutes and writes to run/stress.md.
+`make stress` takes long, `--quick` does a part of each and writes to run/stress.md.
 """
 
 import argparse

@@ -6,7 +6,7 @@ Real processes over real DDS. A fault is survived if the node goes on (or ended 
 """
 
 import argparse
-from contextlib import contextmanager, ExitStack
+from contextlib import ExitStack
 import os
 from pathlib import Path
 import random
@@ -20,6 +20,7 @@ import uuid
 
 from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
+from node_speed import running
 import numpy as np
 from rclpy.serialization import deserialize_message
 
@@ -86,18 +87,10 @@ class Node:
         return counters, count
 
 
-@contextmanager
 def attack(name, *arguments, environment=ENVIRONMENT, **options):
     """Run an attacking process."""
-    process = subprocess.Popen([sys.executable, str(PROCESSES), name, *arguments],
-                               env=environment, stdout=subprocess.PIPE, text=True, **options)
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.send_signal(signal.SIGCONT)
-            process.terminate()
-        process.communicate()
+    return running([str(PROCESSES), name, *arguments], env=environment, stdout=subprocess.PIPE,
+                   **options)
 
 
 def survived(node, number=signal.SIGTERM):

@@ -78,11 +78,12 @@ class Simulator:
         with compiling(*self._sizes()):
             self.formulation.tip(self.motion())
             if self.control.tolerance:
-                self.control.advance(self._state, self._load, 0, 0, None, 0)
+                self.control.advance(self._state, self._load, _NO_LOADS, 0, None, 0)
 
     def _sizes(self):
-        return [self.formulation.packed] + [self.control.propagator()] * (
-            2 if self.control.tolerance else 1)
+        sizes = [self.formulation.packed, self.control.propagator()]
+        # With a tolerance another function is compiled, of two propagators.
+        return sizes + [self.control.propagator(1)] if self.control.tolerance else sizes
 
     @property
     def nanoseconds(self):
@@ -129,14 +130,16 @@ class Simulator:
             if every:
                 motions[:] = self.motion()
             return motions
-        before, loads = self._state.copy(), self.scene_loads(steps)
-        if held is not None:
-            loads = loads + held
-        self._watch_error(loads)
+        before, first = self._state.copy(), self.steps - self._origin
         if self.control.tolerance:
+            loads = self.control.loads(first, steps, held, 1)
             done, motions = self.control.advance(
-                self._state, self._load, self.steps - self._origin, steps, held, every)
+                self._state, self._load, loads, first, held, every)
         else:
+            loads = self.scene_loads(steps)
+            if held is not None:
+                loads = loads + held
+            self._watch_error(loads)
             done, motions = self.formulation.advance(
                 self.control.propagator(), self._state, self._load, loads, every)
         if done < steps or not self._bent() <= _MOST_BENT * self.scene.manipulator.arm.length:
@@ -190,8 +193,7 @@ class Simulator:
 
     def _watch_error(self, loads):
         # Now and then, at the first of some steps.
-        if (self.caution or self.control.tolerance or not len(loads)
-                or self.steps < self._next_look):
+        if self.caution or not len(loads) or self.steps < self._next_look:
             return
         self._next_look = self.steps + self.spacing
         error, alarming = self.control.look_ahead(self._state, loads[:1])
@@ -262,7 +264,8 @@ def simulate(scene, duration, every=1):
     Warns
     -----
     ModelWarning
-        If the shaft becomes too fast for a formulation without centrifugal stiffening.
+        If the shaft becomes too fast for a formulation without centrifugal stiffening, or steps
+        are too long for what happens or for a harmonic load.
 
     """
     from tqdm import tqdm  # here: the node has no progress bar

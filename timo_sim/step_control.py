@@ -55,7 +55,7 @@ class StepControl:
         loads = self._scene.load.stages(parts * first, parts * count, self._scene.step / parts)
         return loads if held is None else loads + held
 
-    def advance(self, state, load, first, steps, held, every):
+    def advance(self, state, load, loads, first, held, every):
         """
         Integrate `state` in place, each step in as many parts as the tolerance asks for.
 
@@ -63,11 +63,12 @@ class StepControl:
         ----------
         state, load, every
             See `Formulation.advance`.
+        loads : ndarray, shape (2 steps, 3, 8)
+            Of the halves of the steps, see `loads`.
         first : int
             Number of the first step, since the start of the scene's loads.
-        steps : int
         held : ndarray, shape (8,), or None
-            Commands, which are added to the scene's loads.
+            Commands, which are part of `loads`.
 
         Returns
         -------
@@ -75,8 +76,8 @@ class StepControl:
             See `Formulation.advance`.
 
         """
+        steps, errors, done = len(loads) // 2, np.zeros(2), 0
         motions = np.empty((1 + steps // every if every else 0, self._formulation.size))
-        loads, errors, done = self.loads(first, steps, held, 1), np.zeros(2), 0
         while True:
             done = self._advance_within(
                 self.tolerance, 0, state, load, loads, done, every, motions, errors)

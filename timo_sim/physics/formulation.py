@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 import math
 from typing import NamedTuple
 
@@ -166,7 +167,7 @@ class Formulation(ABC):
         unused = record(etdrk4.Propagator(*[self.linear] * 6))  # no step is done
         return self.advance(unused, state, load, np.zeros((0, etdrk4.STAGES, LOADS)), 1)[1][0]
 
-    @property
+    @cached_property
     def reach(self):
         """Shift of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, sizes, (3 + N,)."""
         length = self.manipulator.arm.length
