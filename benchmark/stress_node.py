@@ -6,6 +6,7 @@ Real processes over real DDS. A fault is survived if the node goes on (or ended 
 """
 
 import argparse
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 import os
 from pathlib import Path
@@ -63,6 +64,12 @@ class Node:
         """Return the memory that the process has in use [B]."""
         status = Path(f'/proc/{self.process.pid}/status').read_text()
         return 1024 * int(re.search(r'VmRSS:\s+(\d+)', status)[1])
+
+    def handles_signals(self):
+        """Return whether the process has its handlers, or has ended."""
+        status = Path(f'/proc/{self.process.pid}/status').read_text()
+        caught = re.search(r'SigCgt:\s*(\w+)', status)[1]
+        return bool(int(caught, 16) >> signal.SIGTERM - 1 & 1) or self.process.poll() is not None
 
     def end(self, number=signal.SIGTERM):
         """End the node; return its exit code."""
@@ -180,32 +187,29 @@ def namespace_rows(number):
 
 def signal_row(number, cold):
     """SIGINT or SIGTERM at a random moment, from the start of the process to its own end."""
-    well, codes, latest = 0, [], 0.0
     rng = random.Random(1)
-    for trial in range(number):
-        with tempfile.TemporaryDirectory() as folder:
-            environment = {**ENVIRONMENT}
-            if trial < cold:  # these compile
-                environment['NUMBA_CACHE_DIR'] = folder
-            node = Node(folder, environment=environment, duration=1.0)
-            moment = rng.uniform(0.0, 8.0 if trial < cold else 3.0)
-            time.sleep(moment)
-            sent = rng.choice((signal.SIGINT, signal.SIGTERM))
-            code = node.end(sent)
-            output = node.output()
-            readable = True
-            if node.log.exists():
-                with open(node.log, 'rb') as stream:
-                    readable = make_reader(stream).get_summary().statistics is not None
-            if code:
-                latest = max(latest, moment)
-            early = code == -sent and not output
-            codes.append(code)
-            well += (code == 0 or early) and readable and 'Traceback' not in output
-    killed = sum(code != 0 for code in codes)
-    return ('SIGINT or SIGTERM at a random moment', number, well,
-            f'{killed} before Python could take it, at most {latest:.2f} s after the start; '
-            f'{cold} while compiling')
+    trials = [(trial < cold, rng.uniform(0.0, 8.0 if trial < cold else 3.0),
+               rng.choice((signal.SIGINT, signal.SIGTERM))) for trial in range(number)]
+    with ThreadPoolExecutor(3) as pool:
+        results = list(pool.map(lambda trial: _signalled(*trial), trials))
+    early = [moment for (_, moment, _), (_, killed) in zip(trials, results) if killed]
+    return ('SIGINT or SIGTERM at a random moment', number, sum(well for well, _ in results),
+            f'{len(early)} before Python could take it, at most {max(early, default=0.0):.2f} s '
+            f'after the start; {cold} while compiling')
+
+
+def _signalled(cold, moment, sent):
+    """Send a node a signal; return whether all is well, and whether it could not take it yet."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**ENVIRONMENT, **({'NUMBA_CACHE_DIR': folder} if cold else {})}
+        node = Node(folder, environment=environment, duration=1.0)
+        time.sleep(moment)
+        early = not node.handles_signals()
+        code = node.end(sent)
+        if code and early:
+            return not node.log.exists(), True
+        readable = not node.log.exists() or node.health()[1] > 0
+        return code == 0 and 'Traceback' not in node.output() and readable, False
 
 
 def overload_row(stops):

@@ -101,13 +101,19 @@ class Process:
         """Send a signal."""
         self._process.send_signal(number)
 
+    def _status(self, name):
+        status = Path(f'/proc/{self._process.pid}/status').read_text()
+        return re.search(rf'{name}:\s*(\w+)', status)[1]
+
+    def memory(self):
+        """Return the memory that the process has in use [B]."""
+        return 1024 * int(self._status('VmRSS'))
+
     def wait_for_handlers(self):
         """Wait until the process has a handler of its own for SIGTERM; SIGINT's comes first."""
-        status = Path(f'/proc/{self._process.pid}/status')
         end = time.monotonic() + PATIENCE
         while True:
-            caught = re.search(r'SigCgt:\s*(\w+)', status.read_text())
-            if int(caught.group(1), 16) >> signal.SIGTERM - 1 & 1:
+            if int(self._status('SigCgt'), 16) >> signal.SIGTERM - 1 & 1:
                 return
             assert time.monotonic() < end, 'no handler for SIGTERM'
             time.sleep(0.002)

@@ -29,6 +29,15 @@ def test_a_parameter_file_that_is_none(start, tmp_path):
     assert code == 2 and 'bad.yaml' in output and 'Traceback' not in output
 
 
+def test_what_the_middleware_refuses_ends_with_one_line_and_code_1(start, tmp_path, monkeypatch):
+    """Keys that are not there, or a Fast DDS that was built without security."""
+    (tmp_path / 'enclaves' / 'timo_sim').mkdir(parents=True)
+    for name, value in (('KEYSTORE', tmp_path), ('ENABLE', 'true'), ('STRATEGY', 'Enforce')):
+        monkeypatch.setenv(f'ROS_SECURITY_{name}', str(value))
+    code, output = start('--enclave', '/timo_sim').wait()
+    assert code == 1 and 'timo_sim: error creating node' in output and 'Traceback' not in output
+
+
 @pytest.mark.parametrize('length', ['2', '2.0e+0'])
 def test_ways_to_write_a_number(start, length):
     assert start(record=False, duration=0.1, **{

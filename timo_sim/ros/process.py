@@ -5,10 +5,12 @@ import sys
 import threading
 
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
 from timo_sim.parameters import ParameterError
+from timo_sim.ros.middleware import use_profiles
 from timo_sim.ros.node import SimNode
 
 try:  # with a client at 1 kHz it costs half: benchmark/node_speed.py
@@ -22,10 +24,10 @@ SWITCH_INTERVAL = 2e-4
 _POLL = 0.1
 
 
-def _refuse(error):
+def _refuse(error, code=2):
     print('timo_sim:', ' '.join(str(error).split()), file=sys.stderr)
     rclpy.try_shutdown()
-    return 2
+    return code
 
 
 def run(stop, args):
@@ -41,7 +43,7 @@ def run(stop, args):
     Returns
     -------
     int
-        Exit code: 0, or 2 for a parameter that breaks its rule.
+        Exit code: 0, 1 if the middleware refuses, or 2 for a parameter that breaks its rule.
 
     """
     sys.setswitchinterval(SWITCH_INTERVAL)
@@ -58,6 +60,7 @@ def run(stop, args):
                 node.survive(error)
 
     stop.building()
+    use_profiles()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except (RuntimeError, UnicodeError) as error:  # what rcl cannot read: arguments or a file
@@ -66,6 +69,8 @@ def run(stop, args):
         node = SimNode(stop)
     except ParameterError as error:
         return _refuse(error)
+    except RCLError as error:  # what the middleware does not do
+        return _refuse(error, code=1)
     stop.running()
     gc.freeze()  # what has been made so far lasts: no need to look through it while ticking
     executor = Executor()
