@@ -190,6 +190,13 @@ def test_a_free_run_drops_nothing(start):
     assert 'simulated 20 s' in output and ' 0 overruns, 0 s dropped' in output
 
 
+def test_a_run_without_end_ends_with_the_time_that_a_stamp_can_hold(start):
+    rates = {f'rate.{name}': 1e-6 for name in (
+        'joint_states', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')}
+    code, output = start(real_time_factor=0.0, **{'integrator.step': 1000.0}, **rates).wait()
+    assert code == 0 and 'simulated 2.14748e+09 s' in output and 'Traceback' not in output
+
+
 def test_diagnostics_report_state_energy_and_real_time_factor(start, client):
     start(record=False, **{'initial.shaft_velocity': 1.0, 'model.modes': 0})
     health = client.collect(DiagnosticArray, '/diagnostics')
