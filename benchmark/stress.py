@@ -24,7 +24,8 @@ Scenes from the corners of what can be asked for (`benchmark/stress_numerics.py`
 500, up to 100 arm masses at the tip, carriers of 1 g to 1000 t and held, damping up to critical,
 loads at and beside resonances, steps and impulses of torque. Accurate: within 1/1000 of the arm's
 length of a run at a tenth of the step, which is split to a thousandth of the tolerance. Flagged:
-not so, but the run says so. Refused: an error says why. Silent: none of these; there may be none. What was silent once is a test now (`test/test_stress.py`).
+not so, but the run says so. Refused: an error says why. Silent: none of these; there may be none.
+What was silent once is a test now (`test/test_stress.py`).
 """
 PARTS = [
     ('Node', stress_node, """Real processes over real DDS (`benchmark/stress_node.py`). Survived:
@@ -49,8 +50,8 @@ def main():
         table(['scene', 'formulation', 'energy', 'momentum', 'remark'],
               stress_numerics.long_rows(quick))]
     for title, module, words in PARTS:
-        parts += [f'## {title}', words, table(['fault', 'tried', 'survived', 'remark'],
-                                       module.rows(quick))]
+        parts += [f'## {title}', words,
+                  table(['fault', 'tried', 'survived', 'remark'], module.rows(quick))]
         print(*parts[-3:], sep='\n\n', flush=True)
     facts = ', '.join(f'{name} {value}' for name, value in machine().items())
     page = INTRODUCTION.format(minutes=(time.monotonic() - start) / 60.0, machine=facts)
