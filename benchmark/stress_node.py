@@ -171,7 +171,7 @@ def deaf_row(seconds):
 def namespace_rows(number):
     """Several nodes at once."""
     with tempfile.TemporaryDirectory() as folder:
-        with attack('two', cwd=folder) as process:
+        with attack('two', cwd=folder, stderr=subprocess.DEVNULL) as process:
             code = process.wait(READY)
         logs = len(list(Path(folder).glob('*.mcap')))
     yield 'two nodes in one process', 2, logs if code == 0 else 0, ''
@@ -272,7 +272,7 @@ VALUES = (
     'arm.length:=-1.0', 'arm.length:=.nan', 'arm.length:=[1, a]', 'arm.length:=1.0e+300',
     'rate.joint_states:=1.0e+13', 'duration:=1.0e-13', 'duration:=1.0e+308',
     'integrator.step:=1.0e-300', 'command_timeout:=.inf', 'model.modes:=99999999999999999999',
-    'initial.shaft:=1.0e+100', 'no.such:=1', 'record:=7', 'arm.length:={a: 1}', 'arm:=')
+    'initial.shaft:=1.0e+100', 'no.such:=1', 'record_file:=7', 'arm.length:={a: 1}', 'arm:=')
 
 
 def parameter_rows(quick):
