@@ -26,9 +26,9 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 PERIOD, CATCH_UP = 1e-3, 0.1  # [s]
-TOPICS = {'/joint_states': JointState, '/timo_sim/tip_deflection': Vector3Stamped,
-          '/timo_sim/tip_pose': PoseStamped, '/timo_sim/carrier_pose': PoseStamped,
-          '/clock': Clock}
+TOPICS = {'/joint_states': JointState, '/timo_sim/modal_state': JointState,
+          '/timo_sim/tip_deflection': Vector3Stamped, '/timo_sim/tip_pose': PoseStamped,
+          '/timo_sim/carrier_pose': PoseStamped, '/clock': Clock}
 
 
 class Ticks:
@@ -54,7 +54,7 @@ class Bare(Node):
 
     def __init__(self):
         super().__init__('timo_sim')
-        (self._joints, self._deflection, self._tip, self._carrier, self._time) = (
+        (self._joints, self._modes, self._deflection, self._tip, self._carrier, self._time) = (
             self.create_publisher(kind, topic, 10) for topic, kind in TOPICS.items())
         self.count = 0
 
@@ -71,6 +71,13 @@ class Bare(Node):
         joints.velocity = [value, value, value]
         joints.effort = [value, value, value]
         self._joints.publish(joints)
+
+        modes = JointState()
+        modes.header.stamp.sec, modes.header.stamp.nanosec = sec, nanosec
+        modes.name = ['mode_1', 'mode_2', 'mode_3']
+        modes.position = [value, value, value]
+        modes.velocity = [value, value, value]
+        self._modes.publish(modes)
 
         deflection = Vector3Stamped()
         deflection.header.stamp.sec, deflection.header.stamp.nanosec = sec, nanosec

@@ -24,7 +24,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 PROCESSES = Path(__file__).with_name('node_processes.py')
-RATES = ('joint_states', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
+RATES = ('joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
 START_UP, SETTLE = 4.0, 0.5   # [s]
 # Nobody else may listen; and a start reads the byte code that an earlier one wrote.
 DOMAIN = 1 + uuid.uuid4().int % 90

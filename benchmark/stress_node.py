@@ -312,7 +312,7 @@ def rows(quick=False, soak=60.0):
         yield soak_row('free run at 1 ms', soak, real_time_factor=0.0, record=True)
         yield soak_row('real time at 1 kHz, all topics logged', soak, **{
             f'rate.{topic}': 1000.0 for topic in (
-                'joint_states', 'tip_deflection', 'tip_pose', 'carrier_pose')})
+                'joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose')})
 
 
 def main():

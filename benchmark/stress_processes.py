@@ -30,7 +30,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-TOPICS = {'joint_states': JointState, 'timo_sim/tip_deflection': Vector3Stamped,
+TOPICS = {'joint_states': JointState, 'timo_sim/modal_state': JointState,
+          'timo_sim/tip_deflection': Vector3Stamped,
           'timo_sim/tip_pose': PoseStamped, 'timo_sim/carrier_pose': PoseStamped}
 HUGE = 'x' * 1000000
 BAD_NUMBERS = (math.nan, math.inf, -math.inf)

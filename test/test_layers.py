@@ -13,6 +13,7 @@ BELOW = {
     'physics': set(),
     'parameters': {'physics'},
     'scene': {'physics', 'parameters'},
+    'outputs': {'physics'},
     'run': {'physics', 'scene'},
     'simulation': {'physics', 'parameters', 'scene', 'run', 'accuracy',
                    'step_control'},
@@ -20,8 +21,8 @@ BELOW = {
     'accuracy': {'parameters', 'scene', 'simulation'},
     'sweep': {'physics', 'parameters', 'scene', 'simulation', ''},
     'cli': {'parameters', 'log', 'sweep'},
-    'log': set(),
-    'ros': {'physics', 'parameters', 'scene', 'simulation', 'accuracy', 'log', ''},
+    'log': {'physics', 'outputs', 'parameters', 'scene'},
+    'ros': {'physics', 'outputs', 'parameters', 'scene', 'simulation', 'accuracy', 'log', ''},
 }
 OUTSIDE_OF_PHYSICS = {'rclpy', 'yaml', 'mcap', 'rerun', 'logging', 'pathlib'}
 

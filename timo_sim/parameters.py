@@ -238,6 +238,7 @@ _ALL = [
               scope=NODE, runtime=True),
     Parameter('publish_clock', False, '', 'whether sim time goes to /clock', scope=NODE),
     _rate('joint_states', 100.0),
+    _rate('modal_state', 100.0),
     _rate('tip_deflection', 100.0),
     _rate('tip_pose', 100.0),
     _rate('carrier_pose', 100.0),
@@ -248,6 +249,7 @@ _ALL = [
 ]
 
 PARAMETERS = {parameter.name: parameter for parameter in _ALL}
+RATES = [name for name in PARAMETERS if name.startswith('rate.')]
 
 
 def check(values, source):

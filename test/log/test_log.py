@@ -21,6 +21,7 @@ import yaml
 import timo_sim
 
 PUBLISHED = {'/joint_states': 'sensor_msgs/msg/JointState',
+             '/timo_sim/modal_state': 'sensor_msgs/msg/JointState',
              '/timo_sim/tip_deflection': 'geometry_msgs/msg/Vector3Stamped',
              '/timo_sim/tip_pose': 'geometry_msgs/msg/PoseStamped',
              '/timo_sim/carrier_pose': 'geometry_msgs/msg/PoseStamped'}

@@ -28,10 +28,11 @@ def values(status):
 def test_topics_carry_the_physics(start, client, paper):
     node = start('--params-file', str(paper), record=False)
     joints = client.collect(JointState, '/joint_states')
+    modes = client.collect(JointState, '/timo_sim/modal_state')
     deflections = client.collect(Vector3Stamped, '/timo_sim/tip_deflection')
     tips = client.collect(PoseStamped, '/timo_sim/tip_pose')
     carriers = client.collect(PoseStamped, '/timo_sim/carrier_pose')
-    for received in (joints, deflections, tips, carriers):
+    for received in (joints, modes, deflections, tips, carriers):
         client.wait(lambda: len(received) >= 100, 'a second of messages')
     assert node.end()[0] == 0
 
@@ -48,6 +49,10 @@ def test_topics_carry_the_physics(start, client, paper):
         assert np.array_equal(joint.velocity, run.motion[k, 6:9])
         assert joint.effort == pytest.approx(
             5 * np.sin(2 * np.pi * np.array([2, 3, 4]) * run.t[k]), abs=1e-12)
+    for mode in modes:
+        assert mode.name == ['mode_1', 'mode_2', 'mode_3'] and not mode.effort
+        assert np.array_equal(mode.position, run.q[at(mode)])
+        assert np.array_equal(mode.velocity, run.qdot[at(mode)])
     across, rotation, position = run.deflection(2.0), run.rotation(2.0), run.position(2.0)
     for deflection in deflections:
         assert deflection.header.frame_id == 'arm'

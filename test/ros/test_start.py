@@ -24,8 +24,8 @@ def test_the_node_imports_only_what_it_needs(tmp_path):
 
 
 def test_each_topic_has_its_rate_in_one_run(start):
-    rates = {'joint_states': 500.0, 'tip_deflection': 200.0, 'tip_pose': 1000.0,
-             'carrier_pose': 8.0, 'clock': 40.0}
+    rates = {'joint_states': 500.0, 'modal_state': 250.0, 'tip_deflection': 200.0,
+             'tip_pose': 1000.0, 'carrier_pose': 8.0, 'clock': 40.0}
     node = start(real_time_factor=0.0, duration=1.0, publish_clock=True,
                  **{f'rate.{topic}': rate for topic, rate in rates.items()})
     assert node.wait()[0] == 0

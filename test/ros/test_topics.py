@@ -6,16 +6,20 @@ import pytest
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 
-from timo_sim.ros.topics import Serializer, TOPICS
+from timo_sim.outputs import outputs
+from timo_sim.ros.topics import MESSAGES, Serializer, type_name
 
 
-@pytest.mark.parametrize('topic', TOPICS, ids=lambda topic: topic.name)
-def test_packed_is_what_rclpy_serializes(topic):
-    pack = Serializer(topic.message, topic.size)
+@pytest.mark.parametrize('output', outputs(4), ids=lambda output: output.name)
+def test_packed_is_what_rclpy_serializes(output):
+    message_type, build = MESSAGES[output.name]
+    assert type_name(message_type) == output.type_name
+    size = len(output.columns)
+    pack = Serializer(build, size)
     for sec, nanosec in ((0, 0), (1, 999999999), (2**31 - 1, 1)):
-        numbers = np.random.default_rng(sec).normal(size=topic.size).tolist()
-        message = topic.message(Time(sec=sec, nanosec=nanosec), *numbers)
-        assert isinstance(message, topic.message_type)
+        numbers = np.random.default_rng(sec).normal(size=size).tolist()
+        message = build(Time(sec=sec, nanosec=nanosec), *numbers)
+        assert isinstance(message, message_type)
         assert pack((sec, nanosec), numbers) == serialize_message(message)
 
 

@@ -17,13 +17,14 @@ from std_srvs.srv import SetBool, Trigger
 import timo_sim
 from timo_sim.accuracy import settle
 from timo_sim.log.recorder import Recorder
-from timo_sim.parameters import LATEST, ParameterError, whole_ratio
+from timo_sim.outputs import NANOSECONDS, outputs, Snapshot
+from timo_sim.parameters import LATEST, ParameterError, RATES, whole_ratio
 from timo_sim.physics.formulation import LOADS
 from timo_sim.ros import diagnostics
 from timo_sim.ros.commands import COMMANDS, Inlet
 from timo_sim.ros.pacing import Pace
 from timo_sim.ros.parameters import declare_parameters, on_set
-from timo_sim.ros.topics import MotionOutlet, NANOSECONDS, Outlet, Snapshot, TOPICS
+from timo_sim.ros.topics import MotionOutlet, Outlet
 from timo_sim.scene import scene_from
 from timo_sim.simulation import DivergenceError, Simulator
 
@@ -35,8 +36,8 @@ _TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees i
 
 
 def _steps_between_messages(values, step):
-    return {topic.rate: whole_ratio('1/integrator.step', 1.0 / step, topic.rate,
-                                    values[topic.rate]) for topic in TOPICS}
+    return {rate: whole_ratio('1/integrator.step', 1.0 / step, rate, values[rate])
+            for rate in RATES}
 
 
 class SimNode(Node):
@@ -85,8 +86,9 @@ class SimNode(Node):
         self._health = diagnostics.Health(self.get_fully_qualified_name())
 
         self._inlets = [Inlet(self, command) for command in COMMANDS]
-        self._outlets = [MotionOutlet(self, topic) for topic in TOPICS
-                         if topic.name != '/clock' or self._values['publish_clock']]
+        self._outlets = [MotionOutlet(self, output)
+                         for output in outputs(scene.values['model.modes'])
+                         if output.name != '/clock' or self._values['publish_clock']]
         self._health_outlet = Outlet(self, '/diagnostics', DiagnosticArray)
         self._apply(self._values, steps_each)
         on_set(self, self._values, self._on_parameters)
@@ -326,6 +328,7 @@ class SimNode(Node):
         try:
             self._recorder = Recorder(path, channels, {
                 'timo_sim': {
+                    'node': self.get_fully_qualified_name(),
                     'parameters': json.dumps(self._values),
                     'initial_motion': json.dumps(scene.initial_motion().tolist()),
                     'timo_sim': timo_sim.__version__, 'python': platform.python_version(),

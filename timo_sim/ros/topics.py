@@ -1,13 +1,8 @@
-"""The topics that carry the motion; a further one is two functions and a line in TOPICS."""
-
-from functools import cached_property
-import math
-from typing import Any, Callable, NamedTuple
+"""The topics that carry the motion, as messages; a further one is an Output and a line here."""
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import (
     Point, Pose, PoseStamped, Quaternion, Vector3, Vector3Stamped)
-import numpy as np
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -15,72 +10,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from timo_sim.log.recorder import Channel
-from timo_sim.physics.formulation import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, TORQUE
-
-NANOSECONDS = 1000000000
-
-
-class Snapshot:
-    """
-    The motion at one step, and what messages need of it, computed when asked for.
-
-    Parameters
-    ----------
-    simulator : Simulator
-    load : list of float, length 8
-        What acted at the end of the last step, columns as in `physics.formulation`.
-
-    Attributes
-    ----------
-    step : int
-    nanoseconds : int
-        Sim time [ns].
-    time : tuple of int
-        The same in [s] and [ns].
-
-    """
-
-    def __init__(self, simulator, load):
-        self._formulation, self._load = simulator.formulation, load
-        self.step = simulator.steps
-        self.nanoseconds = simulator.nanoseconds
-        self.time = divmod(self.nanoseconds, NANOSECONDS)
-        self.motion = simulator.motion()
-        self._values = self.motion.tolist()
-
-    @property
-    def joint_positions(self):
-        """Carrier x, y [m] and shaft angle [rad]."""
-        return self._values[:3]
-
-    @property
-    def joint_velocities(self):
-        """Carrier x, y [m/s] and shaft speed [rad/s]."""
-        half = len(self._values) // 2
-        return self._values[half:half + 3]
-
-    @property
-    def effort(self):
-        """Forces on the carrier in world axes [N] and torque on the shaft [N m]."""
-        load, theta = self._load, self._values[2]
-        cosine, sine = math.cos(theta), math.sin(theta)
-        return (load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II],
-                load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II], load[TORQUE])
-
-    @cached_property
-    def tip(self):
-        """Where the tip is in the arm frame [m], and its rotation relative to the shaft [rad]."""
-        return self._formulation.tip(self.motion).tolist()
-
-    @cached_property
-    def energy(self):
-        """Kinetic plus strain energy [J]."""
-        return float(self._formulation.energy(self.motion[np.newaxis])[0])
-
-    @property
-    def length(self):
-        """Length of the arm [m]."""
-        return self._formulation.manipulator.arm.length
 
 
 def _joint_state(time, *numbers):
@@ -89,17 +18,15 @@ def _joint_state(time, *numbers):
         position=numbers[:3], velocity=numbers[3:6], effort=numbers[6:])
 
 
-def _joints(snapshot):
-    return *snapshot.joint_positions, *snapshot.joint_velocities, *snapshot.effort
+def _modal_state(time, *numbers):
+    half = len(numbers) // 2
+    return JointState(
+        header=Header(stamp=time), name=[f'mode_{n + 1}' for n in range(half)],
+        position=numbers[:half], velocity=numbers[half:])
 
 
 def _vector_in_arm(time, x, y):
     return Vector3Stamped(header=Header(stamp=time, frame_id='arm'), vector=Vector3(x=x, y=y))
-
-
-def _tip_deflection(snapshot):
-    along, across, _ = snapshot.tip
-    return along - snapshot.length, across
 
 
 def _pose_in_world(time, x, y, z, w):
@@ -108,43 +35,19 @@ def _pose_in_world(time, x, y, z, w):
         pose=Pose(position=Point(x=x, y=y), orientation=Quaternion(z=z, w=w)))
 
 
-def _tip_pose(snapshot):
-    x, y, theta = snapshot.joint_positions
-    along, across, rotation = snapshot.tip
-    cosine, sine = math.cos(theta), math.sin(theta)
-    half = 0.5 * (theta + rotation)
-    return (x + cosine * along - sine * across, y + sine * along + cosine * across,
-            math.sin(half), math.cos(half))
+def _clock(time):
+    return Clock(clock=time)
 
 
-def _carrier_pose(snapshot):
-    return *snapshot.joint_positions[:2], 0.0, 1.0
-
-
-class Topic(NamedTuple):
-    """
-    A topic.
-
-    `message` builds a message from its time and numbers, `numbers` reads these off a snapshot,
-    `size` is how many there are; `rate` names the parameter with the topic's rate.
-    """
-
-    name: str
-    message_type: type
-    message: Callable[..., Any]
-    numbers: Callable[[Snapshot], tuple]
-    size: int
-    rate: str
-
-
-TOPICS = [
-    Topic('joint_states', JointState, _joint_state, _joints, 9, 'rate.joint_states'),
-    Topic('~/tip_deflection', Vector3Stamped, _vector_in_arm, _tip_deflection, 2,
-          'rate.tip_deflection'),
-    Topic('~/tip_pose', PoseStamped, _pose_in_world, _tip_pose, 4, 'rate.tip_pose'),
-    Topic('~/carrier_pose', PoseStamped, _pose_in_world, _carrier_pose, 4, 'rate.carrier_pose'),
-    Topic('/clock', Clock, lambda time: Clock(clock=time), lambda snapshot: (), 0, 'rate.clock'),
-]
+# Type of the messages of an output, and what builds one from its time and numbers.
+MESSAGES = {
+    'joint_states': (JointState, _joint_state),
+    '~/modal_state': (JointState, _modal_state),
+    '~/tip_deflection': (Vector3Stamped, _vector_in_arm),
+    '~/tip_pose': (PoseStamped, _pose_in_world),
+    '~/carrier_pose': (PoseStamped, _pose_in_world),
+    '/clock': (Clock, _clock),
+}
 
 
 class Serializer:
@@ -240,10 +143,11 @@ class MotionOutlet(Outlet):
 
     """
 
-    def __init__(self, node, topic):
-        super().__init__(node, topic.name, topic.message_type)
-        self._serialize = Serializer(topic.message, topic.size)
-        self._numbers, self.rate = topic.numbers, topic.rate
+    def __init__(self, node, output):
+        message_type, message = MESSAGES[output.name]
+        super().__init__(node, output.name, message_type)
+        self._serialize = Serializer(message, len(output.columns))
+        self._numbers, self.rate = output.numbers, output.rate
         self.every = 1
 
     def publish(self, snapshot):

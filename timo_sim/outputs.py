@@ -1,0 +1,148 @@
+"""What the node tells of a motion: its quantities, topic by topic, without ROS."""
+
+from functools import cached_property
+import math
+from typing import Callable, NamedTuple
+
+import numpy as np
+
+from timo_sim.physics.formulation import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, TORQUE
+
+NANOSECONDS = 1000000000
+
+
+class Snapshot:
+    """
+    The motion at one step, and what messages need of it, computed when asked for.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    load : list of float, length 8
+        What acted at the end of the last step, columns as in `physics.formulation`.
+
+    Attributes
+    ----------
+    step : int
+    nanoseconds : int
+        Sim time [ns].
+    time : tuple of int
+        The same in [s] and [ns].
+
+    """
+
+    def __init__(self, simulator, load):
+        self._formulation, self._load = simulator.formulation, load
+        self.step = simulator.steps
+        self.nanoseconds = simulator.nanoseconds
+        self.time = divmod(self.nanoseconds, NANOSECONDS)
+        self.motion = simulator.motion()
+        self._values = self.motion.tolist()
+        self._half = len(self._values) // 2
+
+    @property
+    def joint_positions(self):
+        """Carrier x, y [m] and shaft angle [rad]."""
+        return self._values[:3]
+
+    @property
+    def joint_velocities(self):
+        """Carrier x, y [m/s] and shaft speed [rad/s]."""
+        return self._values[self._half:self._half + 3]
+
+    @property
+    def modal_state(self):
+        """Modal coordinates [m sqrt(kg)], then their rates [m sqrt(kg)/s]."""
+        return self._values[3:self._half] + self._values[self._half + 3:]
+
+    @property
+    def effort(self):
+        """Forces on the carrier in world axes [N] and torque on the shaft [N m]."""
+        load, theta = self._load, self._values[2]
+        cosine, sine = math.cos(theta), math.sin(theta)
+        return (load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II],
+                load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II], load[TORQUE])
+
+    @cached_property
+    def tip(self):
+        """Where the tip is in the arm frame [m], and its rotation relative to the shaft [rad]."""
+        return self._formulation.tip(self.motion).tolist()
+
+    @cached_property
+    def energy(self):
+        """Kinetic plus strain energy [J]."""
+        return float(self._formulation.energy(self.motion[np.newaxis])[0])
+
+    @property
+    def length(self):
+        """Length of the arm [m]."""
+        return self._formulation.manipulator.arm.length
+
+
+def _joints(snapshot):
+    return *snapshot.joint_positions, *snapshot.joint_velocities, *snapshot.effort
+
+
+def _tip_deflection(snapshot):
+    along, across, _ = snapshot.tip
+    return along - snapshot.length, across
+
+
+def _tip_pose(snapshot):
+    x, y, theta = snapshot.joint_positions
+    along, across, rotation = snapshot.tip
+    cosine, sine = math.cos(theta), math.sin(theta)
+    half = 0.5 * (theta + rotation)
+    return (x + cosine * along - sine * across, y + sine * along + cosine * across,
+            math.sin(half), math.cos(half))
+
+
+def _carrier_pose(snapshot):
+    return *snapshot.joint_positions[:2], 0.0, 1.0
+
+
+class Output(NamedTuple):
+    """
+    The numbers of a topic.
+
+    `numbers` reads them off a snapshot, `columns` names them with units, `places` says which of
+    the floating-point numbers of a message they are; `rate` names the parameter with the rate.
+    """
+
+    name: str
+    type_name: str
+    numbers: Callable[[Snapshot], tuple]
+    columns: tuple
+    places: tuple
+    rate: str
+
+
+def _output(name, type_name, numbers, columns, places=None):
+    return Output(name, type_name, numbers, columns, places or tuple(range(len(columns))),
+                  f'rate.{name.strip("~/")}')
+
+
+_POSE = 'x_m', 'y_m', 'orientation_z', 'orientation_w'
+_IN_PLANE = 0, 1, 5, 6  # of a position and a quaternion
+
+
+def outputs(modes):
+    """Return the topics that carry the motion of an arm with so many modes, a list of Output."""
+    numbers = range(1, modes + 1)
+    modal = [_output('~/modal_state', 'sensor_msgs/msg/JointState',
+                     lambda snapshot: snapshot.modal_state,
+                     (*(f'mode_{n}_m_sqrt_kg' for n in numbers),
+                      *(f'mode_{n}_rate_m_sqrt_kg_per_s' for n in numbers)))] if modes else []
+    return [
+        _output('joint_states', 'sensor_msgs/msg/JointState', _joints, (
+            'carrier_x_m', 'carrier_y_m', 'shaft_rad', 'carrier_x_velocity_m_per_s',
+            'carrier_y_velocity_m_per_s', 'shaft_velocity_rad_per_s', 'carrier_x_force_N',
+            'carrier_y_force_N', 'shaft_torque_N_m')),
+        *modal,
+        _output('~/tip_deflection', 'geometry_msgs/msg/Vector3Stamped', _tip_deflection,
+                ('axial_m', 'transverse_m')),
+        _output('~/tip_pose', 'geometry_msgs/msg/PoseStamped', _tip_pose, _POSE, _IN_PLANE),
+        _output('~/carrier_pose', 'geometry_msgs/msg/PoseStamped', _carrier_pose, _POSE,
+                _IN_PLANE),
+        _output('/clock', 'rosgraph_msgs/msg/Clock', lambda snapshot: (), ()),
+    ]
