@@ -13,6 +13,7 @@ BELOW = {
     'physics': set(),
     'parameters': {'physics'},
     'scene': {'physics', 'parameters'},
+    'commands': {'physics'},
     'outputs': {'physics'},
     'run': {'physics', 'scene'},
     'simulation': {'physics', 'parameters', 'scene', 'run', 'accuracy',
@@ -21,8 +22,9 @@ BELOW = {
     'accuracy': {'parameters', 'scene', 'simulation'},
     'sweep': {'physics', 'parameters', 'scene', 'simulation', ''},
     'cli': {'parameters', 'log', 'sweep'},
-    'log': {'physics', 'outputs', 'parameters', 'scene'},
-    'ros': {'physics', 'outputs', 'parameters', 'scene', 'simulation', 'accuracy', 'log', ''},
+    'log': {'commands', 'outputs', 'parameters', 'scene'},
+    'ros': {'physics', 'commands', 'outputs', 'parameters', 'scene', 'simulation', 'accuracy',
+            'log', ''},
 }
 OUTSIDE_OF_PHYSICS = {'rclpy', 'yaml', 'mcap', 'rerun', 'logging', 'pathlib'}
 

@@ -7,6 +7,7 @@ what it says is left out; where even the length of a record cannot be true, read
 
 from collections import Counter
 from io import BytesIO
+import stat
 import struct
 from typing import NamedTuple
 import zlib
@@ -19,8 +20,10 @@ from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 import zstandard
 
+from timo_sim.log.rosbag2 import shown
+
 LARGEST_CHUNK = 64 * 1024 * 1024  # [B] uncompressed
-_LARGEST_RECORD = LARGEST_CHUNK + 1024 * 1024
+LARGEST_RECORD = LARGEST_CHUNK + 1024 * 1024
 # Of schemas, channels and metadata of one file [B]; an entry in a table costs something, too.
 _LARGEST_KEPT, _ENTRY = 64 * 1024 * 1024, 100
 
@@ -43,7 +46,7 @@ class LogError(ValueError):
     """A file that is not a log; the text says which and why."""
 
 
-class _Broken(ValueError):
+class Broken(ValueError):
     """A record that does not hold what it says."""
 
 
@@ -139,7 +142,7 @@ class Reader:
         if length > self._size - place - _HEAD.size:
             raise _End('it ends in the middle of a record, or its length is wrong')
         self._place += _HEAD.size + length
-        if length > _LARGEST_RECORD:
+        if length > LARGEST_RECORD:
             self._stream.seek(self._place)
             self._complain(f'a record of {length} bytes is larger than any should be', place)
             return
@@ -152,7 +155,7 @@ class Reader:
         except _End:
             self._place = place
             raise
-        except _Broken as error:
+        except Broken as error:
             self._complain(error, place)
             if opcode not in _DERIVED:
                 return
@@ -161,46 +164,46 @@ class Reader:
 
     def _contents(self, opcode, content, crc):
         if opcode == Opcode.CHUNK:
-            yield from self._inside(memoryview(_uncompressed(content)))
+            yield from self._inside(memoryview(uncompressed(content)))
         elif opcode == Opcode.MESSAGE:
             yield self._message(memoryview(content))
         elif opcode in _KEPT:
-            yield from self._keep(_parsed(_KEPT[opcode], content))
+            yield from self._keep(parsed(_KEPT[opcode], content))
         elif opcode == Opcode.HEADER:
-            self.profile = _parsed(Header, content).profile
+            self.profile = parsed(Header, content).profile
         elif opcode == Opcode.DATA_END:
             self._end_data(content, crc)
         elif opcode == Opcode.STATISTICS:
-            self._expected = _parsed(Statistics, content)
+            self._expected = parsed(Statistics, content)
         elif opcode == Opcode.FOOTER:
-            self._end_summary(_parsed(Footer, content), content, crc)
+            self._end_summary(parsed(Footer, content), content, crc)
         elif opcode not in _DERIVED and not _is_foreign(opcode):
-            raise _Broken(f'a record of kind {opcode} has no place in a log')
+            raise Broken(f'a record of kind {opcode} has no place in a log')
 
     def _inside(self, data):
         """Yield what is in an uncompressed chunk."""
         place = 0
         while place < len(data):
             if place + _HEAD.size > len(data):
-                raise _Broken('a chunk ends in the middle of a record')
+                raise Broken('a chunk ends in the middle of a record')
             opcode, length = _HEAD.unpack_from(data, place)
             place += _HEAD.size
             if length > len(data) - place:
-                raise _Broken('a chunk ends in the middle of a record')
+                raise Broken('a chunk ends in the middle of a record')
             if opcode == Opcode.MESSAGE:
                 yield self._message(data[place:place + length])
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                yield from self._keep(_parsed(_KEPT[opcode], bytes(data[place:place + length])))
+                yield from self._keep(parsed(_KEPT[opcode], bytes(data[place:place + length])))
             else:
-                raise _Broken(f'a record of kind {opcode} has no place in a chunk')
+                raise Broken(f'a record of kind {opcode} has no place in a chunk')
             place += length
 
     def _message(self, content):
         if len(content) < _MESSAGE_HEAD_SIZE:
-            raise _Broken('a message is too short')
+            raise Broken('a message is too short')
         channel, time = _MESSAGE_HEAD.unpack_from(content)
         if channel not in self._channels:
-            raise _Broken(f'a message is of an unknown channel, {channel}')
+            raise Broken(f'a message is of an unknown channel, {channel}')
         self._counts[channel] += 1
         return Message(channel, time, content)
 
@@ -222,31 +225,31 @@ class Reader:
     def _is_known(self, record):
         known = self._schemas if isinstance(record, Schema) else self._channels
         if record.id in known and known[record.id] != record:
-            raise _Broken(f'there are two {type(record).__name__.lower()}s {record.id}')
+            raise Broken(f'there are two {type(record).__name__.lower()}s {record.id}')
         if isinstance(record, Channel) and record.schema_id not in self._schemas:
-            raise _Broken(f'{record.topic[:80]!r} is of an unknown schema, {record.schema_id}')
+            raise Broken(f'{record.topic[:80]!r} is of an unknown schema, {record.schema_id}')
         if isinstance(record, Schema) and record.id == 0:
-            raise _Broken('a schema has the number 0')
+            raise Broken('a schema has the number 0')
         return record.id in known
 
     def _end_data(self, content, crc):
         if len(content) != 4:
-            raise _Broken('the end of the data has a wrong length')
+            raise Broken('the end of the data has a wrong length')
         expected, = struct.unpack('<I', content)
         if expected not in (0, crc):
-            raise _Broken('the checksum of all data is wrong')
+            raise Broken('the checksum of all data is wrong')
         self._summary_start, self._crc = self._place, 0
 
     def _end_summary(self, footer, content, crc):
         self._ended = True
         crc = zlib.crc32(content[:-4], zlib.crc32(_HEAD.pack(Opcode.FOOTER, len(content)), crc))
         if footer.summary_crc not in (0, crc):
-            raise _Broken('the checksum of the summary is wrong')
+            raise Broken('the checksum of the summary is wrong')
         if footer.summary_start != self._summary_start or self._expected is None:
-            raise _Broken('there is no summary')
+            raise Broken('there is no summary')
         if Counter(self._expected.channel_message_counts) != self._counts:
-            raise _Broken(f'{self._counts.total()} messages are there, the summary says '
-                          f'{self._expected.message_count}')
+            raise Broken(f'{self._counts.total()} messages are there, the summary says '
+                         f'{self._expected.message_count}')
 
     def _check_end(self):
         end = self._stream.read(len(MCAP0_MAGIC) + 1)
@@ -256,7 +259,17 @@ class Reader:
         self.kept += len(MCAP0_MAGIC)
 
 
-def _uncompressed(content):
+def open_log(path):
+    """Open what must be a file: a pipe would never end, a device might do something."""
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise LogError(f'{shown(path)} is not a file')
+        return open(path, 'rb')
+    except (PermissionError, NotADirectoryError) as error:
+        raise LogError(f'{shown(path)}: {error.strerror}') from None
+
+
+def uncompressed(content):
     """Return the data of a chunk if it is what the chunk says."""
     try:
         _, _, size, crc, length = _CHUNK_HEAD.unpack_from(content)
@@ -264,19 +277,19 @@ def _uncompressed(content):
         place = _CHUNK_HEAD.size + length
         stored, = struct.unpack_from('<Q', content, place)
         if stored != len(content) - place - 8:
-            raise _Broken('a chunk has a wrong length')
+            raise Broken('a chunk has a wrong length')
         if size > LARGEST_CHUNK:
-            raise _Broken(f'a chunk claims to hold {size} bytes, more than {LARGEST_CHUNK}')
+            raise Broken(f'a chunk claims to hold {size} bytes, more than {LARGEST_CHUNK}')
         if compression not in _DECOMPRESS:
-            raise _Broken(f'a chunk is compressed by {bytes(compression[:20])!r}')
+            raise Broken(f'a chunk is compressed by {bytes(compression[:20])!r}')
         # One byte more than it says, so that a chunk which holds more is found out.
         data = _DECOMPRESS[compression](memoryview(content)[place + 8:], size + 1)
     except (struct.error, RuntimeError, EOFError, zstandard.ZstdError) as error:
-        raise _Broken(f'a chunk cannot be read: {error}') from None
+        raise Broken(f'a chunk cannot be read: {error}') from None
     if len(data) != size:
-        raise _Broken(f'a chunk does not hold the {size} bytes that it says')
+        raise Broken(f'a chunk does not hold the {size} bytes that it says')
     if crc and zlib.crc32(data) != crc:
-        raise _Broken('the checksum of a chunk is wrong')
+        raise Broken('the checksum of a chunk is wrong')
     return data
 
 
@@ -291,7 +304,7 @@ _DECOMPRESS = {
     b'zstd': _zstd}
 
 
-def _parsed(kind, content):
+def parsed(kind, content):
     """Return a record if it says the same when it is written again."""
     try:
         record = kind.read(ReadDataStream(BytesIO(content)))
@@ -299,7 +312,7 @@ def _parsed(kind, content):
             return record
     except (McapError, struct.error, UnicodeDecodeError):
         pass
-    raise _Broken(f'a record of kind {kind.__name__.lower()} does not hold what it says')
+    raise Broken(f'a record of kind {kind.__name__.lower()} does not hold what it says')
 
 
 def _bytes_of(record):

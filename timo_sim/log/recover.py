@@ -3,11 +3,10 @@
 from collections import Counter
 import os
 from pathlib import Path
-import stat
 
 from mcap.records import Channel, Metadata, Schema
 
-from timo_sim.log.reader import LogError, Message, Reader
+from timo_sim.log.reader import LogError, Message, open_log, Reader
 from timo_sim.log.recorder import CHUNK_SIZE, create, sync
 from timo_sim.log.rosbag2 import add_rosbag2_metadata, shown
 from timo_sim.log.writer import Chunk, Writer
@@ -39,7 +38,7 @@ def recover(file, output=None):
 
     """
     path = Path(file)
-    with _open(path) as stream:
+    with open_log(path) as stream:
         size = os.fstat(stream.fileno()).st_size
         # Read once before anything is written: most files are complete, and some are no logs.
         reader = Reader(stream, size, shown(path))
@@ -57,16 +56,6 @@ def recover(file, output=None):
         new = _write(Reader(stream, size, shown(path)), reader.profile, path, output)
     return (f'{shown(path)}: {reader.damage}; {contents}, {size - reader.kept} bytes lost; '
             f'complete in {shown(new)}')
-
-
-def _open(path):
-    """Open what must be a file: a pipe would never end, a device might do something."""
-    try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise LogError(f'{shown(path)} is not a file')
-        return open(path, 'rb')
-    except (PermissionError, NotADirectoryError) as error:
-        raise LogError(f'{shown(path)}: {error.strerror}') from None
 
 
 def _write(reader, profile, path, output):

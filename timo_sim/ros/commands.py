@@ -1,61 +1,25 @@
-"""The commands: held from the first whole step after receipt until the next one."""
-
-import math
-from typing import Any, Callable, NamedTuple
+"""The subscriptions to commands: held from the first whole step after receipt until the next."""
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64
 
+from timo_sim.commands import Refused
 from timo_sim.log.recorder import Channel
-from timo_sim.physics.formulation import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, TORQUE
-from timo_sim.ros.topics import type_name
-
 
 QUEUE = 10  # commands that may wait on a topic
 
 
-class _Refused(ValueError):
-    """A command that is not applied; the text says why."""
+def _wrench(message):
+    force, torque = message.wrench.force, message.wrench.torque
+    return message.header.frame_id, (force.x, force.y, force.z, torque.x, torque.y, torque.z)
 
 
-def _decode(data, message_type):
-    try:
-        return deserialize_message(data, message_type)
-    except RuntimeError:  # what rclpy raises
-        raise _Refused(f'it is not a serialised {type_name(message_type)}') from None
-
-
-def _read_wrench(message):
-    force, torque, frame = message.wrench.force, message.wrench.torque, message.header.frame_id
-    if not all(map(math.isfinite, (force.x, force.y, force.z, torque.x, torque.y, torque.z))):
-        raise _Refused('every component must be finite')
-    columns = {'': (FORCE_X, FORCE_Y), 'world': (FORCE_X, FORCE_Y), 'arm': (FORCE_I, FORCE_II)}
-    if frame not in columns:
-        raise _Refused(f"frame_id must be empty, 'world' or 'arm', got {frame[:40]!r}")
-    return dict(zip(columns[frame], (force.x, force.y)))
-
-
-def _read_torque(message):
-    if not math.isfinite(message.data):
-        raise _Refused(f'data must be finite, got {message.data}')
-    return {TORQUE: message.data}
-
-
-class Command(NamedTuple):
-    """A command topic, what reads its messages, and the columns of the load that it sets."""
-
-    name: str
-    message_type: type
-    read: Callable[[Any], dict]
-    columns: list
-
-
-COMMANDS = [
-    Command('~/carrier_wrench', WrenchStamped, _read_wrench,
-            [FORCE_X, FORCE_Y, FORCE_I, FORCE_II]),
-    Command('~/motor_torque', Float64, _read_torque, [TORQUE]),
-]
+# Type of the messages of a command, and what returns frame and numbers of one.
+_MESSAGES = {
+    '~/carrier_wrench': (WrenchStamped, _wrench),
+    '~/motor_torque': (Float64, lambda message: ('', (message.data,))),
+}
 
 
 class Inlet:
@@ -75,11 +39,12 @@ class Inlet:
 
     def __init__(self, node, command):
         self._command = command
+        self._type, self._read = _MESSAGES[command.name]
         # A logger of its own: warnings are throttled for each.
         self._logger = node.get_logger().get_child(command.name.removeprefix('~/'))
         self._subscription = node.create_subscription(
-            command.message_type, command.name, self._receive, QUEUE, raw=True)
-        self.channel = Channel(self._subscription.topic_name, type_name(command.message_type))
+            self._type, command.name, self._receive, QUEUE, raw=True)
+        self.channel = Channel(self._subscription.topic_name, command.type_name)
         self._pending = None
         self._since = None  # step from which the command in force has acted
         self.refused = 0
@@ -87,8 +52,8 @@ class Inlet:
 
     def _receive(self, data):
         try:
-            values = self._command.read(_decode(data, self._command.message_type))
-        except _Refused as reason:
+            values = self._command.load(*self._read(self._decoded(data)))
+        except Refused as reason:
             self.refused += 1
             self._logger.warning(
                 f'command refused, {reason}; the last one stays in force',
@@ -96,13 +61,19 @@ class Inlet:
             return
         self._pending = values, data
 
+    def _decoded(self, data):
+        try:
+            return deserialize_message(data, self._type)
+        except RuntimeError:  # what rclpy raises
+            raise Refused(f'it is not a serialised {self._command.type_name}') from None
+
     def poll(self):
         """Receive what has arrived."""
         handle = self._subscription.handle
         with handle:
             # No more than waited at first: a fast publisher would keep this up for ever.
             for _ in range(QUEUE):
-                taken = handle.take_message(self._command.message_type, True)
+                taken = handle.take_message(self._type, True)
                 if taken is None:
                     break
                 self._receive(taken[0])
@@ -128,9 +99,7 @@ class Inlet:
         pending, self._pending = self._pending, None
         if pending is not None:
             values, data = pending
-            held[self._command.columns] = 0.0
-            for column, value in values.items():
-                held[column] = value
+            held[self._command.columns] = values
             self._since = step
             return data
         end = self.end(timeout_steps)
@@ -141,7 +110,7 @@ class Inlet:
             f'no command for {timeout_steps} steps, the input falls to zero',
             throttle_duration_sec=5.0)
         self.clear(held)
-        return serialize_message(self._command.message_type())
+        return serialize_message(self._type())
 
     def end(self, timeout_steps):
         """Return the step at which the command in force falls to zero, or None."""

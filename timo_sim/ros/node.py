@@ -16,12 +16,13 @@ from std_srvs.srv import SetBool, Trigger
 
 import timo_sim
 from timo_sim.accuracy import settle
+from timo_sim.commands import COMMANDS
 from timo_sim.log.recorder import Recorder
 from timo_sim.outputs import NANOSECONDS, outputs, Snapshot
 from timo_sim.parameters import LATEST, ParameterError, RATES, whole_ratio
 from timo_sim.physics.formulation import LOADS
 from timo_sim.ros import diagnostics
-from timo_sim.ros.commands import COMMANDS, Inlet
+from timo_sim.ros.commands import Inlet
 from timo_sim.ros.pacing import Pace
 from timo_sim.ros.parameters import declare_parameters, on_set
 from timo_sim.ros.topics import MotionOutlet, Outlet

@@ -1,0 +1,193 @@
+"""Logs and bags as arrays: what other readers find, and files that lie."""
+
+import shutil
+
+from mcap_ros2.reader import read_ros2_messages
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
+
+from ros_process import Process
+import timo_sim
+from timo_sim.log.reader import LogError
+from timo_sim.log.recording import Recording
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+@pytest.fixture(scope='module')
+def log(tmp_path_factory, paper):
+    """Log two seconds of the paper's scene, some topics slower than others."""
+    node = Process(tmp_path_factory.mktemp('log'), '--params-file', str(paper), '-r',
+                   '__ns:=/left', real_time_factor=0.0, duration=2.0,
+                   **{'rate.joint_states': 500.0, 'rate.modal_state': 250.0})
+    assert node.wait()[0] == 0
+    return node.log
+
+
+def numbers(message):
+    """Return what the columns of a joint state say, by another reader."""
+    return [*message.position, *message.velocity, *message.effort]
+
+
+def test_series_are_what_another_reader_finds(log):
+    recording = Recording(log)
+    assert recording.name == '/left/timo_sim' and not len(recording.resets)
+    topics = recording.topics
+    assert set(topics) == {'joint_states', '~/modal_state', '~/tip_deflection', '~/tip_pose',
+                           '~/carrier_pose', '~/carrier_wrench', '~/motor_torque'}
+    found = {name: [] for name in topics}
+    for message in read_ros2_messages(str(log)):
+        if message.channel.topic != '/diagnostics':
+            found[recording.short_name(message.channel.topic)].append(message)
+    for name, series in topics.items():
+        assert series.step.tolist() == [message.sequence_count for message in found[name]]
+        assert series.ns.tolist() == [message.log_time_ns for message in found[name]]
+        assert series.values.shape == (len(found[name]), len(series.columns))
+    for name in ('joint_states', '~/modal_state'):
+        assert topics[name].values.tolist() == [
+            numbers(message.ros_msg) for message in found[name]]
+    assert topics['~/tip_pose'].values.tolist() == [
+        [pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w]
+        for pose in (message.ros_msg.pose for message in found['~/tip_pose'])]
+    assert topics['~/tip_deflection'].columns == ('axial_m', 'transverse_m')
+
+
+def test_motion_and_scene_are_those_of_the_run(log, paper):
+    recording = Recording(log)
+    scene = timo_sim.load_scene(paper)
+    assert recording.scene == scene
+    step, ns, motion = recording.motion()
+    run = timo_sim.simulate(scene, 2.0, every=4)
+    assert step.tolist() == list(range(0, 2001, 4)) and ns.tolist() == (step * 1000000).tolist()
+    assert np.array_equal(motion, run.motion)
+
+
+def test_a_bag_has_sim_time_of_headers_and_commands_by_log_time(tmp_path):
+    """A bag as others write it: wall clock as log time, one command that the node refuses."""
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        deflection, torque = (
+            bag.add_connection(topic, kind, typestore=STORE) for topic, kind in (
+                ('/timo_sim/tip_deflection', 'geometry_msgs/msg/Vector3Stamped'),
+                ('/timo_sim/motor_torque', 'std_msgs/msg/Float64')))
+        types = STORE.types
+        start = 1700000000000000000
+        for k in range(11):  # at half speed
+            header = types['std_msgs/msg/Header'](
+                types['builtin_interfaces/msg/Time'](5, k * 1000000), 'arm')
+            message = types[deflection.msgtype](
+                header, types['geometry_msgs/msg/Vector3'](0.5 * k, -k, 0.0))
+            bag.write(deflection, start + 2000000 * k,
+                      STORE.serialize_cdr(message, deflection.msgtype))
+        for log_time, value in ((-4, 1.0), (5, np.nan), (5, 2.0), (30, 3.0)):
+            bag.write(torque, start + 1000000 * log_time, STORE.serialize_cdr(
+                types[torque.msgtype](value), torque.msgtype))
+    recording = Recording(tmp_path / 'bag')
+    assert recording.scene is None and recording.name == '/timo_sim'
+    tip, torque = recording.topics['~/tip_deflection'], recording.topics['~/motor_torque']
+    assert tip.ns.tolist() == [5000000000 + k * 1000000 for k in range(11)]
+    assert tip.values.tolist() == [[0.5 * k, -k] for k in range(11)]
+    assert torque.values.tolist() == [[1.0], [2.0], [3.0]] and torque.refused == 1
+    assert torque.ns.tolist() == [4998000000, 5002500000, 5015000000]
+    assert set(torque.step) == {-1}
+
+
+def changed(log, folder, change):
+    """Return a copy of a log, changed by a function of its bytes."""
+    data = bytearray(log.read_bytes())
+    change(data)
+    path = folder / 'changed.mcap'
+    path.write_bytes(data)
+    return path
+
+
+def cut(data):
+    del data[-1000:]
+
+
+def damage_chunk(data):
+    place = data.index(b'lz4') + 200
+    data[place:place + 8] = b'\xff' * 8
+
+
+def damage_summary(data):
+    data[-100] ^= 1
+
+
+@pytest.mark.parametrize('change, words', [
+    (cut, 'has no end.*timo_sim recover'),
+    (damage_chunk, 'damaged.*timo_sim recover'),
+    (damage_summary, 'checksum of the summary is wrong.*timo_sim recover'),
+    (lambda data: data.clear(), 'is empty'),
+    (lambda data: data.__setitem__(slice(0, 4), b'oops'), 'not an MCAP file')])
+def test_what_is_not_whole_is_refused_with_advice(log, tmp_path, change, words):
+    with pytest.raises(LogError, match=words):
+        recording = Recording(changed(log, tmp_path, change))
+        recording.topics
+
+
+def lying_index(log, folder, lie):
+    """Return a copy in which `lie` has changed the entries of a channel's index, (n, 2)."""
+    index = Recording(log).index
+    chunk = index.chunks[0]
+    number, place = next(
+        (number, place) for number, place in chunk.indexes.items()
+        if index.channels[number].topic.endswith('joint_states'))
+    count = chunk.counts()[number]
+
+    def change(data):
+        entries = np.frombuffer(data[place + 15:place + 15 + 16 * count], '<u8').reshape(-1, 2)
+        entries = entries.copy()
+        lie(entries)
+        data[place + 15:place + 15 + 16 * count] = entries.tobytes()
+    return changed(log, folder, change)
+
+
+@pytest.mark.parametrize('lie', [
+    lambda entries: entries.__setitem__((slice(None), 1), entries[0, 1]),   # all the same
+    lambda entries: entries.__setitem__((3, 1), 2**63),                     # far outside
+    lambda entries: entries.__setitem__((3, 1), entries[3, 1] + 1),         # beside a message
+])
+def test_an_index_that_lies_is_found_out(log, tmp_path, lie):
+    with pytest.raises(LogError, match='joint_states.*the index names something'):
+        Recording(lying_index(log, tmp_path, lie)).topics
+
+
+def test_a_scene_that_is_none_is_one_line(log, tmp_path):
+    def change(data):
+        place = data.index(b'"arm.length": 2.0')
+        data[place:place + 17] = b'"arm.length": -20'
+    path = changed(log, tmp_path, change)
+    recording = Recording(path)
+    with pytest.raises(LogError, match='scene cannot be built: arm.length must be'):
+        recording.scene
+
+
+def test_files_without_chunks_are_read_too(log, tmp_path):
+    """As rosbag2 writes with its profile `fastwrite`; mcap's own writer makes one here."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer as McapWriter
+    path = tmp_path / 'plain.mcap'
+    with open(log, 'rb') as source, open(path, 'wb') as target:
+        writer = McapWriter(target, use_chunking=False)
+        writer.start('ros2')
+        numbers = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            if channel.id not in numbers:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                numbers[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, number, channel.metadata)
+            writer.add_message(numbers[channel.id], message.log_time, message.data,
+                               message.publish_time, message.sequence)
+        writer.finish()
+    ours, plain = Recording(log).topics, Recording(path).topics
+    for name, series in plain.items():
+        assert np.array_equal(series.values, ours[name].values)
+
+
+def test_a_folder_with_two_files_asks_for_one(log, tmp_path):
+    for name in ('a.mcap', 'b.mcap'):
+        shutil.copy(log, tmp_path / name)
+    with pytest.raises(LogError, match='2 files'):
+        Recording(tmp_path)
