@@ -30,6 +30,7 @@ class Layout(NamedTuple):
     of lists, have the same layout.
     """
 
+    size: int            # without the padding that some writers add
     stamp: int | None    # of seconds, nanoseconds follow
     doubles: list        # of each number
     texts: list          # values
@@ -39,7 +40,7 @@ class Layout(NamedTuple):
 class _Walk:
     def __init__(self, data):
         self._data, self.place = data, _START
-        self.found = Layout(None, [], [], [0, 1])
+        self.found = Layout(0, None, [], [], [0, 1])
         if bytes(data[:2]) != _LITTLE_ENDIAN:
             raise CdrError(f'its encoding is {bytes(data[:2])!r}, not {_LITTLE_ENDIAN!r}')
 
@@ -101,4 +102,4 @@ def layout(type_name, data):
     walk = _Walk(data)
     for field in _FIELDS[type_name]:
         getattr(walk, field)()
-    return walk.found
+    return walk.found._replace(size=walk.place)

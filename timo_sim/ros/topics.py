@@ -9,6 +9,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from timo_sim.log.cdr import layout
 from timo_sim.log.recorder import Channel
 
 
@@ -68,8 +69,10 @@ class Serializer:
 
     def __init__(self, message, size):
         sec, nanosec, *numbers = marks = [1234567, 7654321] + [1.1 + n for n in range(size)]
-        self._data = bytearray(serialize_message(
-            message(Time(sec=sec, nanosec=nanosec), *numbers)))
+        first = message(Time(sec=sec, nanosec=nanosec), *numbers)
+        data = serialize_message(first)
+        # Without what rclpy appends to a list without elements: whatever was in memory there.
+        self._data = bytearray(data[:layout(type_name(type(first)), data).size])
         # After four bytes CDR aligns every number to its size.
         body = memoryview(self._data)[4:]
         self._time = body[:8].cast('I')
