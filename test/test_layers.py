@@ -20,9 +20,11 @@ BELOW = {
                    'step_control'},
     'step_control': {'physics'},
     'accuracy': {'parameters', 'scene', 'simulation'},
+    'replay': {'physics', 'commands', 'outputs', 'parameters', 'scene', 'simulation', 'log',
+               'ros'},
     'sweep': {'physics', 'parameters', 'scene', 'simulation', ''},
-    'cli': {'parameters', 'log', 'sweep'},
-    'log': {'commands', 'outputs', 'parameters', 'scene'},
+    'cli': {'parameters', 'log', 'replay', 'sweep'},
+    'log': {'commands', 'outputs', 'parameters', 'scene', ''},
     'ros': {'physics', 'commands', 'outputs', 'parameters', 'scene', 'simulation', 'accuracy',
             'log', ''},
 }

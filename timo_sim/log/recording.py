@@ -10,6 +10,7 @@ import numpy as np
 from timo_sim.commands import COMMANDS, Refused
 from timo_sim.log.cdr import CdrError, layout, TYPES
 from timo_sim.log.index import Index
+from timo_sim.log.notes import RESET, START, SUMMARY
 from timo_sim.log.reader import LogError, Message, open_log, Reader
 from timo_sim.log.rosbag2 import shown
 from timo_sim.outputs import NANOSECONDS, outputs
@@ -46,7 +47,9 @@ class Series:
     refused : int
         Commands that are left out, because the node refuses them.
     place : ndarray of int64, shape (n,)
-        What orders messages and resets of the same step; of a file, not to be kept.
+        In the file: what orders messages and resets of the same step.
+    data : list of bytes
+        The messages of a command, CDR; of other topics empty.
 
     """
 
@@ -59,6 +62,7 @@ class Series:
     values: np.ndarray
     refused: int
     place: np.ndarray
+    data: list
 
 
 class Recording:
@@ -103,11 +107,11 @@ class Recording:
         self.index = Index(self.path)
         self.facts, self.summary, self._resets = {}, {}, []
         for place, record in self.index.metadata():
-            if record.name == 'timo_sim':
+            if record.name == START:
                 self.facts = record.metadata
-            elif record.name == 'timo_sim.summary':
+            elif record.name == SUMMARY:
                 self.summary = record.metadata
-            elif record.name == 'timo_sim.reset':
+            elif record.name == RESET:
                 self._resets.append((self._number(record.metadata.get('step')), place))
         self.resets = np.array([step for step, _ in self._resets], dtype=np.int64)
         self.reset_places = np.array([place for _, place in self._resets], dtype=np.int64)
@@ -276,7 +280,7 @@ class Recording:
             if stamps is None:
                 ns = self._sim_time(log_ns)
         return Series(collector.topic, collector.type_name, collector.columns, step, ns, log_ns,
-                      values, collector.refused, place)
+                      values, collector.refused, place, collector.data)
 
     def _sim_time(self, log_ns):
         if self._clock is None or not len(log_ns):
@@ -304,7 +308,7 @@ class _Collector:
     def __init__(self, name, topic, type_name):
         self.name, self.topic, self.type_name = name, topic, type_name
         self.columns = ()
-        self.refused = 0
+        self.refused, self.data = 0, []
         self._command = _COMMANDS.get(name)
         if self._command:
             self.columns = self._command.names
@@ -315,6 +319,8 @@ class _Collector:
         """Add the messages of a block, of which these are the offsets."""
         heads = _gather(data, offsets, _HEAD_TYPE)
         sizes = heads['length'] - (_HEAD - 9)
+        if not len(offsets):
+            return
         order = np.sort(offsets)
         # Nothing outside, and nothing twice: an index may be a lie.
         if not (np.all(heads['opcode'] == 5) and np.all(heads['channel'] == channel)
@@ -328,13 +334,12 @@ class _Collector:
             rows = _gather(data, offsets[which] + np.uint64(_HEAD), np.dtype(f'V{size}')).view(
                 np.uint8).reshape(len(which), -1)
             found += self._decode(which, rows)
-        found = [part for part in found if part is not None]
-        if not found:
-            return
         which = np.concatenate([part[0] for part in found])
         back = np.argsort(which, kind='stable')
         stamps = None if found[0][1] is None else np.concatenate([part[1] for part in found])[back]
         values = np.concatenate([part[2] for part in found])[back]
+        data = [message for part in found for message in part[3]]
+        self.data += [data[place] for place in back] if data else []
         which = which[back]
         self._parts.append((heads[which], np.full(len(which), place), stamps, values))
 
@@ -380,10 +385,12 @@ class _Collector:
                 except Refused:
                     self.refused += 1
             shape = len(kept), len(self.columns)
-            return which[kept], None, np.array(loads, dtype=float).reshape(shape)
+            # Several layouts come one after the other, not in the order of the file.
+            return which[kept], None, np.array(loads, dtype=float).reshape(shape), [
+                row.tobytes() for row in rows[kept]]
         values = _doubles(rows, [found.doubles[place] for place in self._places])
         stamp = np.ascontiguousarray(rows[:, found.stamp:found.stamp + 8]).view('<i4')
-        return which, stamp[:, 0] * np.int64(NANOSECONDS) + stamp[:, 1], values
+        return which, stamp[:, 0] * np.int64(NANOSECONDS) + stamp[:, 1], values, []
 
     def arrays(self):
         """Return heads, places, stamps (None for commands) and values."""

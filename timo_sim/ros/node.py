@@ -1,10 +1,7 @@
 """The node `timo_sim`: wiring of simulator, topics, services, clock, diagnostics and log."""
 
 from datetime import datetime
-from importlib.metadata import version
-import json
 import math
-import platform
 import threading
 import time
 
@@ -14,9 +11,9 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool, Trigger
 
-import timo_sim
 from timo_sim.accuracy import settle
 from timo_sim.commands import COMMANDS
+from timo_sim.log.notes import RESET, start_note, START
 from timo_sim.log.recorder import Recorder
 from timo_sim.outputs import NANOSECONDS, outputs, Snapshot
 from timo_sim.parameters import LATEST, ParameterError, RATES, whole_ratio
@@ -297,7 +294,7 @@ class SimNode(Node):
             self._applied = [0.0] * LOADS
             self._diverged = None
             if self._recorder is not None:
-                self._recorder.note('timo_sim.reset', {'step': str(self._simulator.steps)})
+                self._recorder.note(RESET, {'step': str(self._simulator.steps)})
             self._publish(everything=True)
             self._pace.start(self._simulator.steps, time.monotonic())
         response.success, response.message = True, f'reset at step {self._simulator.steps}'
@@ -325,15 +322,10 @@ class SimNode(Node):
         path = self._values['record_file'] or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap'
         outlets = [*self._outlets, self._health_outlet]
         channels = [point.channel for point in [*self._inlets, *outlets]]
-        scene = self._simulator.scene
         try:
             self._recorder = Recorder(path, channels, {
-                'timo_sim': {
-                    'node': self.get_fully_qualified_name(),
-                    'parameters': json.dumps(self._values),
-                    'initial_motion': json.dumps(scene.initial_motion().tolist()),
-                    'timo_sim': timo_sim.__version__, 'python': platform.python_version(),
-                    **{package: version(package) for package in ('numpy', 'scipy', 'numba')}}})
+                START: start_note(self.get_fully_qualified_name(), self._values,
+                                  self._simulator.scene)})
         except (OSError, ValueError) as error:  # ValueError: a path without a name
             self._log_error = f'no log is written to {path}: {error}'
             self.get_logger().error(self._log_error)

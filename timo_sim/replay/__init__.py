@@ -1,0 +1,1 @@
+"""Recorded runs again: the same to the last bit, or with something changed."""

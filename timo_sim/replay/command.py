@@ -1,0 +1,144 @@
+"""What `timo_sim replay` does and prints."""
+
+import json
+from pathlib import Path
+import time
+
+from tqdm import tqdm
+import yaml
+
+from timo_sim.log.notes import other_ground
+from timo_sim.log.recording import Recording
+from timo_sim.parameters import check, ParameterError, PARAMETERS
+from timo_sim.replay.plan import segments_of
+from timo_sim.replay.run import differences, Replay
+from timo_sim.scene import read_parameter_file, scene_from
+from timo_sim.simulation import settled
+
+
+def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration=None, node=None,
+           show=print):
+    """
+    Replay a log or a bag, compare, and say what was found.
+
+    Parameters
+    ----------
+    file : str or Path
+    changes : dict, optional
+        Values by dotted name that differ from those of the recorded scene.
+    output : str or Path, optional
+        New log; by default none for an unchanged scene, else one beside the working directory's
+        other files, named after `file` with `_replay`.
+    scene_file : str or Path, optional
+        Parameter file instead of the scene in the log; needed for a plain bag.
+    start, duration : float, optional
+        See `segments_of`.
+    node : str, optional
+        See `Recording`.
+    show : function(str)
+        Receives lines.
+
+    Returns
+    -------
+    bool
+        Whether the run came to its end and, where nothing was changed, is the same to the last
+        bit.
+
+    """
+    recording = Recording(file, node)
+    values = _values(recording, scene_file, changes or {})
+    scene = scene_from(values)
+    same = recording.facts and scene == recording.scene
+    if scene.values['model.accuracy']:
+        scene, _ = settled(scene, duration or 0.0)
+    values.update(scene.values)
+    segments = segments_of(recording, scene, values, start, duration)
+    log = None
+    if output or not same:
+        from timo_sim.replay.new_log import NewLog
+        path = output or Path(recording.path.stem + '_replay.mcap')
+        log = NewLog(path, recording, scene, values)
+    again = Replay(scene, segments, log)
+    begun = time.monotonic()
+    try:
+        with tqdm(total=segments[-1].last, unit='step', unit_scale=True, delay=1.0, disable=None,
+                  leave=False) as bar:
+            again.run(bar.update)
+    finally:
+        if log:
+            log.close()
+    _tell(show, recording, segments, again, time.monotonic() - begun)
+    columns = {name: series.columns for name, series in recording.topics.items()}
+    found = differences(segments, scene, columns)
+    good = _compare(show, found, same)
+    ground = other_ground(recording.facts)
+    if ground:
+        show(f'logged with {ground}: last bits may differ')
+    if log:
+        show(f'new log: {log.path}')
+    if again.diverged:
+        show(again.diverged)
+    return good and not again.diverged
+
+
+def _values(recording, scene_file, changes):
+    if scene_file is not None:
+        given, source = read_parameter_file(scene_file), str(scene_file)
+    elif recording.facts:
+        # The scene has been checked by now; the node's own values are in the same place.
+        given, source = {**json.loads(recording.facts['parameters']),
+                         **recording.scene.values}, recording.index.name
+    else:
+        raise ParameterError(f'{recording.index.name} is a plain bag, which says nothing of the '
+                             'scene: give it by --scene')
+    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+    values.update(check(given, source))
+    values.update(check(changes, '--set'))
+    return values
+
+
+def _tell(show, recording, segments, again, seconds):
+    simulator = again.simulator
+    commands = sum(len(segment.commands) for segment in segments)
+    sim_time = simulator.steps * simulator.scene.step
+    show(f'{recording.index.name}: {commands} commands and {len(segments) - 1} resets in '
+         f'{sim_time:.6g} s of sim time, replayed in {seconds:.2f} s')
+    refused = sum(series.refused for series in recording.topics.values())
+    if refused:
+        show(f'{refused} commands are left out, because the node refuses them')
+
+
+def _compare(show, found, same):
+    numbers, other = sum(row.count for row in found), sum(row.other_bits for row in found)
+    if same and not other:
+        show(f'all {numbers} logged numbers are the same to the last bit')
+        return True
+    if found:
+        if same:
+            show(f'{other} of {numbers} logged numbers differ')
+        width = max(len(row.name) for row in found)
+        show(f'{"difference":<{width}}  {"largest":>9}  {"at":>10}  {"rms":>9}')
+        for row in found:
+            show(f'{row.name:<{width}}  {row.largest:9.2e}  {row.time:8.4g} s  {row.rms:9.2e}')
+    return not same
+
+
+def parsed(settings):
+    """
+    Return values by name of texts such as 'model.modes=5'; values are written as in YAML.
+
+    Raises
+    ------
+    ParameterError
+
+    """
+    values = {}
+    for text in settings:
+        name, equals, value = text.partition('=')
+        try:
+            values[name.strip()] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            equals = ''
+        if not equals:
+            raise ParameterError(f'--set takes NAME=VALUE, such as model.modes=5; got {text!r}')
+    return values

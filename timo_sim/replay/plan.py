@@ -1,0 +1,152 @@
+"""What a recording says was done: commands and resets by the step at which they acted."""
+
+from dataclasses import dataclass, field
+import math
+
+import numpy as np
+
+from timo_sim.commands import COMMANDS
+from timo_sim.outputs import outputs
+from timo_sim.parameters import ParameterError, whole_ratio
+
+_ROUNDING = 1e-9
+
+
+class ReplayError(ValueError):
+    """A log that cannot be replayed; the text says why, and what would help."""
+
+
+@dataclass
+class Segment:
+    """
+    What happened from the start, or a reset, to the next reset, or the end.
+
+    Attributes
+    ----------
+    first, last : int
+        Steps.
+    commands : list of tuple
+        Step, index in COMMANDS, what it sets, message; ascending.
+    samples : dict of ndarray
+        Steps of the messages of each topic, by short name; ascending.
+    logged : dict of ndarray
+        Their numbers, shape (n, k), where the log has the topic.
+    replayed : dict of ndarray
+        The same of the replay.
+    done : dict of int
+        How many samples the replay has come to.
+
+    """
+
+    first: int
+    last: int
+    commands: list
+    samples: dict
+    logged: dict
+    replayed: dict = field(default_factory=dict)
+    done: dict = field(default_factory=dict)
+
+
+def segments_of(recording, scene, values, start=0.0, duration=None):
+    """
+    Return what a recording says was done, in steps of a scene.
+
+    Parameters
+    ----------
+    recording : Recording
+    scene : Scene
+        Which may have another time step: a command acts from the first whole step on.
+    values : dict
+        The node's parameters, for the rates of topics that are not in the recording.
+    start : float, optional
+        Sim time of the first message of a bag that says nothing of sim time [s].
+    duration : float, optional
+        Sim time of the end [s]; by default that of the last message.
+
+    Returns
+    -------
+    list of Segment
+
+    Raises
+    ------
+    ReplayError
+        If there is nothing to replay.
+    ParameterError
+        If the time step does not meet the times of the logged messages.
+
+    """
+    found = dict(recording.topics)
+    known = {output.name: output for output in outputs(scene.values['model.modes'])}
+    commands = [(number, found[command.name]) for number, command in enumerate(COMMANDS)
+                if command.name in found]
+    motions = {name: series for name, series in found.items() if name in known}
+    if not any(len(series.ns) for series in found.values()):
+        raise ReplayError(f'{recording.index.name} has no messages of {recording.name}')
+    shift = _shift(recording, [series for _, series in commands], motions, start)
+
+    def steps(series, meet):
+        if recording.facts:
+            exact = series.step * (recording.scene.step / scene.step)
+        else:
+            exact = 1e-9 * (series.ns + shift) / scene.step
+        return _whole(exact, meet, scene.step, series.topic)
+
+    # Of a plain bag only the commands count: when they began to act, it does not say exactly.
+    own = motions if recording.facts else {}
+    places = [0, *recording.reset_places.tolist(), math.inf]
+    acting = [(number, series, steps(series, False)) for number, series in commands]
+    shown = {name: steps(series, True) for name, series in own.items()}
+    last = _last(acting, shown, motions, shift, scene, duration)
+    resets = np.ceil(recording.resets * (recording.scene.step / scene.step) - _ROUNDING).astype(
+        int) if recording.facts else []
+    ends = [*(int(step) for step in resets), last]
+    result = []
+    for number, end in enumerate(ends):
+        first = ends[number - 1] if number else 0
+        end = min(end, last)
+        if end < first:
+            break
+        here, there = places[number], places[number + 1]
+        inside = [(int(at[k]), kind, series.values[k], series.data[k])
+                  for kind, series, at in acting for k in np.flatnonzero(
+                      (series.place >= here) & (series.place < there))]
+        samples, logged = {}, {}
+        for name, at in shown.items():
+            which = (own[name].place >= here) & (own[name].place < there) & (at <= end)
+            samples[name], logged[name] = at[which], own[name].values[which]
+        for name in () if recording.facts else known.keys() - {'/clock'}:
+            every = whole_ratio('1/integrator.step', 1.0 / scene.step, known[name].rate,
+                                values[known[name].rate])
+            samples[name] = np.arange(0, end + 1, every)
+        result.append(Segment(first, end, sorted(inside, key=lambda entry: entry[:2]), samples,
+                              logged))
+    return result
+
+
+def _shift(recording, commands, motions, start):
+    """Return what makes sim time of the stamps of a bag [ns]."""
+    if recording.facts or motions:
+        return 0
+    return round(1e9 * start) - min(int(series.ns[0]) for series in commands if len(series.ns))
+
+
+def _whole(exact, meet, step, topic):
+    """Return whole steps for these times in steps."""
+    whole = np.ceil(exact - _ROUNDING * np.maximum(1.0, np.abs(exact))).astype(np.int64)
+    missed = np.abs(whole - exact) > 1e-6
+    if meet and missed.any():
+        raise ParameterError(
+            f'integrator.step = {step:g} s does not meet the times of {topic}, such as '
+            f'{exact[np.argmax(missed)] * step:.9g} s: take a whole fraction')
+    return np.maximum(whole, 0)
+
+
+def _last(acting, shown, motions, shift, scene, duration):
+    if duration is not None:
+        return whole_ratio('duration', duration, 'integrator.step', scene.step)
+    ends = [at.max(initial=0) for at in shown.values()]
+    if not shown:
+        ends += [at.max(initial=0) for _, _, at in acting]
+        ends += [math.floor(1e-9 * (series.ns.max(initial=0) + shift) / scene.step)
+                 for series in motions.values()]
+    return int(max(ends))
