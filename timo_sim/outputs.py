@@ -146,3 +146,28 @@ def outputs(modes):
                 _IN_PLANE),
         _output('/clock', 'rosgraph_msgs/msg/Clock', lambda snapshot: (), ()),
     ]
+
+
+def with_angles(columns, values):
+    """
+    Return columns and values with an angle instead of the two numbers of an orientation.
+
+    Parameters
+    ----------
+    columns : tuple of str
+    values : ndarray, shape (n, k)
+
+    Returns
+    -------
+    tuple of str, ndarray, shape (n, k - 1) or (n, k)
+        The angle, `rotation_rad`, is not wrapped.
+
+    """
+    if 'orientation_z' not in columns:
+        return columns, values
+    z, w = (values[:, columns.index(name)] for name in ('orientation_z', 'orientation_w'))
+    # Half the angle is written, so that it comes back after two turns.
+    angle = np.unwrap(2.0 * np.arctan2(z, w), period=4.0 * math.pi)
+    kept = [place for place, name in enumerate(columns) if not name.startswith('orientation_')]
+    return ((*(columns[place] for place in kept), 'rotation_rad'),
+            np.column_stack([values[:, kept], angle]))

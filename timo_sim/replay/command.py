@@ -11,7 +11,7 @@ from timo_sim.log.notes import other_ground
 from timo_sim.log.recording import Recording
 from timo_sim.parameters import check, ParameterError, PARAMETERS
 from timo_sim.replay.plan import segments_of
-from timo_sim.replay.run import differences, Replay
+from timo_sim.replay.run import compare, Replay
 from timo_sim.scene import read_parameter_file, scene_from
 from timo_sim.simulation import settled
 
@@ -69,8 +69,16 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
             log.close()
     _tell(show, recording, segments, again, time.monotonic() - begun)
     columns = {name: series.columns for name, series in recording.topics.items()}
-    found = differences(segments, scene, columns)
-    good = _compare(show, found, same)
+    count, other, found = compare(segments, scene, columns)
+    if same and not other:
+        show(f'all {count} logged numbers are the same to the last bit')
+    elif found:
+        if same:
+            show(f'{other} of {count} logged numbers differ')
+        elif scene.values['model.formulation'] != recording.scene.values['model.formulation']:
+            # Modes of one are not those of the other.
+            found = [row for row in found if not row.name.startswith('modal_state')]
+        _show_table(show, found)
     ground = other_ground(recording.facts)
     if ground:
         show(f'logged with {ground}: last bits may differ')
@@ -78,7 +86,7 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
         show(f'new log: {log.path}')
     if again.diverged:
         show(again.diverged)
-    return good and not again.diverged
+    return not (again.diverged or same and other)
 
 
 def _values(recording, scene_file, changes):
@@ -108,19 +116,14 @@ def _tell(show, recording, segments, again, seconds):
         show(f'{refused} commands are left out, because the node refuses them')
 
 
-def _compare(show, found, same):
-    numbers, other = sum(row.count for row in found), sum(row.other_bits for row in found)
-    if same and not other:
-        show(f'all {numbers} logged numbers are the same to the last bit')
-        return True
-    if found:
-        if same:
-            show(f'{other} of {numbers} logged numbers differ')
-        width = max(len(row.name) for row in found)
-        show(f'{"difference":<{width}}  {"largest":>9}  {"at":>10}  {"rms":>9}')
-        for row in found:
-            show(f'{row.name:<{width}}  {row.largest:9.2e}  {row.time:8.4g} s  {row.rms:9.2e}')
-    return not same
+def _show_table(show, found):
+    different = [row for row in found if row.largest or row.largest != row.largest]
+    width = max([len(row.name) for row in different], default=10)
+    show(f'{"difference":<{width}}  {"largest":>9}  {"at":>10}  {"rms":>9}')
+    for row in different:
+        show(f'{row.name:<{width}}  {row.largest:9.2e}  {row.time:8.4g} s  {row.rms:9.2e}')
+    if len(different) < len(found):
+        show(f'{len(found) - len(different)} other quantities are the same')
 
 
 def parsed(settings):

@@ -7,7 +7,7 @@ import numpy as np
 
 from timo_sim.commands import COMMANDS
 from timo_sim.log.notes import RESET
-from timo_sim.outputs import outputs, Snapshot
+from timo_sim.outputs import outputs, Snapshot, with_angles
 from timo_sim.physics.formulation import LOADS
 from timo_sim.simulation import DivergenceError, Simulator
 
@@ -103,10 +103,6 @@ class Difference:
         In the unit that the column names.
     time : float
         When it is largest [s].
-    count : int
-        Of numbers.
-    other_bits : int
-        How many are not the same to the last bit.
 
     """
 
@@ -114,11 +110,9 @@ class Difference:
     largest: float
     rms: float
     time: float
-    count: int
-    other_bits: int
 
 
-def differences(segments, scene, columns):
+def compare(segments, scene, columns):
     """
     Compare what was replayed with what was logged.
 
@@ -131,31 +125,40 @@ def differences(segments, scene, columns):
 
     Returns
     -------
+    count, other : int
+        Numbers in the log, and how many are not the same to the last bit.
     list of Difference
-        For each quantity that log and replay have both.
+        Of each quantity that log and replay have both.
 
     """
-    own = {output.name: output.columns for output in outputs(scene.values['model.modes'])}
+    count = other = 0
     result = []
-    for topic in own:
+    for output in outputs(scene.values['model.modes']):
+        topic = output.name
         done = [segment for segment in segments
                 if topic in segment.logged and topic in segment.replayed]
-        if not done or topic not in columns:
+        if not done:
             continue
-        steps = np.concatenate([
-            segment.samples[topic][:segment.done[topic]] for segment in done])
+        parts = [slice(segment.done[topic]) for segment in done]
+        time = scene.step * np.concatenate(
+            [segment.samples[topic][part] for segment, part in zip(done, parts)])
         logged, replayed = (
-            np.concatenate([getattr(segment, kind)[topic][:segment.done[topic]]
-                            for segment in done]) for kind in ('logged', 'replayed'))
-        for column in [name for name in columns[topic] if name in own[topic]]:
-            before = np.ascontiguousarray(logged[:, columns[topic].index(column)])
-            now = np.ascontiguousarray(replayed[:, own[topic].index(column)])
-            distance = np.abs(now - before)
-            if not len(distance):
-                continue
-            place = int(np.argmax(distance))
-            result.append(Difference(
-                f'{topic.removeprefix("~/")} {column}', float(distance[place]),
-                float(np.sqrt(np.mean(distance**2))), float(steps[place] * scene.step),
-                len(before), int(np.count_nonzero(before.view('i8') != now.view('i8')))))
-    return result
+            np.concatenate([getattr(segment, kind)[topic][part]
+                            for segment, part in zip(done, parts)])
+            for kind in ('logged', 'replayed'))
+        count += logged.size
+        other += (int(np.count_nonzero(logged.view('i8') != replayed.view('i8')))
+                  if logged.shape == replayed.shape else logged.size)
+        if len(time):
+            result += _differences(topic, time, with_angles(columns[topic], logged),
+                                   with_angles(output.columns, replayed))
+    return count, other, result
+
+
+def _differences(topic, time, logged, replayed):
+    for column in [name for name in logged[0] if name in replayed[0]]:
+        before, now = (values[:, columns.index(column)] for columns, values in (logged, replayed))
+        distance = np.abs(now - before)
+        place = int(np.argmax(distance))
+        yield Difference(f'{topic.removeprefix("~/")} {column}', float(distance[place]),
+                         float(np.sqrt(np.mean(distance**2))), float(time[place]))

@@ -1,0 +1,120 @@
+"""A commanded, paused, reset run, replayed from its log by another process, to the last bit."""
+
+import subprocess
+import sys
+import time
+
+from geometry_msgs.msg import WrenchStamped
+import numpy as np
+import pytest
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+
+from timo_sim.log.recording import Recording
+from timo_sim.replay.command import replay
+from timo_sim.replay.plan import segments_of
+from timo_sim.replay.run import Replay
+
+EVERY_STEP = ('joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
+SCENES = {
+    'free': {'initial.shaft_velocity': 1.0},
+    'split steps': {'integrator.tolerance': 1e-9, 'integrator.step': 0.005,
+                    'initial.shaft_velocity': 3.0},
+    'newton, held, driven': {
+        'model.formulation': 'newton', 'carrier.held': "'y'", 'motor.shaft': 'driven',
+        'motor.drive.time': [0.0, 0.5], 'motor.drive.angle': [0.0, 0.3],
+        'motor.drive.speed': [0.0, 1.0], 'motor.drive.acceleration': [0.0, 0.0]},
+}
+
+
+def drive_about(client):
+    """Do what a control engineer does; return how many resets."""
+    states = client.collect(JointState, '/joint_states')
+    torque = client.command(Float64, '/timo_sim/motor_torque')
+    wrench = client.command(WrenchStamped, '/timo_sim/carrier_wrench')
+    pause = client.service(SetBool, '/timo_sim/pause')
+    step, reset = (client.service(Trigger, f'/timo_sim/{name}') for name in ('step', 'reset'))
+    client.wait(lambda: states, 'states')
+    for turn in range(3):
+        for k in range(10):
+            torque.publish(Float64(data=0.3 * k - turn))
+            push = WrenchStamped()
+            push.header.frame_id = ('arm', 'world', '')[turn]
+            push.wrench.force.x, push.wrench.force.y = 2.0 + k, -1.0
+            wrench.publish(push)
+            wrench.publish(WrenchStamped()) if k == 5 else None
+            time.sleep(0.01)
+        time.sleep(0.06)  # time-outs
+        assert pause(data=True).success
+        if turn == 0:
+            for _ in range(3):
+                torque.publish(Float64(data=1.0))
+                assert step().success
+            assert reset().success and reset().success
+        assert pause(data=False).success
+        if turn == 1:
+            assert reset().success
+    time.sleep(0.05)
+    return 3
+
+
+@pytest.mark.parametrize('name', SCENES)
+def test_every_step_of_a_commanded_run_is_the_same_to_the_last_bit(name, start, client, paper,
+                                                                   capsys):
+    values = SCENES[name]
+    rate = 1.0 / values.get('integrator.step', 0.001)
+    node = start('--params-file', str(paper), command_timeout=0.02, step_count=7,
+                 publish_clock=True, real_time_factor=0.5, **values,
+                 **{f'rate.{topic}': rate for topic in EVERY_STEP})
+    resets = drive_about(client)
+    assert node.end()[0] == 0
+
+    recording = Recording(node.log)
+    commands = {name: recording.topics[name] for name in ('~/motor_torque', '~/carrier_wrench')}
+    assert len(recording.resets) == resets
+    assert all(len(series.step) > 15 for series in commands.values())
+    # Commands timed out, which is a command of zeros in the log.
+    assert all((series.values == 0.0).all(axis=1).sum() >= 2 for series in commands.values())
+    # The state is logged at every step, from the first to the last.
+    steps = recording.topics['~/modal_state'].step
+    assert set(steps) == set(range(steps.max() + 1)) and steps.max() > 50
+
+    result = subprocess.run(
+        [sys.executable, '-c', 'from timo_sim.cli import main; main()', 'replay', str(node.log)],
+        capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout + result.stderr
+    count = sum(series.values.size for name, series in recording.topics.items()
+                if name not in commands)
+    assert f'all {count} logged numbers are the same to the last bit' in result.stdout
+
+    # That is no accident: the last command left out, or one a step later, shows.
+    for change in (lambda commands: commands[:-3],
+                   lambda commands: [(step + 1, *rest) for step, *rest in commands]):
+        segments = segments_of(recording, recording.scene, {})
+        segments[-1].commands = change(segments[-1].commands)
+        Replay(recording.scene, segments).run()
+        assert np.any(segments[-1].replayed['joint_states'] != segments[-1].logged['joint_states'])
+
+
+def test_rates_that_change_and_a_log_of_a_replay(start, client, paper, tmp_path):
+    """What a replay writes is what the node wrote: it replays, too, and has the same messages."""
+    node = start('--params-file', str(paper))
+    torque = client.command(Float64, '/timo_sim/motor_torque')
+    torque.publish(Float64(data=1.0))
+    change = client.service(SetParameters, '/timo_sim/set_parameters')
+    change(parameters=[Parameter('rate.tip_pose', value=500.0).to_parameter_msg()])
+    time.sleep(0.2)
+    assert node.end()[0] == 0
+    lines = []
+    assert replay(node.log, output=tmp_path / 'again.mcap', show=lines.append)
+    assert 'same to the last bit' in lines[1]
+    first, second = (Recording(path) for path in (node.log, tmp_path / 'again.mcap'))
+    assert first.scene == second.scene
+    for name, series in first.topics.items():
+        again = second.topics[name]
+        assert np.array_equal(series.step, again.step) and series.data == again.data
+        assert np.array_equal(series.values, again.values) and series.topic == again.topic
+    assert replay(tmp_path / 'again.mcap', show=lines.append)
