@@ -48,6 +48,8 @@ setup(
         'console_scripts': [
             'sim_node = timo_sim.ros.sim_node:main',
             'timo_sim = timo_sim.cli:main',
+            # For `ros2 run timo_sim ...`, the same functions.
+            *(f'{name} = timo_sim.cli:{name}' for name in ('export', 'info', 'recover', 'replay')),
         ],
     },
 )

@@ -41,8 +41,11 @@ def one_line_for_errors(*wrong_input):
 @click.option('--scheduler', metavar='ADDRESS',
               help='Of a Dask scheduler, instead of processes of this machine.')
 def sweep(file, output, workers, scheduler):
-    """
+    r"""
     Do the runs of FILE and write a table of their results.
+
+    \b
+        timo_sim sweep config/sweep.yaml
 
     A sweep that was stopped goes on where it was when the command is given again.
     """
@@ -57,8 +60,11 @@ def sweep(file, output, workers, scheduler):
 @click.option('--output', '-o', type=click.Path(),
               help='New log; by default beside FILE, with _recovered after its name.')
 def recover(file, output):
-    """
+    r"""
     Write what is intact in FILE, a log that ends early or is damaged, to a new log.
+
+    \b
+        timo_sim recover run.mcap
 
     FILE is only read. Of a complete log nothing is written.
     """
@@ -84,7 +90,7 @@ def recover(file, output):
               help='Sim time of the end [s]; by default that of the last message.')
 @click.option('--node', metavar='NAME', help='Full name of the node, for a bag of several.')
 def replay(file, settings, formulation, scene, output, start, duration, node):
-    """
+    r"""
     Run the commands and resets of FILE again, at full speed, and compare.
 
     A log of this package gives the same numbers to the last bit. With a changed scene the same
@@ -115,3 +121,46 @@ def replay(file, settings, formulation, scene, output, start, duration, node):
         good = replay(file, changes, output, scene, start, duration, node, click.echo)
     if not good:
         sys.exit(1)
+
+
+@main.command()
+@click.argument('file', type=click.Path())
+def info(file):
+    r"""
+    Say what FILE, a log or a bag, is about: scene, duration, rates, gaps, commands, peak.
+
+    \b
+        timo_sim info run.mcap
+    """
+    from timo_sim.log.reader import LogError
+    with one_line_for_errors(LogError):
+        from timo_sim.log.info import info
+        click.echo('\n'.join(info(file)))
+
+
+@main.command()
+@click.argument('file', type=click.Path())
+@click.option('--output', '-o', type=click.Path(), required=True, help=(
+    'New file, *.parquet or *.csv; with --bag a new folder.'))
+@click.option('--topic', metavar='NAME', help=(
+    "Write this topic alone, such as '~/motor_torque' (~ is the node's name) or joint_states."))
+@click.option('--bag', is_flag=True, help=(
+    'Make the folder that rosbag2 writes: FILE with metadata.yaml beside it.'))
+@click.option('--node', metavar='NAME', help='Full name of the node, for a bag of several.')
+def export(file, output, topic, bag, node):
+    r"""
+    Write FILE, a log or a bag, as a table with units in the names of columns.
+
+    \b
+        timo_sim export run.mcap -o run.parquet
+        timo_sim export run.mcap -o torque.csv --topic '~/motor_torque'
+        timo_sim export run.mcap -o my_bag --bag
+
+    One row for each message of joint_states; of the other topics it has the message with the same
+    stamp, and nothing (NaN) where there is none. At a reset two rows have the same time, before
+    and after it.
+    """
+    from timo_sim.log.reader import LogError
+    with one_line_for_errors(LogError):
+        from timo_sim.log.export import export, export_bag
+        click.echo(export_bag(file, output) if bag else export(file, output, topic, node))

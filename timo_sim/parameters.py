@@ -286,6 +286,11 @@ def check(values, source):
     return checked
 
 
+def changed(values):
+    """Return those of some values that are not the default."""
+    return {name: value for name, value in values.items() if value != PARAMETERS[name].default}
+
+
 def whole_ratio(name, value, unit_name, unit):
     """
     Return how many times `unit` fits into `value`, a whole number.

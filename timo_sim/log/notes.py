@@ -3,17 +3,66 @@
 from importlib.metadata import version
 import json
 import platform
-
-from llvmlite.binding import get_host_cpu_name
+from typing import NamedTuple
 
 import timo_sim
+from timo_sim.log.reader import LogError
 
 START, RESET, SUMMARY = 'timo_sim', 'timo_sim.reset', 'timo_sim.summary'
 # What the last bits of a run depend on besides its scene.
 _GROUND = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processor')
 
 
-def start_note(node, values, scene):
+class LogNotes(NamedTuple):
+    """
+    What a log says.
+
+    Attributes
+    ----------
+    facts, summary : dict of str
+        At its beginning and at its end; empty where it does not.
+    resets : list of tuple of int
+        Step and place in the file of each.
+
+    """
+
+    facts: dict
+    summary: dict
+    resets: list
+
+
+def read_notes(index):
+    """
+    Read the notes in a file.
+
+    Parameters
+    ----------
+    index : Index
+
+    Returns
+    -------
+    LogNotes
+
+    Raises
+    ------
+    LogError
+
+    """
+    facts, summary, resets = {}, {}, []
+    for place, record in index.metadata():
+        if record.name == START:
+            facts = record.metadata
+        elif record.name == SUMMARY:
+            summary = record.metadata
+        elif record.name == RESET:
+            step = record.metadata.get('step', '')
+            if not (step.isdecimal() and len(step) < 19):
+                raise LogError(f'{index.name} has a reset at step {step[:40]!r}')
+            resets.append((int(step), place))
+    return LogNotes(facts, summary, resets)
+
+
+def start_note(node, values, changed, scene):
     """
     Return what a log says at its beginning.
 
@@ -23,6 +72,8 @@ def start_note(node, values, scene):
         Fully qualified name.
     values : dict
         All parameters of the node.
+    changed : dict
+        Those that are not as by default.
     scene : Scene
 
     Returns
@@ -31,7 +82,7 @@ def start_note(node, values, scene):
 
     """
     return {
-        'node': node, 'parameters': json.dumps(values),
+        'node': node, 'parameters': json.dumps(values), 'changed': json.dumps(changed),
         'initial_motion': json.dumps(scene.initial_motion().tolist()), **_here()}
 
 
@@ -41,7 +92,30 @@ def other_ground(facts):
                      for name, value in _here().items() if facts.get(name, value) != value)
 
 
+def made_with(facts):
+    """Return in words what made a log."""
+    return ', '.join(f'{name} {facts[name][:40]}' for name in _GROUND if name in facts)
+
+
+class Peak:
+    """The largest transverse deflection of the tip that was published."""
+
+    def __init__(self):
+        self._found = 0.0, 0.0
+
+    def see(self, numbers, nanoseconds):
+        """Look at a tip deflection [m] at a time [ns]."""
+        if not abs(numbers[1]) <= self._found[0]:
+            self._found = abs(numbers[1]), 1e-9 * nanoseconds
+
+    def note(self):
+        """Return what a log says of it, a dictionary of str."""
+        return {'peak_tip_deflection_m': str(self._found[0]),
+                'peak_tip_deflection_at_s': f'{self._found[1]:.9f}'}
+
+
 def _here():
+    from llvmlite.binding import get_host_cpu_name  # for which the steps are compiled
     return dict(zip(_GROUND, (
         timo_sim.__version__, platform.python_version(),
         *(version(package) for package in ('numpy', 'scipy', 'numba')),

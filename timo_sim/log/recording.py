@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from timo_sim.commands import COMMANDS, Refused
 from timo_sim.log.cdr import CdrError, layout, TYPES
 from timo_sim.log.index import Index
-from timo_sim.log.notes import RESET, START, SUMMARY
+from timo_sim.log.notes import read_notes
 from timo_sim.log.reader import LogError, Message, open_log, Reader
 from timo_sim.log.rosbag2 import shown
 from timo_sim.outputs import NANOSECONDS, outputs
@@ -105,16 +106,8 @@ class Recording:
     def __init__(self, path, node=None):
         self.path = _single(Path(path))
         self.index = Index(self.path)
-        self.facts, self.summary, self._resets = {}, {}, []
-        for place, record in self.index.metadata():
-            if record.name == START:
-                self.facts = record.metadata
-            elif record.name == SUMMARY:
-                self.summary = record.metadata
-            elif record.name == RESET:
-                self._resets.append((self._number(record.metadata.get('step')), place))
-        self.resets = np.array([step for step, _ in self._resets], dtype=np.int64)
-        self.reset_places = np.array([place for _, place in self._resets], dtype=np.int64)
+        self.facts, self.summary, resets = read_notes(self.index)
+        self.resets, self.reset_places = np.array(resets, dtype=np.int64).reshape(-1, 2).T
         self.name = node or self.facts.get('node') or self._find_node()
 
     @cached_property
@@ -127,7 +120,7 @@ class Recording:
         """All series by short name: 'joint_states', '~/tip_pose', ..., '~/motor_torque'."""
         return self.read()
 
-    def read(self, *names):
+    def read(self, *names, most_chunks=None):
         """
         Read some series, in one pass.
 
@@ -135,6 +128,8 @@ class Recording:
         ----------
         *names : str
             Short names; none: all. What the file does not have is left out.
+        most_chunks : int, optional
+            Read of so many chunks only, spread over the file.
 
         Returns
         -------
@@ -148,7 +143,7 @@ class Recording:
                 if any(other.name == short for other in wanted.values()):
                     raise LogError(f'{self.index.name} has two channels of {channel.topic[:80]}')
                 wanted[number] = _Collector(short, channel.topic, known)
-        for place, data, offsets in self._blocks():
+        for place, data, offsets in self._blocks(most_chunks):
             for number in wanted.keys() & offsets.keys():
                 try:
                     wanted[number].add(place, data, offsets[number], number)
@@ -183,7 +178,7 @@ class Recording:
             if self.scene is None or self.scene.values['model.modes']:
                 raise LogError(f'{self.index.name} has no modal_state of {self.name}')
             return joints.step, joints.ns, joints.values[:, :6]
-        first, second = _common(joints.ns, modes.ns)
+        first, second = common(joints.ns, modes.ns)
         q, rates = np.hsplit(modes.values[second], 2)
         position, velocity = joints.values[first, :3], joints.values[first, 3:6]
         return (joints.step[first], joints.ns[first],
@@ -199,12 +194,6 @@ class Recording:
         return topic
 
     # What the file is.
-
-    def _number(self, text):
-        try:
-            return int(text[:20])
-        except (TypeError, ValueError):
-            raise LogError(f'{self.index.name} has a reset at step {text!r:.40}') from None
 
     def _find_node(self):
         ends = [name.removeprefix('~') for name in
@@ -241,11 +230,12 @@ class Recording:
 
     # Its messages.
 
-    def _blocks(self):
+    def _blocks(self, most):
         """Yield place, data and offsets by channel, in the order of the file."""
         counts = sum(sum(chunk.counts().values()) for chunk in self.index.chunks)
         if counts == self.index.statistics.message_count:
-            for chunk in self.index.chunks:
+            chunks = self.index.chunks
+            for chunk in chunks[::math.ceil(len(chunks) / (most or math.inf)) or 1]:
                 yield chunk.place, *self.index.read(chunk)
         else:  # a file without chunks, or without their indexes, has all the same what it has
             yield from self._blocks_without_index()
@@ -434,7 +424,7 @@ def _doubles(rows, places):
     return np.ascontiguousarray(rows[:, columns]).view('<f8').reshape(len(rows), len(places))
 
 
-def _common(first, second):
+def common(first, second):
     """
     Return where two ascending lists have the same values, pairwise.
 

@@ -1,5 +1,6 @@
 """What rosbag2 keeps in a log besides the messages: QoS, and its own metadata record."""
 
+from collections import Counter
 import os
 
 import yaml
@@ -17,11 +18,12 @@ class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[mi
         return True
 
 
-def _text(value):
+def yaml_text(value):
+    """Return a value as YAML without aliases."""
     return yaml.dump(value, Dumper=_Dumper, sort_keys=False)
 
 
-_QOS_TEXT = _text([_QOS])
+_QOS_TEXT = yaml_text([_QOS])
 
 
 def shown(path):
@@ -45,10 +47,35 @@ def add_rosbag2_metadata(writer, name):
         Of the file.
 
     """
-    span = {'duration': {'nanoseconds': writer.end - writer.start},
-            'starting_time': {'nanoseconds_since_epoch': writer.start},
-            'message_count': writer.counts.total()}
-    types = {schema.id: schema.name for schema in writer.schemas}
+    writer.add_metadata('rosbag2', {'serialized_metadata': yaml_text(information(
+        writer.schemas, writer.channels, writer.counts, writer.start, writer.end, name))})
+
+
+def information(schemas, channels, counts, start, end, name):
+    """
+    Return what rosbag2 says of a bag, version 9.
+
+    Parameters
+    ----------
+    schemas, channels : iterable
+        Records.
+    counts : dict
+        Messages of each channel.
+    start, end : int
+        Earliest and latest time of a message [ns].
+    name : str
+        Of the file.
+
+    Returns
+    -------
+    dict
+
+    """
+    counts = Counter(counts)
+    span = {'duration': {'nanoseconds': end - start},
+            'starting_time': {'nanoseconds_since_epoch': start},
+            'message_count': counts.total()}
+    types = {schema.id: schema.name for schema in schemas}
     topics = [
         {'topic_metadata': {
             'name': channel.topic, 'type': types[channel.schema_id],
@@ -57,10 +84,10 @@ def add_rosbag2_metadata(writer, name):
             'offered_qos_profiles':
                 [_QOS] if channel.metadata.get('offered_qos_profiles') == _QOS_TEXT else [],
             'type_description_hash': channel.metadata.get('topic_type_hash', '')},
-         'message_count': writer.counts[channel.id]}
-        for channel in writer.channels]
-    writer.add_metadata('rosbag2', {'serialized_metadata': _text({
+         'message_count': counts[channel.id]}
+        for channel in channels]
+    return {
         'version': 9, 'storage_identifier': 'mcap', **span,
         'topics_with_message_count': topics, 'compression_format': '', 'compression_mode': '',
         'relative_file_paths': [shown(name)], 'files': [{'path': shown(name), **span}],
-        'custom_data': {}, 'ros_distro': 'jazzy'})})
+        'custom_data': {}, 'ros_distro': 'jazzy'}

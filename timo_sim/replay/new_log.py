@@ -1,9 +1,10 @@
 """The log of a replay: the same topics and bytes as the node writes; needs rclpy's messages."""
 
 from timo_sim.commands import COMMANDS
-from timo_sim.log.notes import start_note, START
+from timo_sim.log.notes import Peak, start_note, START, SUMMARY
 from timo_sim.log.recorder import Channel, Recorder
 from timo_sim.outputs import outputs
+from timo_sim.parameters import changed
 from timo_sim.ros.topics import MESSAGES, Serializer
 
 
@@ -27,7 +28,7 @@ class NewLog:
         node = recording.name
         namespace = node.rpartition('/')[0]
         channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
-        self._topics = {}
+        self._topics, self._peak = {}, Peak()
         for output in outputs(scene.values['model.modes']):
             name = output.name
             topic = (name if name.startswith('/') else
@@ -36,7 +37,8 @@ class NewLog:
             self._topics[name] = len(channels), serialize
             channels.append(Channel(topic, output.type_name))
         self._recorder = Recorder(path, channels, {
-            START: {**start_note(node, values, scene), 'replay_of': recording.index.name}})
+            START: {**start_note(node, values, changed(values), scene),
+                    'replay_of': recording.index.name}})
 
     @property
     def path(self):
@@ -52,6 +54,8 @@ class NewLog:
         index, serialize = self._topics[name]
         self._recorder.write(index, snapshot.step, snapshot.nanoseconds,
                              serialize(snapshot.time, numbers))
+        if name == '~/tip_deflection':
+            self._peak.see(numbers, snapshot.nanoseconds)
 
     def note(self, name, values):
         """Log a metadata record."""
@@ -59,6 +63,7 @@ class NewLog:
 
     def close(self):
         """Complete the file; raise OSError if it is not."""
+        self._recorder.note(SUMMARY, self._peak.note())
         self._recorder.close()
         if self._recorder.error:
             raise OSError(self._recorder.error)

@@ -13,10 +13,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from timo_sim.accuracy import settle
 from timo_sim.commands import COMMANDS
-from timo_sim.log.notes import RESET, start_note, START
+from timo_sim.log.notes import Peak, RESET, start_note, START, SUMMARY
 from timo_sim.log.recorder import Recorder
 from timo_sim.outputs import NANOSECONDS, outputs, Snapshot
-from timo_sim.parameters import LATEST, ParameterError, RATES, whole_ratio
+from timo_sim.parameters import changed, LATEST, ParameterError, RATES, whole_ratio
 from timo_sim.physics.formulation import LOADS
 from timo_sim.ros import diagnostics
 from timo_sim.ros.commands import Inlet
@@ -80,6 +80,7 @@ class SimNode(Node):
         self._diverged = None
         self._pace = Pace(self._step)
         self._recorder, self._log_error, self._cautioned = None, None, None
+        self._peak = Peak()
         self._foreign_clock, self.failed_calls = False, 0
         self._health = diagnostics.Health(self.get_fully_qualified_name())
 
@@ -221,14 +222,7 @@ class SimNode(Node):
             return
         snapshot = self._snapshot()
         message = self._health.message(
-            snapshot,
-            counters={
-                'overruns': self._pace.overruns,
-                'dropped_time_s': self._pace.dropped_steps * self._step,
-                'refused_commands': sum(inlet.refused for inlet in self._inlets),
-                'stale_commands': sum(inlet.stale for inlet in self._inlets),
-                'failed_calls': self.failed_calls,
-                'coarse_steps': simulator.control.coarse},
+            snapshot, self._counters(),
             facts={
                 'state': 'paused' if self._paused else 'running',
                 'sim_time_s': snapshot.nanoseconds / NANOSECONDS,
@@ -241,6 +235,15 @@ class SimNode(Node):
             cautions=[text for text in (
                 simulator.caution, self._foreign_clock and _TWO_CLOCKS) if text])
         self._health_outlet.send(serialize_message(message), snapshot.step, snapshot.nanoseconds)
+
+    def _counters(self):
+        return {
+            'overruns': self._pace.overruns,
+            'dropped_time_s': self._pace.dropped_steps * self._step,
+            'refused_commands': sum(inlet.refused for inlet in self._inlets),
+            'stale_commands': sum(inlet.stale for inlet in self._inlets),
+            'failed_calls': self.failed_calls,
+            'coarse_steps': self._simulator.control.coarse}
 
     def _pass_on_caution(self):
         if self._simulator.caution != self._cautioned:
@@ -325,13 +328,16 @@ class SimNode(Node):
         try:
             self._recorder = Recorder(path, channels, {
                 START: start_note(self.get_fully_qualified_name(), self._values,
-                                  self._simulator.scene)})
+                                  changed(self._values), self._simulator.scene)})
         except (OSError, ValueError) as error:  # ValueError: a path without a name
             self._log_error = f'no log is written to {path}: {error}'
             self.get_logger().error(self._log_error)
             return
         for index, outlet in enumerate(outlets, start=len(self._inlets)):
             outlet.recorder, outlet.index = self._recorder, index
+        for outlet in self._outlets:
+            if outlet.name == '~/tip_deflection':
+                outlet.watch = self._peak.see
 
     def _close(self, wall_time):
         self._pass_on_caution()
@@ -339,6 +345,8 @@ class SimNode(Node):
         report = (f'simulated {sim_time:.6g} s in {wall_time:.3f} s, {self._pace.overruns} '
                   f'overruns, {self._pace.dropped_steps * self._step:.6g} s dropped')
         if self._recorder is not None:
+            counted = {name: str(count) for name, count in self._counters().items()}
+            self._recorder.note(SUMMARY, {**self._peak.note(), **counted})
             self._recorder.close()
             report += f'; log: {self._recorder.path}'
             if self._recorder.error and not self._log_error:

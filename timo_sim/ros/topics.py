@@ -143,6 +143,8 @@ class MotionOutlet(Outlet):
     ----------
     every : int
         Steps between messages.
+    watch : function(tuple, int) or None
+        Sees numbers and time [ns] of what is sent.
 
     """
 
@@ -151,9 +153,11 @@ class MotionOutlet(Outlet):
         super().__init__(node, output.name, message_type)
         self._serialize = Serializer(message, len(output.columns))
         self._numbers, self.rate = output.numbers, output.rate
-        self.every = 1
+        self.name, self.every, self.watch = output.name, 1, None
 
     def publish(self, snapshot):
         """Send what a snapshot holds."""
-        data = self._serialize(snapshot.time, self._numbers(snapshot))
-        self.send(data, snapshot.step, snapshot.nanoseconds)
+        numbers = self._numbers(snapshot)
+        self.send(self._serialize(snapshot.time, numbers), snapshot.step, snapshot.nanoseconds)
+        if self.watch is not None:
+            self.watch(numbers, snapshot.nanoseconds)

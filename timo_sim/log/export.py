@@ -1,0 +1,159 @@
+"""A log as a table, for pandas, MATLAB and the like, or as the folder that rosbag2 writes."""
+
+import csv
+import os
+from pathlib import Path
+import shutil
+
+import numpy as np
+
+from timo_sim.log.index import Index
+from timo_sim.log.reader import LogError
+from timo_sim.log.recording import common, Recording
+from timo_sim.log.rosbag2 import information, shown, yaml_text
+from timo_sim.outputs import outputs, with_angles
+
+_ROWS = 10000  # of a CSV file that are text at once
+
+
+def export(file, output, topic=None, node=None):
+    """
+    Write a log as a table.
+
+    One row for each message of joint_states, or of `topic`. Of the other topics a row has the
+    message with the same stamp, where there is one. At a reset there are two rows with the same
+    time, before and after it.
+
+    Parameters
+    ----------
+    file : str or Path
+    output : str or Path
+        A file that does not exist, *.parquet or *.csv.
+    topic : str, optional
+        Short name of a topic, such as '~/motor_torque', to be written alone.
+    node : str, optional
+        See `Recording`.
+
+    Returns
+    -------
+    str
+        What was written.
+
+    Raises
+    ------
+    LogError
+        If there is nothing to write, or `output` exists.
+
+    """
+    output = Path(output)
+    if output.suffix not in ('.parquet', '.csv'):
+        raise LogError(f'{shown(output)} must end with .parquet or .csv')
+    if output.exists():
+        raise LogError(f'{shown(output)} exists: remove it or choose another --output')
+    recording = Recording(file, node)
+    columns, left = table(recording, topic)
+    (_parquet if output.suffix == '.parquet' else _csv)(columns, output)
+    text = f'{shown(output)}: {len(columns["time_s"])} rows, {len(columns)} columns'
+    if left:
+        text += '; messages at other times are left out, --topic writes them: ' + ', '.join(left)
+    return text
+
+
+def table(recording, topic=None):
+    """
+    Return columns by name, and topics of which messages are left out.
+
+    Parameters
+    ----------
+    recording : Recording
+    topic : str, optional
+        See `export`.
+
+    Returns
+    -------
+    dict of ndarray, shape (n,)
+        `time_s`; `step` of a log of this package; what the topics have.
+    list of str
+
+    """
+    found = recording.read(*([topic] if topic else [output.name for output in outputs(1)]))
+    base = found.pop(topic or 'joint_states', None)
+    if base is None:
+        topics = ', '.join(sorted(recording.read())) or 'none'
+        raise LogError(f'{recording.index.name} has no {topic or "joint_states"}; it has {topics}')
+    columns, left = {'time_s': 1e-9 * base.ns}, []
+    if recording.facts:
+        columns['step'] = base.step
+    names, values = with_angles(base.columns, base.values)
+    columns.update(zip(names, values.T))
+    for name, series in found.items():
+        names, values = with_angles(series.columns, series.values)
+        here, there = common(base.ns, series.ns)
+        whole = np.full((len(base.ns), len(names)), np.nan)
+        whole[here] = values[there]
+        prefix = name.removeprefix('~/') + '_'
+        columns.update((column if column.startswith('mode_') else prefix + column, numbers)
+                       for column, numbers in zip(names, whole.T))
+        if names and len(series.ns[there]) < len(series.ns):
+            left.append(name)
+    return columns, left
+
+
+def _parquet(columns, path):
+    import pyarrow
+    import pyarrow.parquet
+    arrays = {name: pyarrow.array(np.ascontiguousarray(values), from_pandas=True)
+              for name, values in columns.items()}
+    with open(path, 'xb') as stream:
+        pyarrow.parquet.write_table(pyarrow.table(arrays), stream)
+
+
+def _csv(columns, path):
+    with open(path, 'x', newline='') as stream:
+        writer = csv.writer(stream)
+        writer.writerow(columns)
+        for first in range(0, len(columns['time_s']), _ROWS):
+            part = [['' if value != value else value for value in
+                     values[first:first + _ROWS].tolist()] for values in columns.values()]
+            writer.writerows(zip(*part))
+
+
+def export_bag(file, output):
+    """
+    Make the folder that rosbag2 would have written: the log, and metadata.yaml beside it.
+
+    Parameters
+    ----------
+    file : str or Path
+    output : str or Path
+        A folder that does not exist.
+
+    Returns
+    -------
+    str
+        What was written.
+
+    Raises
+    ------
+    LogError
+        If the file is no log, or `output` exists.
+
+    """
+    folder = Path(output)
+    with Index(file) as index:
+        statistics = index.statistics
+        content = information(
+            index.schemas.values(), index.channels.values(), statistics.channel_message_counts,
+            statistics.message_start_time, statistics.message_end_time, index.path.name)
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise LogError(f'{shown(folder)} exists: remove it or choose another --output') from None
+    new = folder / index.path.name
+    try:
+        os.link(index.path, new)  # the same file: a gigabyte takes no time, and no space
+    except OSError:
+        shutil.copyfile(index.path, new)
+    (folder / 'metadata.yaml').write_text(
+        yaml_text({'rosbag2_bagfile_information': content}))
+    return f'{shown(folder)}: {shown(new.name)} and metadata.yaml'

@@ -1,0 +1,130 @@
+"""What a log is about, from its ends and its indexes: a gigabyte takes less than a second."""
+
+import json
+import math
+
+import numpy as np
+
+from timo_sim.log.index import Index
+from timo_sim.log.notes import made_with, read_notes
+
+_NANOSECONDS = 1000000000
+_MOST_TIMES = 500000  # messages whose times are looked at one by one
+_MOST_CHUNKS = 40      # that are read where no summary tells the peak
+_COUNTERS = ('refused_commands', 'stale_commands', 'overruns', 'dropped_time_s', 'coarse_steps')
+
+
+def info(file):
+    """
+    Describe a log of this package, or another MCAP file.
+
+    Parameters
+    ----------
+    file : str or Path
+
+    Returns
+    -------
+    list of str
+        Lines.
+
+    Raises
+    ------
+    LogError
+
+    """
+    with Index(file) as index:
+        notes = read_notes(index)
+        kind = 'log of ' + notes.facts.get('node', '/timo_sim') if notes.facts else 'plain bag'
+        lines = [f'{index.name}: {kind}, {index.size / 1e6:.3g} MB']
+        if notes.facts:
+            lines += _about_run(index, notes)
+        lines += _about_topics(index)
+    # What the file says may hold anything, such as what a terminal obeys.
+    return [''.join(sign if sign.isprintable() else ' ' for sign in line[:200]) for line in lines]
+
+
+def _about_run(index, notes):
+    facts, summary, resets = notes
+    yield from _entry('scene', _changed(facts) or [
+        'all defaults: the manipulator of the paper at rest'])
+    yield from _entry('made with', [made_with(facts)])
+    end = index.statistics.message_end_time / _NANOSECONDS
+    yield from _entry('sim time', [f'0 to {end:.9g} s'])
+    steps = ', '.join(str(step) for step, _ in resets[:8]) + (', ...' if len(resets) > 8 else '')
+    yield from _entry('resets', [f'at steps {steps}' if resets else 'none'])
+    counted = [f'{name} {summary[name][:20]}' for name in _COUNTERS if name in summary]
+    yield from _entry('counted', [', '.join(counted) or 'not known: the node did not write its '
+                                  'end'])
+    yield from _entry('peak tip', [_peak(index, summary)])
+
+
+def _changed(facts):
+    try:
+        changed = json.loads(facts['changed'])
+        return [f'{name} = {json.dumps(value)}'[:90] for name, value in changed.items()]
+    except (KeyError, AttributeError, ValueError, RecursionError):
+        return ['not known: the log does not say what is not as by default']
+
+
+def _entry(title, lines):
+    for number, line in enumerate(lines):
+        yield f'  {title if not number else "":<10}{line}'
+
+
+def _peak(index, summary):
+    try:
+        largest = float(summary['peak_tip_deflection_m'])
+        time, about = float(summary['peak_tip_deflection_at_s']), ''
+    except (KeyError, ValueError):
+        from timo_sim.log.recording import Recording  # which takes longer than all the rest
+        series = Recording(index.path).read('~/tip_deflection', most_chunks=_MOST_CHUNKS).get(
+            '~/tip_deflection')
+        if series is None or not len(series.ns):
+            return 'not in the log'
+        across = np.abs(series.values[:, 1])
+        place = int(np.argmax(across))
+        largest, time = across[place], series.ns[place] / _NANOSECONDS
+        chunks = len(index.chunks)
+        about = '' if chunks <= _MOST_CHUNKS else (
+            f'at least, from some of {chunks} chunks: ')
+    return f'{about}{largest:.6g} m transverse, at {time:.6g} s'
+
+
+def _about_topics(index):
+    counts = index.statistics.channel_message_counts
+    step = max(1, math.ceil(index.statistics.message_count / _MOST_TIMES))
+    times = _times(index, step)
+    pauses = [after.start - before.end for before, after in zip(index.chunks, index.chunks[1:])]
+    if max(pauses, default=0) > _NANOSECONDS:
+        yield f'  no messages at all for {max(pauses) / _NANOSECONDS:.6g} s'
+    width = max([len(channel.topic) for channel in index.channels.values()], default=5)
+    width = min(width, 60)
+    yield f'  {"topic":<{width}}  {"messages":>9}  {"rate":>10}  largest gap' + (
+        f' (in one of {step} chunks)' if step > 1 else '')
+    for number, channel in sorted(index.channels.items(), key=lambda item: item[1].topic):
+        first, last, gap = times.get(number, (0, 0, 0))
+        count = counts.get(number, 0)
+        rate = f'{(count - 1) * _NANOSECONDS / (last - first):.6g} Hz' if last > first else '-'
+        gap = f'{gap / _NANOSECONDS:.6g} s' if gap else '-'
+        yield f'  {channel.topic[:width]:<{width}}  {count:>9}  {rate:>10}  {gap}'
+
+
+def _times(index, step):
+    """Return first and last time and the largest gap between messages of each channel [ns]."""
+    found, before = {}, {}
+    chunks = index.chunks
+    wanted = {*range(0, len(chunks), step), *range(len(chunks) - 3, len(chunks)), 0, 1, 2}
+    last_read = None
+    for number in sorted(place for place in wanted if 0 <= place < len(chunks)):
+        if last_read != number - 1:
+            before = {}
+        last_read = number
+        for channel, times in index.times(chunks[number]).items():
+            if not len(times):
+                continue
+            first, last, gap = found.get(channel, (int(times[0]), 0, 0))
+            start = before.get(channel, times[0])
+            gap = max(gap, int(np.diff(times, prepend=start).max()))
+            before[channel] = times[-1]
+            found[channel] = min(first, int(times.min())), max(last, int(times.max())), gap
+    return found
