@@ -22,12 +22,19 @@ def test_colcon_builds_and_the_installed_node_runs(tmp_path):
     scene = share / 'config' / 'paper.yaml'
     assert scene.read_text() == (ROOT / 'config/paper.yaml').read_text()
 
+    executables = {path.name for path in (prefix / 'lib/timo_sim').iterdir()}
+    assert executables >= {'sim_node', 'timo_sim', 'export', 'info', 'recover', 'replay'}
     purelib = sysconfig.get_path('purelib', vars={'base': str(prefix)})
+    environment = {**os.environ, 'PYTHONPATH': str(purelib)}
     result = subprocess.run(
         [prefix / 'lib/timo_sim/sim_node', '--ros-args', '--params-file', scene, '-p',
          'duration:=0.5', '-p', 'record_file:=run.mcap'],
-        cwd=tmp_path, capture_output=True, text=True,
-        env={**os.environ, 'PYTHONPATH': str(purelib)})
+        cwd=tmp_path, capture_output=True, text=True, env=environment)
     assert result.returncode == 0, result.stderr
     assert 'simulated 0.5 s' in result.stdout + result.stderr
     assert (tmp_path / 'run.mcap').stat().st_size > 1000
+    # What `ros2 run timo_sim info` and `timo_sim info` start.
+    for command in (['info'], ['timo_sim', 'info']):
+        told = subprocess.run([prefix / 'lib/timo_sim' / command[0], *command[1:], 'run.mcap'],
+                              cwd=tmp_path, capture_output=True, text=True, env=environment)
+        assert told.returncode == 0 and 'sim time  0 to 0.5 s' in told.stdout, told.stderr
