@@ -22,6 +22,7 @@ _HEAD = 31              # [B] of a message before its content: opcode, length an
 _HEAD_TYPE = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
                        ('sequence', '<u4'), ('log_time', '<u8'), ('publish_time', '<u8')])
 _MOST_LAYOUTS = 100     # of a topic; frames of commands have different lengths
+_LARGEST = 65536        # [B] of a message; those of 40 modes have 2000
 _BLOCK = 1024 * 1024    # [B] of messages at once where there are no chunks
 _COMMANDS = {command.name: command for command in COMMANDS}
 _WRAP = 2**32           # steps after which a sequence number starts again
@@ -258,11 +259,9 @@ class Recording:
             yield place, *_arrays(data, offsets)
 
     def _series(self, collector):
-        heads, place, stamps, values = collector.arrays()
-        log_ns = heads['log_time'].astype(np.int64)
+        sequence, log_ns, place, stamps, values = collector.arrays()
         ns = log_ns if stamps is None else stamps
         if self.facts:
-            sequence = heads['sequence'].astype(np.int64)
             turns = np.rint((1e-9 * log_ns / self.scene.step - sequence) / _WRAP)
             step = sequence + _WRAP * turns.astype(np.int64)
         else:
@@ -318,20 +317,20 @@ class _Collector:
                 and np.all(np.diff(order) >= _HEAD)
                 and sizes.sum() + _HEAD * len(sizes) <= len(data)):
             raise CdrError('the index names something else')
+        if sizes.max() > _LARGEST or sizes.min() < 4:
+            raise CdrError(f'it has {sizes.max() if sizes.max() > _LARGEST else sizes.min()} '
+                           'bytes')
         found = []
         for size in np.unique(sizes):
-            which = np.flatnonzero(sizes == size)
-            rows = _gather(data, offsets[which] + np.uint64(_HEAD), np.dtype(f'V{size}')).view(
-                np.uint8).reshape(len(which), -1)
-            found += self._decode(which, rows)
-        which = np.concatenate([part[0] for part in found])
-        back = np.argsort(which, kind='stable')
-        stamps = None if found[0][1] is None else np.concatenate([part[1] for part in found])[back]
-        values = np.concatenate([part[2] for part in found])[back]
-        data = [message for part in found for message in part[3]]
-        self.data += [data[place] for place in back] if data else []
-        which = which[back]
-        self._parts.append((heads[which], np.full(len(which), place), stamps, values))
+            same = np.flatnonzero(sizes == size)
+            rows = _gather(data, offsets[same] + np.uint64(_HEAD), np.dtype(f'V{size}')).view(
+                np.uint8).reshape(len(same), -1)
+            found += self._decode(same, rows)
+        which, stamps, values, messages = found[0] if len(found) == 1 else _merged(found)
+        self.data += messages
+        self._parts.append((heads['sequence'][which].astype(np.int64),
+                            heads['log_time'][which].astype(np.int64),
+                            np.full(len(which), place), stamps, values))
 
     def _decode(self, which, rows):
         """Yield index, stamps and values of messages of one size, layout by layout."""
@@ -375,7 +374,6 @@ class _Collector:
                 except Refused:
                     self.refused += 1
             shape = len(kept), len(self.columns)
-            # Several layouts come one after the other, not in the order of the file.
             return which[kept], None, np.array(loads, dtype=float).reshape(shape), [
                 row.tobytes() for row in rows[kept]]
         values = _doubles(rows, [found.doubles[place] for place in self._places])
@@ -383,14 +381,22 @@ class _Collector:
         return which, stamp[:, 0] * np.int64(NANOSECONDS) + stamp[:, 1], values, []
 
     def arrays(self):
-        """Return heads, places, stamps (None for commands) and values."""
+        """Return sequence numbers, log times, places, stamps (None for commands) and values."""
         if not self._parts:
             none = np.zeros(0, dtype=np.int64)
-            return (np.zeros(0, _HEAD_TYPE), none, None if self._command else none,
+            return (none, none, none, None if self._command else none,
                     np.zeros((0, len(self.columns))))
-        heads, place, stamps, values = zip(*self._parts)
-        return (np.concatenate(heads), np.concatenate(place),
-                None if stamps[0] is None else np.concatenate(stamps), np.concatenate(values))
+        return [None if parts[0] is None else np.concatenate(parts)
+                for parts in zip(*self._parts)]
+
+
+def _merged(found):
+    """Return messages of several layouts in the order of the file."""
+    order = np.argsort(np.concatenate([part[0] for part in found]))
+    messages = [message for part in found for message in part[3]]
+    return *(None if found[0][place] is None else
+             np.concatenate([part[place] for part in found])[order] for place in range(3)), (
+                 [messages[place] for place in order] if messages else [])
 
 
 def _single(path):
