@@ -2,6 +2,8 @@
 
 import shutil
 
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer as McapWriter
 from mcap_ros2.reader import read_ros2_messages
 import numpy as np
 import pytest
@@ -10,9 +12,11 @@ from rosbags.typesys import get_typestore, Stores
 
 from ros_process import Process
 import timo_sim
+from timo_sim.log.info import info
 from timo_sim.log.reader import LogError
 from timo_sim.log.recording import Recording
 
+LIES = 150
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -166,8 +170,6 @@ def test_a_scene_that_is_none_is_one_line(log, tmp_path):
 
 def test_files_without_chunks_are_read_too(log, tmp_path):
     """As rosbag2 writes with its profile `fastwrite`; mcap's own writer makes one here."""
-    from mcap.reader import make_reader
-    from mcap.writer import Writer as McapWriter
     path = tmp_path / 'plain.mcap'
     with open(log, 'rb') as source, open(path, 'wb') as target:
         writer = McapWriter(target, use_chunking=False)
@@ -191,3 +193,46 @@ def test_a_folder_with_two_files_asks_for_one(log, tmp_path):
         shutil.copy(log, tmp_path / name)
     with pytest.raises(LogError, match='2 files'):
         Recording(tmp_path)
+
+
+@pytest.fixture(scope='module')
+def unchecked(log, tmp_path_factory):
+    """Return the bytes of a short log that has no checksums, so that every lie is believed."""
+    path = tmp_path_factory.mktemp('unchecked') / 'run.mcap'
+    with open(log, 'rb') as source, open(path, 'wb') as target:
+        writer = McapWriter(target, chunk_size=2000, compression=CompressionType.NONE,
+                            enable_crcs=False)
+        writer.start('ros2')
+        reader, numbers = make_reader(source), {}
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        writer.add_metadata('timo_sim.reset', {'step': '20'})
+        for schema, channel, message in reader.iter_messages(end_time=50000000):
+            if channel.id not in numbers:
+                number = writer.register_schema(schema.name, schema.encoding, b'')
+                numbers[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, number, {})
+            writer.add_message(numbers[channel.id], message.log_time, message.data,
+                               message.publish_time, message.sequence)
+        writer.finish()
+    return path.read_bytes()
+
+
+def test_a_file_that_lies_is_a_log_or_a_log_error(unchecked, tmp_path):
+    """Single bytes and numbers changed: arrays or one line, and nothing else."""
+    random, path, refused = np.random.default_rng(1), tmp_path / 'run.mcap', 0
+    for _ in range(LIES):
+        data = bytearray(unchecked)
+        place = int(random.integers(len(data) - 9))
+        size = int(random.choice([1, 2, 4, 8]))
+        data[place:place + size] = random.choice(
+            [random.bytes(size), bytes(size), b'\xff' * size])
+        path.write_bytes(data)
+        try:
+            info(path)
+            recording = Recording(path)
+            recording.scene, recording.topics, recording.motion()
+        except LogError as error:
+            refused += 1
+            assert '\n' not in str(error)
+    assert 0.05 * LIES < refused < LIES

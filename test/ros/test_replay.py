@@ -1,7 +1,5 @@
 """A commanded, paused, reset run, replayed from its log by another process, to the last bit."""
 
-import subprocess
-import sys
 import time
 
 from geometry_msgs.msg import WrenchStamped
@@ -9,10 +7,15 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from timo_sim.commands import COMMANDS
+from timo_sim.log.recorder import Channel, Recorder
 from timo_sim.log.recording import Recording
 from timo_sim.replay.command import replay
 from timo_sim.replay.plan import segments_of
@@ -62,8 +65,7 @@ def drive_about(client):
 
 
 @pytest.mark.parametrize('name', SCENES)
-def test_every_step_of_a_commanded_run_is_the_same_to_the_last_bit(name, start, client, paper,
-                                                                   capsys):
+def test_every_step_of_a_commanded_run_is_the_same_to_the_last_bit(name, start, client, paper):
     values = SCENES[name]
     rate = 1.0 / values.get('integrator.step', 0.001)
     node = start('--params-file', str(paper), command_timeout=0.02, step_count=7,
@@ -82,13 +84,11 @@ def test_every_step_of_a_commanded_run_is_the_same_to_the_last_bit(name, start, 
     steps = recording.topics['~/modal_state'].step
     assert set(steps) == set(range(steps.max() + 1)) and steps.max() > 50
 
-    result = subprocess.run(
-        [sys.executable, '-c', 'from timo_sim.cli import main; main()', 'replay', str(node.log)],
-        capture_output=True, text=True)
-    assert result.returncode == 0, result.stdout + result.stderr
+    lines = []
+    assert replay(node.log, show=lines.append)  # in this process, not the node's
     count = sum(series.values.size for name, series in recording.topics.items()
                 if name not in commands)
-    assert f'all {count} logged numbers are the same to the last bit' in result.stdout
+    assert f'all {count} logged numbers are the same to the last bit' in lines
 
     # That is no accident: the last command left out, or one a step later, shows.
     for change in (lambda commands: commands[:-3],
@@ -118,3 +118,31 @@ def test_rates_that_change_and_a_log_of_a_replay(start, client, paper, tmp_path)
         assert np.array_equal(series.step, again.step) and series.data == again.data
         assert np.array_equal(series.values, again.values) and series.topic == again.topic
     assert replay(tmp_path / 'again.mcap', show=lines.append)
+
+
+def test_a_player_by_the_rules_of_rosbag2_drives_a_live_node(start, client, tmp_path):
+    """
+    Publish as `ros2 bag play RUN.mcap --topics ...` does.
+
+    It opens the bare file, offers the QoS that the log names, and sends the bytes as they are.
+    """
+    recorder = Recorder(tmp_path / 'old.mcap', [
+        Channel(f'/timo_sim/{command.name[2:]}', command.type_name) for command in COMMANDS], {})
+    push = WrenchStamped()
+    push.wrench.force.x = 3.0
+    for index, message in enumerate((push, Float64(data=0.75))):
+        recorder.write(index, 10, 10000000, serialize_message(message))
+    recorder.close()
+    start(record=False)
+    states = client.collect(JointState, '/joint_states')
+    with AnyReader([tmp_path / 'old.mcap']) as reader:
+        for connection, _, data in reader.messages():
+            qos, = connection.ext.offered_qos_profiles
+            publisher = client.create_publisher(
+                {'std_msgs/msg/Float64': Float64}.get(connection.msgtype, WrenchStamped),
+                connection.topic, QoSProfile(
+                    depth=qos.depth, reliability=ReliabilityPolicy(qos.reliability.value),
+                    durability=DurabilityPolicy(qos.durability.value)))
+            client.wait(lambda: publisher.get_subscription_count() > 0, 'the node')
+            publisher.publish(bytes(data))
+    client.wait(lambda: states and states[-1].effort.tolist() == [3.0, 0.0, 0.75], 'the commands')

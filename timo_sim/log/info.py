@@ -45,8 +45,7 @@ def info(file):
 
 def _about_run(index, notes):
     facts, summary, resets = notes
-    yield from _entry('scene', _changed(facts) or [
-        'all defaults: the manipulator of the paper at rest'])
+    yield from _entry('changed', _changed(facts) or ['nothing: the arm of the paper at rest'])
     yield from _entry('made with', [made_with(facts)])
     end = index.statistics.message_end_time / _NANOSECONDS
     yield from _entry('sim time', [f'0 to {end:.9g} s'])
