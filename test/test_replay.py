@@ -76,7 +76,8 @@ def log_of(path, scene, torques, last):
     for step in range(last + 1):
         if step % 10 == 0:
             torque = [value for begin, value in torques if begin < step][-1:] or [0.0]
-            numbers = [*run.motion[step, :3], *run.motion[step, 6:9], 0.0, 0.0, *torque]
+            half = run.motion.shape[1] // 2
+            numbers = [*run.motion[step, :3], *run.motion[step, half:half + 3], 0.0, 0.0, *torque]
             recorder.write(0, step, step * 1000000, serialize(divmod(step * 1000000, 10**9),
                                                               numbers))
         for value in [value for begin, value in torques if begin == step]:
@@ -125,6 +126,13 @@ def test_what_if_says_how_far_when_and_in_what_unit(log, tmp_path, monkeypatch):
     assert 'same to the last bit' in call('replay', 'run_replay.mcap')
 
 
+def test_modes_where_the_log_has_none(tmp_path):
+    log = log_of(tmp_path / 'rigid.mcap', timo_sim.load_scene({'model.modes': 0}), [(1, 1.0)], 100)
+    call('replay', log, '--set', 'model.modes=2', '-o', tmp_path / 'bent.mcap')
+    step, _, motion = Recording(tmp_path / 'bent.mcap').motion()
+    assert step.tolist() == list(range(0, 101, 10)) and motion.shape == (11, 10)
+
+
 def test_another_time_step_and_one_that_does_not_fit(log, tmp_path):
     text = call('replay', log, '--set', 'integrator.step=0.0005', '-o', tmp_path / 'fine.mcap')
     assert '2 commands and 0 resets in 1 s' in text
@@ -155,6 +163,7 @@ def test_another_machine_is_said_in_one_line(log):
     (['--set', 'arm.length=-1'], 'arm.length must be a finite number > 0'),
     (['--formulation', 'euler'], 'model.formulation must be one of'),
     (['--duration', '0.0005'], 'duration = 0.0005 must be a whole multiple'),
+    (['--duration', '2'], 'beyond the end of the log, 1 s'),
     (['--scene', 'nothing.yaml'], 'nothing.yaml'),
 ])
 def test_bad_input_is_one_line_and_code_2(log, settings, words):

@@ -14,7 +14,7 @@ from ros_process import Process
 import timo_sim
 from timo_sim.log.info import info
 from timo_sim.log.reader import LogError
-from timo_sim.log.recording import Recording
+from timo_sim.log.recording import common, Recording
 
 LIES = 150
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -236,3 +236,12 @@ def test_a_file_that_lies_is_a_log_or_a_log_error(unchecked, tmp_path):
             refused += 1
             assert '\n' not in str(error)
     assert 0.05 * LIES < refused < LIES
+
+
+def test_samples_after_a_reset_are_joined_with_those_after_it():
+    """At 35 a reset: joint states before and after it, slower modal states after it only."""
+    joints, modes = np.array([25, 30, 35, 35, 40]), np.array([30, 35, 40])
+    first, second = common(joints, modes)
+    assert first.tolist() == [1, 3, 4] and second.tolist() == [0, 1, 2]
+    first, second = common(np.array([30, 30, 30, 50]), np.array([30, 30, 30, 40]))
+    assert first.tolist() == second.tolist() == [0, 1, 2]

@@ -36,6 +36,11 @@ class Layout(NamedTuple):
     texts: list          # values
     fixed: list
 
+    def meant(self):
+        """Return the places of all bytes that mean something: none of those in between."""
+        numbers = [*([] if self.stamp is None else [self.stamp]), *self.doubles]
+        return [*self.fixed, *(place + byte for place in numbers for byte in range(8))]
+
 
 class _Walk:
     def __init__(self, data):

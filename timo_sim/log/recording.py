@@ -444,4 +444,5 @@ def common(first, second):
         left = np.repeat(place + count, count) - np.arange(len(values))  # 1 for the last
         keys.append(np.rec.fromarrays([values, left]))
     _, one, other = np.intersect1d(*keys, assume_unique=True, return_indices=True)
-    return one, other
+    order = np.argsort(one)
+    return one[order], other[order]

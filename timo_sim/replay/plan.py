@@ -114,13 +114,19 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
         for name, at in shown.items():
             which = (own[name].place >= here) & (own[name].place < there) & (at <= end)
             samples[name], logged[name] = at[which], own[name].values[which]
-        for name in () if recording.facts else known.keys() - {'/clock'}:
-            every = whole_ratio('1/integrator.step', 1.0 / scene.step, known[name].rate,
-                                values[known[name].rate])
-            samples[name] = np.arange(0, end + 1, every)
+        for name in known.keys() - samples.keys() - {'/clock'}:
+            if 'joint_states' in samples:  # of a scene with modes where the log's had none
+                samples[name] = samples['joint_states']
+            elif not own:
+                samples[name] = _by_rate(known[name].rate, values, scene.step, end)
         result.append(Segment(first, end, sorted(inside, key=lambda entry: entry[:2]), samples,
                               logged))
     return result
+
+
+def _by_rate(rate, values, step, end):
+    every = whole_ratio('1/integrator.step', 1.0 / step, rate, values[rate])
+    return np.arange(0, end + 1, every)
 
 
 def _shift(recording, commands, motions, start):
@@ -142,11 +148,16 @@ def _whole(exact, meet, step, topic):
 
 
 def _last(acting, shown, motions, shift, scene, duration):
-    if duration is not None:
-        return whole_ratio('duration', duration, 'integrator.step', scene.step)
     ends = [at.max(initial=0) for at in shown.values()]
     if not shown:
         ends += [at.max(initial=0) for _, _, at in acting]
         ends += [math.floor(1e-9 * (series.ns.max(initial=0) + shift) / scene.step)
                  for series in motions.values()]
-    return int(max(ends))
+    end = int(max(ends))
+    if duration is None:
+        return end
+    wanted = whole_ratio('duration', duration, 'integrator.step', scene.step)
+    if shown and wanted > end:
+        raise ReplayError(f'duration = {duration:g} s is beyond the end of the log, '
+                          f'{end * scene.step:.9g} s')
+    return wanted

@@ -71,14 +71,17 @@ class Serializer:
         sec, nanosec, *numbers = marks = [1234567, 7654321] + [1.1 + n for n in range(size)]
         first = message(Time(sec=sec, nanosec=nanosec), *numbers)
         data = serialize_message(first)
-        # Without what rclpy appends to a list without elements: whatever was in memory there.
-        self._data = bytearray(data[:layout(type_name(type(first)), data).size])
+        found = layout(type_name(type(first)), data)
+        # Without what rclpy puts between fields and at the end: whatever was in memory there.
+        self._data = bytearray(found.size)
+        for place in found.meant():
+            self._data[place] = data[place]
         # After four bytes CDR aligns every number to its size.
         body = memoryview(self._data)[4:]
         self._time = body[:8].cast('I')
         self._numbers = body[:len(body) // 8 * 8].cast('d')
-        found = self._numbers.tolist()
-        self._places = [found.index(number) for number in numbers]
+        inside = self._numbers.tolist()
+        self._places = [inside.index(number) for number in numbers]
         if self._time.tolist() != marks[:2]:
             raise ValueError(f'{message} does not begin with the time')
 

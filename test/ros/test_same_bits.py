@@ -1,5 +1,6 @@
 """A commanded, paused, reset run, replayed from its log by another process, to the last bit."""
 
+import signal
 import time
 
 from geometry_msgs.msg import WrenchStamped
@@ -17,6 +18,7 @@ from std_srvs.srv import SetBool, Trigger
 from timo_sim.commands import COMMANDS
 from timo_sim.log.recorder import Channel, Recorder
 from timo_sim.log.recording import Recording
+from timo_sim.log.recover import recover
 from timo_sim.replay.command import replay
 from timo_sim.replay.plan import segments_of
 from timo_sim.replay.run import Replay
@@ -97,6 +99,30 @@ def test_every_step_of_a_commanded_run_is_the_same_to_the_last_bit(name, start, 
         segments[-1].commands = change(segments[-1].commands)
         Replay(recording.scene, segments).run()
         assert np.any(segments[-1].replayed['joint_states'] != segments[-1].logged['joint_states'])
+
+
+def test_a_run_that_diverged_was_reset_and_killed_replays(start, client):
+    node = start(**{'model.formulation': 'newton', 'model.modes': 6, 'rate.joint_states': 1000.0,
+                    'initial.shaft_velocity': 100.0, 'rate.tip_pose': 1000.0,
+                    'initial.modal_rates': [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]})
+    states = client.collect(JointState, '/joint_states')
+    torque = client.command(Float64, '/timo_sim/motor_torque')
+    go_on, reset = (client.service(kind, f'/timo_sim/{name}') for kind, name in (
+        (SetBool, 'pause'), (Trigger, 'reset')))
+    for turn in range(3):
+        client.wait(lambda: not go_on(data=False).success, 'divergence')
+        torque.publish(Float64(data=float(turn)))
+        assert reset().success and go_on(data=False).success
+        torque.publish(Float64(data=-2.0))
+    client.wait(lambda: not go_on(data=False).success, 'divergence')
+    time.sleep(0.7)  # what is logged so far is given to the operating system
+    node.send(signal.SIGKILL)
+    node.wait()
+    assert len(states) > 10
+    recover(node.log, node.log.with_name('whole.mcap'))
+    lines = []
+    assert replay(node.log.with_name('whole.mcap'), show=lines.append)
+    assert '3 resets' in lines[0] and 'same to the last bit' in lines[1]
 
 
 def test_rates_that_change_and_a_log_of_a_replay(start, client, paper, tmp_path):
