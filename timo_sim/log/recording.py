@@ -268,6 +268,11 @@ class Recording:
             step = np.full(len(log_ns), -1)
             if stamps is None:
                 ns = self._sim_time(log_ns)
+            # The network may have changed the order.
+            order = np.argsort(ns, kind='stable')
+            ns, log_ns, values, place = ns[order], log_ns[order], values[order], place[order]
+            if collector.data:
+                collector.data = [collector.data[at] for at in order]
         return Series(collector.topic, collector.type_name, collector.columns, step, ns, log_ns,
                       values, collector.refused, place, collector.data)
 
