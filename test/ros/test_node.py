@@ -13,6 +13,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 import timo_sim
+from timo_sim.parameters import RATES
 
 
 def seconds(stamp):
@@ -196,8 +197,7 @@ def test_a_free_run_drops_nothing(start):
 
 
 def test_a_run_without_end_ends_with_the_time_that_a_stamp_can_hold(start):
-    rates = {f'rate.{name}': 1e-6 for name in (
-        'joint_states', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')}
+    rates = dict.fromkeys(RATES, 1e-6)
     code, output = start(real_time_factor=0.0, **{'integrator.step': 1000.0}, **rates).wait()
     assert code == 0 and 'simulated 2.14748e+09 s' in output and 'Traceback' not in output
 
