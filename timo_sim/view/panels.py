@@ -1,0 +1,102 @@
+"""The layout: the plane beside the curves that a control engineer looks at first."""
+
+from dataclasses import dataclass
+import math
+
+import rerun.blueprint as rrb
+
+from timo_sim.view.entities import ABOUT, CURVES, PLANE, TIMELINE
+
+# In the order in which they are shown.
+TITLES = {
+    'tip_deflection': 'tip deflection across [m]',
+    'tip_rotation': 'tip rotation [rad]',
+    'difference': 'difference of tip deflection [m]',
+    'carrier': 'carrier [m]',
+    'shaft': 'shaft [rad]',
+    'force': 'force on the carrier [N]',
+    'torque': 'torque on the shaft [N m]',
+    'modal': 'modal coordinates [m sqrt(kg)]',
+    'energy': 'energy [J]',
+    'balance': 'energy - work of the loads [J]',
+    'shaft_speed': 'shaft speed [rad/s]',
+    'carrier_velocity': 'carrier velocity [m/s]',
+    'tip_axial': 'tip deflection along [m]',
+    'shaft_difference': 'difference of shaft [rad]',
+    'carrier_difference': 'difference of carrier [m]',
+}
+_ON_FIRST_PAGE = 10
+
+
+@dataclass
+class Panel:
+    """What a panel shows: number of curves, lowest and highest value, least of its axis."""
+
+    curves: int = 0
+    low: float = math.inf
+    high: float = -math.inf
+    least: float = 0.0
+
+    def see(self, values):
+        """Take note of values that are shown."""
+        self.low = min(self.low, float(values.min()))
+        self.high = max(self.high, float(values.max()))
+
+    def title(self, key):
+        """Return quantity, unit, and between which values it moves."""
+        if self.low > self.high:
+            return TITLES[key]
+        return f'{TITLES[key]}: {self.low:.3g} to {self.high:.3g}'
+
+    def axis(self):
+        """Return the vertical axis, or None: as it fits."""
+        least = max(self.least, 1.1 * self.high, -1.1 * self.low) if self.least else 0.0
+        return rrb.ScalarAxis(range=(-least, least)) if least else None
+
+
+def blueprint(panels, bounds, live=False):
+    """
+    Return the layout.
+
+    Parameters
+    ----------
+    panels : dict of Panel
+        For those of `TITLES` that there are.
+    bounds : array_like, shape (2, 2)
+        Lower left and upper right corner of the plane [m].
+    live : bool
+        Whether to follow what arrives, the last ten seconds of it.
+
+    Returns
+    -------
+    Blueprint
+
+    """
+    ranges = rrb.VisibleTimeRange(
+        TIMELINE, start=rrb.TimeRangeBoundary.cursor_relative(seconds=-10.0),
+        end=rrb.TimeRangeBoundary.cursor_relative()) if live else None
+
+    def view(key):
+        panel = panels[key]
+        return rrb.TimeSeriesView(
+            origin=f'{CURVES}/{key}', name=panel.title(key), time_ranges=ranges,
+            axis_y=panel.axis(),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=panel.curves > 1))
+
+    views = [view(key) for key in TITLES if key in panels]
+    (left, bottom), (right, top) = bounds
+    plane = rrb.Spatial2DView(
+        origin='/', contents=f'{PLANE}/**', name='plane of motion, x right, y up [m]',
+        background=(10, 10, 10),
+        visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(-top, -bottom)))
+    pages = [rrb.Grid(*views[:_ON_FIRST_PAGE], grid_columns=2, name='motion')]
+    if len(views) > _ON_FIRST_PAGE:
+        pages.append(rrb.Grid(*views[_ON_FIRST_PAGE:], grid_columns=2, name='more'))
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(plane, rrb.TextDocumentView(origin=ABOUT, name='about'),
+                         row_shares=[5, 1]),
+            rrb.Tabs(*pages, active_tab=0), column_shares=[1, 1]),
+        rrb.TimePanel(timeline=TIMELINE, expanded=False,
+                      play_state='following' if live else 'paused'),
+        rrb.BlueprintPanel(expanded=False), rrb.SelectionPanel(expanded=False))
