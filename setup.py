@@ -35,7 +35,7 @@ setup(
                  'colcon-package-information', 'colcon-package-selection',
                  'colcon-parallel-executor', 'colcon-python-setup-py', 'colcon-recursive-crawl',
                  'colcon-ros', 'colcon-test-result', 'distributed', 'flake8', 'flake8-quotes',
-                 'hypothesis',
+                 'hypothesis', 'matplotlib',
                  'mcap-ros2-support', 'mypy', 'pyarrow', 'pydocstyle', 'pytest', 'pytest-xdist',
                  'rerun-sdk', 'rosbags', 'types-PyYAML', 'types-tqdm'],
     },
@@ -47,6 +47,7 @@ setup(
     entry_points={
         'console_scripts': [
             'sim_node = timo_sim.ros.sim_node:main',
+            'view = timo_sim.cli:view',
             'timo_sim = timo_sim.cli:main',
             # For `ros2 run timo_sim ...`, the same functions.
             *(f'{name} = timo_sim.cli:{name}' for name in ('export', 'info', 'recover', 'replay')),

@@ -10,6 +10,10 @@ POINTS = 41     # of the centre line that is drawn
 BLOCK = 1024    # samples that are worked out at once: what they need stays near the processor
 
 
+class TrackError(ValueError):
+    """What a view needs is missing; the text says what."""
+
+
 class Body(NamedTuple):
     """Sizes of what is drawn [m]: bodies of the arm's material, cube, cylinder and ball."""
 
@@ -67,11 +71,19 @@ class Track:
         """Return the trace of a panel, or None."""
         return next((trace for trace in self.traces if trace.panel == panel), None)
 
-    def frames(self, rate):
-        """Return the samples that make at most so many frames per second, ascending."""
+    def frames(self, rate, at=None):
+        """
+        Return the samples that make at most so many frames per second, ascending.
+
+        Where a sim time `at` [s] is given, the last sample until then is one of them.
+        """
         span = self.ns[-1] - self.ns[0]
-        wanted = self.ns[0] + np.arange(int(span * 1e-9 * rate) + 1) * (1e9 / rate)
-        return np.unique(np.append(np.searchsorted(self.ns, np.round(wanted)), len(self.ns) - 1))
+        wanted = self.ns[0] + np.round(np.arange(int(span * 1e-9 * rate) + 1) * (1e9 / rate))
+        wanted = np.concatenate([np.searchsorted(self.ns, wanted), [len(self.ns) - 1]])
+        if at is not None:
+            place = np.searchsorted(self.ns, round(1e9 * at), side='right') - 1
+            wanted = np.append(wanted, max(place, 0))
+        return np.unique(wanted)
 
 
 def of_motion(name, scene, ns, motion, effort, resets=()):
@@ -147,7 +159,7 @@ def of_run(run, name='run'):
     return of_motion(name, run.scene, ns, run.motion, effort)
 
 
-def of_recording(recording, name=None):
+def of_recording(recording, name):
     """
     Return the track of a recording.
 
@@ -155,7 +167,7 @@ def of_recording(recording, name=None):
     ----------
     recording : Recording
         Of `log.recording`; without modal coordinates the shape is a cubic from root to tip.
-    name : str, optional
+    name : str
 
     Returns
     -------
@@ -163,22 +175,32 @@ def of_recording(recording, name=None):
 
     Raises
     ------
-    ValueError
+    TrackError
         If what a shape needs is not on it.
 
     """
-    name = name or recording.path.stem
-    joints = recording.topics.get('joint_states')
+    series = recording.read('joint_states', '~/modal_state', '~/tip_pose', '~/tip_deflection')
+    joints, scene = series.get('joint_states'), recording.scene
     if joints is None or not len(joints.ns):
-        raise ValueError(f'{recording.path}: no joint_states, nothing to show')
-    if recording.scene is not None and (
-            '~/modal_state' in recording.topics or not recording.scene.values['model.modes']):
-        step, ns, motion = recording.motion()
-        place = np.searchsorted(joints.step, step)
-        resets = np.searchsorted(step, recording.resets, side='right') - 1
-        return of_motion(name, recording.scene, ns, motion, joints.values[place, 6:9],
-                         resets[resets > 0])
-    return _of_bag(recording, name, joints)
+        raise TrackError(f'{recording.path} has no joint_states: there is nothing to show')
+    if scene is None or scene.values['model.modes'] and '~/modal_state' not in series:
+        return _of_bag(recording, name, series)
+    step, ns, motion = recording.motion()
+    if not len(ns):
+        raise TrackError(f'{recording.path}: joint_states and modal_state are never of the same '
+                         'time: choose rates of which one is a multiple of the other')
+    place = slice(None) if len(ns) == len(joints.ns) else (
+        np.searchsorted(joints.ns, ns, side='right') - 1)
+    resets = np.searchsorted(step, recording.resets, side='right') - 1
+    resets += step[resets] < recording.resets
+    return of_motion(name, scene, ns, motion, joints.values[place, 6:9],
+                     resets[(0 < resets) & (resets < len(ns))])
+
+
+def unique_names(names):
+    """Return names with a number after those that are there before."""
+    return [name if names.index(name) == place else f'{name}_{place}'
+            for place, name in enumerate(names)]
 
 
 def work(ns, position, velocity, force):
@@ -251,22 +273,19 @@ def _span(ns):
     return f'{len(ns)} samples, sim time {1e-9 * ns[0]:g} to {1e-9 * ns[-1]:g} s'
 
 
-def _of_bag(recording, name, joints):
+def _of_bag(recording, name, series):
     # The shape from what is published: a cubic along the shaft at the root, along the section at
     # the tip.
-    tip, bend = (recording.topics.get(topic) for topic in ('~/tip_pose', '~/tip_deflection'))
+    joints, tip, bend = (series.get(topic) for topic in (
+        'joint_states', '~/tip_pose', '~/tip_deflection'))
     if tip is None or bend is None or not len(tip.ns) or not len(bend.ns):
-        raise ValueError(f'{recording.path}: the shape of the arm needs modal_state, or tip_pose '
-                         'and tip_deflection')
+        raise TrackError(f'{recording.path}: the shape of the arm needs tip_pose and '
+                         'tip_deflection, or a log of the node with modal_state')
 
-    def at_tip(series, *columns):
-        picked = series.values[:, [series.columns.index(column) for column in columns]]
-        return np.column_stack([np.interp(tip.ns, series.ns, column) for column in picked.T])
+    def at_tip(other):
+        return np.column_stack([np.interp(tip.ns, other.ns, column) for column in other.values.T])
 
-    names = joints.columns
-    motion = at_tip(joints, *names[:9])
-    place = at_tip(tip, 'x_m', 'y_m', 'qz', 'qw')
-    across = at_tip(bend, *bend.columns[:2])
+    motion, place, across = at_tip(joints), tip.values, at_tip(bend)
     rotation = 2.0 * np.arctan2(place[:, 2], place[:, 3]) - motion[:, 2]
     rotation = (rotation + np.pi) % (2.0 * np.pi) - np.pi
     cosine, sine = np.cos(motion[:, 2]), np.sin(motion[:, 2])

@@ -12,7 +12,7 @@ _DIFFERENCES = {'difference': ('tip_deflection', 0), 'shaft_difference': ('shaft
                 'carrier_difference': ('carrier', slice(None))}
 
 
-def write(tracks, path, fps=30.0, report=lambda done: None):
+def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
     """
     Write tracks to a rerun file, laid over each other.
 
@@ -25,6 +25,8 @@ def write(tracks, path, fps=30.0, report=lambda done: None):
         Most frames of the plane per second of sim time; curves have all samples.
     report : function(float)
         Receives how much further the work is, of 1 in all.
+    at : float, optional
+        Sim time for which there is a frame, too [s].
 
     Returns
     -------
@@ -34,7 +36,7 @@ def write(tracks, path, fps=30.0, report=lambda done: None):
     """
     stream = rr.RecordingStream('timo_sim')
     stream.save(path)
-    frames = [track.frames(fps) for track in tracks]
+    frames = [track.frames(fps, at) for track in tracks]
     bounds, largest = _extent(tracks, frames)
     log_frame_of_plane(stream, bounds)
     stream.log(ABOUT, rr.TextDocument(_about(tracks, largest, fps), media_type='text/markdown'),
@@ -57,7 +59,7 @@ def write(tracks, path, fps=30.0, report=lambda done: None):
             _send_differences(stream, tracks[0], track, run, len(tracks), panels)
     if 'balance' in panels:  # what closes is a straight line, not an error looked at closely
         panels['balance'].least = 1e-3 * panels['energy'].high
-    stream.send_blueprint(blueprint(panels, bounds))
+    stream.send_blueprint(blueprint(panels, bounds, len(tracks)))
     stream.disconnect()
     return bounds
 
@@ -100,8 +102,8 @@ def _send_differences(stream, first, track, run, runs, panels):
             continue
         names = np.array(ours.names)[columns].reshape(-1)
         log_curves(stream, panel, track.name, run, runs,
-                   [f'{text} - {first.name}' for text in names])
-        seen = panels.setdefault(panel, Panel(curves=1))  # and a legend, which says what of
+                   [f'{text} less {first.name}' for text in names])
+        seen = panels.setdefault(panel, Panel())
         seen.curves += len(names)
         base = theirs.values(slice(None))
         for part in _blocks(len(inside)):

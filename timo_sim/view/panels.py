@@ -26,6 +26,8 @@ TITLES = {
     'carrier_difference': 'difference of carrier [m]',
 }
 _ON_FIRST_PAGE = 10
+# With a legend when there are several runs: which colour is which.
+_KEYS = 'tip_deflection', 'difference'
 
 
 @dataclass
@@ -54,7 +56,7 @@ class Panel:
         return rrb.ScalarAxis(range=(-least, least)) if least else None
 
 
-def blueprint(panels, bounds, live=False):
+def blueprint(panels, bounds, runs=1, live=False):
     """
     Return the layout.
 
@@ -64,6 +66,8 @@ def blueprint(panels, bounds, live=False):
         For those of `TITLES` that there are.
     bounds : array_like, shape (2, 2)
         Lower left and upper right corner of the plane [m].
+    runs : int
+        How many are laid over each other.
     live : bool
         Whether to follow what arrives, the last ten seconds of it.
 
@@ -81,7 +85,8 @@ def blueprint(panels, bounds, live=False):
         return rrb.TimeSeriesView(
             origin=f'{CURVES}/{key}', name=panel.title(key), time_ranges=ranges,
             axis_y=panel.axis(),
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=panel.curves > 1))
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=(
+                key in _KEYS if runs > 1 else panel.curves > 1)))
 
     views = [view(key) for key in TITLES if key in panels]
     (left, bottom), (right, top) = bounds

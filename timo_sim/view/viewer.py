@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 import socket
 import subprocess
+import sys
 import time
 
 import rerun_cli
@@ -22,12 +23,20 @@ def _command(*arguments):
     return [Path(rerun_cli.__file__).with_name('rerun'), '--bind', LOOPBACK, *arguments]
 
 
+def _environment():
+    return {'RUST_LOG': 'error', **os.environ}
+
+
 def show(path, web=False):
     """Show a rerun file until the viewer, in a window or the browser, is closed."""
-    code = subprocess.call(_command('--port', 'auto', *(['--web-viewer'] if web else []), path))
+    if not web and sys.platform == 'linux' and not (
+            os.environ.get('DISPLAY') or os.environ.get('WAYLAND_DISPLAY')):
+        raise ViewerError('there is no screen (DISPLAY is not set): take --png, --save or --web')
+    code = subprocess.call(
+        _command('--port', 'auto', *(['--web-viewer', '--web-viewer-port', str(_free_port())]
+                                     if web else []), path), env=_environment())
     if code:
-        raise ViewerError(f'the viewer of rerun ended with code {code}: without a screen, take '
-                          '--png, --save or --web')
+        raise ViewerError(f'the viewer of rerun ended with code {code}')
 
 
 def picture(path, png, at=None, size=(1600, 1000), view=None):
@@ -49,8 +58,8 @@ def picture(path, png, at=None, size=(1600, 1000), view=None):
     ViewerError
 
     """
-    with _headless(path, size) as client:
-        state = _loaded(client)
+    with _headless(path, size) as (client, process):
+        state = _until(lambda: _loaded(client), process)
         end = max(line.end for line in state.recordings[0].timelines if line.name == 'sim_time')
         client.set_time('sim_time', duration=end * 1e-9 if at is None else at,
                         play_state='paused')
@@ -67,10 +76,10 @@ def _headless(path, size):
     process = subprocess.Popen(
         _command('--headless', '--port', str(port), '--window-size', f'{size[0]}x{size[1]}',
                  path),
-        env={**os.environ, 'RUST_LOG': 'error'}, stderr=subprocess.PIPE, text=True)
+        env=_environment(), stderr=subprocess.PIPE, text=True)
     try:
         _until(lambda: _listens(port), process)
-        yield ViewerClient.connect(f'rerun+http://{LOOPBACK}:{port}/proxy')
+        yield ViewerClient.connect(f'rerun+http://{LOOPBACK}:{port}/proxy'), process
     finally:
         process.terminate()
         process.communicate()
@@ -91,31 +100,29 @@ def _listens(port):
 
 
 def _loaded(client):
-    def state():
-        found = client.get_state()
-        ready = not found.loading and found.views and found.recordings and any(
-            line.name == 'sim_time' for line in found.recordings[0].timelines)
-        return found if ready else None
-    return _until(state)
+    state = client.get_state()
+    ready = not state.loading and state.views and state.recordings and any(
+        line.name == 'sim_time' for line in state.recordings[0].timelines)
+    return state if ready else None
 
 
-def _until(condition, process=None):
+def _until(condition, process):
     deadline = time.monotonic() + _PATIENCE
     while time.monotonic() < deadline:
+        if process.poll() is not None:
+            raise ViewerError(_reason(process.stderr.read()))
         try:
             found = condition()
-        except RuntimeError:  # the viewer does not answer yet
+        except (RuntimeError, OSError):  # the viewer does not answer yet
             found = None
         if found:
             return found
-        if process is not None and process.poll() is not None:
-            raise ViewerError(_reason(process.stderr.read()))
         time.sleep(0.05)
     raise ViewerError(f'the viewer of rerun did not answer within {_PATIENCE:g} s')
 
 
 def _reason(text):
-    if 'adapter' in text or 'libvulkan' in text.lower():
+    if 'adapter' in text or 'render context' in text:
         return ('pictures need a driver for graphics: apt-get install mesa-vulkan-drivers '
                 'libvulkan1')
     return 'the viewer of rerun ended: ' + ' '.join(text.split())[-300:]
