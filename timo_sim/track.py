@@ -179,13 +179,13 @@ def of_recording(recording, name):
         If what a shape needs is not on it.
 
     """
-    series = recording.read('joint_states', '~/modal_state', '~/tip_pose', '~/tip_deflection')
-    joints, scene = series.get('joint_states'), recording.scene
+    scene, series = recording.scene, recording.read('joint_states', '~/modal_state')
+    joints = series.get('joint_states')
     if joints is None or not len(joints.ns):
         raise TrackError(f'{recording.path} has no joint_states: there is nothing to show')
     if scene is None or scene.values['model.modes'] and '~/modal_state' not in series:
-        return _of_bag(recording, name, series)
-    step, ns, motion = recording.motion()
+        return _of_bag(recording, name, joints)
+    step, ns, motion = recording.motion(series)
     if not len(ns):
         raise TrackError(f'{recording.path}: joint_states and modal_state are never of the same '
                          'time: choose rates of which one is a multiple of the other')
@@ -273,11 +273,11 @@ def _span(ns):
     return f'{len(ns)} samples, sim time {1e-9 * ns[0]:g} to {1e-9 * ns[-1]:g} s'
 
 
-def _of_bag(recording, name, series):
+def _of_bag(recording, name, joints):
     # The shape from what is published: a cubic along the shaft at the root, along the section at
     # the tip.
-    joints, tip, bend = (series.get(topic) for topic in (
-        'joint_states', '~/tip_pose', '~/tip_deflection'))
+    topics = '~/tip_pose', '~/tip_deflection'
+    tip, bend = map(recording.read(*topics).get, topics)
     if tip is None or bend is None or not len(tip.ns) or not len(bend.ns):
         raise TrackError(f'{recording.path}: the shape of the arm needs tip_pose and '
                          'tip_deflection, or a log of the node with modal_state')

@@ -1,13 +1,19 @@
 """What a view shows is where physics says; as rerun itself reads and draws it."""
 
+import subprocess
+import sys
 from types import SimpleNamespace
 
+from click.testing import CliRunner
 from matplotlib.image import imread
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from ros_process import Process
 import timo_sim
+from timo_sim.cli import main
+from timo_sim.log.recording import Recording
 from timo_sim.track import of_recording, of_run, TrackError, unique_names, work
 from timo_sim.view.convert import write
 from timo_sim.view.viewer import picture
@@ -172,6 +178,59 @@ def test_two_runs_share_panels_and_have_their_difference(run, paper, tmp_path):
             colours.setdefault(name, set()).add(batch.column('SeriesLines:colors')[0][0].as_py())
     assert len(colours['one']) == len(colours['two']) == 1
     assert colours['one'] != colours['two']
+
+
+@pytest.fixture(scope='module')
+def log(tmp_path_factory, paper):
+    """Log a second of the paper's scene."""
+    node = Process(tmp_path_factory.mktemp('log'), '--params-file', str(paper),
+                   real_time_factor=0.0, duration=1.0, **{'rate.modal_state': 50.0})
+    assert node.wait()[0] == 0
+    return node.log
+
+
+def test_a_log_of_the_node_is_shown_as_the_run_that_it_is(log, paper, tmp_path):
+    path = tmp_path / 'out.rrd'
+    result = CliRunner().invoke(main, ['view', str(log), str(log), '--save', str(path)])
+    assert result.exit_code == 0, result.output
+    run = of_run(timo_sim.simulate(timo_sim.load_scene(paper), 1.0))
+    for panel in ('tip_deflection', 'modal', 'force', 'torque', 'energy'):
+        ns, values = columns(path, f'/curves/{panel}/{log.stem}')
+        assert np.array_equal(ns, run.ns[::20])
+        assert np.allclose(values, run.trace(panel).values(slice(None, None, 20)), atol=(
+            1e-2 if panel == 'energy' else 1e-12))  # the work between samples 20 ms apart
+    _, values = columns(path, f'/curves/difference/{log.stem}_1')
+    assert np.all(values == 0.0)
+
+
+def test_work_stops_at_a_reset(log):
+    recording = Recording(log)
+    step, ns, motion = recording.motion()
+    shown = of_recording(recording, 'log').trace('balance').values(slice(None))
+    assert np.abs(shown).max() < 1e-2
+    # As if the motion had started again in the middle.
+    half = len(ns) // 2
+    again = np.concatenate([motion[:half], motion[:len(ns) - half]])
+    recording.motion, recording.resets = lambda series: (step, ns, again), step[[half]]
+    balance = of_recording(recording, 'log').trace('balance').values(slice(None))
+    assert balance[half] == balance[half - 1]
+
+
+def test_bad_input_and_a_missing_viewer_are_one_line(log, tmp_path):
+    junk = tmp_path / 'junk.mcap'
+    junk.write_text('junk')
+    result = CliRunner().invoke(main, ['view', str(junk)])
+    assert result.exit_code == 2 and result.output.count('\n') == 1
+    code = ('import sys; sys.modules["rerun"] = None; from timo_sim.cli import main; '
+            f'main(["view", {str(log)!r}])')
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr == "timo_sim: rerun is missing: pip install 'timo_sim[view]'\n"
+    code = code.replace('sys.modules["rerun"] = None', 'import os; os.environ.pop("DISPLAY", 0); '
+                        'os.environ.pop("WAYLAND_DISPLAY", 0)')
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    assert done.returncode == 1 and done.stderr.count('\n') == 1
+    assert 'there is no screen' in done.stderr
 
 
 def test_names_are_told_apart():

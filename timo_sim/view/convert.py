@@ -117,9 +117,9 @@ def _send_differences(stream, first, track, run, runs, panels):
 
 def _about(tracks, largest, fps):
     lines = [f'- **{track.name}**: {track.note}' for track in tracks]
-    lines.append(f'- arrows at the carrier: longest {largest[0]:.3g} N; arc round it: largest '
-                 f'{largest[1]:.3g} N m; grey: the arm if it did not bend; trail of the tip: '
-                 f'{TRAIL} frames, at most {fps:g} per second')
+    lines.append(f'- arrow: force, at most {largest[0]:.3g} N; arc: torque, at most '
+                 f'{largest[1]:.3g} N m; grey: the arm if it did not bend; trail: '
+                 f'{TRAIL} frames of the tip, at most {fps:g} per second')
     if len(tracks) > 1:
         lines.append(f'- differences are to **{tracks[0].name}**, between its samples linear')
     return '\n'.join(lines)

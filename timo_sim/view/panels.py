@@ -100,7 +100,7 @@ def blueprint(panels, bounds, runs=1, live=False):
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(plane, rrb.TextDocumentView(origin=ABOUT, name='about'),
-                         row_shares=[5, 1]),
+                         row_shares=[4, 1]),
             rrb.Tabs(*pages, active_tab=0), column_shares=[1, 1]),
         rrb.TimePanel(timeline=TIMELINE, expanded=False,
                       play_state='following' if live else 'paused'),
