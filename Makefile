@@ -20,7 +20,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --use-pep517 --constraint constraints.txt
 
-.PHONY: sim test graphics picture paper benchmark benchmark-quick benchmark-speed benchmark-speed-quick \
+.PHONY: sim test graphics gallery picture paper benchmark benchmark-quick benchmark-speed benchmark-speed-quick \
 	references stability stress stress-quick clean
 
 sim: $(VENV)/.run
@@ -40,6 +40,9 @@ graphics:
 		sudo=; test "$$(id -u)" = 0 || sudo='sudo -n'; echo "installing $(GRAPHICS)"; \
 		$$sudo apt-get -qq update && $$sudo apt-get -qq install -y --no-install-recommends \
 		$(GRAPHICS) >/dev/null; } || echo "pictures of views need: apt-get install $(GRAPHICS)"
+
+gallery: $(VENV)/.plot
+	@$(BIN)/python benchmark/gallery.py
 
 picture: $(VENV)/.plot
 	@$(BIN)/python benchmark/picture.py

@@ -28,7 +28,7 @@ BELOW = {
     'cli': {'parameters', 'log', 'replay', 'sweep', 'track', 'view'},
     'log': {'commands', 'outputs', 'parameters', 'scene', ''},
     'ros': {'physics', 'commands', 'outputs', 'parameters', 'scene', 'simulation', 'accuracy',
-            'log', ''},
+            'log', 'view', ''},
 }
 OUTSIDE_OF_PHYSICS = {'rclpy', 'yaml', 'mcap', 'rerun', 'logging', 'pathlib'}
 

@@ -86,7 +86,7 @@ class Track:
         return np.unique(wanted)
 
 
-def of_motion(name, scene, ns, motion, effort, resets=()):
+def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True):
     """
     Return the track of a known motion.
 
@@ -102,6 +102,8 @@ def of_motion(name, scene, ns, motion, effort, resets=()):
         Force on the carrier, world x and y [N], torque on the shaft [N m].
     resets : array_like of int
         Samples that don't follow from the one before.
+    balanced : bool
+        Whether the work of the loads is worked out, too.
 
     Returns
     -------
@@ -128,7 +130,7 @@ def of_motion(name, scene, ns, motion, effort, resets=()):
         *_joint_traces(trace, motion[:, :3], motion[:, half:half + 3], effort),
         trace('modal', modes, lambda part: motion[part, 3:half])]
     energy = _in_blocks(formulation.energy, motion)
-    if scene.load.drive is None or scene.values['motor.shaft'] == 'locked':
+    if balanced and scene.values['motor.shaft'] != 'driven':
         done = work(ns, motion[:, :3], motion[:, half:half + 3], effort)
         gained = np.diff(energy)
         gained[np.asarray(resets, dtype=int) - 1] = 0.0
@@ -137,7 +139,7 @@ def of_motion(name, scene, ns, motion, effort, resets=()):
         balance = np.append(0.0, np.cumsum(gained - done))[:, np.newaxis]
         traces += [trace('energy', ('energy', 'first energy + work'), curves.__getitem__),
                    trace('balance', ('energy - work',), balance.__getitem__)]
-    else:  # the torque of a driven shaft is not known
+    else:  # also because the torque of a driven shaft is not known
         traces.append(trace('energy', ('energy',), energy[:, np.newaxis].__getitem__))
     return Track(name, ns, poses, [entry for entry in traces if entry.names], body_of(scene),
                  _note(scene, ns))
