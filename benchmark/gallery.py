@@ -96,12 +96,12 @@ def spin_up():
     time.legend(handles=[*time.lines[:1], *speed.lines], loc='lower right')
     save(figure, 'spin_up')
     late = np.abs(across[run.t > 16.0]).max()
+    limit = scene.vary({'model.formulation': 'newton'}).build().speed_limit
     return (f'The shaft follows a given angle up to {run.shaft_velocity[-1]:.3g} rad/s. The arm '
             f'lags behind by up to {1e3 * abs(across[largest]):.0f} mm while it is accelerated; '
             'once the speed is constant, centrifugal force holds it straight: after 16 s it is '
-            f'never bent by more than {1e3 * late:.2g} mm. `newton`, the paper\'s set, loses its '
-            f'stiffness above {scene.vary({"model.formulation": "newton"}).build().speed_limit:.3g}'
-            ' rad/s instead, and says so.')
+            f'never bent by more than {1e3 * late:.2g} mm. The set `newton` of the paper loses '
+            f'its stiffness above {limit:.3g} rad/s instead, and says so.')
 
 
 def frequency(scene):
@@ -256,8 +256,8 @@ def vibration_control():
     return ('The carrier is held; a PD controller in Python steps the simulator at 1 kHz. A step '
             f'of the reference bends the arm by {1e3 * left[0][0]:.0f} mm, and '
             f'{1e3 * left[0][1]:.1f} mm are left after 2 s. A smooth reference of '
-            f'{duration:g} s, with the torque that a rigid arm would need fed forward, bends it by '
-            f'{1e3 * left[1][0]:.0f} mm and leaves {1e3 * left[1][1]:.2f} mm.')
+            f'{duration:g} s, with the torque that a rigid arm would need fed forward, bends it '
+            f'by {1e3 * left[1][0]:.0f} mm and leaves {1e3 * left[1][1]:.2f} mm.')
 
 
 def main():

@@ -24,7 +24,7 @@ BELOW = {
                'ros'},
     'sweep': {'physics', 'parameters', 'scene', 'simulation', ''},
     'track': {'physics', 'scene'},
-    'view': {'track'},
+    'view': {'track', 'scene'},
     'cli': {'parameters', 'log', 'replay', 'sweep', 'track', 'view'},
     'log': {'commands', 'outputs', 'parameters', 'scene', ''},
     'ros': {'physics', 'commands', 'outputs', 'parameters', 'scene', 'simulation', 'accuracy',

@@ -117,13 +117,13 @@ class SimNode(Node):
 
     def _connect(self):
         try:
-            from timo_sim.view.live import Live
-            return Live(self._simulator.scene, self._values['rerun_live'],
+            from timo_sim.view.feed import Feed
+            return Feed(self._simulator.scene, self._values['rerun_live'],
                         self.get_fully_qualified_name())
         except ModuleNotFoundError as error:
-            raise ParameterError(f"rerun_live needs {error.name}, which is not installed: pip "
-                                 "install 'timo_sim[view]'") from None
-        except (ValueError, RuntimeError) as error:
+            raise ParameterError(f'rerun_live needs {error.name}, which is not installed: '
+                                 'pip install timo_sim[view]') from None
+        except ValueError as error:
             raise ParameterError('rerun_live must be the address of a viewer of rerun, got '
                                  f'{short(self._values["rerun_live"])}: {error}') from None
 
