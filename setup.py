@@ -50,10 +50,10 @@ setup(
     entry_points={
         'console_scripts': [
             'sim_node = timo_sim.ros.sim_node:main',
-            'view = timo_sim.cli:view',
             'timo_sim = timo_sim.cli:main',
             # For `ros2 run timo_sim ...`, the same functions.
-            *(f'{name} = timo_sim.cli:{name}' for name in ('export', 'info', 'recover', 'replay')),
+            *(f'{name} = timo_sim.cli:{name}' for name in (
+                'export', 'info', 'recover', 'replay', 'view')),
         ],
     },
 )

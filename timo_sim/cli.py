@@ -10,7 +10,18 @@ _EXTRAS = {'pyarrow': 'sweep', 'distributed': 'cluster', 'rclpy': 'ros', 'rerun'
            'rerun_cli': 'view'}
 
 
-@click.group()
+class _Command(click.Command):
+    """A command whose raw docstring may have click's mark of lines that are kept as they are."""
+
+    def __init__(self, *args, help=None, **options):
+        super().__init__(*args, help=help and help.replace('\\b', '\b'), **options)
+
+
+class _Commands(click.Group):
+    command_class = _Command
+
+
+@click.group(cls=_Commands)
 @click.version_option(package_name='timo_sim')
 def main():
     """Simulate a mobile manipulator with a flexible arm."""

@@ -29,10 +29,10 @@ class ArmShape(Outlet):
     """
 
     logged = False
-    rate = 'rate.arm_shape'
+    name, rate = '~/arm_shape', 'rate.arm_shape'
 
     def __init__(self, node, formulation):
-        super().__init__(node, '~/arm_shape', Marker)
+        super().__init__(node, self.name, Marker)
         arm = formulation.manipulator.arm
         self._formulation, self.every = formulation, 1
         self._points = formulation.at(np.linspace(0.0, arm.length, _POINTS))
