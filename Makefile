@@ -41,7 +41,7 @@ graphics:
 		$$sudo apt-get -qq update && $$sudo apt-get -qq install -y --no-install-recommends \
 		$(GRAPHICS) >/dev/null; } || echo "pictures of views need: apt-get install $(GRAPHICS)"
 
-gallery: $(VENV)/.plot
+gallery: $(VENV)/.test graphics
 	@$(BIN)/python benchmark/gallery.py
 
 picture: $(VENV)/.plot

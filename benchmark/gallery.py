@@ -1,5 +1,8 @@
 """Five pictures and what is on them: `make gallery` writes doc/gallery.md and doc/gallery/."""
 
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
 import matplotlib
 import numpy as np
 from references import ROOT
@@ -260,6 +263,17 @@ def vibration_control():
             f'by {1e3 * left[1][0]:.0f} mm and leaves {1e3 * left[1][1]:.2f} mm.')
 
 
+def window():
+    """Draw what `timo_sim view` shows of the paper's run, for the README."""
+    from timo_sim.track import of_run
+    from timo_sim.view.convert import write
+    from timo_sim.view.viewer import picture
+    run = timo_sim.simulate(timo_sim.load_scene(ROOT / 'config/paper.yaml'), 10.0)
+    with TemporaryDirectory() as folder:
+        write([of_run(run, 'paper')], Path(folder, 'run.rrd'), at=1.81)
+        picture(Path(folder, 'run.rrd'), ROOT / 'doc' / 'view.png', 1.81, (1280, 800))
+
+
 def main():
     """Draw all and write the page."""
     text = ['# Gallery', '', 'Written by `make gallery` (benchmark/gallery.py), numbers included. '
@@ -270,6 +284,7 @@ def main():
         words = draw()
         print(f'{title}: {words}')
         text += ['', f'## {title}', '', f'![{title}](gallery/{draw.__name__}.png)', '', words]
+    window()
     (ROOT / 'doc' / 'gallery.md').write_text('\n'.join(text) + '\n')
 
 
