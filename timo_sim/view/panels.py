@@ -9,19 +9,19 @@ from timo_sim.view.entities import ABOUT, CURVES, PLANE, TIMELINE
 
 # In the order in which they are shown.
 TITLES = {
-    'tip_deflection': 'tip deflection across [m]',
-    'tip_rotation': 'tip rotation [rad]',
-    'difference': 'difference of tip deflection [m]',
+    'tip_deflection': 'tip deflection w [m]',
+    'tip_rotation': 'tip rotation phi [rad]',
+    'difference': 'difference of w [m]',
     'carrier': 'carrier [m]',
-    'shaft': 'shaft [rad]',
-    'force': 'force on the carrier [N]',
-    'torque': 'torque on the shaft [N m]',
-    'modal': 'modal coordinates [m sqrt(kg)]',
+    'shaft': 'shaft theta [rad]',
+    'force': 'force on carrier [N]',
+    'torque': 'torque on shaft [N m]',
+    'modal': 'modes q [m sqrt(kg)]',
     'energy': 'energy [J]',
-    'balance': 'energy - work of the loads [J]',
+    'balance': 'energy - work [J]',
     'shaft_speed': 'shaft speed [rad/s]',
     'carrier_velocity': 'carrier velocity [m/s]',
-    'tip_axial': 'tip deflection along [m]',
+    'tip_axial': 'tip deflection u, along [m]',
     'shaft_difference': 'difference of shaft [rad]',
     'carrier_difference': 'difference of carrier [m]',
 }
@@ -48,7 +48,10 @@ class Panel:
         """Return quantity, unit, and between which values it moves."""
         if self.low > self.high:
             return TITLES[key]
-        return f'{TITLES[key]}: {self.low:.3g} to {self.high:.3g}'
+        # Without what is left of a rounded zero.
+        nothing = 1e-12 * max(abs(self.low), abs(self.high))
+        low, high = (0.0 if abs(end) < nothing else end for end in (self.low, self.high))
+        return f'{TITLES[key]}: {low:.3g} to {high:.3g}'
 
     def axis(self):
         """Return the vertical axis, or None: as it fits."""
