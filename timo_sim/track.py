@@ -284,10 +284,15 @@ def _of_bag(recording, name, joints):
         raise TrackError(f'{recording.path}: the shape of the arm needs tip_pose and '
                          'tip_deflection, or a log of the node with modal_state')
 
-    def at_tip(other):
-        return np.column_stack([np.interp(tip.ns, other.ns, column) for column in other.values.T])
+    # Messages may have come in another order.
+    (joint_ns, joints), (tip_ns, place), (bend_ns, bend) = (
+        (series.ns[order], series.values[order]) for series, order in (
+            (series, np.argsort(series.ns, kind='stable')) for series in (joints, tip, bend)))
 
-    motion, place, across = at_tip(joints), tip.values, at_tip(bend)
+    def at_tip(ns, values):
+        return np.column_stack([np.interp(tip_ns, ns, column) for column in values.T])
+
+    motion, across = at_tip(joint_ns, joints), at_tip(bend_ns, bend)
     rotation = 2.0 * np.arctan2(place[:, 2], place[:, 3]) - motion[:, 2]
     rotation = (rotation + np.pi) % (2.0 * np.pi) - np.pi
     cosine, sine = np.cos(motion[:, 2]), np.sin(motion[:, 2])
@@ -310,15 +315,15 @@ def _of_bag(recording, name, joints):
         return Poses(motion[part, np.newaxis, :2] + line, motion[part, 2], motion[part, 6:9])
 
     def trace(panel, names, values):
-        return Trace(panel, names, joints.ns, values)
+        return Trace(panel, names, joint_ns, values)
 
     traces = [
-        Trace('tip_deflection', ('w',), bend.ns, lambda part: bend.values[part, 1:2]),
-        Trace('tip_axial', ('u',), bend.ns, lambda part: bend.values[part, :1]),
-        Trace('tip_rotation', ('phi',), tip.ns, rotation[:, np.newaxis].__getitem__),
-        *_joint_traces(trace, joints.values[:, :3], joints.values[:, 3:6],
-                       joints.values[:, 6:9])]
+        Trace('tip_deflection', ('w',), bend_ns, lambda part: bend[part, 1:2]),
+        Trace('tip_axial', ('u',), bend_ns, lambda part: bend[part, :1]),
+        Trace('tip_rotation', ('phi',), tip_ns, rotation[:, np.newaxis].__getitem__),
+        *_joint_traces(trace, joints[:, :3], joints[:, 3:6],
+                       joints[:, 6:9])]
     body = Body(length, 0.01 * length, 0.06 * length, 0.066 * length, 0.056 * length)
-    note = (f'{_span(tip.ns)}. No modal coordinates are on this bag: **the shape of the arm is a '
+    note = (f'{_span(tip_ns)}. No modal coordinates are on this bag: **the shape of the arm is a '
             'cubic from root to tip pose**, its bodies have no true size, energy is not known.')
-    return Track(name, tip.ns, poses, traces, body, note)
+    return Track(name, tip_ns, poses, traces, body, note)

@@ -9,6 +9,9 @@ from matplotlib.image import imread
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
 
 from ros_process import Process
 import timo_sim
@@ -135,7 +138,9 @@ def bag(run):
         '~/tip_pose': np.column_stack([
             run.position(LENGTH), np.sin(0.5 * pose), np.cos(0.5 * pose)])[part],
         '~/tip_deflection': run.deflection(LENGTH)[part]}
-    series = {name: SimpleNamespace(ns=track.ns[part], values=values)
+    order = np.arange(len(track.ns[part]))
+    order[[2, 3]] = 3, 2  # one message was late
+    series = {name: SimpleNamespace(ns=track.ns[part][order], values=values[order])
               for name, values in series.items()}
     return SimpleNamespace(path='bag.mcap', scene=None, read=lambda *names: series)
 
@@ -201,6 +206,28 @@ def test_a_log_of_the_node_is_shown_as_the_run_that_it_is(log, paper, tmp_path):
             1e-2 if panel == 'energy' else 1e-12))  # the work between samples 20 ms apart
     _, values = columns(path, f'/curves/difference/{log.stem}_1')
     assert np.all(values == 0.0)
+
+
+def test_a_plain_bag_is_shown_as_its_log_is(log, tmp_path):
+    with AnyReader([log]) as reader, Writer(
+            tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        store, kept = get_typestore(Stores.ROS2_JAZZY), {}
+        for connection, stamp, data in reader.messages():
+            if connection.topic.rpartition('/')[2] in (
+                    'joint_states', 'tip_pose', 'tip_deflection'):
+                if connection.topic not in kept:
+                    kept[connection.topic] = writer.add_connection(
+                        connection.topic, connection.msgtype, typestore=store)
+                writer.write(kept[connection.topic], 1700000000000000000 + stamp, data)
+    path = tmp_path / 'out.rrd'
+    result = CliRunner().invoke(
+        main, ['view', str(tmp_path / 'bag'), str(log), '--save', str(path)])
+    assert result.exit_code == 0, result.output
+    _, values = columns(path, f'/curves/difference/{log.stem}')
+    assert len(values) == 51 and np.abs(values).max() < 1e-15
+    about = next(chunk.to_record_batch() for chunk in RrdReader(path).stream()
+                 if chunk.entity_path == '/about')
+    assert 'cubic' in str(about.column('TextDocument:text')[0])
 
 
 def test_work_stops_at_a_reset(log):

@@ -103,7 +103,7 @@ def _send_differences(stream, first, track, run, runs, panels):
         names = np.array(ours.names)[columns].reshape(-1)
         log_curves(stream, panel, track.name, run, runs,
                    [f'{text} less {first.name}' for text in names])
-        seen = panels.setdefault(panel, Panel())
+        seen = panels.setdefault(panel, Panel(least=1e-12))
         seen.curves += len(names)
         base = theirs.values(slice(None))
         for part in _blocks(len(inside)):

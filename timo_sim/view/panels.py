@@ -54,9 +54,9 @@ class Panel:
         return f'{TITLES[key]}: {low:.3g} to {high:.3g}'
 
     def axis(self):
-        """Return the vertical axis, or None: as it fits."""
-        least = max(self.least, 1.1 * self.high, -1.1 * self.low) if self.least else 0.0
-        return rrb.ScalarAxis(range=(-least, least)) if least else None
+        """Return the vertical axis: as it fits, but nothing smaller than `least`."""
+        small = max(self.high, -self.low) < self.least
+        return rrb.ScalarAxis(range=(-self.least, self.least)) if small else None
 
 
 def blueprint(panels, bounds, runs=1, live=False):
