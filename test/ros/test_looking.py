@@ -38,6 +38,7 @@ def listener(tmp_path):
     process.wait()
 
 
+@pytest.mark.filterwarnings('ignore:RRD file has no footer')  # rerun is ended, not closed
 def test_a_running_node_is_streamed(start, client, listener, paper):
     url, path, process = listener
     node = start('--params-file', str(paper), record=False, rerun_live=url)
