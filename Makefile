@@ -20,7 +20,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --use-pep517 --constraint constraints.txt
 
-.PHONY: sim test picture paper benchmark benchmark-quick benchmark-speed benchmark-speed-quick \
+.PHONY: sim test graphics gallery picture paper benchmark benchmark-quick benchmark-speed benchmark-speed-quick \
 	references stability stress stress-quick clean
 
 sim: $(VENV)/.run
@@ -29,8 +29,20 @@ sim: $(VENV)/.run
 		-p duration:=10.0 -p record_file:=$(RUN) 2>&1 | sed 's/^\[[A-Z]*\] \[[0-9.]*\] //'
 	@echo "next: 'make picture' draws the arm; README.md shows how to command the node"
 
-test: $(VENV)/.test
+test: $(VENV)/.test graphics
 	@$(BIN)/python -m pytest test --numprocesses 2 --dist loadfile
+
+# Pictures of views, in the tests and in the gallery, are drawn without a screen by Mesa's driver.
+GRAPHICS := mesa-vulkan-drivers libvulkan1
+graphics:
+	@test "$$(uname)" != Linux || { ldconfig -p | grep -q libvulkan.so.1 && \
+		test -n "$(wildcard /usr/share/vulkan/icd.d/*.json /etc/vulkan/icd.d/*.json)"; } || { \
+		sudo=; test "$$(id -u)" = 0 || sudo='sudo -n'; echo "installing $(GRAPHICS)"; \
+		$$sudo apt-get -qq update && $$sudo apt-get -qq install -y --no-install-recommends \
+		$(GRAPHICS) >/dev/null; } || echo "pictures of views need: apt-get install $(GRAPHICS)"
+
+gallery: $(VENV)/.test graphics
+	@$(BIN)/python benchmark/gallery.py
 
 picture: $(VENV)/.plot
 	@$(BIN)/python benchmark/picture.py

@@ -12,7 +12,9 @@ setup(
         ('share/' + package_name, ['package.xml']),
         ('share/' + package_name + '/config', [
             'config/paper.yaml', 'config/spin_up.yaml', 'config/sweep.yaml']),
-        ('share/' + package_name + '/launch', ['launch/sim.launch.py']),
+        ('share/' + package_name + '/launch', [
+            'launch/sim.launch.py', 'launch/rviz.launch.py']),
+        ('share/' + package_name + '/urdf', ['urdf/timo_sim.urdf', 'urdf/timo_sim.rviz']),
     ],
     python_requires='>=3.11',
     install_requires=['setuptools', 'click', 'mcap', 'lz4', 'numba', 'numpy>=1.26', 'PyYAML',
@@ -35,9 +37,10 @@ setup(
                  'colcon-package-information', 'colcon-package-selection',
                  'colcon-parallel-executor', 'colcon-python-setup-py', 'colcon-recursive-crawl',
                  'colcon-ros', 'colcon-test-result', 'distributed', 'flake8', 'flake8-quotes',
-                 'hypothesis',
+                 'hypothesis', 'matplotlib',
                  'mcap-ros2-support', 'mypy', 'pyarrow', 'pydocstyle', 'pytest', 'pytest-xdist',
-                 'rerun-sdk', 'rosbags', 'types-PyYAML', 'types-tqdm'],
+                 'rerun-sdk', 'ros-jazzy-visualization-msgs',
+                 'rosbags', 'types-PyYAML', 'types-tqdm'],
     },
     zip_safe=True,
     maintainer='The timo_sim authors',
@@ -49,7 +52,8 @@ setup(
             'sim_node = timo_sim.ros.sim_node:main',
             'timo_sim = timo_sim.cli:main',
             # For `ros2 run timo_sim ...`, the same functions.
-            *(f'{name} = timo_sim.cli:{name}' for name in ('export', 'info', 'recover', 'replay')),
+            *(f'{name} = timo_sim.cli:{name}' for name in (
+                'export', 'info', 'recover', 'replay', 'view')),
         ],
     },
 )

@@ -23,10 +23,12 @@ BELOW = {
     'replay': {'physics', 'commands', 'outputs', 'parameters', 'scene', 'simulation', 'log',
                'ros'},
     'sweep': {'physics', 'parameters', 'scene', 'simulation', ''},
-    'cli': {'parameters', 'log', 'replay', 'sweep'},
+    'track': {'physics', 'scene'},
+    'view': {'track', 'scene'},
+    'cli': {'parameters', 'log', 'replay', 'sweep', 'track', 'view'},
     'log': {'commands', 'outputs', 'parameters', 'scene', ''},
     'ros': {'physics', 'commands', 'outputs', 'parameters', 'scene', 'simulation', 'accuracy',
-            'log', ''},
+            'log', 'view', ''},
 }
 OUTSIDE_OF_PHYSICS = {'rclpy', 'yaml', 'mcap', 'rerun', 'logging', 'pathlib'}
 

@@ -1,14 +1,27 @@
 """The command `timo_sim`; what a subcommand needs is imported when it runs."""
 
 from contextlib import contextmanager
+from functools import partial
 import sys
 
 import click
 
-_EXTRAS = {'pyarrow': 'sweep', 'distributed': 'cluster', 'rclpy': 'ros'}
+_EXTRAS = {'pyarrow': 'sweep', 'distributed': 'cluster', 'rclpy': 'ros', 'rerun': 'view',
+           'rerun_cli': 'view'}
 
 
-@click.group()
+class _Command(click.Command):
+    """A command whose raw docstring may have click's mark of lines that are kept as they are."""
+
+    def __init__(self, *args, help=None, **options):
+        super().__init__(*args, help=help and help.replace('\\b', '\b'), **options)
+
+
+class _Commands(click.Group):
+    command_class = _Command
+
+
+@click.group(cls=_Commands)
 @click.version_option(package_name='timo_sim')
 def main():
     """Simulate a mobile manipulator with a flexible arm."""
@@ -164,3 +177,37 @@ def export(file, output, topic, bag, node):
     with one_line_for_errors(LogError):
         from timo_sim.log.export import export, export_bag
         click.echo(export_bag(file, output) if bag else export(file, output, topic, node))
+
+
+@main.command()
+@click.argument('files', nargs=-1, required=True, type=click.Path(exists=True))
+@click.option('--save', type=click.Path(dir_okay=False), metavar='OUT.rrd',
+              help='Write a file for rerun instead of opening it.')
+@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+              help='Draw a picture instead, without a screen.')
+@click.option('--at', type=float, metavar='SECONDS', help='Sim time of the picture; the end.')
+@click.option('--web', is_flag=True, help='Open the browser instead of a window.')
+@click.option('--fps', type=click.FloatRange(min=0.0, min_open=True), default=30.0,
+              show_default=True, help='Frames of the moving arm per second; curves have all.')
+@click.option('--node', metavar='NAME', help='Which node of a bag with several.')
+def view(files, save, png, at, web, fps, node):
+    r"""
+    Show recorded runs, laid over each other, in rerun.
+
+    FILES are logs of the node, or bags of its topics. Everything stays on this machine.
+
+    \b
+        timo_sim view run.mcap
+        timo_sim view before.mcap after.mcap --png compared.png --at 1.81
+    """
+    from timo_sim.log.reader import LogError
+    from timo_sim.track import TrackError
+    with one_line_for_errors(LogError, TrackError):
+        import rerun  # noqa: F401  # before minutes are spent on reading
+        from timo_sim.log.recording import Recording
+        from timo_sim.track import of_recording, unique_names
+        from timo_sim.view.command import convert_and_show
+        recordings = [Recording(path, node) for path in files]
+        names = unique_names([recording.path.stem for recording in recordings])
+        convert_and_show([partial(of_recording, *pair) for pair in zip(recordings, names)],
+                         save, png, at, web, fps)

@@ -243,9 +243,14 @@ _ALL = [
     _rate('tip_pose', 100.0),
     _rate('carrier_pose', 100.0),
     _rate('clock', 100.0),
+    _rate('arm_shape', 50.0),
     Parameter('record', True, '', 'whether the run is logged to an MCAP file', scope=NODE),
     Parameter('record_file', '', '', 'path of the log; empty: timo_sim_DATE_TIME.mcap in the '
               'working directory', scope=NODE),
+    Parameter('rerun_live', '', '', 'address of a running viewer of rerun to which the motion is '
+              'streamed, such as rerun+http://127.0.0.1:9876/proxy; empty: none', scope=NODE),
+    Parameter('publish_arm_shape', False, '', 'whether the centre line goes to ~/arm_shape, for '
+              'RViz; needs visualization_msgs', scope=NODE),
 ]
 
 PARAMETERS = {parameter.name: parameter for parameter in _ALL}

@@ -153,9 +153,14 @@ class Recording:
                                    f'is not a {wanted[number].type_name}: {error}') from None
         return {collector.name: self._series(collector) for collector in wanted.values()}
 
-    def motion(self):
+    def motion(self, series=None):
         """
         Return the samples of joint states for which there are modal states.
+
+        Parameters
+        ----------
+        series : dict of Series, optional
+            What `read` gave for 'joint_states' and '~/modal_state', where that is done already.
 
         Returns
         -------
@@ -170,8 +175,7 @@ class Recording:
             If the log has none.
 
         """
-        names = ['joint_states', '~/modal_state']
-        found = self.read(*names)
+        found = self.read('joint_states', '~/modal_state') if series is None else series
         if 'joint_states' not in found:
             raise LogError(f'{self.index.name} has no joint_states of {self.name}')
         joints, modes = found['joint_states'], found.get('~/modal_state')

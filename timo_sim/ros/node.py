@@ -16,7 +16,8 @@ from timo_sim.commands import COMMANDS
 from timo_sim.log.notes import Peak, RESET, start_note, START, SUMMARY
 from timo_sim.log.recorder import Recorder
 from timo_sim.outputs import NANOSECONDS, outputs, Snapshot
-from timo_sim.parameters import changed, LATEST, ParameterError, RATES, whole_ratio
+from timo_sim.parameters import (
+    changed, LATEST, ParameterError, RATES, short, whole_ratio)
 from timo_sim.physics.formulation import LOADS
 from timo_sim.ros import diagnostics
 from timo_sim.ros.commands import Inlet
@@ -35,7 +36,7 @@ _TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees i
 
 def _steps_between_messages(values, step):
     return {rate: whole_ratio('1/integrator.step', 1.0 / step, rate, values[rate])
-            for rate in RATES}
+            for rate in RATES if rate != 'rate.arm_shape' or values['publish_arm_shape']}
 
 
 class SimNode(Node):
@@ -88,6 +89,9 @@ class SimNode(Node):
         self._outlets = [MotionOutlet(self, output)
                          for output in outputs(scene.values['model.modes'])
                          if output.name != '/clock' or self._values['publish_clock']]
+        if self._values['publish_arm_shape']:
+            self._outlets.append(self._arm_shape())
+        self._live = self._connect() if self._values['rerun_live'] else None
         self._health_outlet = Outlet(self, '/diagnostics', DiagnosticArray)
         self._apply(self._values, steps_each)
         on_set(self, self._values, self._on_parameters)
@@ -99,6 +103,29 @@ class SimNode(Node):
     def subscriptions(self):
         """Those that an executor serves: all but the commands."""
         return (entry for entry in super().subscriptions if not entry.raw)
+
+    # What only some need, and not everybody has.
+
+    def _arm_shape(self):
+        try:
+            from timo_sim.ros.arm_shape import ArmShape
+        except ModuleNotFoundError as error:
+            raise ParameterError(f'publish_arm_shape needs {error.name}, which is not installed: '
+                                 'apt-get install ros-jazzy-visualization-msgs, or pip install it'
+                                 ) from None
+        return ArmShape(self, self._simulator.formulation)
+
+    def _connect(self):
+        try:
+            from timo_sim.view.feed import Feed
+            return Feed(self._simulator.scene, self._values['rerun_live'],
+                        self.get_fully_qualified_name())
+        except ModuleNotFoundError as error:
+            raise ParameterError(f'rerun_live needs {error.name}, which is not installed: '
+                                 'pip install timo_sim[view]') from None
+        except ValueError as error:
+            raise ParameterError('rerun_live must be the address of a viewer of rerun, got '
+                                 f'{short(self._values["rerun_live"])}: {error}') from None
 
     def _settled(self, scene):
         self.get_logger().info(
@@ -145,6 +172,8 @@ class SimNode(Node):
         if now - self._reported[0] >= diagnostics.PERIOD:
             self._diagnose(now)
         self._poll()
+        if self._live is not None:
+            self._live.offer(now, self._simulator, lambda: self._snapshot().effort)
         if self._paused:
             return _PAUSED_POLL
         if self._pace.free:
@@ -323,7 +352,7 @@ class SimNode(Node):
 
     def _open_log(self):
         path = self._values['record_file'] or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap'
-        outlets = [*self._outlets, self._health_outlet]
+        outlets = [outlet for outlet in (*self._outlets, self._health_outlet) if outlet.logged]
         channels = [point.channel for point in [*self._inlets, *outlets]]
         try:
             self._recorder = Recorder(path, channels, {
@@ -341,6 +370,8 @@ class SimNode(Node):
 
     def _close(self, wall_time):
         self._pass_on_caution()
+        if self._live is not None:
+            self._live.close()
         sim_time = self._simulator.steps * self._step
         report = (f'simulated {sim_time:.6g} s in {wall_time:.3f} s, {self._pace.overruns} '
                   f'overruns, {self._pace.dropped_steps * self._step:.6g} s dropped')

@@ -105,6 +105,8 @@ class Outlet:
 
     Attributes
     ----------
+    logged : bool
+        Whether its messages are for the log, too.
     channel : Channel
         Of the log.
     recorder : Recorder or None
@@ -112,6 +114,8 @@ class Outlet:
         Of the channel in the log.
 
     """
+
+    logged = True
 
     def __init__(self, node, topic, message_type):
         self._subscribed = False

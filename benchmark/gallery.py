@@ -1,0 +1,295 @@
+"""Five pictures and what is on them: `make gallery` writes doc/gallery.md and doc/gallery/."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import matplotlib
+from matplotlib.image import imread, imsave
+import numpy as np
+from references import ROOT
+
+import timo_sim
+from timo_sim.physics.formulation import LOADS, TORQUE
+from timo_sim.simulation import Simulator
+
+matplotlib.use('Agg')
+# Okabe-Ito colours, told apart by everyone, and grey for what is drawn behind.
+BLUE, ORANGE, GREEN, GREY = '#0072B2', '#D55E00', '#009E73', '#999999'
+LENGTH = 2.0  # of the paper's arm [m]
+FOLDER = ROOT / 'doc' / 'gallery'
+FINE = {'model.modes': 5}
+
+
+def sheet(title, ratio=1.0):
+    """Return a figure, its plane of motion on the left, and its axes of time on the right."""
+    import matplotlib.pyplot as plt
+    plt.rcParams.update({'font.size': 15, 'axes.grid': True, 'grid.alpha': 0.3,
+                         'lines.linewidth': 2.0, 'legend.fontsize': 13})
+    figure, (plane, time) = plt.subplots(1, 2, figsize=(12.0, 5.2), layout='constrained',
+                                         width_ratios=[ratio, 1.6])
+    figure.suptitle(title, fontsize=18)
+    plane.set(xlabel='x [m]', ylabel='y [m]', aspect='equal')
+    time.set(xlabel='t [s]')
+    return figure, plane, time
+
+
+def draw_arm(plane, run, sample, colour, alpha=1.0, label=None, body=True):
+    """Draw carrier, bent arm and end effector of a sample."""
+    length = run.scene.manipulator.arm.length
+    line = run.formulation.world(run.motion[[sample]], run.formulation.at(
+        np.linspace(0.0, length, 41)))[0]
+    plane.plot(*line.T, color=colour, alpha=alpha, lw=3, label=label, solid_capstyle='round')
+    plane.plot(*line[-1], 'o', color=colour, alpha=alpha, ms=11)
+    if body:
+        plane.plot(*line[0], 's', color=colour, alpha=alpha, ms=12)
+
+
+def save(figure, name):
+    """Write a picture."""
+    import matplotlib.pyplot as plt
+    FOLDER.mkdir(exist_ok=True)
+    figure.savefig(FOLDER / f'{name}.png', dpi=100)
+    plt.close(figure)
+
+
+def paper():
+    """Draw the paper's run."""
+    run = timo_sim.simulate(timo_sim.load_scene(ROOT / 'config/paper.yaml', FINE), 10.0)
+    across = run.deflection(LENGTH)[:, 1]
+    peak = int(np.abs(across).argmax())
+    figure, plane, time = sheet("The paper's run: three harmonic loads")
+    plane.plot(*run.position(LENGTH).T, color=GREY, lw=1, label='path of the tip')
+    for second in (0, 2, 4, 6, 8, 10):
+        draw_arm(plane, run, 1000 * second, BLUE, 0.25 + 0.075 * second,
+                 'every 2 s, light to dark' if second == 10 else None)
+    plane.legend(loc='lower right')
+    plane.set(xlim=(-0.25, 2.2), ylim=(-0.25, 2.3))
+    time.plot(run.t, 1e3 * across, color=BLUE)
+    time.plot(run.t[peak], 1e3 * across[peak], 'o', color=ORANGE, ms=10,
+              label=f'largest: {1e3 * across[peak]:.1f} mm at {run.t[peak]:.2f} s')
+    time.set(ylabel='tip deflection w(l) [mm]', ylim=(-100, 135), xlim=(0, 10))
+    time.legend(loc='upper right')
+    save(figure, 'paper')
+    return (f'5 N at 2 Hz and 3 Hz on the carrier, 5 N m at 4 Hz on the shaft, nothing is held. '
+            f'The torque is close to the first frequency of the free manipulator, so the '
+            f'vibration beats; the tip is bent by at most {1e3 * abs(across[peak]):.1f} mm. The '
+            f'carrier ends {np.linalg.norm(run.carrier[-1]):.2f} m from where it began.')
+
+
+def spin_up():
+    """Draw the arm that is spun up, and what centrifugal stiffening does."""
+    scene = timo_sim.load_scene(ROOT / 'config/spin_up.yaml', FINE)
+    run = timo_sim.simulate(scene, 20.0, every=10)
+    length = scene.manipulator.arm.length
+    across = run.deflection(length)[:, 1]
+    largest = int(np.abs(across).argmax())
+    figure, plane, time = sheet('Spin-up: the shaft is driven to its final speed')
+    plane.plot(*run.position(length).T, color=GREY, lw=0.5)
+    for k, sample in enumerate(np.linspace(0, largest, 5).astype(int)):
+        draw_arm(plane, run, sample, BLUE, 0.25 + 0.15 * k)
+    draw_arm(plane, run, largest, ORANGE, label=f'bent most, {run.t[largest]:.1f} s')
+    plane.set(xlim=(-11, 11), ylim=(-11, 15))
+    plane.legend(loc='upper left')
+    time.plot(run.t, across, color=BLUE, label='tip deflection w(l)')
+    time.axhline(0.0, color='k', lw=0.8)
+    time.set(ylabel='w(l) [m]', xlim=(0, 20))
+    speed = time.twinx()
+    speed.plot(run.t, run.shaft_velocity, '--', color=ORANGE, label='shaft speed')
+    speed.set(ylabel='shaft speed [rad/s]')
+    speed.grid(False)
+    time.legend(handles=[*time.lines[:1], *speed.lines], loc='lower right')
+    save(figure, 'spin_up')
+    late = np.abs(across[run.t > 16.0]).max()
+    limit = scene.vary({'model.formulation': 'newton'}).build().speed_limit
+    return (f'The shaft follows a given angle up to {run.shaft_velocity[-1]:.3g} rad/s. The arm '
+            f'lags behind by up to {1e3 * abs(across[largest]):.0f} mm while it is accelerated; '
+            'once the speed is constant, centrifugal force holds it straight: after 16 s it is '
+            f'never bent by more than {1e3 * late:.2g} mm. The set `newton` of the paper loses '
+            f'its stiffness above {limit:.3g} rad/s instead, and says so.')
+
+
+def frequency(scene):
+    """Return the first frequency of a manipulator at rest [Hz]: of the linearised equations."""
+    formulation, load = scene.build(), np.zeros(LOADS)
+    size = len(formulation.linear)
+    steps = 1e-6 * np.eye(size)
+    jacobian = np.column_stack([
+        (formulation.rate(step, load) - formulation.rate(-step, load)) / 2e-6 for step in steps])
+    found = np.abs(np.linalg.eigvals(jacobian).imag) / (2.0 * np.pi)
+    return found[found > 0.1].min()
+
+
+def resonance():
+    """Draw what a torque does at, and beside, the first frequency."""
+    rest = timo_sim.load_scene({**FINE, 'initial.shaft': 0.0})
+    first = frequency(rest)
+
+    def driven(ratio, damping):
+        return timo_sim.simulate(rest.vary({
+            'arm.damping_ratio': [damping], 'load.torque.harmonic.amplitude': [0.5],
+            'load.torque.harmonic.frequency': [ratio * first]}), 20.0)
+
+    cases = [(driven(1.0, 0.0), ORANGE, 'at it, undamped', '-'),
+             (driven(1.0, 0.01), BLUE, 'at it, damping ratio 0.01', '-'),
+             (driven(0.9, 0.0), GREEN, '10 % below, undamped', '-')]
+    figure, plane, time = sheet(f'Resonance: 0.5 N m at the first frequency, {first:.2f} Hz')
+    tops = []
+    for run, colour, label, style in cases:
+        across = run.deflection(LENGTH)[:, 1]
+        tops.append(np.abs(across).max())
+        time.plot(run.t, 1e3 * across, style, color=colour, lw=1.2, label=label)
+    xi = np.linspace(0.0, LENGTH, 41)
+    for run, colour, label, _ in cases[::2]:
+        cycle = round(1e3 / first)
+        shapes = np.stack([run.deflection(x)[-cycle::cycle // 12, 1] for x in xi], axis=1)
+        plane.plot(xi, 1e3 * shapes.T, color=colour, lw=1.5)
+        plane.plot([], color=colour, label=label)
+    plane.set(aspect='auto', xlabel='along the arm [m]', ylabel='deflection across [mm]',
+              ylim=(-170, 290), title='its last cycle')
+    plane.legend(loc='upper left')
+    time.set(ylabel='tip deflection w(l) [mm]', xlim=(0, 20))
+    top = 1e3 * max(tops)
+    time.set_ylim(-1.1 * top, 1.7 * top)
+    time.legend(loc='upper right')
+    save(figure, 'resonance')
+    return (f'The free manipulator at rest has its first frequency at {first:.3f} Hz. A torque of '
+            f'0.5 N m there bends the tip further with each cycle, {1e3 * tops[0]:.0f} mm within '
+            f'20 s; a modal damping ratio of 0.01 keeps it to {1e3 * tops[1]:.0f} mm, and a '
+            f'frequency 10 % lower to {1e3 * tops[2]:.1f} mm.')
+
+
+def struck(scene, impulse):
+    """
+    Return a scene whose initial velocities are those after a stroke on the end effector.
+
+    They are M^-1 B P, with the mass matrix M from kinetic energies, and B from the tip's motion.
+    """
+    formulation, start = scene.build(), scene.initial_motion()
+    half, tip = formulation.size // 2, formulation.at([LENGTH])
+
+    def energy(velocity):
+        return formulation.energy(np.append(start[:half], velocity)[np.newaxis])[0]
+
+    one = np.eye(half)
+    mass = np.array([[energy(a + b) - energy(a) - energy(b) for a in one] for b in one])
+    small = np.pad(1e-6 * one, ((0, 0), (0, half)))
+    lever = (formulation.world(start + small, tip) - formulation.world(start - small, tip))[:, 0]
+    velocity = np.linalg.solve(mass, lever / 2e-6 @ impulse)
+    names = 'carrier_x_velocity', 'carrier_y_velocity', 'shaft_velocity'
+    return scene.vary({**{f'initial.{name}': value for name, value in zip(names, velocity)},
+                       'initial.modal_rates': velocity[3:].tolist()})
+
+
+def disturbance():
+    """Draw a stroke on the end effector."""
+    rest = timo_sim.load_scene({'model.modes': 7, 'initial.shaft': 0.0,
+                                'integrator.step': 0.0005})
+    run = timo_sim.simulate(struck(rest, np.array([0.0, 5.0])), 2.0)
+    across = run.deflection(LENGTH)[:, 1]
+    largest = int(np.abs(across).argmax())
+    figure, plane, time = sheet('A stroke on the end effector, 5 N s across the arm')
+    for k, sample in enumerate(range(0, 401, 100)):
+        draw_arm(plane, run, sample, BLUE, 0.25 + 0.18 * k,
+                 f'every {100 * (run.t[1] - run.t[0]):.2g} s, light to dark' if k == 4 else None)
+    plane.annotate('', (LENGTH, 0.0), (LENGTH, -0.5),
+                   arrowprops={'color': ORANGE, 'width': 4, 'headwidth': 14})
+    plane.set(xlim=(-0.3, 2.4), ylim=(-0.7, 1.3))
+    plane.legend(loc='upper left')
+    time.plot(run.t, 1e3 * across, color=BLUE, label='tip, x = l')
+    time.plot(run.t, 1e3 * run.deflection(0.5 * LENGTH)[:, 1], color=ORANGE, label='middle, l/2')
+    time.set(ylabel='deflection across [mm]', xlim=(0, 2), ylim=(-80, 110))
+    time.legend(loc='upper right')
+    save(figure, 'disturbance')
+    gained = run.momentum()[:, :2]
+    return ('Nothing is held and nothing else acts: the manipulator starts with the velocities '
+            'that an impulse on its tip gives to carrier, shaft and every mode (scenes have no '
+            f'force at the tip). It bends by up to {1e3 * abs(across[largest]):.0f} mm, at '
+            f'{run.t[largest]:.2f} s, vibrates, and drifts away with the momentum of the stroke: '
+            f'{gained[0, 1]:.6f} N s at the start, changed by at most '
+            f'{np.abs(gained - gained[0]).max():.1g} N s after 2 s.')
+
+
+def slew(scene, reference, inertia):
+    """Step a simulator under PD and feed-forward on the shaft; return its run."""
+    simulator, held = Simulator(scene), np.zeros(LOADS)
+    proportional, derivative = 60.0, 20.0   # [N m/rad], [N m s/rad]
+    t = np.arange(4001) * scene.step
+    angle, speed, acceleration = (values(t) for values in reference)
+    motions = [simulator.motion()]
+    half = simulator.formulation.size // 2
+    for k in range(len(t) - 1):
+        motion = motions[-1]
+        held[TORQUE] = (inertia * acceleration[k] + proportional * (angle[k] - motion[2])
+                        + derivative * (speed[k] - motion[half + 2]))
+        simulator.advance(1, held)
+        motions.append(simulator.motion())
+    return timo_sim.Run(scene, simulator.formulation, t, np.array(motions))
+
+
+def vibration_control():
+    """Draw a turn by 45 degrees: a step of the reference, and a smooth one with feed-forward."""
+    scene = timo_sim.load_scene({**FINE, 'initial.shaft': 0.0, 'carrier.held': 'both'})
+    body, arm = scene.manipulator, scene.manipulator.arm
+    inertia = (body.shaft_inertia + arm.section.mass_per_length * LENGTH**3 / 3.0
+               + body.tip_mass * LENGTH**2 + body.tip_inertia)
+    goal, duration = 0.25 * np.pi, 1.5
+
+    def smooth(order):
+        curve = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6]).deriv(order) if order else (
+            np.polynomial.Polynomial([0, 0, 0, 10, -15, 6]))
+        return lambda t: goal * curve(np.minimum(t / duration, 1.0)) / duration**order
+
+    step = slew(scene, (lambda t: goal + 0 * t, np.zeros_like, np.zeros_like), 0.0)
+    calm = slew(scene, tuple(smooth(order) for order in range(3)), inertia)
+    figure, plane, time = sheet('A turn by 45 degrees under PD control of the shaft')
+    left = []
+    for run, colour, label in ((step, ORANGE, 'step of the reference'),
+                               (calm, BLUE, f'{duration:g} s, with feed-forward')):
+        across = run.deflection(LENGTH)[:, 1]
+        left.append((np.abs(across).max(), np.abs(across[run.t >= 2.0]).max()))
+        time.plot(run.t, 1e3 * across, color=colour, label=label)
+        for sample in (150, 500, 1000):
+            draw_arm(plane, run, sample, colour, 0.3 + 0.0007 * sample,
+                     label if sample == 1000 else None)
+    plane.set(xlim=(-0.3, 2.3), ylim=(-0.3, 2.7))
+    plane.legend(loc='upper left', title='0.15, 0.5 and 1 s', fontsize=12)
+    time.axvline(2.0, color=GREY, lw=1)
+    time.set(ylabel='tip deflection w(l) [mm]', xlim=(0, 4))
+    time.legend(loc='upper right')
+    save(figure, 'vibration_control')
+    return ('The carrier is held; a PD controller in Python steps the simulator at 1 kHz. A step '
+            f'of the reference bends the arm by {1e3 * left[0][0]:.0f} mm, and '
+            f'{1e3 * left[0][1]:.1f} mm are left after 2 s. A smooth reference of '
+            f'{duration:g} s, with the torque that a rigid arm would need fed forward, bends it '
+            f'by {1e3 * left[1][0]:.0f} mm and leaves {1e3 * left[1][1]:.2f} mm.')
+
+
+def window():
+    """Draw what `timo_sim view` shows of the paper's run, for the README."""
+    from timo_sim.track import of_run
+    from timo_sim.view.convert import write
+    from timo_sim.view.viewer import picture
+    run = timo_sim.simulate(timo_sim.load_scene(ROOT / 'config/paper.yaml'), 10.0)
+    with TemporaryDirectory() as folder:
+        write([of_run(run, 'paper')], Path(folder, 'run.rrd'), at=1.81)
+        picture(Path(folder, 'run.rrd'), Path(folder, 'view.png'), 1.81, (1500, 940))
+        # Without the menu, which tells of the machine.
+        imsave(ROOT / 'doc' / 'view.png', imread(Path(folder, 'view.png'))[37:])
+
+
+def main():
+    """Draw all and write the page."""
+    text = ['# Gallery', '', 'Written by `make gallery` (benchmark/gallery.py), numbers included. '
+            'To look at a run of your own: `timo_sim view run.mcap`.']
+    for draw, title in ((paper, "The paper's run"), (spin_up, 'Spin-up'),
+                        (resonance, 'Resonance'), (disturbance, 'A disturbance at the tip'),
+                        (vibration_control, 'Vibration control')):
+        words = draw()
+        print(f'{title}: {words}')
+        text += ['', f'## {title}', '', f'![{title}](gallery/{draw.__name__}.png)', '', words]
+    window()
+    (ROOT / 'doc' / 'gallery.md').write_text('\n'.join(text) + '\n')
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,126 @@
+"""What a node shows while it runs: a stream to rerun, a marker for RViz; both only when wanted."""
+
+import ast
+from pathlib import Path
+import socket
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+import rerun_cli
+from rerun.chunk import RrdReader
+from visualization_msgs.msg import Marker
+
+import timo_sim
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def free_port():
+    """Return a port that nobody listens on."""
+    with socket.socket() as sock:
+        sock.bind(('127.0.0.1', 0))
+        return sock.getsockname()[1]
+
+
+@pytest.fixture
+def listener(tmp_path):
+    """Return address and file of a process of rerun that saves what it is sent."""
+    port, path = free_port(), tmp_path / 'live.rrd'
+    process = subprocess.Popen(
+        [Path(rerun_cli.__file__).with_name('rerun'), '--bind', '127.0.0.1', '--port', str(port),
+         '--save', path], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    yield f'rerun+http://127.0.0.1:{port}/proxy', path, process
+    process.kill()
+    process.wait()
+
+
+@pytest.mark.filterwarnings('ignore:RRD file has no footer')  # rerun is ended, not closed
+def test_a_running_node_is_streamed(start, client, listener, paper):
+    url, path, process = listener
+    node = start('--params-file', str(paper), record=False, rerun_live=url)
+    client.wait(lambda: path.exists() and path.stat().st_size > 200000, 'what is streamed')
+    code, output = node.end()
+    assert code == 0, output
+    process.terminate()
+    process.wait()
+    tips = {}
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path == '/plane/timo_sim/end_effector' and not chunk.is_static:
+            batch = chunk.to_record_batch()
+            ns = batch.column('sim_time').cast('int64').to_pylist()
+            tips.update(zip(ns, batch.column(batch.num_columns - 1).to_pylist()))
+    steps = np.rint(1e-6 * np.array(list(tips))).astype(int)
+    assert len(steps) > 10 and np.diff(np.sort(steps)).min() > 20  # about 30 Hz
+    run = timo_sim.simulate(timo_sim.load_scene(paper), 1e-3 * max(steps))
+    true = run.position(2.0)[steps]
+    assert np.allclose(np.squeeze(list(tips.values())), true, atol=1e-6)
+
+
+def test_a_viewer_that_is_not_there_holds_nothing_up(start, paper):
+    node = start('--params-file', str(paper), record=False, duration=1.0,
+                 rerun_live=f'rerun+http://127.0.0.1:{free_port()}/proxy')
+    began = time.monotonic()
+    code, output = node.wait()
+    assert code == 0 and 'simulated 1 s' in output
+    assert time.monotonic() - began < 20.0
+
+
+def test_a_live_address_that_is_none_is_refused(start):
+    code, output = start(record=False, rerun_live='127.0.0.1').wait()
+    assert code == 2
+    assert "rerun_live must be the address of a viewer of rerun, got '127.0.0.1'" in output
+
+
+def test_nothing_of_it_is_imported_when_off():
+    code = ('import sys, timo_sim.ros.node; '
+            'assert not {"rerun", "visualization_msgs", "timo_sim.view"} & set(sys.modules)')
+    subprocess.run([sys.executable, '-c', code], check=True)
+
+
+def test_the_arm_has_its_shape_in_rviz(start, client, paper):
+    start('--params-file', str(paper), publish_arm_shape=True, **{'rate.arm_shape': 100.0})
+    markers = client.collect(Marker, '/timo_sim/arm_shape')
+    client.wait(lambda: len(markers) > 30, 'markers')
+    marker = markers[-1]
+    step = round(1e3 * (marker.header.stamp.sec + 1e-9 * marker.header.stamp.nanosec))
+    assert marker.header.frame_id == 'world' and marker.type == Marker.LINE_STRIP
+    run = timo_sim.simulate(timo_sim.load_scene(paper), 1e-3 * step)
+    for point, xi in zip(marker.points, np.linspace(0.0, 2.0, len(marker.points))):
+        assert np.allclose([point.x, point.y, point.z], [*run.position(xi)[-1], 0.0], atol=1e-12)
+
+
+def test_the_urdf_has_the_joints_and_bodies_of_the_paper(paper):
+    robot = ElementTree.parse(ROOT / 'urdf' / 'timo_sim.urdf').getroot()
+    joints = {joint.get('name'): joint for joint in robot.findall('joint')}
+    assert {name: joint.get('type') for name, joint in joints.items()} == {
+        'carrier_x': 'prismatic', 'carrier_y': 'prismatic', 'shaft': 'continuous', 'tip': 'fixed'}
+    links = {link.get('name'): link for link in robot.findall('link')}
+    # A tree with one root.
+    children = [joint.find('child').get('link') for joint in joints.values()]
+    assert sorted([*children, 'world']) == sorted(links)
+    body = timo_sim.load_scene(paper).manipulator
+    section, length = body.arm.section, body.arm.length
+
+    def mass(link):
+        return float(links[link].find('inertial/mass').get('value'))
+
+    assert mass('carrier') == body.base_mass and mass('end_effector') == body.tip_mass
+    assert mass('arm') == pytest.approx(section.mass_per_length * length, rel=1e-4)
+    assert float(joints['tip'].find('origin').get('xyz').split()[0]) == length
+    assert links['arm'].find('visual/geometry/box').get('size') == (
+        f'{length:g} {section.height:g} {section.width:g}')
+
+
+def test_launch_files_are_python_and_name_what_is_installed():
+    installed = (ROOT / 'setup.py').read_text()
+    for path in (ROOT / 'launch').glob('*.py'):
+        names = {node.name for node in ast.parse(path.read_text()).body
+                 if isinstance(node, ast.FunctionDef)}
+        assert names == {'generate_launch_description'}
+        assert f"'launch/{path.name}'" in installed
+    for path in (ROOT / 'urdf').glob('timo_sim.*'):
+        assert f"'urdf/{path.name}'" in installed

@@ -1,0 +1,264 @@
+"""What a view shows is where physics says; as rerun itself reads and draws it."""
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+from click.testing import CliRunner
+from matplotlib.image import imread
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
+
+from ros_process import Process
+import timo_sim
+from timo_sim.cli import main
+from timo_sim.log.recording import Recording
+from timo_sim.track import of_recording, of_run, TrackError, unique_names, work
+from timo_sim.view.convert import write
+from timo_sim.view.viewer import picture
+
+LENGTH, AT = 2.0, 1.782
+ARM, TIP, GRID = (86, 180, 233), (213, 94, 0), (50, 50, 50)
+
+
+@pytest.fixture(scope='module')
+def run(paper):
+    """Return 3 s of the paper's scene."""
+    return timo_sim.simulate(timo_sim.load_scene(paper), 3.0, every=2)
+
+
+@pytest.fixture(scope='module')
+def shown(run, tmp_path_factory):
+    """Return a rerun file of this run and the corners of its plane."""
+    path = tmp_path_factory.mktemp('view') / 'run.rrd'
+    return path, write([of_run(run, 'one')], path, at=AT)
+
+
+def columns(path, entity):
+    """Return sim times [ns] and the flat values of the one component of an entity."""
+    times, values = [], []
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path == entity and not chunk.is_static:
+            batch = chunk.to_record_batch()
+            times.append(batch.column('sim_time').cast('int64').to_numpy())
+            values += batch.column(batch.num_columns - 1).to_pylist()
+    return np.concatenate(times), np.array(values)
+
+
+def pixels(image, colour):
+    """Return x, y of the pixels of a colour, also where it is shaded, shape (n, 2)."""
+    rgb = image[..., :3] * 255.0
+    share = rgb @ np.array(colour) / np.dot(colour, colour)
+    off = np.abs(rgb - share[..., np.newaxis] * np.array(colour)).max(axis=-1)
+    return np.argwhere((off < 12) & (share > 0.45))[:, ::-1] + 0.5
+
+
+def test_tip_and_centre_line_are_drawn_where_they_are(run, shown, tmp_path):
+    path, ((left, bottom), (right, top)) = shown
+    png = tmp_path / 'plane.png'
+    picture(path, png, AT, view='plane')
+    image = imread(png)
+    height, width = image.shape[:2]
+    # The picture of a view lacks some pixels all around: the scale is that of the grid, 0.5 m.
+    grid = np.abs(image[..., :3] * 255.0 - GRID).max(axis=-1) < 14
+    scale = np.diff(np.flatnonzero(grid.mean(axis=0) > 0.5))[[0, -1]].mean() / 0.5
+    fits = min(width / (right - left), height / (top - bottom))
+    assert scale == pytest.approx(fits, rel=0.01)
+    sample = round(AT / (run.t[1] - run.t[0]))
+
+    def project(xi):
+        x, y = run.position(xi)[sample]
+        return np.array([0.5 * width + scale * (x - 0.5 * (left + right)),
+                         0.5 * height - scale * (y - 0.5 * (bottom + top))])
+
+    disc = pixels(image, TIP)
+    centre = 0.5 * (disc.min(axis=0) + disc.max(axis=0))
+    assert len(disc) > 200
+    assert np.linalg.norm(centre - project(LENGTH)) < 2.0
+
+    # Between the arc of the torque and the end effector: the middle of what is drawn near a point.
+    drawn = pixels(image, ARM)
+    middle = [drawn[np.linalg.norm(drawn - project(xi), axis=1) < 6.0].mean(axis=0) - project(xi)
+              for xi in np.linspace(0.4, 1.75, 30)]
+    assert np.linalg.norm(middle, axis=1).max() < 1.5
+    # The straight arm is elsewhere.
+    root, shaft = project(0.0), run.shaft[sample]
+    straight = root + scale * LENGTH * np.array([np.cos(shaft), -np.sin(shaft)])
+    assert np.linalg.norm(straight - project(LENGTH)) > 10.0
+
+
+def test_curves_have_every_sample_and_frames_are_thinned(run, shown):
+    path, _ = shown
+    ns, values = columns(path, '/curves/tip_deflection/one')
+    assert np.array_equal(ns, np.rint(run.t * 1e9))
+    assert np.array_equal(values[:, 0], run.deflection(LENGTH)[:, 1])
+    ns, values = columns(path, '/curves/force/one')
+    expected = 5.0 * np.sin(2.0 * np.pi * run.t[:, np.newaxis] * [2.0, 3.0])
+    assert np.allclose(values, expected, rtol=0.0, atol=1e-12)
+    ns, lines = columns(path, '/plane/one/arm')
+    assert 90 <= len(ns) <= 93 and round(AT * 1e9) in ns
+    sample = np.searchsorted(run.t, 1e-9 * ns - 1e-6)
+    assert np.allclose(np.squeeze(lines)[:, -1], run.position(LENGTH)[sample], atol=1e-6)
+
+
+def test_energy_balance_closes(run, paper):
+    def worst(run):
+        track = of_run(run)
+        return (np.abs(track.trace('balance').values(slice(None))).max()
+                / track.trace('energy').values(slice(None)).max())
+
+    # Of samples at 500 Hz under loads of 4 Hz: Simpson's rule has (0.05)^4 / 2880.
+    assert worst(run) < 1e-6
+    damped = timo_sim.load_scene(paper, {'arm.damping_ratio': [0.02]})
+    track = of_run(timo_sim.simulate(damped, 3.0))
+    assert np.all(np.diff(track.trace('balance').values(slice(None))[::10, 0]) < 1e-9)
+
+
+def test_work_is_exact_for_a_constant_force_and_none_is_done_by_a_reset():
+    t = np.array([0.0, 0.1, 0.25, 0.25, 0.4, 0.5])
+    x = np.column_stack([t**3, 2.0 * t])
+    speed = np.column_stack([3.0 * t**2, 2.0 + 0.0 * t])
+    done = work(np.rint(t * 1e9), x, speed, np.tile([2.0, 3.0], (6, 1)))
+    assert np.allclose(done, np.diff(2.0 * t**3 + 6.0 * t), rtol=1e-12, atol=0.0)
+    x[3:] += 7.0  # a jump at the same time
+    assert work(np.rint(t * 1e9), x, speed, np.tile([2.0, 3.0], (6, 1)))[2] == 0.0
+
+
+def bag(run):
+    """Return what a plain bag of the node's topics has of a run, at 100 Hz."""
+    track, part = of_run(run), slice(None, None, 5)
+    pose = run.shaft + run.rotation(LENGTH)
+    series = {
+        'joint_states': np.hstack([track.trace(panel).values(part) for panel in (
+            'carrier', 'shaft', 'carrier_velocity', 'shaft_speed', 'force', 'torque')]),
+        '~/tip_pose': np.column_stack([
+            run.position(LENGTH), np.sin(0.5 * pose), np.cos(0.5 * pose)])[part],
+        '~/tip_deflection': run.deflection(LENGTH)[part]}
+    order = np.arange(len(track.ns[part]))
+    order[[2, 3]] = 3, 2  # one message was late
+    series = {name: SimpleNamespace(ns=track.ns[part][order], values=values[order])
+              for name, values in series.items()}
+    return SimpleNamespace(path='bag.mcap', scene=None, read=lambda *names: series)
+
+
+def test_the_shape_on_a_plain_bag_comes_from_the_tip(run):
+    track = of_recording(bag(run), 'bag')
+    assert 'cubic' in track.note and track.trace('energy') is None
+    assert track.body.length == pytest.approx(LENGTH, abs=1e-12)
+    drawn = track.poses(slice(None)).line
+    true = of_run(run).poses(slice(None, None, 5)).line
+    bend = np.abs(run.deflection(LENGTH)[:, 1]).max()
+    assert np.abs(drawn[:, [0, -1]] - true[:, [0, -1]]).max() < 1e-12
+    # The first mode of an arm with a heavy tip is nearly a cubic.
+    assert np.abs(drawn - true).max() < 0.03 * bend
+
+
+def test_a_bag_without_what_a_shape_needs_is_refused(run):
+    recording = bag(run)
+    del recording.read()['~/tip_pose']
+    with pytest.raises(TrackError, match='bag.mcap: the shape of the arm needs tip_pose'):
+        of_recording(recording, 'bag')
+    del recording.read()['joint_states']
+    with pytest.raises(TrackError, match='no joint_states'):
+        of_recording(recording, 'bag')
+
+
+def test_two_runs_share_panels_and_have_their_difference(run, paper, tmp_path):
+    heavy = timo_sim.load_scene(paper, {'end_effector.mass': 2.5})
+    other, path = timo_sim.simulate(heavy, 2.0), tmp_path / 'two.rrd'
+    write([of_run(run, 'one'), of_run(other, 'two')], path)
+    ns, values = columns(path, '/curves/difference/two')
+    first = np.interp(other.t, run.t, run.deflection(LENGTH)[:, 1])
+    assert len(ns) == len(other.t)
+    assert np.allclose(values[:, 0], other.deflection(LENGTH)[:, 1] - first, atol=1e-12)
+    colours = {}
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        if chunk.is_static and 'SeriesLines:colors' in batch.schema.names:
+            _, _, panel, name = chunk.entity_path.split('/')
+            colours.setdefault(name, set()).add(batch.column('SeriesLines:colors')[0][0].as_py())
+    assert len(colours['one']) == len(colours['two']) == 1
+    assert colours['one'] != colours['two']
+
+
+@pytest.fixture(scope='module')
+def log(tmp_path_factory, paper):
+    """Log a second of the paper's scene."""
+    node = Process(tmp_path_factory.mktemp('log'), '--params-file', str(paper),
+                   real_time_factor=0.0, duration=1.0, **{'rate.modal_state': 50.0})
+    assert node.wait()[0] == 0
+    return node.log
+
+
+def test_a_log_of_the_node_is_shown_as_the_run_that_it_is(log, paper, tmp_path):
+    path = tmp_path / 'out.rrd'
+    result = CliRunner().invoke(main, ['view', str(log), str(log), '--save', str(path)])
+    assert result.exit_code == 0, result.output
+    run = of_run(timo_sim.simulate(timo_sim.load_scene(paper), 1.0))
+    for panel in ('tip_deflection', 'modal', 'force', 'torque', 'energy'):
+        ns, values = columns(path, f'/curves/{panel}/{log.stem}')
+        assert np.array_equal(ns, run.ns[::20])
+        assert np.allclose(values, run.trace(panel).values(slice(None, None, 20)), atol=(
+            1e-2 if panel == 'energy' else 1e-12))  # the work between samples 20 ms apart
+    _, values = columns(path, f'/curves/difference/{log.stem}_1')
+    assert np.all(values == 0.0)
+
+
+def test_a_plain_bag_is_shown_as_its_log_is(log, tmp_path):
+    with AnyReader([log]) as reader, Writer(
+            tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        store, kept = get_typestore(Stores.ROS2_JAZZY), {}
+        for connection, stamp, data in reader.messages():
+            if connection.topic.rpartition('/')[2] in (
+                    'joint_states', 'tip_pose', 'tip_deflection'):
+                if connection.topic not in kept:
+                    kept[connection.topic] = writer.add_connection(
+                        connection.topic, connection.msgtype, typestore=store)
+                writer.write(kept[connection.topic], 1700000000000000000 + stamp, data)
+    path = tmp_path / 'out.rrd'
+    result = CliRunner().invoke(
+        main, ['view', str(tmp_path / 'bag'), str(log), '--save', str(path)])
+    assert result.exit_code == 0, result.output
+    _, values = columns(path, f'/curves/difference/{log.stem}')
+    assert len(values) == 51 and np.abs(values).max() < 1e-15
+    about = next(chunk.to_record_batch() for chunk in RrdReader(path).stream()
+                 if chunk.entity_path == '/about')
+    assert 'cubic' in str(about.column('TextDocument:text')[0])
+
+
+def test_work_stops_at_a_reset(log):
+    recording = Recording(log)
+    step, ns, motion = recording.motion()
+    shown = of_recording(recording, 'log').trace('balance').values(slice(None))
+    assert np.abs(shown).max() < 1e-2
+    # As if the motion had started again in the middle.
+    half = len(ns) // 2
+    again = np.concatenate([motion[:half], motion[:len(ns) - half]])
+    recording.motion, recording.resets = lambda series: (step, ns, again), step[[half]]
+    balance = of_recording(recording, 'log').trace('balance').values(slice(None))
+    assert balance[half] == balance[half - 1]
+
+
+def test_bad_input_and_a_missing_viewer_are_one_line(log, tmp_path):
+    junk = tmp_path / 'junk.mcap'
+    junk.write_text('junk')
+    result = CliRunner().invoke(main, ['view', str(junk)])
+    assert result.exit_code == 2 and result.output.count('\n') == 1
+    code = ('import sys; sys.modules["rerun"] = None; from timo_sim.cli import main; '
+            f'main(["view", {str(log)!r}])')
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr == "timo_sim: rerun is missing: pip install 'timo_sim[view]'\n"
+    code = code.replace('sys.modules["rerun"] = None', 'import os; os.environ.pop("DISPLAY", 0); '
+                        'os.environ.pop("WAYLAND_DISPLAY", 0)')
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    assert done.returncode == 1 and done.stderr.count('\n') == 1
+    assert 'there is no screen' in done.stderr
+
+
+def test_names_are_told_apart():
+    assert unique_names(['a', 'b', 'a']) == ['a', 'b', 'a_2']

@@ -1,0 +1,51 @@
+"""The centre line as a marker for RViz, on ~/arm_shape; not logged."""
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+import numpy as np
+from rclpy.serialization import serialize_message
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker
+
+from timo_sim.ros.topics import Outlet
+
+_POINTS = 41
+
+
+class ArmShape(Outlet):
+    """
+    The outlet of the centre line, among those that carry the motion.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    formulation : Formulation
+
+    Attributes
+    ----------
+    every : int
+        Steps between messages.
+
+    """
+
+    logged = False
+    name, rate = '~/arm_shape', 'rate.arm_shape'
+
+    def __init__(self, node, formulation):
+        super().__init__(node, self.name, Marker)
+        arm = formulation.manipulator.arm
+        self._formulation, self.every = formulation, 1
+        self._points = formulation.at(np.linspace(0.0, arm.length, _POINTS))
+        self._thickness = float(np.max(arm.section.height))
+
+    def publish(self, snapshot):
+        """Send the shape of a snapshot."""
+        line = self._formulation.world(snapshot.motion[np.newaxis], self._points)[0]
+        sec, nanosec = snapshot.time
+        self.send(serialize_message(Marker(
+            header=Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id='world'),
+            ns='arm', type=Marker.LINE_STRIP, action=Marker.ADD,
+            pose=Pose(orientation=Quaternion(w=1.0)), scale=Vector3(x=self._thickness),
+            color=ColorRGBA(r=0.34, g=0.71, b=0.91, a=1.0),
+            points=[Point(x=x, y=y) for x, y in line.tolist()])),
+            snapshot.step, snapshot.nanoseconds)

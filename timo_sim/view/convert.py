@@ -1,0 +1,125 @@
+"""Tracks to a rerun file."""
+
+import numpy as np
+import rerun as rr
+
+from timo_sim.view.entities import (
+    ABOUT, log_curves, log_frame_of_plane, log_looks, PLANE, send_curves, send_poses, TRAIL)
+from timo_sim.view.panels import blueprint, Panel
+
+BLOCK = 65536  # samples, or frames, that are sent at once
+_DIFFERENCES = {'difference': ('tip_deflection', 0), 'shaft_difference': ('shaft', 0),
+                'carrier_difference': ('carrier', slice(None))}
+
+
+def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
+    """
+    Write tracks to a rerun file, laid over each other.
+
+    Parameters
+    ----------
+    tracks : list of Track
+        Of different names.
+    path : str or Path
+    fps : float
+        Most frames of the plane per second of sim time; curves have all samples.
+    report : function(float)
+        Receives how much further the work is, of 1 in all.
+    at : float, optional
+        Sim time for which there is a frame, too [s].
+
+    Returns
+    -------
+    ndarray, shape (2, 2)
+        Corners of the plane that is shown, lower left and upper right [m].
+
+    """
+    stream = rr.RecordingStream('timo_sim')
+    stream.save(path)
+    frames = [track.frames(fps, at) for track in tracks]
+    bounds, largest = _extent(tracks, frames)
+    log_frame_of_plane(stream, bounds)
+    stream.log(ABOUT, rr.TextDocument(_about(tracks, largest, fps), media_type='text/markdown'),
+               static=True)
+    shares = [len(track.traces) + 2 for track in tracks]
+    panels = {}
+    for run, track in enumerate(tracks):
+        _send_plane(stream, track, frames[run], run, len(tracks), largest)
+        report(2 / sum(shares))
+        for trace in track.traces:
+            log_curves(stream, trace.panel, track.name, run, len(tracks), trace.names)
+            panel = panels.setdefault(trace.panel, Panel())
+            panel.curves += len(trace.names)
+            for part in _blocks(len(trace.ns)):
+                values = trace.values(part)
+                send_curves(stream, trace.panel, track.name, trace.ns[part], values)
+                panel.see(values)
+            report(1 / sum(shares))
+        if run:
+            _send_differences(stream, tracks[0], track, run, len(tracks), panels)
+    if 'balance' in panels:  # what closes is a straight line, not an error looked at closely
+        panels['balance'].least = 1e-3 * panels['energy'].high
+    stream.send_blueprint(blueprint(panels, bounds, len(tracks)))
+    stream.disconnect()
+    return bounds
+
+
+def _blocks(count):
+    return [slice(k, min(k + BLOCK, count)) for k in range(0, count, BLOCK)]
+
+
+def _extent(tracks, frames):
+    # Corners of all that is drawn, with a margin; largest force and torque.
+    corners, efforts = [], []
+    for track, picked in zip(tracks, frames):
+        for part in _blocks(len(picked)):
+            poses = track.poses(picked[part])
+            points = poses.line.reshape(-1, 2)
+            corners += [points.min(axis=0) - 0.15 * track.body.length,
+                        points.max(axis=0) + 0.15 * track.body.length]
+            efforts.append([np.hypot(*poses.effort[:, :2].T).max(),
+                            np.abs(poses.effort[:, 2]).max()])
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    # Room for the numbers at the grid.
+    return (np.array([low - 0.05 * np.max(high - low), high]), np.max(efforts, axis=0).tolist())
+
+
+def _send_plane(stream, track, frames, run, runs, largest):
+    path = f'{PLANE}/{track.name}'
+    log_looks(stream, path, track.body, run, runs)
+    trail = np.repeat(track.poses(frames[:1]).line[:, -1], TRAIL - 1, axis=0)
+    for part in _blocks(len(frames)):
+        poses = track.poses(frames[part])
+        trail = np.concatenate([trail[1 - TRAIL:], poses.line[:, -1]])
+        send_poses(stream, path, track.ns[frames[part]], poses, track.body, largest, trail)
+
+
+def _send_differences(stream, first, track, run, runs, panels):
+    for panel, (source, columns) in _DIFFERENCES.items():
+        ours, theirs = track.trace(source), first.trace(source)
+        inside = np.flatnonzero((ours.ns >= theirs.ns[0]) & (ours.ns <= theirs.ns[-1]))
+        if not len(inside):
+            continue
+        names = np.array(ours.names)[columns].reshape(-1)
+        log_curves(stream, panel, track.name, run, runs,
+                   [f'{text} less {first.name}' for text in names])
+        seen = panels.setdefault(panel, Panel(least=1e-12))
+        seen.curves += len(names)
+        base = theirs.values(slice(None))
+        for part in _blocks(len(inside)):
+            ns, values = ours.ns[inside[part]], ours.values(inside[part])
+            values = values - np.column_stack(
+                [np.interp(ns, theirs.ns, column) for column in base.T])
+            values = values[:, columns].reshape(len(ns), -1)
+            send_curves(stream, panel, track.name, ns, values)
+            seen.see(values)
+
+
+def _about(tracks, largest, fps):
+    lines = [f'- **{track.name}**: {track.note}' for track in tracks]
+    lines.append(f'- arrow: force, at most {largest[0]:.3g} N; arc: torque, at most '
+                 f'{largest[1]:.3g} N m; grey: the arm if it did not bend; trail: '
+                 f'{TRAIL} frames of the tip, at most {fps:g} per second')
+    if len(tracks) > 1:
+        lines.append(f'- differences are to **{tracks[0].name}**, between its samples linear')
+    return '\n'.join(lines)

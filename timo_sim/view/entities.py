@@ -1,0 +1,160 @@
+"""What is drawn: entities of the plane and curves of the panels, in rerun's columns."""
+
+import numpy as np
+import rerun as rr
+
+TIMELINE = 'sim_time'
+PLANE, CURVES, ABOUT = 'plane', 'curves', 'about'
+# Okabe-Ito colours that stand out on black, told apart by everyone.
+COLOURS = [(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (240, 228, 66),
+           (213, 94, 0), (0, 114, 178)]
+GHOST, GRID, TICKS = (120, 120, 120), (50, 50, 50), (170, 170, 170)
+FORCE, TORQUE = (255, 255, 255), (255, 255, 255)
+TRAIL = 90  # frames
+# The longest force is so long, in arm lengths; the largest torque turns so far [rad].
+_LONGEST, _FARTHEST = 0.3, 1.5 * np.pi
+_ARC = np.linspace(0.0, 1.0, 20)
+
+
+def time_column(ns):
+    """Return sim times [ns] as rerun takes them."""
+    return rr.TimeColumn(TIMELINE, duration=np.asarray(ns).astype('timedelta64[ns]'))
+
+
+def colour(run, runs, curve=0):
+    """Return the colour of a curve: of its run if there are several, otherwise its own."""
+    if runs == 1:
+        return COLOURS[curve % len(COLOURS)]
+    base = np.array(COLOURS[run % len(COLOURS)])
+    return tuple((base + (255 - base) * (1 - 0.6**curve)).astype(int).tolist())
+
+
+def log_frame_of_plane(stream, bounds):
+    """Log what does not move: y upward, and a grid of metres in the bounds (2, 2)."""
+    # Rerun's plane has y downward: the plane is mirrored, its content is not.
+    stream.log(PLANE, rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
+    low, high = bounds
+    spacing, low = _spacing(np.max(high - low)), low + 0.05 * np.max(high - low)
+    lines, labels, places = [], [], []
+    for axis, name in enumerate('xy'):
+        for k in range(int(np.ceil(low[axis] / spacing)), int(high[axis] / spacing) + 1):
+            ends = np.array([low, high])
+            ends[:, axis] = k * spacing
+            lines.append(ends)
+            places.append(ends[0])
+            labels.append(f'{name} = {k * spacing:g} m' if k == 0 else f'{k * spacing:g}')
+    stream.log(f'{PLANE}/grid', rr.LineStrips2D(
+        lines, colors=GRID, radii=rr.Radius.ui_points(0.5), draw_order=-10.0), static=True)
+    stream.log(f'{PLANE}/grid/ticks', rr.Points2D(
+        places, labels=labels, show_labels=True, colors=TICKS, radii=0.0), static=True)
+
+
+def _spacing(extent):
+    decade = 10.0**np.floor(np.log10(extent / 3.0))
+    return decade * max(n for n in (1, 2, 5) if n * decade <= extent / 3.0)
+
+
+def log_looks(stream, path, body, run, runs):
+    """Log colours and sizes of a run's arm and bodies."""
+    own = colour(run, runs)
+    line = 0.5 * body.thickness
+    thin = rr.Radius.ui_points(1.0)
+    for name, look in {
+            'ghost': rr.LineStrips2D.from_fields(colors=GHOST, radii=thin, draw_order=1.0),
+            'trail': rr.LineStrips2D.from_fields(colors=TICKS if runs == 1 else own, radii=thin,
+                                                 draw_order=6.5),
+            'carrier': rr.Boxes2D.from_fields(
+                half_sizes=[0.5 * body.carrier] * 2, colors=own, draw_order=3.0,
+                radii=rr.Radius.ui_points(1.5)),
+            'motor': rr.Points2D.from_fields(
+                colors=TICKS if runs == 1 else own, radii=0.5 * body.motor,
+                draw_order=4.0),
+            'arm': rr.LineStrips2D.from_fields(
+                colors=own, draw_order=5.0,
+                radii=line if line > 0.004 * body.length else rr.Radius.ui_points(2.0)),
+            'end_effector': rr.Points2D.from_fields(
+                colors=COLOURS[5] if runs == 1 else own, radii=0.5 * body.tip, draw_order=6.0),
+            'force': rr.Arrows2D.from_fields(
+                colors=FORCE, radii=rr.Radius.ui_points(2.0), draw_order=7.0),
+            'torque': rr.LineStrips2D.from_fields(
+                colors=TORQUE, radii=rr.Radius.ui_points(1.5), draw_order=8.0)}.items():
+        stream.log(f'{path}/{name}', look, static=True)
+
+
+def send_poses(stream, path, ns, poses, body, largest, trail):
+    """
+    Send frames of the plane.
+
+    Parameters
+    ----------
+    stream : RecordingStream
+    path : str
+        Of the run's entities.
+    ns : ndarray, shape (m,)
+    poses : Poses
+    body : Body
+    largest : tuple of float
+        Force [N] and torque [N m] that are drawn largest.
+    trail : ndarray, shape (m + TRAIL - 1, 2)
+        Where the tip was and is [m].
+
+    """
+    time, root, tip = [time_column(ns)], poses.line[:, 0], poses.line[:, -1]
+    straight = root + body.length * np.column_stack([np.cos(poses.shaft), np.sin(poses.shaft)])
+    trails = np.moveaxis(np.lib.stride_tricks.sliding_window_view(trail, TRAIL, axis=0), 1, 2)
+    for name, columns in {
+            'ghost': rr.LineStrips2D.columns(strips=_strips([root, straight])),
+            'trail': rr.LineStrips2D.columns(strips=_floats(trails)),
+            'carrier': rr.Boxes2D.columns(centers=_floats(root)),
+            'motor': rr.Points2D.columns(positions=_floats(root)),
+            'arm': rr.LineStrips2D.columns(strips=_floats(poses.line)),
+            'end_effector': rr.Points2D.columns(positions=_floats(tip)),
+            'force': rr.Arrows2D.columns(
+                origins=_floats(root), vectors=_floats(
+                    poses.effort[:, :2] * (_LONGEST * body.length / (largest[0] or 1.0)))),
+            'torque': rr.LineStrips2D.columns(strips=_floats(
+                _arcs(root, poses.shaft, poses.effort[:, 2] / (largest[1] or 1.0), body)))
+            }.items():
+        stream.send_columns(f'{path}/{name}', time, columns)
+
+
+def _floats(values):
+    return np.ascontiguousarray(values, dtype=np.float32)
+
+
+def _strips(points):
+    return _floats(np.stack(points, axis=1))
+
+
+def _arcs(centre, start, share, body):
+    # An arc from the arm in the sense of the torque, and the two strokes of its head.
+    radius = 0.12 * body.length
+    angle = start[:, np.newaxis] + _FARTHEST * share[:, np.newaxis] * _ARC
+    arc = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    last, head = angle[:, -1], np.clip(0.4 * np.abs(share), 0.0, 0.2) * np.sign(share)
+    strokes = [arc]
+    for distance in (0.85, 1.15):
+        back = radius * distance * np.column_stack([np.cos(last - head), np.sin(last - head)])
+        strokes += [arc[:, -1:] + np.minimum(1.0, np.abs(share) * 10)[:, np.newaxis, np.newaxis]
+                    * (back[:, np.newaxis] - arc[:, -1:]), arc[:, -1:]]
+    return centre[:, np.newaxis] + np.concatenate(strokes, axis=1)
+
+
+def curve_path(panel, name):
+    """Return where the curves of a run are, of a panel."""
+    return f'{CURVES}/{panel}/{name}'
+
+
+def log_curves(stream, panel, name, run, runs, names):
+    """Log names and colours of curves."""
+    stream.log(curve_path(panel, name), rr.SeriesLines(
+        names=[f'{name}: {text}' for text in names] if runs > 1 else list(names), widths=1.5,
+        colors=[colour(run, runs, curve) for curve in range(len(names))]), static=True)
+
+
+def send_curves(stream, panel, name, ns, values):
+    """Send samples of curves, values of shape (m, k)."""
+    stream.send_columns(
+        curve_path(panel, name), [time_column(ns)],
+        rr.Scalars.columns(scalars=np.ravel(values)).partition(
+            np.full(len(values), values.shape[1])))

@@ -1,0 +1,82 @@
+"""Samples of a running simulation to a process that streams them to a viewer."""
+
+from importlib.util import find_spec
+import json
+import os
+import re
+import subprocess
+import sys
+
+import numpy as np
+
+PERIOD = 1.0 / 30.0  # [s] of wall time between samples
+_PATIENCE = 2.0      # [s] for what is on its way at the end
+_ADDRESS = re.compile(r'rerun(\+https?)?://\S+/proxy')
+
+
+class Feed:
+    """
+    Feed a process of `view.live` with samples, and never wait for it.
+
+    What its pipe has no room for, because a viewer does not take what it is sent, is dropped.
+
+    Parameters
+    ----------
+    scene : Scene
+    url : str
+        Of the viewer, as in 'rerun+http://127.0.0.1:9876/proxy'. It may come and go.
+    name : str
+        Of the node.
+
+    Raises
+    ------
+    ValueError
+        If the address is none.
+    ModuleNotFoundError
+        If rerun is not installed.
+
+    """
+
+    def __init__(self, scene, url, name):
+        if not _ADDRESS.fullmatch(url):
+            raise ValueError('it has the form rerun+http://HOST:PORT/proxy')
+        if find_spec('rerun') is None:
+            raise ModuleNotFoundError("No module named 'rerun'", name='rerun')
+        # In a session of its own: Ctrl+C is for the node, which then ends it.
+        self._process = subprocess.Popen(
+            [sys.executable, '-m', 'timo_sim.view.live', url, name, json.dumps(scene.values)],
+            stdin=subprocess.PIPE, start_new_session=True)
+        self._pipe = self._process.stdin.fileno()
+        os.set_blocking(self._pipe, False)
+        self._due = 0.0
+
+    def offer(self, now, simulator, effort):
+        """
+        Take a sample if one is due; return at once.
+
+        Parameters
+        ----------
+        now : float
+            Wall time, steady [s].
+        simulator : Simulator
+        effort : function() -> tuple of float
+            Force x, y [N] and torque [N m] as applied.
+
+        """
+        if now < self._due:
+            return
+        self._due = now + PERIOD
+        try:  # a pipe takes as few bytes as these whole, or not at all
+            os.write(self._pipe, np.concatenate(
+                [[simulator.nanoseconds], simulator.motion(), effort()]).tobytes())
+        except (BlockingIOError, BrokenPipeError):
+            pass
+
+    def close(self):
+        """End the stream; what is on its way has two seconds."""
+        self._process.stdin.close()
+        try:
+            self._process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()

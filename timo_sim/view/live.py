@@ -1,0 +1,104 @@
+"""The process that streams what `view.feed` sends it to a viewer of rerun."""
+
+from collections import deque
+import json
+import os
+import sys
+import threading
+
+import numpy as np
+import rerun as rr
+
+from timo_sim.scene import load_scene
+from timo_sim.track import body_of, of_motion
+from timo_sim.view.entities import (
+    ABOUT, log_curves, log_frame_of_plane, log_looks, PLANE, send_curves, send_poses, TRAIL)
+from timo_sim.view.panels import blueprint, Panel
+
+_PERIOD = 1.0 / 30.0  # [s] of what is sent at once
+_MOST_WAITING = 300   # samples; older ones are dropped
+_PATIENCE = 1.0       # [s] for what waits at the end
+
+
+class Stream:
+    """
+    A run that grows in a viewer.
+
+    Parameters
+    ----------
+    url, name : str
+        Of the viewer, of the node.
+    scene : Scene
+
+    """
+
+    def __init__(self, url, name, scene):
+        self._scene, self._name = scene, name.strip('/').replace('/', '_')
+        self._path, self._body = f'{PLANE}/{self._name}', body_of(scene)
+        self._trail, self._largest = None, [0.0, 0.0]
+        self._stream = rr.RecordingStream('timo_sim')
+        self._stream.connect_grpc(url)
+        start = scene.initial_motion()
+        reach = 1.3 * self._body.length
+        bounds = np.array([start[:2] - reach, start[:2] + reach])
+        log_frame_of_plane(self._stream, bounds)
+        log_looks(self._stream, self._path, self._body, 0, 1)
+        self._stream.log(ABOUT, rr.TextDocument(
+            f'**{name}**, live: 30 samples per second of wall time, also in the curves'
+            ' (a log has all)', media_type='text/markdown'), static=True)
+        traces = self._track(np.concatenate([[0.0], start, np.zeros(3)])[np.newaxis]).traces
+        for trace in traces:
+            log_curves(self._stream, trace.panel, self._name, 0, 1, trace.names)
+        self._stream.send_blueprint(blueprint(
+            {trace.panel: Panel(len(trace.names)) for trace in traces}, bounds, live=True))
+
+    def _track(self, samples):
+        return of_motion(self._name, self._scene, samples[:, 0].astype(np.int64),
+                         samples[:, 1:-3], samples[:, -3:], balanced=False)
+
+    def send(self, samples):
+        """Send samples, shape (m, 1 + 2 (3 + N) + 3): time [ns], motion, effort."""
+        track = self._track(samples)
+        poses = track.poses(slice(None))
+        tip = poses.line[:, -1]
+        if self._trail is None:
+            self._trail = np.repeat(tip[:1], TRAIL - 1, axis=0)
+        trail = np.concatenate([self._trail, tip])
+        self._trail = trail[1 - TRAIL:]
+        self._largest = [max(self._largest[0], np.hypot(*poses.effort[:, :2].T).max()),
+                         max(self._largest[1], np.abs(poses.effort[:, 2]).max())]
+        send_poses(self._stream, self._path, track.ns, poses, self._body, self._largest, trail)
+        for trace in track.traces:
+            send_curves(self._stream, trace.panel, self._name, track.ns,
+                        trace.values(slice(None)))
+
+    def flush(self):
+        """Wait a little for what is on its way."""
+        self._stream.flush(timeout_sec=_PATIENCE)
+
+
+def main(url, name, values):
+    """Stream what comes from standard input until its end."""
+    scene, waiting, ended = load_scene(json.loads(values)), deque(maxlen=_MOST_WAITING), (
+        threading.Event())
+
+    def work():
+        stream = Stream(url, name, scene)
+        while not ended.wait(_PERIOD) or waiting:
+            samples = [waiting.popleft() for _ in range(len(waiting))]
+            if samples:
+                stream.send(np.array(samples))
+        stream.flush()
+
+    worker = threading.Thread(target=work, daemon=True)
+    worker.start()
+    size = 8 * (1 + scene.build().size + 3)
+    while len(data := sys.stdin.buffer.read(size)) == size:
+        waiting.append(np.frombuffer(data))
+    ended.set()
+    worker.join(_PATIENCE)
+    os._exit(0)  # at once: rerun would wait for a viewer that does not answer
+
+
+if __name__ == '__main__':
+    main(*sys.argv[1:])

@@ -1,0 +1,110 @@
+"""The layout: the plane beside the curves that a control engineer looks at first."""
+
+from dataclasses import dataclass
+import math
+
+import rerun.blueprint as rrb
+
+from timo_sim.view.entities import ABOUT, CURVES, PLANE, TIMELINE
+
+# In the order in which they are shown.
+TITLES = {
+    'tip_deflection': 'tip deflection w [m]',
+    'tip_rotation': 'tip rotation phi [rad]',
+    'difference': 'difference of w [m]',
+    'carrier': 'carrier [m]',
+    'shaft': 'shaft theta [rad]',
+    'force': 'force on carrier [N]',
+    'torque': 'torque on shaft [N m]',
+    'modal': 'modes q [m sqrt(kg)]',
+    'energy': 'energy [J]',
+    'balance': 'energy - work [J]',
+    'shaft_speed': 'shaft speed [rad/s]',
+    'carrier_velocity': 'carrier velocity [m/s]',
+    'tip_axial': 'tip deflection u, along [m]',
+    'shaft_difference': 'difference of shaft [rad]',
+    'carrier_difference': 'difference of carrier [m]',
+}
+_ON_FIRST_PAGE = 10
+# With a legend when there are several runs: which colour is which.
+_KEYS = 'tip_deflection', 'difference'
+
+
+@dataclass
+class Panel:
+    """What a panel shows: number of curves, lowest and highest value, least of its axis."""
+
+    curves: int = 0
+    low: float = math.inf
+    high: float = -math.inf
+    least: float = 0.0
+
+    def see(self, values):
+        """Take note of values that are shown."""
+        self.low = min(self.low, float(values.min()))
+        self.high = max(self.high, float(values.max()))
+
+    def title(self, key):
+        """Return quantity, unit, and between which values it moves."""
+        if self.low > self.high:
+            return TITLES[key]
+        # Without what is left of a rounded zero.
+        nothing = 1e-12 * max(abs(self.low), abs(self.high))
+        low, high = (0.0 if abs(end) < nothing else end for end in (self.low, self.high))
+        return f'{TITLES[key]}: {low:.3g} to {high:.3g}'
+
+    def axis(self):
+        """Return the vertical axis: as it fits, but nothing smaller than `least`."""
+        small = max(self.high, -self.low) < self.least
+        return rrb.ScalarAxis(range=(-self.least, self.least)) if small else None
+
+
+def blueprint(panels, bounds, runs=1, live=False):
+    """
+    Return the layout.
+
+    Parameters
+    ----------
+    panels : dict of Panel
+        For those of `TITLES` that there are.
+    bounds : array_like, shape (2, 2)
+        Lower left and upper right corner of the plane [m].
+    runs : int
+        How many are laid over each other.
+    live : bool
+        Whether to follow what arrives, the last ten seconds of it.
+
+    Returns
+    -------
+    Blueprint
+
+    """
+    ranges = rrb.VisibleTimeRange(
+        TIMELINE, start=rrb.TimeRangeBoundary.cursor_relative(seconds=-10.0),
+        end=rrb.TimeRangeBoundary.cursor_relative()) if live else None
+
+    def view(key):
+        panel = panels[key]
+        return rrb.TimeSeriesView(
+            origin=f'{CURVES}/{key}', name=panel.title(key), time_ranges=ranges,
+            axis_y=panel.axis(),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=(
+                key in _KEYS if runs > 1 else panel.curves > 1)))
+
+    views = [view(key) for key in TITLES if key in panels]
+    (left, bottom), (right, top) = bounds
+    plane = rrb.Spatial2DView(
+        origin='/', contents=f'{PLANE}/**', name='plane of motion, x right, y up [m]',
+        background=(10, 10, 10),
+        visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(-top, -bottom)))
+    pages = [rrb.Grid(*views[:_ON_FIRST_PAGE], grid_columns=2, name='motion')]
+    if len(views) > _ON_FIRST_PAGE:
+        pages.append(rrb.Grid(*views[_ON_FIRST_PAGE:], grid_columns=2, name='more'))
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(plane, rrb.TextDocumentView(origin=ABOUT, name='about'),
+                         row_shares=[4, 1]),
+            rrb.Tabs(*pages, active_tab=0), column_shares=[1, 1]),
+        rrb.TimePanel(timeline=TIMELINE, expanded=False,
+                      play_state='following' if live else 'paused'),
+        rrb.BlueprintPanel(expanded=False), rrb.SelectionPanel(expanded=False))

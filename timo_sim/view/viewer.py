@@ -1,0 +1,128 @@
+"""Rerun's viewer as a process of ours, bound to this machine; pictures of it."""
+
+from contextlib import closing, contextmanager
+import os
+from pathlib import Path
+import socket
+import subprocess
+import sys
+import time
+
+import rerun_cli
+
+LOOPBACK = '127.0.0.1'
+_PATIENCE = 60.0  # [s] until a viewer must have loaded a file
+
+
+class ViewerError(OSError):
+    """The viewer does not start or does not answer."""
+
+
+def _command(*arguments):
+    # The binary itself: its Python wrapper would leave it behind when ended.
+    return [Path(rerun_cli.__file__).with_name('rerun'), '--bind', LOOPBACK, *arguments]
+
+
+def _environment():
+    return {'RUST_LOG': 'error', **os.environ}
+
+
+def show(path, web=False):
+    """Show a rerun file until the viewer, in a window or the browser, is closed."""
+    if not web and sys.platform == 'linux' and not (
+            os.environ.get('DISPLAY') or os.environ.get('WAYLAND_DISPLAY')):
+        raise ViewerError('there is no screen (DISPLAY is not set): take --png, --save or --web')
+    code = subprocess.call(
+        _command('--port', 'auto', *(['--web-viewer', '--web-viewer-port', str(_free_port())]
+                                     if web else []), path), env=_environment())
+    if code:
+        raise ViewerError(f'the viewer of rerun ended with code {code}')
+
+
+def picture(path, png, at=None, size=(1600, 1000), view=None):
+    """
+    Draw a rerun file to a picture, without a screen.
+
+    Parameters
+    ----------
+    path, png : str or Path
+    at : float, optional
+        Sim time [s]; by default the end.
+    size : tuple of int
+        Width and height of the window.
+    view : str, optional
+        Beginning of the name of the only view to draw.
+
+    Raises
+    ------
+    ViewerError
+
+    """
+    with _headless(path, size) as (client, process):
+        state = _until(lambda: _loaded(client), process)
+        end = max(line.end for line in state.recordings[0].timelines if line.name == 'sim_time')
+        client.set_time('sim_time', duration=end * 1e-9 if at is None else at,
+                        play_state='paused')
+        time.sleep(1.0)  # axes glide to their places
+        only = next((each.view_id for each in state.views
+                     if view is not None and each.name.startswith(view)), None)
+        client.save_screenshot(str(Path(png).absolute()), only)
+
+
+@contextmanager
+def _headless(path, size):
+    from rerun.experimental import ViewerClient
+    port = _free_port()
+    process = subprocess.Popen(
+        _command('--headless', '--port', str(port), '--window-size', f'{size[0]}x{size[1]}',
+                 path),
+        env=_environment(), stderr=subprocess.PIPE, text=True)
+    try:
+        _until(lambda: _listens(port), process)
+        yield ViewerClient.connect(f'rerun+http://{LOOPBACK}:{port}/proxy'), process
+    finally:
+        process.terminate()
+        process.communicate()
+
+
+def _free_port():
+    with closing(socket.socket()) as sock:
+        sock.bind((LOOPBACK, 0))
+        return sock.getsockname()[1]
+
+
+def _listens(port):
+    try:
+        with socket.create_connection((LOOPBACK, port), 1.0):
+            return True
+    except OSError:
+        return False
+
+
+def _loaded(client):
+    state = client.get_state()
+    ready = not state.loading and state.views and state.recordings and any(
+        line.name == 'sim_time' for line in state.recordings[0].timelines)
+    return state if ready else None
+
+
+def _until(condition, process):
+    deadline = time.monotonic() + _PATIENCE
+    while time.monotonic() < deadline:
+        if process.poll() is not None:
+            raise ViewerError(_reason(process.stderr.read()))
+        try:
+            found = condition()
+        except (RuntimeError, OSError):  # the viewer does not answer yet
+            found = None
+        if found:
+            return found
+        time.sleep(0.05)
+    raise ViewerError(f'the viewer of rerun did not answer within {_PATIENCE:g} s')
+
+
+def _reason(text):
+    if 'adapter' in text or 'render context' in text:
+        return ('pictures need a driver for graphics: apt-get install mesa-vulkan-drivers '
+                'libvulkan1')
+    return 'the viewer of rerun ended: ' + ' '.join(text.split())[-300:]
