@@ -17,12 +17,15 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 import zstandard
 
+from timo_sim.log.info import info
 from timo_sim.log.reader import LogError
 from timo_sim.log.recorder import Channel, Recorder
+from timo_sim.log.recording import Recording
 from timo_sim.log.recover import recover
 
-CHANNELS = [Channel('/state', 'std_msgs/msg/Float64'), Channel('/rare', 'std_msgs/msg/Float64'),
-            Channel('/silent', 'sensor_msgs/msg/JointState')]
+CHANNELS = [Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64'),
+            Channel('/rare', 'std_msgs/msg/Float64'),
+            Channel('/joint_states', 'sensor_msgs/msg/JointState')]
 STEP = 1000000  # [ns]
 GIGABYTE = 1 << 30
 
@@ -194,7 +197,7 @@ def hostile(large=False):
 
 def outcome(path):
     """
-    Recover a log; check what came out.
+    Look at a log and recover it; check what came out.
 
     Returns
     -------
@@ -203,6 +206,12 @@ def outcome(path):
 
     """
     new = path.with_name('out.mcap')
+    for look in info, lambda file: Recording(file).topics:
+        try:
+            look(path)
+        except LogError as error:
+            if '\n' in str(error):
+                raise RuntimeError(f'a refusal is one line: {error}') from None
     try:
         text = recover(path, new)
     except LogError as error:

@@ -98,7 +98,7 @@ def test_a_log_without_its_summary_gets_the_same_again(log, intact):
         del differing['relative_file_paths'], differing['files'][0]['path']
     assert ours == bag
     assert statistics.channel_message_counts == expected_statistics.channel_message_counts
-    assert decoded(new) == {'/state': 120, '/rare': 12}
+    assert decoded(new) == {'/timo_sim/motor_torque': 120, '/rare': 12}
     assert run(new)[1].startswith(f'{new} is complete: 132 messages')
 
 
@@ -176,7 +176,7 @@ def test_a_flipped_bit_costs_one_chunk(log, intact):
     code, output, _ = run(log)
     assert code == 0 and f'(byte {place})' in output and f'{length} bytes lost' in output
     found = decoded(log.with_name('run_recovered.mcap'))
-    assert 80 <= found['/state'] <= 100
+    assert 80 <= found['/timo_sim/motor_torque'] <= 100
 
 
 @pytest.fixture(scope='module')

@@ -1,0 +1,180 @@
+"""The messages of a topic as numbers, gathered a chunk at a time without a loop over them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from timo_sim.commands import COMMANDS, Refused
+from timo_sim.log.cdr import CdrError, layout
+from timo_sim.outputs import NANOSECONDS, outputs
+
+_HEAD = 31              # [B] of a message before its content: opcode, length and so on
+_HEAD_TYPE = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
+                       ('sequence', '<u4'), ('log_time', '<u8'), ('publish_time', '<u8')])
+_MOST_LAYOUTS = 100     # of a topic; frames of commands have different lengths
+_LARGEST = 65536        # [B] of a message; those of 40 modes have 2000
+_COMMANDS = {command.name: command for command in COMMANDS}
+
+
+@dataclass(frozen=True)
+class Series:
+    """
+    The messages of a topic.
+
+    Attributes
+    ----------
+    topic, type_name : str
+    columns : tuple of str
+        Names of k quantities, with units.
+    step : ndarray of int64, shape (n,)
+        Time steps; of a plain bag, which has none, -1.
+    ns : ndarray of int64, shape (n,)
+        Sim time. Of a plain bag that of the header; commands, whose headers mean nothing, have
+        the sim time that went with their log time, or log time where nothing says that.
+    log_ns : ndarray of int64, shape (n,)
+        When a message was logged.
+    values : ndarray, shape (n, k)
+    refused : int
+        Commands that are left out, because the node refuses them.
+    place : ndarray of int64, shape (n,)
+        In the file: what orders messages and resets of the same step.
+    data : list of bytes
+        The messages of a command, CDR; of other topics empty.
+
+    """
+
+    topic: str
+    type_name: str
+    columns: tuple
+    step: np.ndarray
+    ns: np.ndarray
+    log_ns: np.ndarray
+    values: np.ndarray
+    refused: int
+    place: np.ndarray
+    data: list
+
+
+class Collector:
+    """Gathers the messages of a topic."""
+
+    def __init__(self, name, topic, type_name):
+        self.name, self.topic, self.type_name = name, topic, type_name
+        self.columns = ()
+        self.refused, self.data = 0, []
+        self._command = _COMMANDS.get(name)
+        if self._command:
+            self.columns = self._command.names
+        self._layouts = []
+        self._parts = []
+
+    def add(self, place, data, offsets, channel):
+        """Add the messages of a block, of which these are the offsets."""
+        heads = _gather(data, offsets, _HEAD_TYPE)
+        sizes = heads['length'] - (_HEAD - 9)
+        if not len(offsets):
+            return
+        order = np.sort(offsets)
+        # Nothing outside, and nothing twice: an index may be a lie.
+        if not (np.all(heads['opcode'] == 5) and np.all(heads['channel'] == channel)
+                and np.all(sizes <= len(data)) and np.all(offsets + _HEAD + sizes <= len(data))
+                and np.all(np.diff(order) >= _HEAD)
+                and sizes.sum() + _HEAD * len(sizes) <= len(data)):
+            raise CdrError('the index names something else')
+        if sizes.max() > _LARGEST or sizes.min() < 4:
+            raise CdrError(f'it has {sizes.max() if sizes.max() > _LARGEST else sizes.min()} '
+                           'bytes')
+        found = []
+        for size in np.unique(sizes):
+            same = np.flatnonzero(sizes == size)
+            rows = _gather(data, offsets[same] + np.uint64(_HEAD), np.dtype(f'V{size}')).view(
+                np.uint8).reshape(len(same), -1)
+            found += self._decode(same, rows)
+        which, stamps, values, messages = found[0] if len(found) == 1 else _merged(found)
+        self.data += messages
+        self._parts.append((heads['sequence'][which].astype(np.int64),
+                            heads['log_time'][which].astype(np.int64),
+                            np.full(len(which), place), stamps, values))
+
+    def _decode(self, which, rows):
+        """Yield index, stamps and values of messages of one size, layout by layout."""
+        while len(rows):
+            found = self._layout(bytes(rows[0]))
+            same = np.all(rows[:, found.fixed] == rows[0, found.fixed], axis=1)
+            yield self._numbers(found, which[same], rows[same])
+            which, rows = which[~same], rows[~same]
+
+    def _layout(self, data):
+        for known, size, text in self._layouts:
+            if len(data) == size and bytes(data[place] for place in known.fixed) == text:
+                return known
+        found = layout(self.type_name, data)
+        self._layouts.append((found, len(data), bytes(data[place] for place in found.fixed)))
+        if len(self._layouts) > (_MOST_LAYOUTS if self._command else 1):
+            raise CdrError('its texts or lists are not those of the messages before it')
+        if not self._command:
+            self._name_columns(found)
+        return found
+
+    def _name_columns(self, found):
+        texts = found.texts[1:]  # after the frame
+        by_name = {output.name: output for output in outputs(max(1, len(texts)))}
+        output = by_name[self.name]
+        self.columns, self._places = output.columns, output.places
+        expected = {'joint_states': ['carrier_x', 'carrier_y', 'shaft'],
+                    '~/modal_state': [f'mode_{n + 1}' for n in range(len(texts))]}
+        if texts != expected.get(self.name, texts) or len(found.doubles) <= max(
+                self._places, default=-1):
+            raise CdrError(f'{", ".join(texts)[:80]} are not the joints of this node')
+
+    def _numbers(self, found, which, rows):
+        if self._command:
+            values = _doubles(rows, found.doubles)
+            kept, loads, frame = [], [], found.texts[0] if found.texts else ''
+            for number, row in enumerate(values.tolist()):
+                try:
+                    loads.append(self._command.load(frame, row))
+                    kept.append(number)
+                except Refused:
+                    self.refused += 1
+            shape = len(kept), len(self.columns)
+            return which[kept], None, np.array(loads, dtype=float).reshape(shape), [
+                row.tobytes() for row in rows[kept]]
+        values = _doubles(rows, [found.doubles[place] for place in self._places])
+        stamp = np.ascontiguousarray(rows[:, found.stamp:found.stamp + 8]).view('<i4')
+        return which, stamp[:, 0] * np.int64(NANOSECONDS) + stamp[:, 1], values, []
+
+    def arrays(self):
+        """Return sequence numbers, log times, places, stamps (None for commands) and values."""
+        if not self._parts:
+            none = np.zeros(0, dtype=np.int64)
+            return (none, none, none, None if self._command else none,
+                    np.zeros((0, len(self.columns))))
+        return [None if parts[0] is None else np.concatenate(parts)
+                for parts in zip(*self._parts)]
+
+
+def _merged(found):
+    """Return messages of several layouts in the order of the file."""
+    order = np.argsort(np.concatenate([part[0] for part in found]))
+    messages = [message for part in found for message in part[3]]
+    return *(None if found[0][place] is None else
+             np.concatenate([part[place] for part in found])[order] for place in range(3)), (
+                 [messages[place] for place in order] if messages else [])
+
+
+def _gather(data, offsets, kind):
+    """Return what is at these offsets, one element of `kind` each."""
+    if not len(offsets):
+        return np.zeros(0, kind)
+    last = len(data) - kind.itemsize
+    if last < 0 or int(offsets.max()) > last:
+        raise CdrError('the index names something outside of its chunk')
+    if not kind.itemsize:
+        return np.zeros(len(offsets), kind)
+    return np.ndarray((last + 1,), kind, data, strides=(1,))[offsets]
+
+
+def _doubles(rows, places):
+    columns = [place + byte for place in places for byte in range(8)]
+    return np.ascontiguousarray(rows[:, columns]).view('<f8').reshape(len(rows), len(places))
