@@ -18,7 +18,7 @@ unexport LD_LIBRARY_PATH
 endif
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
-INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --use-pep517 --constraint constraints.txt
+INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --use-pep517 --constraint constraints.txt
 
 .PHONY: sim test graphics gallery picture paper benchmark benchmark-quick benchmark-speed benchmark-speed-quick \
 	references stability stress stress-quick clean

@@ -12,6 +12,7 @@ from mcap.reader import make_reader, NonSeekingReader
 from mcap_ros2.decoder import DecoderFactory
 import numpy as np
 import pytest
+from ros_process import Client, Process
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
@@ -27,16 +28,17 @@ PUBLISHED = {'/joint_states': 'sensor_msgs/msg/JointState',
              '/timo_sim/carrier_pose': 'geometry_msgs/msg/PoseStamped'}
 
 
-@pytest.fixture
-def recorded(start, client, paper):
+@pytest.fixture(scope='module')
+def recorded(ros, paper, tmp_path_factory):
     """Record a second of the paper's scene with a command in it; return log and what was seen."""
-    node = start('--params-file', str(paper))
+    node, client = Process(tmp_path_factory.mktemp('run'), '--params-file', str(paper)), Client()
     seen = {'/joint_states': client.collect(JointState, '/joint_states'),
             '/timo_sim/tip_deflection': client.collect(Vector3Stamped,
                                                        '/timo_sim/tip_deflection')}
     client.command(Float64, '/timo_sim/motor_torque').publish(Float64(data=1.0))
     for messages in seen.values():
         client.wait(lambda: len(messages) >= 100, 'a second of messages')
+    client.close()
     assert node.end()[0] == 0
     return node.log, seen
 

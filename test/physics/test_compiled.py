@@ -65,7 +65,7 @@ RUN = """
 import timo_sim
 for modes in {}:
     print(timo_sim.simulate(timo_sim.load_scene({{'model.modes': modes,
-          'initial.shaft_velocity': 3.0}}), 0.1).motion[-1].tobytes().hex())
+          'model.formulation': 'newton', 'initial.shaft_velocity': 3.0}}), 0.1).motion[-1].tobytes().hex())
 """
 
 

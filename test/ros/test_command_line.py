@@ -9,9 +9,7 @@ import pytest
 
 @pytest.mark.parametrize('parameters, words', [
     ({'arm.length': -2.0}, 'arm.length must be a finite number > 0 m, got -2.0'),
-    ({'arm.length': 'two'}, "got 'two'"),
     ({'arm.lenght': 2.0}, 'arm.lenght = 2.0 is not a parameter of timo_sim'),
-    ({'model.modes': 3.5}, 'model.modes must be a whole number >= 0 and <= 40, got 3.5'),
     ({'rate.tip_pose': 300.0}, 'rate.tip_pose = 300, the ratio is 3.33333'),
     ({'load.torque.piecewise.time': '[1.0, 2]'}, 'load.torque.piecewise.time'),
 ])
@@ -38,14 +36,14 @@ def test_what_the_middleware_refuses_ends_with_one_line_and_code_1(start, tmp_pa
     assert code == 1 and 'timo_sim: error creating node' in output and 'Traceback' not in output
 
 
-@pytest.mark.parametrize('length', ['2', '2.0e+0'])
-def test_ways_to_write_a_number(start, length):
+def test_ways_to_write_a_number(start):
     assert start(record=False, duration=0.1, **{
-        'arm.length': length, 'arm.young_modulus': '70.5e9'}).wait()[0] == 0
+        'arm.length': '2', 'arm.width': '2.0e-2', 'arm.young_modulus': '70.5e9'}).wait()[0] == 0
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize('delay', [0.0, 0.3, 0.6, 0.9, 2.4])
+@pytest.mark.parametrize('delay, number', [
+    (0.0, signal.SIGINT), (0.3, signal.SIGTERM), (0.6, signal.SIGINT), (0.9, signal.SIGTERM),
+    (2.4, signal.SIGINT)])
 def test_signals_end_the_process_cleanly(start, number, delay):
     """From when Python can take them, during and after start-up, and pressed twice."""
     node = start()

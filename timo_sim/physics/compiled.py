@@ -100,7 +100,7 @@ def compiling(*records):
     if mark is None or mark.exists():
         yield
         return
-    with alone('compiling.lock'):
+    with alone(f'{mark.stem}.lock'):
         yield
         with suppress(OSError):
             mark.touch()
