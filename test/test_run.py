@@ -89,7 +89,8 @@ def test_xi_must_be_on_the_arm(paper):
 
 
 LONG_RUN = ('import timo_sim; scene = timo_sim.load_scene({"integrator.step": 1e-5, '
-            '"model.modes": 0, "initial.shaft_velocity": 1.0}); timo_sim.simulate(scene, SECONDS, every=1000)')
+            '"model.modes": 0, "initial.shaft_velocity": 1.0}); '
+            'timo_sim.simulate(scene, SECONDS, every=1000)')
 
 
 def test_progress_bar_on_a_terminal_for_long_runs_only():

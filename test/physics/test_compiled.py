@@ -64,8 +64,9 @@ def test_a_step_allocates_nothing(paper, formulation):
 RUN = """
 import timo_sim
 for modes in {}:
-    print(timo_sim.simulate(timo_sim.load_scene({{'model.modes': modes,
-          'model.formulation': 'newton', 'initial.shaft_velocity': 3.0}}), 0.1).motion[-1].tobytes().hex())
+    scene = timo_sim.load_scene({{
+        'model.modes': modes, 'model.formulation': 'newton', 'initial.shaft_velocity': 3.0}})
+    print(timo_sim.simulate(scene, 0.1).motion[-1].tobytes().hex())
 """
 
 
