@@ -15,6 +15,7 @@ _HOMES = {
     'ParameterError': 'timo_sim.parameters',
     'Run': 'timo_sim.run',
     'Scene': 'timo_sim.scene',
+    'linearize': 'timo_sim.linear',
     'load_scene': 'timo_sim.scene',
     'project': 'timo_sim.scene',
     'settle': 'timo_sim.accuracy',

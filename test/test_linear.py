@@ -1,0 +1,150 @@
+"""Linear models against closed forms, and against the nonlinear simulation nearby."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+import timo_sim
+from timo_sim.physics.formulation import LOADS
+from timo_sim.physics.quadrature import Quadrature
+from timo_sim.simulation import Simulator
+
+
+def straight(formulation, angle, free):
+    """Return mass and stiffness of the straight arm at an angle, of the free coordinates."""
+    body, modes = formulation.manipulator, formulation.modes
+    fine = Quadrature(body.arm.breaks, 100)
+    mass, inertia = body.inertia(fine)
+    deflection, rotation, xi = modes.deflection(fine.points), modes.rotation(fine.points), fine.points
+    across = np.array([-np.sin(angle), np.cos(angle)])
+    matrix = np.eye(3 + len(modes))
+    matrix[:2, :2] *= body.base_mass + mass.sum()
+    matrix[2, 2] = body.shaft_inertia + mass @ xi**2 + inertia.sum()
+    matrix[2, :2] = matrix[:2, 2] = (mass @ xi) * across
+    matrix[3:, :2] = np.outer(mass @ deflection, across)
+    matrix[:2, 3:] = matrix[3:, :2].T
+    matrix[2, 3:] = matrix[3:, 2] = (mass * xi) @ deflection + inertia @ rotation
+    stiffness = np.diag(np.append(np.zeros(3), modes.omega**2))
+    return matrix[np.ix_(free, free)], stiffness[np.ix_(free, free)]
+
+
+@pytest.mark.parametrize('name, values, free', [
+    ('exact', {}, [0, 1, 2]), ('newton', {}, [0, 1, 2]),
+    ('exact', {'carrier.held': 'both'}, [2]),
+    ('exact', {'carrier.held': 'both', 'motor.shaft': 'locked'}, []),
+    ('exact', {'carrier.held': 'y'}, [0, 2]), ('newton', {'carrier.held': 'x'}, [1, 2])], ids=str)
+def test_poles_are_the_frequencies_of_the_straight_arm(name, values, free):
+    """The first four of eight: quadrature moves the highest ones of `exact`."""
+    scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': 8,
+                                 'initial.shaft': 0.3, **values})
+    model = timo_sim.linearize(scene)
+    free = [*free, *range(3, 11)]
+    squares = scipy.linalg.eigvalsh(*reversed(straight(scene.build(), 0.3, free)))
+    expected = np.sqrt(np.maximum(squares, 0.0))
+    expected = expected[expected > 1.0]
+    poles = model.poles()
+    found = np.sort(poles.imag[poles.imag > 1.0])
+    assert np.abs(found / expected - 1.0)[:4].max() < 1e-9
+    assert len(found) == len(expected) == 8
+    # The others, of shaft and carrier at rest, are zeros, two each: round-off splits them.
+    assert np.sum(np.abs(poles) < 1e-3) == 2 * (len(free) - len(expected))
+    assert np.abs(poles.real).max() < 1e-3
+
+
+def test_free_free_frequencies():
+    """Of the whole system, as theory.md has them for many modes."""
+    model = timo_sim.linearize(timo_sim.load_scene({'model.modes': 8}))
+    poles = np.sort(model.poles().imag)
+    assert poles[poles > 1.0][:5] / (2.0 * np.pi) == pytest.approx(
+        [4.2671, 9.960, 30.59, 75.63, 144.46], rel=1e-4)
+
+
+@pytest.mark.parametrize('name', ['exact', 'newton'])
+def test_damping_ratio_of_a_clamped_mode(name):
+    scene = timo_sim.load_scene({
+        'model.formulation': name, 'model.modes': 8, 'carrier.held': 'both',
+        'motor.shaft': 'locked', 'arm.damping_ratio': [0.01, 0.02, 0.3, *5 * [0.0]]})
+    poles = timo_sim.linearize(scene).poles()
+    poles = poles[poles.imag > 0.0][:3]
+    assert -poles.real / np.abs(poles) == pytest.approx([0.01, 0.02, 0.3], rel=1e-9)
+    assert np.abs(poles) == pytest.approx(scene.build().modes.omega[:3], rel=1e-9)
+
+
+# What of `newton` is not in its linear part costs an error of the step.
+@pytest.mark.parametrize('name, step', [('exact', 0.005), ('newton', 0.0005)])
+def test_a_step_of_the_simulation_is_the_discrete_model(name, step):
+    """Small deviations and held commands, over one step: what is left is of second order."""
+    scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': 3,
+                                 'arm.damping_ratio': [0.02], 'integrator.step': step})
+    model = timo_sim.linearize(scene).discrete(step)
+    rest = scene.initial_motion()
+    random, small = np.random.default_rng(1), 1e-6
+    for _ in range(3):
+        x, u = random.normal(size=len(model.A)), random.normal(size=3)
+        ends = []
+        for sign in (-1.0, 1.0):
+            simulator = Simulator(scene)
+            simulator._state[:] = simulator.formulation.state(rest + sign * small * x)
+            simulator._resting = False
+            held = np.zeros(LOADS)
+            held[[0, 1, 4]] = sign * small * u
+            simulator.advance(1, held)
+            ends.append(simulator.motion())
+        found = (ends[1] - ends[0]) / (2.0 * small)
+        expected = model.A @ x + model.B @ u
+        assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
+
+
+def test_outputs_of_a_small_motion():
+    """Torque on the paper's arm: what the model says it does, and what the simulation does."""
+    torque, period = 1e-4, 0.002
+    scene = timo_sim.load_scene({
+        'model.modes': 3, 'integrator.step': period,
+        'load.torque.piecewise.time': [0.0], 'load.torque.piecewise.value': [torque]})
+    run = timo_sim.simulate(scene, 0.4)
+    model = timo_sim.linearize(scene.vary({'load.torque.piecewise.time': [],
+                                           'load.torque.piecewise.value': []}))
+    discrete = model.select(['torque_N_m']).discrete(period)
+    x, found = np.zeros(len(discrete.A)), []
+    for _ in run.t:
+        found.append(discrete.C @ x + discrete.D[:, 0] * torque)
+        x = discrete.A @ x + discrete.B[:, 0] * torque
+    found = dict(zip(model.outputs, np.transpose(found)))
+    tip = run.position(2.0)
+    for name, values in {
+            'carrier_x_m': run.carrier[:, 0], 'shaft_rad': run.shaft - run.shaft[0],
+            'tip_y_m': tip[:, 1] - tip[0, 1], 'tip_transverse_m': run.deflection(2.0)[:, 1],
+            'tip_rotation_rad': run.rotation(2.0),
+            'shaft_velocity_rad_per_s': run.shaft_velocity}.items():
+        assert np.abs(found[name] - values).max() < 1e-5 * np.abs(values).max(), name
+    # Acceleration by differences of the position, of fourth order.
+    across = (tip - tip[0]) @ [-np.sin(run.shaft[0]), np.cos(run.shaft[0])]
+    second = (-across[4:] + 16.0 * across[3:-1] - 30.0 * across[2:-2] + 16.0 * across[1:-3]
+              - across[:-4]) / (12.0 * period**2)
+    acceleration = found['tip_acceleration_m_per_s2']
+    assert np.abs(acceleration[2:-2] - second).max() < 2e-3 * np.abs(acceleration).max()
+    # Strain at the root: half the height times the slope of the section's rotation there.
+    d = 1e-5
+    strain = 0.01 * (4.0 * run.rotation(d) - run.rotation(2.0 * d)) / (2.0 * d)
+    assert np.abs(found['root_strain'] - strain).max() < 1e-5 * np.abs(strain).max()
+
+
+def test_selection_and_state_space():
+    model = timo_sim.linearize(timo_sim.load_scene({'model.modes': 2}))
+    chosen = model.select(['torque_N_m'], ['tip_transverse_m', 'shaft_rad'])
+    system = chosen.state_space()
+    assert system.B.shape == (10, 1) and system.C.shape == (2, 10)
+    assert np.array_equal(system.C, model.C[[6, 2]])
+    assert model.states == (
+        'carrier_x_m', 'carrier_y_m', 'shaft_rad', 'mode_1_m_sqrt_kg', 'mode_2_m_sqrt_kg',
+        'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s', 'shaft_velocity_rad_per_s',
+        'mode_1_rate_m_sqrt_kg_per_s', 'mode_2_rate_m_sqrt_kg_per_s')
+    with pytest.raises(ValueError, match="output 'tip' is none of carrier_x_m, "):
+        model.select(outputs=['tip'])
+
+
+@pytest.mark.parametrize('values', [{'initial.shaft_velocity': 1.0},
+                                    {'initial.modal_coordinates': [0.1, 0.0, 0.0]}])
+def test_what_moves_is_no_equilibrium(values):
+    with pytest.raises(timo_sim.ParameterError, match='about an equilibrium'):
+        timo_sim.linearize(timo_sim.load_scene(values))

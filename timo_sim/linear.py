@@ -1,0 +1,206 @@
+"""Linear models: a scene about an equilibrium as matrices with names, for the design of control."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from timo_sim.parameters import ParameterError
+from timo_sim.physics.formulation import ANGLE, FORCE_X, FORCE_Y, LOADS, TORQUE
+
+# Differences of fourth order over this part of the arm's length, or of a radian.
+_SHIFT = 1e-3
+_STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
+_INPUTS = {'force_x_N': FORCE_X, 'force_y_N': FORCE_Y, 'torque_N_m': TORQUE}
+# Rates that are left where a state that is called an equilibrium is none [1/s].
+_STILL = 1e-9
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """
+    `x' = A x + B u`, `y = C x + D u`: deviations from an equilibrium.
+
+    Attributes
+    ----------
+    A, B, C, D : ndarray
+    states, inputs, outputs : tuple of str
+        Names with units.
+
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    states: tuple
+    inputs: tuple
+    outputs: tuple
+
+    def select(self, inputs=None, outputs=None):
+        """
+        Return the model with some inputs and outputs, in the order given.
+
+        Raises
+        ------
+        ValueError
+            If a name is none of the model's.
+
+        """
+        u = _places(self.inputs, inputs, 'input')
+        y = _places(self.outputs, outputs, 'output')
+        return replace(self, B=self.B[:, u], C=self.C[y], D=self.D[np.ix_(y, u)],
+                       inputs=tuple(self.inputs[place] for place in u),
+                       outputs=tuple(self.outputs[place] for place in y))
+
+    def state_space(self):
+        """Return the same as `scipy.signal.StateSpace`."""
+        from scipy.signal import StateSpace
+        return StateSpace(self.A, self.B, self.C, self.D)
+
+    def discrete(self, period):
+        """
+        Return the model at the instants of a controller that holds its commands for a period [s].
+
+        It is exact: `x` after a period is `A x + B u`.
+        """
+        from scipy.signal import cont2discrete
+        a, b, c, d, _ = cont2discrete((self.A, self.B, self.C, self.D), period, method='zoh')
+        return replace(self, A=a, B=b, C=c, D=d)
+
+    def poles(self):
+        """Return the eigenvalues of A, by size, shape (m,) [1/s]."""
+        poles = np.linalg.eigvals(self.A)
+        return poles[np.lexsort((poles.imag, np.abs(poles).round(9)))]
+
+
+def linearize(scene, at=None):
+    """
+    Return the linear model of a scene about a state of rest.
+
+    Parameters
+    ----------
+    scene : Scene
+    at : ndarray, shape (2 (3 + N),), optional
+        A motion, see `physics.formulation`; by default the scene's initial one. A shaft that is
+        driven or locked stays where it is.
+
+    Returns
+    -------
+    LinearModel
+        States: free coordinates, then their rates. Inputs: forces on the carrier in world axes
+        and torque on the shaft, as far as they do anything. Outputs: carrier and shaft, tip in
+        world axes, deflection and rotation of the tip and its acceleration across the arm, strain
+        at the root, rates of carrier and shaft.
+
+    Raises
+    ------
+    ParameterError
+        If the motion is no equilibrium.
+
+    """
+    formulation = scene.build()
+    at = scene.initial_motion() if at is None else np.asarray(at, dtype=float)
+    half, axes, first = formulation.size // 2, list(formulation.axes), formulation.first
+    load = np.zeros(LOADS)
+    load[ANGLE] = at[2]
+    state = formulation.state(at)
+    _check(at, formulation.rate(state, load))
+    free = np.array([*axes, *range(2 + first, half)], dtype=int)
+    free, half = np.concatenate([free, half + free]), len(free)
+    steps = np.tile(_SHIFT * formulation.manipulator.arm.length / formulation.reach, 2)
+
+    def jacobian(function):
+        return _jacobian(function, at, steps, free)
+
+    # In coordinates and rates x; what the formulation integrates is state(x).
+    to_state = jacobian(formulation.state)
+    rest = jacobian(lambda motion: formulation.rate(formulation.state(motion), load)
+                    - formulation.linear @ formulation.state(motion))
+    a = np.linalg.solve(to_state, formulation.linear @ to_state + rest)
+
+    columns = {name: column for name, column in _INPUTS.items()
+               if (column == TORQUE and not first) or column - FORCE_X in axes}
+    # A rate is linear in a load.
+    units = np.eye(LOADS)[list(columns.values())]
+    per_load = [formulation.rate(state, load + unit) - formulation.rate(state, load)
+                for unit in units]
+    b = np.linalg.solve(to_state, np.reshape(per_load, (len(units), len(a))).T)
+
+    places = _Places(formulation)
+    c = jacobian(places.outputs)
+    # Of the tip's velocity the rates are those of the coordinates and what these do.
+    across = jacobian(lambda motion: places.across(motion, at[2]))[:, :half]
+    c = np.vstack([c, across @ a[half:]])
+    d = np.vstack([np.zeros((len(c) - 1, len(units))), across @ b[half:]])
+    return LinearModel(a, b, c, d, _state_names(axes, first, len(formulation.modes)),
+                       tuple(columns), (*places.names, 'tip_acceleration_m_per_s2'))
+
+
+def _check(at, rate):
+    moving = at[len(at) // 2:]
+    if moving.any() or not np.abs(rate).max() <= _STILL:
+        raise ParameterError(
+            'a scene is linearised about an equilibrium, where nothing moves and the arm is '
+            f'straight; got speeds of up to {np.abs(moving).max():.3g} and rates of the state of '
+            f'up to {np.abs(rate).max():.3g}: give another motion as `at`')
+
+
+def _jacobian(function, at, steps, columns):
+    """Return the derivatives of a function of motions, shape (k, len(columns))."""
+    found = []
+    for column in columns:
+        shift = np.zeros_like(at)
+        shift[column] = steps[column]
+        found.append(sum(weight * function(at + number * shift) for number, weight in _STENCIL)
+                     / steps[column])
+    return np.stack(found, axis=-1)
+
+
+class _Places:
+    """What is read off a motion."""
+
+    names = ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'tip_x_m', 'tip_y_m',
+             'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain',
+             'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
+             'shaft_velocity_rad_per_s')
+
+    def __init__(self, formulation):
+        arm = formulation.manipulator.arm
+        self._formulation, self._half = formulation, formulation.size // 2
+        self._tip = formulation.at([arm.length])
+        height = arm.at(np.zeros(1)).height
+        self._strain = 0.5 * float(np.ravel(height)[0]) * formulation.modes.curvature(
+            np.zeros(1))[0]
+
+    def outputs(self, motion):
+        """Return the values of `names`."""
+        base, rates = motion[:3], motion[self._half:self._half + 3]
+        along, sideways, rotation = self._formulation.tip(motion)
+        return np.concatenate([
+            base, self._world(motion), [along, sideways, rotation],
+            [self._strain @ motion[3:self._half]], rates])
+
+    def across(self, motion, angle):
+        """Return where the tip is along axis II of a shaft at an angle, shape (1,) [m]."""
+        return np.array([-np.sin(angle), np.cos(angle)]) @ self._world(motion)[:, np.newaxis]
+
+    def _world(self, motion):
+        return self._formulation.world(motion[np.newaxis], self._tip)[0, 0]
+
+
+def _state_names(axes, first, count):
+    names = [('carrier_x', 'm'), ('carrier_y', 'm')]
+    named = [names[axis] for axis in axes] + [('shaft', 'rad')] * (not first) + [
+        (f'mode_{n}', 'm_sqrt_kg') for n in range(1, count + 1)]
+    return (*(f'{name}_{unit}' for name, unit in named),
+            *(f'{name}_rate_{unit}_per_s' if name.startswith('mode') else
+              f'{name}_velocity_{unit}_per_s' for name, unit in named))
+
+
+def _places(names, chosen, kind):
+    if chosen is None:
+        return list(range(len(names)))
+    unknown = [name for name in chosen if name not in names]
+    if unknown:
+        raise ValueError(f'{kind} {unknown[0]!r} is none of {", ".join(names)}')
+    return [names.index(name) for name in chosen]
