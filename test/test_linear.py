@@ -15,7 +15,8 @@ def straight(formulation, angle, free):
     body, modes = formulation.manipulator, formulation.modes
     fine = Quadrature(body.arm.breaks, 100)
     mass, inertia = body.inertia(fine)
-    deflection, rotation, xi = modes.deflection(fine.points), modes.rotation(fine.points), fine.points
+    xi = fine.points
+    deflection, rotation = modes.deflection(xi), modes.rotation(xi)
     across = np.array([-np.sin(angle), np.cos(angle)])
     matrix = np.eye(3 + len(modes))
     matrix[:2, :2] *= body.base_mass + mass.sum()

@@ -1,4 +1,4 @@
-"""Linear models: a scene about an equilibrium as matrices with names, for the design of control."""
+"""Linear models: a scene about an equilibrium as matrices with names, to design control with."""
 
 from dataclasses import dataclass, replace
 

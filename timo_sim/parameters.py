@@ -224,6 +224,9 @@ _ALL = [
     *_load('force_x', 'N', 'force on the carrier along world x'),
     *_load('force_y', 'N', 'force on the carrier along world y'),
     *_load('torque', 'N m', 'torque on the shaft'),
+    *_load('tip_force_x', 'N', 'force on the end effector along world x'),
+    *_load('tip_force_y', 'N', 'force on the end effector along world y'),
+    *_load('tip_torque', 'N m', 'torque on the end effector'),
     _not_negative('real_time_factor', 1.0, '', 'sim time per wall time; 0: as fast as possible',
                   high=1e6, scope=NODE, runtime=True),
     _not_negative('catch_up_limit', 0.1, 's', 'wall time that is caught up after a delay; what is '

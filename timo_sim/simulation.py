@@ -91,7 +91,7 @@ class Simulator:
         return round(self.steps * self.scene.step * 1e9)
 
     def scene_loads(self, count):
-        """Return the scene's own loads of the next steps, shape (count, 3, 8)."""
+        """Return the scene's own loads of the next steps, shape (count, 3, 13)."""
         first = self.steps - self._origin
         begin, block = self._block
         if not begin <= first <= first + count <= begin + len(block):
@@ -108,7 +108,7 @@ class Simulator:
         Parameters
         ----------
         steps : int
-        held : ndarray, shape (8,), optional
+        held : ndarray, shape (13,), optional
             What is added to the scene's own loads during all of them, see `physics.formulation`.
         every : int
             Steps between samples; 0: none are taken.
@@ -163,7 +163,7 @@ class Simulator:
 
     @property
     def load(self):
-        """Load at the end of the last step, shape (8,), see `physics.formulation`."""
+        """Load at the end of the last step, shape (13,), see `physics.formulation`."""
         return self._load
 
     def motion(self):

@@ -50,7 +50,7 @@ class StepControl:
         return self._propagators[level]
 
     def loads(self, first, count, held, level=0):
-        """Return the loads of parts of steps, those of the scene and commands, (parts, 3, 8)."""
+        """Return the loads of parts of steps, those of the scene and commands, (parts, 3, 13)."""
         parts = 2**level
         loads = self._scene.load.stages(parts * first, parts * count, self._scene.step / parts)
         return loads if held is None else loads + held
@@ -63,11 +63,11 @@ class StepControl:
         ----------
         state, load, every
             See `Formulation.advance`.
-        loads : ndarray, shape (2 steps, 3, 8)
+        loads : ndarray, shape (2 steps, 3, 13)
             Of the halves of the steps, see `loads`.
         first : int
             Number of the first step, since the start of the scene's loads.
-        held : ndarray, shape (8,), or None
+        held : ndarray, shape (13,), or None
             Commands, which are part of `loads`.
 
         Returns
@@ -125,7 +125,7 @@ class StepControl:
         ----------
         state : ndarray, shape (m,)
             At its start.
-        loads : ndarray, shape (1, 3, 8)
+        loads : ndarray, shape (1, 3, 13)
             Of the step; those of its halves are interpolated.
 
         Returns

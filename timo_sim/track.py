@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from timo_sim.physics.formulation import FORCE_X, FORCE_Y, TORQUE
+
 POINTS = 41     # of the centre line that is drawn
 BLOCK = 1024    # samples that are worked out at once: what they need stays near the processor
 
@@ -155,8 +157,8 @@ def of_run(run, name='run'):
         # What acts at the end of the last step; at the start, at the beginning of the first.
         steps = (first + (k + np.arange(count)) * every)
         block = run.scene.load.stages(steps[0] - 1, (count - 1) * every + 1, run.scene.step)
-        effort[k:k + count] = block[::every, -1, :][:, [0, 1, 4]]
-    effort[0] = run.scene.load.stages(first, 1, run.scene.step)[0, 0, [0, 1, 4]]
+        effort[k:k + count] = block[::every, -1, :][:, [FORCE_X, FORCE_Y, TORQUE]]
+    effort[0] = run.scene.load.stages(first, 1, run.scene.step)[0, 0, [FORCE_X, FORCE_Y, TORQUE]]
     ns = np.rint(run.t * 1e9).astype(np.int64)
     return of_motion(name, run.scene, ns, run.motion, effort)
 

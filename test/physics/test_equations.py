@@ -42,15 +42,23 @@ def scene_of(formulation, constraints, damping=0.03):
         'initial.modal_rates': [1.0, 0.3, -0.1],
         'load.force_x.harmonic.amplitude': [8.0], 'load.force_x.harmonic.frequency': [2.0],
         'load.force_y.table.time': [0.0, 1.0], 'load.force_y.table.value': [3.0, -3.0],
-        'load.torque.harmonic.amplitude': [6.0], 'load.torque.harmonic.frequency': [1.0]},
+        'load.torque.harmonic.amplitude': [6.0], 'load.torque.harmonic.frequency': [1.0],
+        'load.tip_force_x.harmonic.amplitude': [0.6],
+        'load.tip_force_x.harmonic.frequency': [1.5],
+        'load.tip_force_y.table.time': [0.0, 1.0], 'load.tip_force_y.table.value': [-0.5, 0.5],
+        'load.tip_torque.harmonic.amplitude': [0.4], 'load.tip_torque.harmonic.frequency': [3.0]},
         CONSTRAINTS[constraints])
 
 
 def loads(t, theta):
-    """Return F_I, F_II and tau."""
-    x, y = 8.0 * np.sin(4 * np.pi * t), 3.0 - 6.0 * t
+    """Return F_I, F_II and tau on carrier and shaft, then on the tip."""
     c, s = np.cos(theta), np.sin(theta)
-    return c * x + s * y, c * y - s * x, 6.0 * np.sin(2 * np.pi * t)
+    found = []
+    for x, y, torque in (
+            (8.0 * np.sin(4 * np.pi * t), 3.0 - 6.0 * t, 6.0 * np.sin(2 * np.pi * t)),
+            (0.6 * np.sin(3 * np.pi * t), t - 0.5, 0.4 * np.sin(6 * np.pi * t))):
+        found += [c * x + s * y, c * y - s * x, torque]
+    return found
 
 
 def shaft_drive(scene):
@@ -127,14 +135,17 @@ def exact(model, t, theta, q, om, qdot):
     matrix[2, 3:] = c2 @ kernel @ a - c1 @ kernel @ b + coupling
     matrix[3:, 3:] = c1 @ kernel @ c1.T + c2 @ kernel @ c2.T + rotary
     matrix = np.triu(matrix) + np.triu(matrix, 1).T
-    force_1, force_2, torque = loads(t, theta)
+    force_1, force_2, torque, tip_1, tip_2, twist = loads(t, theta)
+    reach, turn = points.integral[:, -1], points.rotation[:, -1]
     pull_1, pull_2 = om**2 * a + 2 * om * b_t - a_b, om**2 * b - 2 * om * a_t - b_b
     right = np.concatenate([
-        [force_1 + lever @ pull_1, force_2 + lever @ pull_2,
-         torque - 2 * om * (a @ kernel @ a_t + b @ kernel @ b_t) - a @ kernel @ b_b
+        [force_1 + tip_1 + lever @ pull_1, force_2 + tip_2 + lever @ pull_2,
+         torque + twist + (reach @ a) * tip_2 - (reach @ b) * tip_1
+         - 2 * om * (a @ kernel @ a_t + b @ kernel @ b_t) - a @ kernel @ b_b
          + b @ kernel @ a_b],
         c1 @ kernel @ pull_1 + c2 @ kernel @ pull_2 - model.modes.omega**2 * q
-        - 2 * model.damping * model.modes.omega * qdot])
+        - 2 * model.damping * model.modes.omega * qdot
+        + (c1 @ reach) * tip_1 + (c2 @ reach) * tip_2 + turn * twist])
     return matrix, right
 
 
@@ -147,13 +158,14 @@ def newton(model, t, theta, q, om, qdot, rigid_axial=False, root_stress=False):
     omega2 = model.modes.omega**2
     stress = omega2 * q + 2 * model.damping * model.modes.omega * qdot
     e = m_a * model.modes.deflection([s / m_a])[0] if rigid_axial else a
-    force_1, force_2, torque = loads(t, theta)
+    force_1, force_2, torque, tip_1, tip_2, twist = loads(t, theta)
+    sway, turn = w[:, -1], points.rotation[:, -1]
 
     matrix = np.zeros((HALF, HALF))
     matrix[0, 0], matrix[0, 2] = model.mass, -e @ q
     matrix[3:, 1], matrix[3:, 2], matrix[3:, 3:] = a, b, np.eye(MODES)
-    right = np.concatenate([[force_1 + 2 * om * e @ qdot + om**2 * s, 0.0, 0.0],
-                            om**2 * gram @ q - stress])
+    right = np.concatenate([[force_1 + tip_1 + 2 * om * e @ qdot + om**2 * s, 0.0, 0.0],
+                            om**2 * gram @ q - stress + sway * tip_2 + turn * twist])
     if root_stress:
         # V(0) and M(0) from the curvature and the shear strain of the series at the root.
         section, root = body.arm.section, np.zeros(1)
@@ -165,8 +177,8 @@ def newton(model, t, theta, q, om, qdot, rigid_axial=False, root_stress=False):
     else:
         matrix[1] = [0.0, model.mass, s, *a]
         matrix[2] = [0.0, s, body.shaft_inertia + model.point_inertia.sum() + mass @ xi**2, *b]
-        right[1] = force_2 + om**2 * a @ q
-        right[2] = torque + om**2 * c @ q
+        right[1] = force_2 + tip_2 + om**2 * a @ q
+        right[2] = torque + om**2 * c @ q + twist + body.arm.length * tip_2 - (sway @ q) * tip_1
     return matrix, right
 
 
@@ -194,7 +206,10 @@ def test_exact_conserves_energy_when_shear_matters():
     free = {f'load.{channel}.{term}.{key}': [] for channel, term, key in (
         ('force_x', 'harmonic', 'amplitude'), ('force_x', 'harmonic', 'frequency'),
         ('force_y', 'table', 'time'), ('force_y', 'table', 'value'),
-        ('torque', 'harmonic', 'amplitude'), ('torque', 'harmonic', 'frequency'))}
+        ('torque', 'harmonic', 'amplitude'), ('torque', 'harmonic', 'frequency'),
+        ('tip_force_x', 'harmonic', 'amplitude'), ('tip_force_x', 'harmonic', 'frequency'),
+        ('tip_force_y', 'table', 'time'), ('tip_force_y', 'table', 'value'),
+        ('tip_torque', 'harmonic', 'amplitude'), ('tip_torque', 'harmonic', 'frequency'))}
     scene = timo_sim.load_scene(scene_of('exact', 'free', damping=0.0).values, free)
     energy = timo_sim.simulate(scene, 2.0).energy()
     assert np.abs(energy / energy[0] - 1).max() < 1e-8

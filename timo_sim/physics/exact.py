@@ -21,7 +21,8 @@ separates; what is left are the coordinates q_i and their momenta p_i = M_ij q_j
     X'   = P_x / m_t         P_x' = F_x          (the same in y)                (T24)
     q_i' = (M^-1 p)_i        p_i' = dT/dq_i - omega_i^2 q_i - 2 zeta_i omega_i q_i' + Q_i  (T25)
 
-where Q holds the shaft torque and the force on the carrier as seen from the mass centre. The
+where Q holds the shaft torque and the forces on carrier and tip as seen from the mass centre, and
+the torque on the tip, `Phi_i(l)` of it; F is the sum of both forces (T30). The
 momenta of a free manipulator, P and p_0 (spin about the mass centre), are constant by
 construction. Nodal values act through two constant arrays: `d = D^T m`, and for either
 axis a kernel, `K = D^T diag(m) D - d d^T / m_t` of the masses about their centre.
@@ -40,7 +41,8 @@ import numpy as np
 from timo_sim.physics import etdrk4
 from timo_sim.physics.compiled import inner, local
 from timo_sim.physics.formulation import (
-    ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Formulation, SPEED, TORQUE)
+    ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Formulation, SPEED, TIP_I, TIP_II, TIP_TORQUE,
+    TIP_X, TIP_Y, TORQUE)
 from timo_sim.physics.sincos import sincos
 
 
@@ -139,7 +141,8 @@ def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed):
 @etdrk4.rate.of(Tables)
 def _rate(tables, state, load, out):
     """Write what the linear part leaves of the state's rate."""
-    rotation, shear, lever, axes = tables.rotation, tables.shear, tables.lever, tables.axes
+    rotation, shear, axes = tables.rotation, tables.shear, tables.axes
+    lever, reach = tables.lever, tables.reach
     count, nodes = rotation.shape
     first = count - len(tables.straight)
     coordinate, speed = local((rotation,)), local((rotation,))
@@ -161,16 +164,18 @@ def _rate(tables, state, load, out):
     # Translation; X' = P / m_t is in the linear part.
     push_x, push_y = 0.0, 0.0
     turned_y, turned_x = sincos(coordinate[0])
+    tip_x = load[TIP_X] + turned_x * load[TIP_I] - turned_y * load[TIP_II]
+    tip_y = load[TIP_Y] + turned_y * load[TIP_I] + turned_x * load[TIP_II]
     for k in range(len(axes)):
         if axes[k] == 0:
-            push_x = load[FORCE_X] + turned_x * load[FORCE_I] - turned_y * load[FORCE_II]
+            push_x = load[FORCE_X] + turned_x * load[FORCE_I] - turned_y * load[FORCE_II] + tip_x
         else:
-            push_y = load[FORCE_Y] + turned_y * load[FORCE_I] + turned_x * load[FORCE_II]
+            push_y = load[FORCE_Y] + turned_y * load[FORCE_I] + turned_x * load[FORCE_II] + tip_y
         out[k] = 0.0
         out[half + k] = push_x if axes[k] == 0 else push_y
 
     # (T26): dT/dq_i = sum_j Phi_ij A_j + Gamma_ij B_j, from (g1, g2) = K (a', b') and the rates of
-    # phi and gamma. The force on the carrier does its work on C1, C2: the same sum.
+    # phi and gamma. The forces do their work on C1, C2: the same sum.
     moment = load[TORQUE]
     script_a, script_b = local((lever,)), local((lever,))
     for j in range(nodes):
@@ -184,8 +189,10 @@ def _rate(tables, state, load, out):
             turning += speed[i] * rotation[i, j]
             shearing += speed[i] * shear[i, j]
         along = cosine[j] * g1 + sine[j] * g2
-        script_a[j] = lever[j] * (push_x * b[j] - push_y * a[j])
-        script_b[j] = lever[j] * (push_x * sine[j] - push_y * cosine[j]) - turning * along
+        work_x = lever[j] * push_x - reach[j] * tip_x
+        work_y = lever[j] * push_y - reach[j] * tip_y
+        script_a[j] = work_x * b[j] - work_y * a[j]
+        script_b[j] = work_x * sine[j] - work_y * cosine[j] - turning * along
         moment += script_a[j]
         script_a[j] -= turning * (a[j] * g1 + b[j] * g2) + shearing * along
     for i in range(first, count):
@@ -196,6 +203,7 @@ def _rate(tables, state, load, out):
             total = 0.0 if i else load[TORQUE]
             for j in range(nodes):
                 total += rotation[i, j] * script_a[j] + shear[i, j] * script_b[j]
+        total += tables.turn[i] * load[TIP_TORQUE]
         out[momenta + i] = total - tables.damping[i] * out[coordinates + i]
 
 

@@ -14,9 +14,11 @@ from timo_sim.physics.modes import modes_of
 from timo_sim.physics.quadrature import Quadrature
 
 # Columns of a load: forces on the carrier in world axes and in the shaft's axes [N], torque on the
-# shaft [N m]; angle, speed and acceleration of a driven shaft [rad], [rad/s], [rad/s2].
-FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE, ANGLE, SPEED, ACCELERATION = range(8)
-LOADS = 8
+# shaft [N m]; forces on the tip likewise [N], torque on the end effector [N m]; angle, speed and
+# acceleration of a driven shaft [rad], [rad/s], [rad/s2].
+(FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE, TIP_X, TIP_Y, TIP_I, TIP_II, TIP_TORQUE,
+ ANGLE, SPEED, ACCELERATION) = range(13)
+LOADS = 13
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,10 @@ import numpy as np
 
 from timo_sim.physics.etdrk4 import STAGES
 from timo_sim.physics.formulation import (
-    ACCELERATION, ANGLE, FORCE_X, FORCE_Y, LOADS, SPEED, TORQUE)
+    ACCELERATION, ANGLE, FORCE_X, FORCE_Y, LOADS, SPEED, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
 
-CHANNELS = {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE}
+CHANNELS = {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE, 'tip_force_x': TIP_X,
+            'tip_force_y': TIP_Y, 'tip_torque': TIP_TORQUE}
 
 
 @functools.lru_cache(maxsize=2)
@@ -148,7 +149,7 @@ class Load:
                     for term in terms if isinstance(term, Harmonic)), default=(0.0, ''))
 
     def stages(self, first, count, step):
-        """Return the loads of steps first, first + 1, ..., shape (count, 3, 8)."""
+        """Return the loads of steps first, first + 1, ..., shape (count, 3, 13)."""
         loads = np.zeros((count, STAGES, LOADS))
         for channel, terms in self.terms.items():
             for term in terms:

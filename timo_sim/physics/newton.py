@@ -21,6 +21,9 @@ and the reactions of the root on the carrier, in (31), (32), are integrals over 
     P(0) = -m_a alpha + theta'' a.q + 2 theta' a.q' + theta'^2 s         (T11)
     V(0) = -m_a beta - s theta'' - a.q'' + theta'^2 a.q                  (T12)
 
+A force (F_1, F_2) and a torque T on the tip add `l F_2 - w(l) F_1 + T` to the first row,
+`W_n(l) F_2 + Phi_n(l) T` to the others, F_1 to P(0) and F_2 to V(0) (T31).
+
 The formulations derived from this one change rows of these tables, see `Laws`. The first two rows
 have a constant matrix A for z = (theta'', q''). It is inverted once and leaves `z = z_0 - v beta`;
 beta follows from (31), (32), of which the rows of the axes along which the carrier is held are
@@ -35,7 +38,8 @@ import numpy as np
 from timo_sim.physics import etdrk4
 from timo_sim.physics.compiled import inner, local
 from timo_sim.physics.formulation import (
-    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Formulation, SPEED, TORQUE)
+    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, Formulation, SPEED, TIP_I, TIP_II,
+    TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
 from timo_sim.physics.sincos import sincos
 
 
@@ -57,6 +61,7 @@ class Laws(NamedTuple):
     shear_softening: np.ndarray  # U, (N,)
     shear_stress: np.ndarray    # Y, (N,)
     axial: np.ndarray           # e, (N,)
+    tip_share: float = 1.0      # of a load on the tip that shaft and V(0) see besides the modes
 
 
 class Tables(NamedTuple):
@@ -81,6 +86,7 @@ class Tables(NamedTuple):
     axes: np.ndarray            # along which the carrier is free
     anchor: np.ndarray          # where it is held, (2,)
     length: float               # l
+    tip_share: float            # of a load on the tip, see `Laws`
     sway: np.ndarray            # W_n at the tip, (N,)
     turn: np.ndarray            # Phi_n at the tip, (N,)
 
@@ -109,10 +115,20 @@ def _rate(tables, state, load, out):
     else:
         theta, omega = load[ANGLE], load[SPEED]
 
+    # A load on the tip, in turning axes, and its moment about the shaft.
+    sine, cosine = sincos(theta)
+    tip_1 = load[TIP_I] + cosine * load[TIP_X] + sine * load[TIP_Y]
+    tip_2 = load[TIP_II] - sine * load[TIP_X] + cosine * load[TIP_Y]
+    tip_moment = tables.tip_share * (
+        load[TIP_TORQUE] + tables.length * tip_2 - _dot(tables.sway, q) * tip_1)
+
     # z_0, without the modal stress, which is in the linear part.
     force, z = local((softening,)), local((softening,))
     for i in range(first, rows):
-        force[i] = 0.0 if i else load[TORQUE]
+        if i:
+            force[i] = tables.sway[i - 1] * tip_2 + tables.turn[i - 1] * load[TIP_TORQUE]
+        else:
+            force[i] = load[TORQUE] + tip_moment
         for n in range(count):
             force[i] += omega**2 * softening[i, n] * q[n]
         if first == 1:
@@ -132,11 +148,12 @@ def _rate(tables, state, load, out):
         swing += tables.swing[n] * stress
         linear_shear += tables.reaction[n] * stress
     bent = _dot(tables.axial, q)
-    axial = bent * swing + 2.0 * omega * _dot(tables.axial, qdot) + omega**2 * tables.lever
-    shear = linear_shear - _dot(tables.shear_row, z) + omega**2 * _dot(tables.shear_softening, q)
+    axial = (bent * swing + 2.0 * omega * _dot(tables.axial, qdot) + omega**2 * tables.lever
+             + tip_1)
+    shear = (linear_shear - _dot(tables.shear_row, z) + omega**2 * _dot(tables.shear_softening, q)
+             + tables.tip_share * tip_2)
 
     # (T15), solved for the carrier's acceleration in world axes.
-    sine, cosine = sincos(theta)
     tilt = bent * tables.response[0]  # -P(0) per beta
     force_x = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
     force_y = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
@@ -253,7 +270,7 @@ class Newton(Formulation):
             base_mass, self.arm_mass, self.lever, inverse, laws.matrix[:, 0], response,
             across, per_stress[0], reaction, in_linear, laws.softening, laws.shear_row,
             laws.shear_softening, laws.axial, stiffness, damping, self.axes, self.anchor,
-            self.manipulator.arm.length, self.points.deflection[:, -1],
+            self.manipulator.arm.length, laws.tip_share, self.points.deflection[:, -1],
             self.points.rotation[:, -1])
         return tables, linear
 

@@ -7,8 +7,8 @@ This is the literal reading of the paper's section 3.3: `V(0) = kappa G A (w' - 
 
     J_m theta'' = tau + b.r     V(0) = a.r                               (T17)
 
-in place of its rows for theta and V(0). What the modes left out weigh is lost: with N = 5 in the
-paper's scene 5 % of the arm's mass.
+in place of its rows for theta and V(0); a load on the tip acts on the modes and P(0) alone. What
+the modes left out weigh is lost: with N = 5 in the paper's scene 5 % of the arm's mass.
 """
 
 import numpy as np
@@ -34,4 +34,4 @@ class NewtonRootStress(Newton):
         return laws._replace(
             matrix=matrix, column=np.append(0.0, self.moment), softening=softening, stress=stress,
             shear_mass=0.0, shear_row=np.zeros_like(laws.column), shear_softening=none,
-            shear_stress=self.moment)
+            shear_stress=self.moment, tip_share=0.0)
