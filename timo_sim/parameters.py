@@ -235,6 +235,12 @@ _ALL = [
                   high=LATEST, scope=NODE),
     _not_negative('command_timeout', 0.0, 's', 'sim time after which a command without successor '
                   'falls to zero; 0: held for ever', high=LATEST, scope=NODE, runtime=True),
+    Parameter('sync', 'free', '', 'whether each sync_period waits for a command: wait; else free',
+              choices=('free', 'wait'), scope=NODE),
+    _positive('sync_period', 0.002, 's', 'sim time from one wait for a command to the next',
+              high=LATEST, scope=NODE),
+    _positive('sync_timeout', 1.0, 's', 'wall time after which a wait ends without a command; the '
+              'first has no end', high=LATEST, scope=NODE),
     Parameter('start_paused', False, '', 'whether the simulation waits for ~/pause or ~/step',
               scope=NODE),
     Parameter('step_count', 1, '', 'time steps of one call of ~/step', low=1, high=1000000,

@@ -11,6 +11,7 @@ _FIELDS = {
     'geometry_msgs/msg/PoseStamped': (*_HEADER, *7 * ['double']),
     'geometry_msgs/msg/WrenchStamped': (*_HEADER, *6 * ['double']),
     'std_msgs/msg/Float64': ('double',),
+    'std_msgs/msg/Float64MultiArray': ('dimensions', 'number', 'doubles'),
     'rosgraph_msgs/msg/Clock': ('stamp',),
 }
 TYPES = frozenset(_FIELDS)
@@ -33,8 +34,17 @@ class Layout(NamedTuple):
     size: int            # without the padding that some writers add
     stamp: int | None    # of seconds, nanoseconds follow
     doubles: list        # of each number
+    lists: list          # how many numbers are in each list; fields in a row are one
     texts: list          # values
     fixed: list
+
+    def split(self, numbers):
+        """Return numbers as the lists in which they are."""
+        parts, place = [], 0
+        for length in self.lists:
+            parts.append(numbers[place:place + length])
+            place += length
+        return parts
 
     def meant(self):
         """Return the places of all bytes that mean something: none of those in between."""
@@ -45,7 +55,7 @@ class Layout(NamedTuple):
 class _Walk:
     def __init__(self, data):
         self._data, self.place = data, _START
-        self.found = Layout(0, None, [], [], [0, 1])
+        self.found = Layout(0, None, [], [], [], [0, 1])
         if bytes(data[:2]) != _LITTLE_ENDIAN:
             raise CdrError(f'its encoding is {bytes(data[:2])!r}, not {_LITTLE_ENDIAN!r}')
 
@@ -75,10 +85,23 @@ class _Walk:
         for _ in range(self._count()):
             self.string()
 
+    def number(self):
+        self._count()
+
+    def dimensions(self):
+        for _ in range(self._count()):
+            self.string()
+            self.number()  # its size
+            self.number()  # its stride
+
     def double(self):
+        if not self.found.lists:
+            self.found.lists.append(0)
+        self.found.lists[-1] += 1
         self.found.doubles.append(self._pass(8, 8))
 
     def doubles(self):
+        self.found.lists.append(0)
         for _ in range(self._count()):
             self.double()
 

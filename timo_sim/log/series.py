@@ -34,6 +34,7 @@ class Series:
     log_ns : ndarray of int64, shape (n,)
         When a message was logged.
     values : ndarray, shape (n, k)
+        NaN for what a command does not speak for.
     refused : int
         Commands that are left out, because the node refuses them.
     place : ndarray of int64, shape (n,)
@@ -130,10 +131,10 @@ class Collector:
     def _numbers(self, found, which, rows):
         if self._command:
             values = _doubles(rows, found.doubles)
-            kept, loads, frame = [], [], found.texts[0] if found.texts else ''
+            kept, loads = [], []
             for number, row in enumerate(values.tolist()):
                 try:
-                    loads.append(self._command.load(frame, row))
+                    loads.append(self._command.row(found.texts, found.split(row)))
                     kept.append(number)
                 except Refused:
                     self.refused += 1

@@ -80,7 +80,7 @@ class Replay:
                 return
             while commands[begun][0] <= step:
                 _, index, values, data = commands[begun]
-                held[COMMANDS[index].columns] = values
+                COMMANDS[index].apply(values, held)
                 if self._sink:
                     self._sink.command(index, step, simulator.nanoseconds, data)
                 begun += 1

@@ -2,9 +2,10 @@
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
-from std_msgs.msg import Float64
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
 
-from timo_sim.commands import Refused
+from timo_sim.commands import COMMANDS, INPUTS, Refused
 from timo_sim.log.recorder import Channel
 
 QUEUE = 10  # commands that may wait on a topic
@@ -12,13 +13,21 @@ QUEUE = 10  # commands that may wait on a topic
 
 def _wrench(message):
     force, torque = message.wrench.force, message.wrench.torque
-    return message.header.frame_id, (force.x, force.y, force.z, torque.x, torque.y, torque.z)
+    return [message.header.frame_id], [
+        (force.x, force.y, force.z, torque.x, torque.y, torque.z)]
 
 
-# Type of the messages of a command, and what returns frame and numbers of one.
-_MESSAGES = {
-    '~/carrier_wrench': (WrenchStamped, _wrench),
-    '~/motor_torque': (Float64, lambda message: ('', (message.data,))),
+def _joints(message):
+    return [message.header.frame_id, *message.name], [
+        message.position, message.velocity, message.effort]
+
+
+# By type of a command: what returns texts and lists of numbers of a message.
+_READ = {
+    'geometry_msgs/msg/WrenchStamped': (WrenchStamped, _wrench),
+    'std_msgs/msg/Float64': (Float64, lambda message: ([], [(message.data,)])),
+    'sensor_msgs/msg/JointState': (JointState, _joints),
+    'std_msgs/msg/Float64MultiArray': (Float64MultiArray, lambda message: ([], [message.data])),
 }
 
 
@@ -30,42 +39,45 @@ class Inlet:
 
     Attributes
     ----------
+    command : Command
     channel : Channel
         Of the log.
-    refused, stale : int
-        Commands not applied; commands that fell to zero.
+    pending : tuple or None
+        What waits to act: row of the command, message, and its stamp [ns] (0: none).
+    refused : int
+        Commands not applied.
 
     """
 
     def __init__(self, node, command):
-        self._command = command
-        self._type, self._read = _MESSAGES[command.name]
+        self.command = command
+        self.type, self._read = _READ[command.type_name]
         # A logger of its own: warnings are throttled for each.
-        self._logger = node.get_logger().get_child(command.name.removeprefix('~/'))
+        self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
         self._subscription = node.create_subscription(
-            self._type, command.name, self._receive, QUEUE, raw=True)
+            self.type, command.name, self._receive, QUEUE, raw=True)
         self.channel = Channel(self._subscription.topic_name, command.type_name)
-        self._pending = None
-        self._since = None  # step from which the command in force has acted
+        self.pending = None
         self.refused = 0
-        self.stale = 0
 
     def _receive(self, data):
         try:
-            values = self._command.load(*self._read(self._decoded(data)))
+            message = self._decoded(data)
+            row = self.command.row(*self._read(message))
         except Refused as reason:
             self.refused += 1
-            self._logger.warning(
+            self.logger.warning(
                 f'command refused, {reason}; the last one stays in force',
                 throttle_duration_sec=5.0)
             return
-        self._pending = values, data
+        stamp = message.header.stamp if hasattr(message, 'header') else None
+        self.pending = row, data, stamp and 1000000000 * stamp.sec + stamp.nanosec or 0
 
     def _decoded(self, data):
         try:
-            return deserialize_message(data, self._type)
+            return deserialize_message(data, self.type)
         except RuntimeError:  # what rclpy raises
-            raise Refused(f'it is not a serialised {self._command.type_name}') from None
+            raise Refused(f'it is not a serialised {self.command.type_name}') from None
 
     def poll(self):
         """Receive what has arrived."""
@@ -73,50 +85,104 @@ class Inlet:
         with handle:
             # No more than waited at first: a fast publisher would keep this up for ever.
             for _ in range(QUEUE):
-                taken = handle.take_message(self._type, True)
+                taken = handle.take_message(self.type, True)
                 if taken is None:
                     break
                 self._receive(taken[0])
 
+
+class Commands:
+    """
+    All command topics of a node, and which of them each input obeys.
+
+    Parameters
+    ----------
+    node : Node
+
+    Attributes
+    ----------
+    channels : list of Channel
+        Of the log, in the order of COMMANDS.
+    stale : int
+        Inputs that fell to zero.
+
+    """
+
+    def __init__(self, node):
+        self._inlets = [Inlet(node, command) for command in COMMANDS]
+        self.channels = [inlet.channel for inlet in self._inlets]
+        self.stale = 0
+        # Of each input that obeys a command: its inlet, and the step from which it has acted.
+        self._obeyed = {}
+
+    @property
+    def refused(self):
+        """Commands not applied."""
+        return sum(inlet.refused for inlet in self._inlets)
+
+    def poll(self):
+        """Receive what has arrived."""
+        for inlet in self._inlets:
+            inlet.poll()
+
     def apply(self, step, timeout_steps, held):
         """
-        Let what was received act from this step on, or what is too old end.
+        Let what was received act from this step on, and what is too old end.
 
         Parameters
         ----------
         step : int
         timeout_steps : int
-            Steps after which a command falls to zero; 0: never.
-        held : ndarray, shape (5,)
+            Steps after which an input falls to zero; 0: never.
+        held : ndarray
             The load in force, updated in place.
 
         Returns
         -------
-        bytes or None
-            The command that starts to act, CDR.
+        list of tuple
+            Index in COMMANDS and message, CDR, of each command that starts to act.
 
         """
-        pending, self._pending = self._pending, None
-        if pending is not None:
-            values, data = pending
-            held[self._command.columns] = values
-            self._since = step
-            return data
-        end = self.end(timeout_steps)
-        if end is None or step < end:
-            return None
-        self.stale += 1
-        self._logger.warning(
-            f'no command for {timeout_steps} steps, the input falls to zero',
-            throttle_duration_sec=5.0)
-        self.clear(held)
-        return serialize_message(self._type())
+        started = []
+        for index, inlet in enumerate(self._inlets):
+            if inlet.pending is not None:
+                row, data, _ = inlet.pending
+                inlet.pending = None
+                for key in inlet.command.apply(row, held):
+                    self._obeyed[key] = inlet, step
+                started.append((index, data))
+        if timeout_steps:
+            for key, (inlet, since) in list(self._obeyed.items()):
+                if step >= since + timeout_steps:
+                    del self._obeyed[key]
+                    self.stale += 1
+                    inlet.logger.warning(
+                        f'no command for {timeout_steps} steps, the {key} input falls to zero',
+                        throttle_duration_sec=5.0)
+                    held[list(INPUTS[key])] = 0.0
+                    index = list(INPUTS).index(key)  # the topic of this input alone
+                    started.append((index, serialize_message(self._inlets[index].type())))
+        return started
 
     def end(self, timeout_steps):
-        """Return the step at which the command in force falls to zero, or None."""
-        return self._since + timeout_steps if timeout_steps and self._since is not None else None
+        """Return the steps at which inputs fall to zero, a list."""
+        return [since + timeout_steps for _, since in self._obeyed.values()
+                ] if timeout_steps else []
 
     def clear(self, held):
         """Drop what is in force and what waits."""
-        held[self._command.columns] = 0.0
-        self._since = self._pending = None
+        held[:] = 0.0
+        self._obeyed = {}
+        for inlet in self._inlets:
+            inlet.pending = None
+
+    def answers(self, nanoseconds):
+        """
+        Return whether a command waits that may answer the state at a sim time [ns].
+
+        One that is stamped with another time is dropped: it answers another state.
+        """
+        for inlet in self._inlets:
+            if inlet.pending is not None and inlet.pending[2] not in (0, nanoseconds):
+                inlet.pending = None
+        return any(inlet.pending is not None for inlet in self._inlets)

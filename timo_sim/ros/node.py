@@ -12,7 +12,6 @@ from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool, Trigger
 
 from timo_sim.accuracy import settle
-from timo_sim.commands import COMMANDS
 from timo_sim.log.notes import Peak, RESET, start_note, START, SUMMARY
 from timo_sim.log.recorder import Recorder
 from timo_sim.outputs import NANOSECONDS, outputs, Snapshot
@@ -20,8 +19,9 @@ from timo_sim.parameters import (
     changed, LATEST, ParameterError, RATES, short, whole_ratio)
 from timo_sim.physics.formulation import LOADS
 from timo_sim.ros import diagnostics
-from timo_sim.ros.commands import Inlet
+from timo_sim.ros.commands import Commands
 from timo_sim.ros.pacing import Pace
+from timo_sim.ros.gate import Gate
 from timo_sim.ros.parameters import declare_parameters, on_set
 from timo_sim.ros.topics import MotionOutlet, Outlet
 from timo_sim.scene import scene_from
@@ -31,6 +31,8 @@ from timo_sim.simulation import DivergenceError, Simulator
 _BATCH = 500
 # How often a paused or sleeping loop looks at its flags [s].
 _PAUSED_POLL, _LONGEST_SLEEP = 0.01, 0.1
+# The same while a step waits for a command, and how often the first state is shown again [s].
+_COMMAND_POLL, _SHOWN_AGAIN = 1e-4, 0.2
 _TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees it jump'
 
 
@@ -83,9 +85,11 @@ class SimNode(Node):
         self._recorder, self._log_error, self._cautioned = None, None, None
         self._peak = Peak()
         self._foreign_clock, self.failed_calls = False, 0
+        self._shown = -math.inf
         self._health = diagnostics.Health(self.get_fully_qualified_name())
 
-        self._inlets = [Inlet(self, command) for command in COMMANDS]
+        self._commands = Commands(self)
+        self._gate = Gate(self._sync_period(), self._values['sync_timeout'])
         self._outlets = [MotionOutlet(self, output)
                          for output in outputs(scene.values['model.modes'])
                          if output.name != '/clock' or self._values['publish_clock']]
@@ -176,12 +180,13 @@ class SimNode(Node):
             self._live.offer(now, self._simulator, lambda: self._snapshot().effort)
         if self._paused:
             return _PAUSED_POLL
-        if self._pace.free:
-            self._advance(_BATCH)
-            return 0.0
+        free = self._pace.free
         # The rest of what is due comes with the next tick, after whoever waits for the lock.
-        self._advance(min(self._pace.due(self._simulator.steps, now), _BATCH))
-        return self._pace.deadline(self._simulator.steps) - time.monotonic()
+        self._advance(_BATCH if free else min(
+            self._pace.due(self._simulator.steps, now), _BATCH))
+        if self._gate.waiting:
+            return _COMMAND_POLL
+        return 0.0 if free else self._pace.deadline(self._simulator.steps) - time.monotonic()
 
     def _advance(self, count):
         """Do steps; apply commands and publish on the way."""
@@ -189,6 +194,8 @@ class SimNode(Node):
         goal = min(simulator.steps + count, self._end)
         while simulator.steps < goal and not self._stop.set:
             first = simulator.steps
+            if self._gate and self._waits(first):
+                return
             self._apply_commands(first)
             last = first + 1
             if goal > last:
@@ -202,21 +209,39 @@ class SimNode(Node):
             self._applied = simulator.load.tolist()
             self._publish()
 
+    def _waits(self, step):
+        """Return whether a step waits for the controller's command."""
+        now = time.monotonic()
+        closed = self._gate.closed(step, now,
+                                   self._commands.answers(self._simulator.nanoseconds))
+        if closed and self._gate.first and now >= self._shown + _SHOWN_AGAIN:
+            # Until the controller is there, and has seen the state that it shall answer.
+            self._shown = now
+            self._look()
+            self._publish(everything=True)
+        return closed
+
+    def _sync_period(self):
+        if self._values['sync'] == 'free':
+            return 0
+        return whole_ratio('sync_period', self._values['sync_period'], 'integrator.step',
+                           self._step)
+
     def _poll(self):
-        for inlet in self._inlets:
-            inlet.poll()
+        self._commands.poll()
 
     def _next_event(self, step):
-        # The next step at which something is published or a command falls to zero.
+        # The next step at which something is published or a command may begin or fall to zero.
         events = [step - step % outlet.every + outlet.every for outlet in self._outlets
                   if outlet.wanted]
-        ends = [inlet.end(self._timeout_steps) for inlet in self._inlets]
-        return min(events + [end for end in ends if end is not None], default=math.inf)
+        events += self._commands.end(self._timeout_steps)
+        return max(step + 1, min([*events, self._gate.following(step)]))
 
     def _apply_commands(self, step):
-        for index, inlet in enumerate(self._inlets):
-            data = inlet.apply(step, self._timeout_steps, self._held)
-            if data is not None and self._recorder is not None:
+        if not self._gate.boundary(step):
+            return
+        for index, data in self._commands.apply(step, self._timeout_steps, self._held):
+            if self._recorder is not None:
                 self._recorder.write(index, step, self._simulator.nanoseconds, data)
 
     def _publish(self, everything=False):
@@ -269,9 +294,10 @@ class SimNode(Node):
         return {
             'overruns': self._pace.overruns,
             'dropped_time_s': self._pace.dropped_steps * self._step,
-            'refused_commands': sum(inlet.refused for inlet in self._inlets),
-            'stale_commands': sum(inlet.stale for inlet in self._inlets),
+            'refused_commands': self._commands.refused,
+            'stale_commands': self._commands.stale,
             'failed_calls': self.failed_calls,
+            'missed_commands': self._gate.missed,
             'coarse_steps': self._simulator.control.coarse}
 
     def _pass_on_caution(self):
@@ -321,8 +347,8 @@ class SimNode(Node):
         with self._lock:
             self._look()
             self._simulator.reset()
-            for inlet in self._inlets:
-                inlet.clear(self._held)
+            self._commands.clear(self._held)
+            self._gate.restart()
             self._applied = [0.0] * LOADS
             self._diverged = None
             if self._recorder is not None:
@@ -353,7 +379,7 @@ class SimNode(Node):
     def _open_log(self):
         path = self._values['record_file'] or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap'
         outlets = [outlet for outlet in (*self._outlets, self._health_outlet) if outlet.logged]
-        channels = [point.channel for point in [*self._inlets, *outlets]]
+        channels = [*self._commands.channels, *(outlet.channel for outlet in outlets)]
         try:
             self._recorder = Recorder(path, channels, {
                 START: start_note(self.get_fully_qualified_name(), self._values,
@@ -362,7 +388,7 @@ class SimNode(Node):
             self._log_error = f'no log is written to {path}: {error}'
             self.get_logger().error(self._log_error)
             return
-        for index, outlet in enumerate(outlets, start=len(self._inlets)):
+        for index, outlet in enumerate(outlets, start=len(self._commands.channels)):
             outlet.recorder, outlet.index = self._recorder, index
         for outlet in self._outlets:
             if outlet.name == '~/tip_deflection':

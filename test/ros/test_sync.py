@@ -1,0 +1,136 @@
+"""Lock step: the node waits for a controller in another process, and the bits are the same."""
+
+from contextlib import contextmanager
+from pathlib import Path
+import subprocess
+import sys
+
+from geometry_msgs.msg import WrenchStamped
+import numpy as np
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+import timo_sim
+from timo_sim.log.recording import Recording
+from timo_sim.physics.formulation import LOADS, TORQUE
+from timo_sim.replay.command import replay
+from timo_sim.simulation import Simulator
+
+EXAMPLE = Path(__file__).resolve().parents[2] / 'example'
+sys.path.append(str(EXAMPLE))
+PERIOD, DURATION = 0.002, 1.0
+
+
+@contextmanager
+def controller(name):
+    """Run a controller in a process of its own."""
+    process = subprocess.Popen([sys.executable, EXAMPLE / f'{name}.py'], stdout=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@contextmanager
+def busy():
+    """Keep the cores busy."""
+    processes = [subprocess.Popen([sys.executable, '-c', 'while True: pass']) for _ in range(3)]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def test_a_controlled_run_has_the_same_bits_on_a_busy_machine(start):
+    """And they are those of the same controller written in a loop."""
+    from pd import GOAL, torque
+    found = []
+    for number in range(2):
+        node = start(sync='wait', sync_period=PERIOD, duration=DURATION, real_time_factor=0.0,
+                     sync_timeout=60.0, record_file=f'run{number}.mcap',
+                     **{'rate.joint_states': 500.0, 'initial.shaft': 0.5})
+        with controller('pd'):
+            if number:
+                with busy():
+                    assert node.wait()[0] == 0
+            else:
+                assert node.wait()[0] == 0
+        log = node.log.with_name(f'run{number}.mcap')
+        recording = Recording(log)
+        states, commands = (recording.topics[name] for name in ('joint_states',
+                                                                '~/joint_command'))
+        # The first state is shown until there is an answer.
+        found.append(states.values[np.append(np.diff(states.step) > 0, True)])
+        assert np.array_equal(commands.step, np.arange(0, 1000, 2))
+        assert recording.summary['missed_commands'] == '0'
+        lines = []
+        assert replay(log, show=lines.append), lines
+    assert np.array_equal(*found)
+
+    simulator = Simulator(timo_sim.load_scene({'initial.shaft': 0.5}))
+    expected, held = [], np.zeros(LOADS)
+    for _ in range(501):
+        motion = simulator.motion()
+        expected.append(motion[[0, 1, 2, 6, 7, 8]])
+        held[TORQUE] = torque(motion[2], motion[8], 0.5 + GOAL)
+        simulator.advance(2, held)
+    assert np.array_equal(found[0][:, :6], expected)
+
+
+def test_a_wait_ends_after_its_time_and_is_counted(start, client):
+    """A controller that answers the first state only; later commands for it are dropped."""
+    node = start(sync='wait', sync_period=0.1, sync_timeout=0.05, duration=1.0)
+    states = client.collect(JointState, '/joint_states')
+    command = client.command(JointState, '/timo_sim/joint_command')
+    client.wait(lambda: len(states) > 1, 'the first state, twice')
+    assert {(state.header.stamp.sec, state.header.stamp.nanosec) for state in states} == {(0, 0)}
+    late = JointState(name=['shaft'], effort=[5.0])
+    late.header.stamp.sec = 7
+    command.publish(late)
+    client.wait(lambda: len(states) > 3, 'states: what is stamped with another time is no answer')
+    assert states[-1].header.stamp.sec == states[-1].header.stamp.nanosec == 0
+    torque = client.command(Float64, '/timo_sim/motor_torque')
+
+    def begins():
+        torque.publish(Float64(data=1.0))
+        return states[-1].header.stamp.nanosec > 0
+    client.wait(begins, 'the run')
+    assert node.wait()[0] == 0
+    assert 1 <= int(Recording(node.log).summary['missed_commands']) <= 9
+
+
+def test_who_speaks_last_for_an_input_is_obeyed(start, client):
+    """Each input by itself; the others stay as they are; each falls to zero by itself."""
+    node = start(command_timeout=0.0)
+    states = client.collect(JointState, '/joint_states')
+    publishers = {
+        kind: client.command(kind_type, f'/timo_sim/{kind}') for kind, kind_type in (
+            ('carrier_wrench', WrenchStamped), ('motor_torque', Float64),
+            ('joint_command', JointState))}
+
+    def obeyed(kind, message, effort):
+        def sent():
+            publishers[kind].publish(message)
+            return states and states[-1].effort.tolist() == effort
+        client.wait(sent, f'{effort} after {kind}')
+
+    push = WrenchStamped()
+    push.wrench.force.x = 3.0
+    obeyed('carrier_wrench', push, [3.0, 0.0, 0.0])
+    obeyed('motor_torque', Float64(data=1.0), [3.0, 0.0, 1.0])
+    obeyed('joint_command', JointState(name=['shaft'], effort=[2.0]), [3.0, 0.0, 2.0])
+    obeyed('joint_command', JointState(name=['carrier_y'], effort=[4.0]), [0.0, 4.0, 2.0])
+    obeyed('motor_torque', Float64(data=-1.0), [0.0, 4.0, -1.0])
+    for message in (JointState(name=['elbow'], effort=[1.0]), JointState(name=['shaft']),
+                    JointState(name=['shaft', 'shaft'], effort=[1.0, 2.0]),
+                    JointState(name=['shaft'], effort=[float('nan')])):
+        publishers['joint_command'].publish(message)
+    obeyed('motor_torque', Float64(data=0.5), [0.0, 4.0, 0.5])
+    assert node.end()[0] == 0
+    recording = Recording(node.log)
+    assert recording.summary['refused_commands'] == '4'
+    lines = []
+    assert replay(node.log, show=lines.append), lines
