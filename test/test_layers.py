@@ -14,6 +14,7 @@ BELOW = {
     'parameters': {'physics'},
     'scene': {'physics', 'parameters'},
     'commands': {'physics'},
+    'linear': {'physics', 'parameters'},
     'outputs': {'physics'},
     'run': {'physics', 'scene'},
     'simulation': {'physics', 'parameters', 'scene', 'run', 'accuracy',

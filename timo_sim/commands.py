@@ -103,7 +103,7 @@ class Command(NamedTuple):
         return tuple(name for key in self.inputs for name in INPUTS[key].values())
 
     def row(self, texts, lists):
-        """Return values for its columns, NaN where it does not speak, ndarray; or raise Refused."""
+        """Return values for its columns, NaN where it does not speak, or raise Refused."""
         found = self.load(texts, lists)
         return np.concatenate([found.get(key, [math.nan] * len(INPUTS[key]))
                                for key in self.inputs])

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.physics.formulation import FORCE_X, FORCE_Y, TORQUE
+from timo_sim.physics.load import CHANNELS
 
 POINTS = 41     # of the centre line that is drawn
 BLOCK = 1024    # samples that are worked out at once: what they need stays near the processor
@@ -105,7 +106,7 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True):
     resets : array_like of int
         Samples that don't follow from the one before.
     balanced : bool
-        Whether the work of the loads is worked out, too.
+        Whether the work of the loads is worked out, too; that of a load on the tip is not known.
 
     Returns
     -------
@@ -132,7 +133,8 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True):
         *_joint_traces(trace, motion[:, :3], motion[:, half:half + 3], effort),
         trace('modal', modes, lambda part: motion[part, 3:half])]
     energy = _in_blocks(formulation.energy, motion)
-    if balanced and scene.values['motor.shaft'] != 'driven':
+    pushed = any(scene.load.terms[channel] for channel in CHANNELS if channel.startswith('tip'))
+    if balanced and not pushed and scene.values['motor.shaft'] != 'driven':
         done = work(ns, motion[:, :3], motion[:, half:half + 3], effort)
         gained = np.diff(energy)
         gained[np.asarray(resets, dtype=int) - 1] = 0.0
@@ -183,7 +185,8 @@ def of_recording(recording, name):
         If what a shape needs is not on it.
 
     """
-    scene, series = recording.scene, recording.read('joint_states', '~/modal_state')
+    scene, series = recording.scene, recording.read(
+        'joint_states', '~/modal_state', '~/tip_wrench')
     joints = series.get('joint_states')
     if joints is None or not len(joints.ns):
         raise TrackError(f'{recording.path} has no joint_states: there is nothing to show')
@@ -198,7 +201,8 @@ def of_recording(recording, name):
     resets = np.searchsorted(step, recording.resets, side='right') - 1
     resets += step[resets] < recording.resets
     return of_motion(name, scene, ns, motion, joints.values[place, 6:9],
-                     resets[(0 < resets) & (resets < len(ns))])
+                     resets[(0 < resets) & (resets < len(ns))],
+                     '~/tip_wrench' not in series or not len(series['~/tip_wrench'].ns))
 
 
 def unique_names(names):

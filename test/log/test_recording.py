@@ -12,6 +12,7 @@ from rosbags.typesys import get_typestore, Stores
 
 from ros_process import Process
 import timo_sim
+from timo_sim.commands import COMMANDS
 from timo_sim.log.info import info
 from timo_sim.log.reader import LogError
 from timo_sim.log.recording import common, Recording
@@ -40,7 +41,7 @@ def test_series_are_what_another_reader_finds(log):
     assert recording.name == '/left/timo_sim' and not len(recording.resets)
     topics = recording.topics
     assert set(topics) == {'joint_states', '~/modal_state', '~/tip_deflection', '~/tip_pose',
-                           '~/carrier_pose', '~/carrier_wrench', '~/motor_torque'}
+                           '~/carrier_pose', *(command.name for command in COMMANDS)}
     found = {name: [] for name in topics}
     for message in read_ros2_messages(str(log)):
         if message.channel.topic != '/diagnostics':

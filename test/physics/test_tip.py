@@ -18,3 +18,29 @@ def test_tip_is_the_end_of_the_centre_line(name, modes):
     # Sums of ten terms in another order.
     assert (along, across) == pytest.approx(formulation.centre_line(q, end)[0, 0], abs=1e-14)
     assert rotation == pytest.approx(formulation.section_rotation(q, end)[0, 0], abs=1e-14)
+
+
+def test_a_load_on_the_tip_does_its_work_and_gives_its_momentum():
+    """Constant force and torque on the end effector of an arm that turns and bends far."""
+    force, torque = np.array([6.0, -4.0]), 3.0
+    scene = timo_sim.load_scene({
+        'initial.shaft_velocity': 1.0, 'initial.modal_rates': [4.0, 1.0, 0.0],
+        **{f'load.tip_{name}.piecewise.{key}': [value] for name, size in (
+            ('force_x', force[0]), ('force_y', force[1]), ('torque', torque))
+           for key, value in (('time', 0.0), ('value', size))}})
+    run = timo_sim.simulate(scene, 2.0)
+    tip = run.position(2.0)
+    turn = run.shaft + run.rotation(2.0)
+    assert np.abs(run.deflection(2.0)[:, 1]).max() > 0.1
+    # A constant load does the work that its end points say.
+    work = (tip - tip[0]) @ force + torque * (turn - turn[0])
+    energy = run.energy()
+    assert np.abs(energy - energy[0] - work).max() < 1e-8 * energy.max()
+    momentum = run.momentum() - run.momentum()[0]
+    assert np.abs(momentum[:, :2] - np.outer(run.t, force)).max() < 1e-10
+    moment = tip[:, 0] * force[1] - tip[:, 1] * force[0] + torque
+    # Boole's rule over four steps.
+    gained = sum(weight * moment[k:len(moment) - 4 + k:4] for k, weight in enumerate(
+        (7.0, 32.0, 12.0, 32.0))) + 7.0 * moment[4::4]
+    gained = np.cumsum(gained) * 4.0 * scene.step / 90.0
+    assert np.abs(momentum[4::4, 2] - gained).max() < 1e-9

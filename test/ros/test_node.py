@@ -147,7 +147,7 @@ def test_commands_go_stale(start, client):
     span = seconds(acted[-1].header.stamp) - seconds(acted[0].header.stamp)
     assert 0.18 <= span <= 0.2  # sampled every 10 ms
     code, output = node.end()
-    assert code == 0 and output.count('the input falls to zero') == 1
+    assert code == 0 and output.count('the shaft input falls to zero') == 1
 
 
 def test_parameters_at_run_time(start, client):

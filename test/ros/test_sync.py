@@ -8,7 +8,7 @@ import sys
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 
 import timo_sim
 from timo_sim.log.recording import Recording
@@ -109,7 +109,8 @@ def test_who_speaks_last_for_an_input_is_obeyed(start, client):
     publishers = {
         kind: client.command(kind_type, f'/timo_sim/{kind}') for kind, kind_type in (
             ('carrier_wrench', WrenchStamped), ('motor_torque', Float64),
-            ('joint_command', JointState))}
+            ('tip_wrench', WrenchStamped), ('joint_command', JointState),
+            ('commands', Float64MultiArray))}
 
     def obeyed(kind, message, effort):
         def sent():
@@ -124,13 +125,18 @@ def test_who_speaks_last_for_an_input_is_obeyed(start, client):
     obeyed('joint_command', JointState(name=['shaft'], effort=[2.0]), [3.0, 0.0, 2.0])
     obeyed('joint_command', JointState(name=['carrier_y'], effort=[4.0]), [0.0, 4.0, 2.0])
     obeyed('motor_torque', Float64(data=-1.0), [0.0, 4.0, -1.0])
+    publishers['tip_wrench'].publish(push)  # replayed below
+    publishers['commands'].publish(Float64MultiArray(data=[1.0, 2.0]))
     for message in (JointState(name=['elbow'], effort=[1.0]), JointState(name=['shaft']),
                     JointState(name=['shaft', 'shaft'], effort=[1.0, 2.0]),
                     JointState(name=['shaft'], effort=[float('nan')])):
         publishers['joint_command'].publish(message)
     obeyed('motor_torque', Float64(data=0.5), [0.0, 4.0, 0.5])
+    obeyed('commands', Float64MultiArray(data=[1.0, 2.0, 3.0]), [1.0, 2.0, 3.0])
     assert node.end()[0] == 0
     recording = Recording(node.log)
-    assert recording.summary['refused_commands'] == '4'
+    assert recording.summary['refused_commands'] == '5'
+    assert recording.topics['~/tip_wrench'].values.tolist() == [[3.0, 0.0, 0.0, 0.0, 0.0]]
+    assert np.isnan(recording.topics['~/joint_command'].values).any()
     lines = []
     assert replay(node.log, show=lines.append), lines
