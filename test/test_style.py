@@ -9,7 +9,8 @@ from catkin_pkg.package import parse_package
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = [folder for folder in ('timo_sim', 'test', 'launch', 'benchmark', 'doc', 'setup.py')
+FOLDERS = [folder for folder in ('timo_sim', 'test', 'launch', 'benchmark', 'doc', 'example',
+                              'setup.py')
            if (ROOT / folder).exists()]
 
 

@@ -31,7 +31,7 @@ def test_a_load_on_the_tip_does_its_work_and_gives_its_momentum():
     run = timo_sim.simulate(scene, 2.0)
     tip = run.position(2.0)
     turn = run.shaft + run.rotation(2.0)
-    assert np.abs(run.deflection(2.0)[:, 1]).max() > 0.1
+    assert np.abs(run.deflection(2.0)[:, 1]).max() > 0.08
     # A constant load does the work that its end points say.
     work = (tip - tip[0]) @ force + torque * (turn - turn[0])
     energy = run.energy()

@@ -182,7 +182,7 @@ class SimNode(Node):
             return _PAUSED_POLL
         free = self._pace.free
         # The rest of what is due comes with the next tick, after whoever waits for the lock.
-        self._advance(_BATCH if free else min(
+        self._advance(1 if self._gate.waiting else _BATCH if free else min(
             self._pace.due(self._simulator.steps, now), _BATCH))
         if self._gate.waiting:
             return _COMMAND_POLL
@@ -211,9 +211,11 @@ class SimNode(Node):
 
     def _waits(self, step):
         """Return whether a step waits for the controller's command."""
-        now = time.monotonic()
+        now, first = time.monotonic(), self._gate.first
         closed = self._gate.closed(step, now,
                                    self._commands.answers(self._simulator.nanoseconds))
+        if first and not closed:
+            self._pace.start(step, now)  # the run begins now
         if closed and self._gate.first and now >= self._shown + _SHOWN_AGAIN:
             # Until the controller is there, and has seen the state that it shall answer.
             self._shown = now
