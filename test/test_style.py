@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = [folder for folder in ('timo_sim', 'test', 'launch', 'benchmark', 'doc', 'example',
-                              'setup.py')
+                                 'setup.py')
            if (ROOT / folder).exists()]
 
 

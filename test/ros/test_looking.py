@@ -15,6 +15,7 @@ from rerun.chunk import RrdReader
 from visualization_msgs.msg import Marker
 
 import timo_sim
+from timo_sim.commands import JOINTS
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -113,6 +114,12 @@ def test_the_urdf_has_the_joints_and_bodies_of_the_paper(paper):
     assert float(joints['tip'].find('origin').get('xyz').split()[0]) == length
     assert links['arm'].find('visual/geometry/box').get('size') == (
         f'{length:g} {section.height:g} {section.width:g}')
+    # What ros2_control sends and reads is what the node obeys and publishes.
+    control = robot.find('ros2_control')
+    assert tuple(joint.get('name') for joint in control.findall('joint')) == JOINTS
+    topics = {entry.get('name'): entry.text for entry in control.findall('hardware/param')}
+    assert topics['joint_commands_topic'] == '/timo_sim/joint_command'
+    assert topics['joint_states_topic'] == '/joint_states'
 
 
 def test_launch_files_are_python_and_name_what_is_installed():
