@@ -53,7 +53,7 @@ setup(
             'timo_sim = timo_sim.cli:main',
             # For `ros2 run timo_sim ...`, the same functions.
             *(f'{name} = timo_sim.cli:{name}' for name in (
-                'export', 'info', 'recover', 'replay', 'view')),
+                'bode', 'export', 'info', 'recover', 'replay', 'view')),
         ],
     },
 )

@@ -26,7 +26,7 @@ BELOW = {
     'sweep': {'physics', 'parameters', 'scene', 'simulation', ''},
     'track': {'physics', 'scene'},
     'view': {'track', 'scene'},
-    'cli': {'parameters', 'log', 'replay', 'sweep', 'track', 'view'},
+    'cli': {'parameters', 'scene', 'linear', 'log', 'replay', 'sweep', 'track', 'view'},
     'log': {'commands', 'outputs', 'parameters', 'scene', ''},
     'ros': {'physics', 'commands', 'outputs', 'parameters', 'scene', 'simulation', 'accuracy',
             'log', 'view', ''},

@@ -1,10 +1,12 @@
 """Linear models against closed forms, and against the nonlinear simulation nearby."""
 
+from click.testing import CliRunner
 import numpy as np
 import pytest
 import scipy.linalg
 
 import timo_sim
+from timo_sim.cli import main
 from timo_sim.physics.formulation import LOADS
 from timo_sim.physics.quadrature import Quadrature
 from timo_sim.simulation import Simulator
@@ -140,8 +142,33 @@ def test_selection_and_state_space():
         'carrier_x_m', 'carrier_y_m', 'shaft_rad', 'mode_1_m_sqrt_kg', 'mode_2_m_sqrt_kg',
         'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s', 'shaft_velocity_rad_per_s',
         'mode_1_rate_m_sqrt_kg_per_s', 'mode_2_rate_m_sqrt_kg_per_s')
-    with pytest.raises(ValueError, match="output 'tip' is none of carrier_x_m, "):
+    with pytest.raises(timo_sim.ParameterError, match="output 'tip' is none of carrier_x_m, "):
         model.select(outputs=['tip'])
+
+
+def test_response_to_a_torque_is_the_sum_of_that_of_the_modes():
+    """Carrier held: a rigid body at low frequencies, then eight resonances."""
+    scene = timo_sim.load_scene({'model.formulation': 'newton', 'model.modes': 8,
+                                 'carrier.held': 'both'})
+    model = timo_sim.linearize(scene).select(['torque_N_m'], ['shaft_rad'])
+    frequency = np.geomspace(0.01, 100.0, 2001)
+    response = model.response(frequency)[:, 0, 0]
+    squares, shapes = scipy.linalg.eigh(*reversed(straight(scene.build(), 0.0, range(2, 11))))
+    squares[0] = 0.0  # of the shaft alone
+    parts = shapes[0]**2 / (squares - (2.0 * np.pi * frequency[:, np.newaxis])**2)
+    assert np.abs(response - parts.sum(axis=1)).max() < 1e-9 * np.abs(response).max()
+    inside = np.abs(parts).sum(axis=1) < 10.0 * np.abs(response)  # not where parts cancel
+    assert np.abs(response / parts.sum(axis=1) - 1.0)[inside].max() < 1e-6
+
+
+def test_bode_diagram_from_the_command_line(tmp_path):
+    scene, picture = tmp_path / 'scene.yaml', tmp_path / 'bode.png'
+    scene.write_text('timo_sim: {ros__parameters: {arm.damping_ratio: [0.01]}}')
+    result = CliRunner().invoke(main, ['bode', str(scene), '-o', str(picture)])
+    assert result.exit_code == 0, result.output
+    assert 'poles [Hz]: 4.27, 9.96, 30.6' in result.output and picture.stat().st_size > 20000
+    result = CliRunner().invoke(main, ['bode', str(scene), '-o', str(picture), '--output', 'tip'])
+    assert result.exit_code == 2 and "output 'tip' is none of" in result.output
 
 
 @pytest.mark.parametrize('values', [{'initial.shaft_velocity': 1.0},

@@ -23,7 +23,7 @@ def test_colcon_builds_and_the_installed_node_runs(tmp_path):
     assert scene.read_text() == (ROOT / 'config/paper.yaml').read_text()
 
     executables = {path.name for path in (prefix / 'lib/timo_sim').iterdir()}
-    assert executables >= {'sim_node', 'timo_sim', 'export', 'info', 'recover', 'replay'}
+    assert executables >= {'sim_node', 'timo_sim', 'bode', 'export', 'info', 'recover', 'replay'}
     purelib = sysconfig.get_path('purelib', vars={'base': str(prefix)})
     environment = {**os.environ, 'PYTHONPATH': str(purelib)}
     result = subprocess.run(

@@ -7,7 +7,7 @@ import sys
 import click
 
 _EXTRAS = {'pyarrow': 'sweep', 'distributed': 'cluster', 'rclpy': 'ros', 'rerun': 'view',
-           'rerun_cli': 'view'}
+           'rerun_cli': 'view', 'matplotlib': 'plot'}
 
 
 class _Command(click.Command):
@@ -211,3 +211,30 @@ def view(files, save, png, at, web, fps, node):
         names = unique_names([recording.path.stem for recording in recordings])
         convert_and_show([partial(of_recording, *pair) for pair in zip(recordings, names)],
                          save, png, at, web, fps)
+
+
+@main.command()
+@click.argument('file', type=click.Path(exists=True, dir_okay=False))
+@click.option('--input', 'cause', default='torque_N_m', show_default=True,
+              help='force_x_N, force_y_N or torque_N_m.')
+@click.option('--output', 'effects', multiple=True, metavar='NAME', show_default=True,
+              default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
+              help='Once for each curve, such as tip_acceleration_m_per_s2.')
+@click.option('-o', 'picture', type=click.Path(dir_okay=False), default='bode.png',
+              show_default=True, help='PNG, PDF or SVG.')
+def bode(file, cause, effects, picture):
+    r"""
+    Draw Bode diagram and poles of FILE, a scene, about its initial state.
+
+    \b
+        timo_sim bode config/paper.yaml --output tip_transverse_m -o bode.png
+    """
+    from timo_sim.parameters import ParameterError
+    with one_line_for_errors(ParameterError):
+        from timo_sim.linear import linearize
+        from timo_sim.scene import load_scene
+        from timo_sim.view.bode import draw
+        model = linearize(load_scene(file)).select([cause], effects)
+        draw(model, picture)
+        click.echo(f'poles [Hz]: {", ".join(f"{each:.3g}" for each in model.frequencies())}')
+        click.echo(f'{picture} is drawn')

@@ -42,7 +42,7 @@ class LinearModel:
 
         Raises
         ------
-        ValueError
+        ParameterError
             If a name is none of the model's.
 
         """
@@ -67,10 +67,20 @@ class LinearModel:
         a, b, c, d, _ = cont2discrete((self.A, self.B, self.C, self.D), period, method='zoh')
         return replace(self, A=a, B=b, C=c, D=d)
 
+    def response(self, frequency):
+        """Return outputs per input at frequencies, shape (n,) [Hz], complex, (n, y, u)."""
+        s = 2j * np.pi * np.asarray(frequency, dtype=float)[:, np.newaxis, np.newaxis]
+        return self.C @ np.linalg.solve(s * np.eye(len(self.A)) - self.A, self.B) + self.D
+
     def poles(self):
         """Return the eigenvalues of A, by size, shape (m,) [1/s]."""
         poles = np.linalg.eigvals(self.A)
         return poles[np.lexsort((poles.imag, np.abs(poles).round(9)))]
+
+    def frequencies(self):
+        """Return the natural frequencies of what vibrates, ascending [Hz]."""
+        poles = self.poles()
+        return np.abs(poles[poles.imag > 1e-3]) / (2.0 * np.pi)
 
 
 def linearize(scene, at=None):
@@ -202,5 +212,5 @@ def _places(names, chosen, kind):
         return list(range(len(names)))
     unknown = [name for name in chosen if name not in names]
     if unknown:
-        raise ValueError(f'{kind} {unknown[0]!r} is none of {", ".join(names)}')
+        raise ParameterError(f'{kind} {unknown[0]!r} is none of {", ".join(names)}')
     return [names.index(name) for name in chosen]
