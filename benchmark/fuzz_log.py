@@ -1,5 +1,7 @@
 """
-Search for a file that `timo_sim recover` does not survive: `python benchmark/fuzz_log.py`.
+Search for a file that `timo_sim recover`, `info` or `Recording` does not survive.
+
+    python benchmark/fuzz_log.py
 
 Needs atheris (`pip install atheris`; Python 3.11). What follows on the command line goes to
 libFuzzer, for instance `-max_total_time=600`, which is the default; a file that it finds is left
@@ -15,6 +17,8 @@ import tempfile
 import zlib
 
 import atheris
+
+import timo_sim.simulation  # noqa: F401  # numba cannot compile what atheris has changed
 
 with atheris.instrument_imports(include=['timo_sim.log', 'mcap']):
     import hostile_logs
