@@ -27,7 +27,7 @@ from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 TOPICS = {'joint_states': JointState, 'timo_sim/modal_state': JointState,
@@ -59,13 +59,22 @@ def bad_commands():
     """Return what must be refused: topic, type and message, or bytes that should be one."""
     torque = ('timo_sim/motor_torque', Float64)
     push = ('timo_sim/carrier_wrench', WrenchStamped)
+    tip = ('timo_sim/tip_wrench', WrenchStamped)
+    joints = ('timo_sim/joint_command', JointState)
+    array = ('timo_sim/commands', Float64MultiArray)
     good = serialize_message(wrench('world', 1.0))
     return [*((*torque, Float64(data=value)) for value in BAD_NUMBERS),
             *((*push, wrench(force=value)) for value in BAD_NUMBERS),
             *((*push, wrench(frame)) for frame in ('map', 'a\nb\x1b[2J', HUGE)),
             *((*torque, bytes(data)) for data in (b'\0\1\0\0', b'\0\1\0\0\1', b'\xff' * 7)),
             *((*push, good[:size]) for size in (4, 12, 20, len(good) - 9)),
-            (*push, good[:12] + b'\xff' * 4 + good[16:]), (*push, b'\xff' * 100)]
+            (*push, good[:12] + b'\xff' * 4 + good[16:]), (*push, b'\xff' * 100),
+            (*tip, wrench('map')), (*tip, wrench(force=math.nan)),
+            *((*array, Float64MultiArray(data=[0.0] * size)) for size in (0, 2, 4, 100000)),
+            (*array, Float64MultiArray(data=[0.0, math.inf, 0.0])),
+            *((*joints, JointState(name=names, effort=efforts)) for names, efforts in (
+                ([], []), (['shaft'], []), (['elbow'], [1.0]), (['shaft'], [math.nan]),
+                (['shaft'] * 2, [1.0, 1.0]), ([HUGE], [1.0]), (['shaft'] * 10000, [])))]
 
 
 def good_commands():
@@ -73,7 +82,10 @@ def good_commands():
     return [*(('timo_sim/carrier_wrench', WrenchStamped, wrench('arm', 0.1, stamp))
               for stamp in (0, 2**31 - 1, -2**31, int(time.time()))),
             ('timo_sim/motor_torque', Float64, Float64(data=0.1)),
-            ('timo_sim/motor_torque', Float64, Float64(data=-0.1))]
+            ('timo_sim/motor_torque', Float64, Float64(data=-0.1)),
+            ('timo_sim/tip_wrench', WrenchStamped, wrench('world', 0.1)),
+            ('timo_sim/commands', Float64MultiArray, Float64MultiArray(data=[0.1, 0.0, -0.1])),
+            ('timo_sim/joint_command', JointState, JointState(name=['shaft'], effort=[0.1]))]
 
 
 class Attacker(Node):

@@ -18,6 +18,7 @@ INPUTS = {
             TIP_II: 'tip_force_across_arm_N', TIP_TORQUE: 'tip_torque_N_m'},
 }
 JOINTS = 'carrier_x', 'carrier_y', 'shaft'
+LARGEST = 65536  # [B] of a command; what is meant takes some hundreds
 
 
 class Refused(ValueError):

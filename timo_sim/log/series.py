@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from timo_sim.commands import COMMANDS, Refused
+from timo_sim.commands import COMMANDS, LARGEST, Refused
 from timo_sim.log.cdr import CdrError, layout
 from timo_sim.outputs import NANOSECONDS, outputs
 
@@ -12,7 +12,6 @@ _HEAD = 31              # [B] of a message before its content: opcode, length an
 _HEAD_TYPE = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
                        ('sequence', '<u4'), ('log_time', '<u8'), ('publish_time', '<u8')])
 _MOST_LAYOUTS = 100     # of a topic; frames of commands have different lengths
-_LARGEST = 65536        # [B] of a message; those of 40 modes have 2000
 _COMMANDS = {command.name: command for command in COMMANDS}
 
 
@@ -82,8 +81,8 @@ class Collector:
                 and np.all(np.diff(order) >= _HEAD)
                 and sizes.sum() + _HEAD * len(sizes) <= len(data)):
             raise CdrError('the index names something else')
-        if sizes.max() > _LARGEST or sizes.min() < 4:
-            raise CdrError(f'it has {sizes.max() if sizes.max() > _LARGEST else sizes.min()} '
+        if sizes.max() > LARGEST or sizes.min() < 4:
+            raise CdrError(f'it has {sizes.max() if sizes.max() > LARGEST else sizes.min()} '
                            'bytes')
         found = []
         for size in np.unique(sizes):

@@ -5,7 +5,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
-from timo_sim.commands import COMMANDS, INPUTS, Refused
+from timo_sim.commands import COMMANDS, INPUTS, LARGEST, Refused
 from timo_sim.log.recorder import Channel
 
 QUEUE = 10  # commands that may wait on a topic
@@ -74,6 +74,8 @@ class Inlet:
         self.pending = row, data, stamp and 1000000000 * stamp.sec + stamp.nanosec or 0
 
     def _decoded(self, data):
+        if len(data) > LARGEST:
+            raise Refused(f'it has {len(data)} bytes, more than {LARGEST}')
         try:
             return deserialize_message(data, self.type)
         except RuntimeError:  # what rclpy raises
