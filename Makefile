@@ -13,6 +13,8 @@ RUN := run/paper.mcap
 
 # .venv has a ROS of its own: nothing of a sourced one, or of another environment, may leak in.
 unexport PYTHONPATH AMENT_PREFIX_PATH PYTHONHOME _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# What is imported for the first time is kept compiled, whatever the shell says.
+unexport PYTHONDONTWRITEBYTECODE
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport LD_LIBRARY_PATH
 endif
