@@ -55,7 +55,8 @@ def test_a_running_node_is_streamed(start, client, listener, paper):
             ns = batch.column('sim_time').cast('int64').to_pylist()
             tips.update(zip(ns, batch.column(batch.num_columns - 1).to_pylist()))
     steps = np.rint(1e-6 * np.array(list(tips))).astype(int)
-    assert len(steps) > 10 and np.diff(np.sort(steps)).min() > 20  # about 30 Hz
+    # 30 per second of wall time, of 1000 steps per second or less on a busy machine.
+    assert 10 < len(steps) < 0.2 * max(steps)
     run = timo_sim.simulate(timo_sim.load_scene(paper), 1e-3 * max(steps))
     true = run.position(2.0)[steps]
     assert np.allclose(np.squeeze(list(tips.values())), true, atol=1e-6)
