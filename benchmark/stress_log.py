@@ -1,5 +1,5 @@
 """
-Faults that a log, and other files of this package, must survive: `python benchmark/stress_log.py`.
+Faults that logs and other files must survive: `python benchmark/stress_log.py`.
 
 Each fault is tried so many times; one that is survived has left the simulation unharmed, what was
 written readable, or has been refused in one line. `--quick` tries a few of each. The seed is shown
@@ -23,12 +23,13 @@ import time
 import hostile_logs
 from hostile_logs import decoded, limited, outcome, places
 from node_speed import arguments, ENVIRONMENT
+import stress_files
+from stress_tally import ensure, small_disk, Tally
 
 import timo_sim
 from timo_sim.log.reader import LogError
 from timo_sim.log.recorder import Recorder
 from timo_sim.log.recover import recover
-from timo_sim.physics import compiled
 
 ROOT = Path(__file__).resolve().parents[1]
 NODES = 4              # that live at the same time
@@ -39,34 +40,6 @@ MEMORY = 1200          # [MB] of address space for hostile files
 MEMORY_DISK = '/dev/shm' if os.access('/dev/shm', os.W_OK) else None  # three times as fast
 # Shared memory would stay behind when a node is killed.
 ON_THE_WIRE = {**ENVIRONMENT, 'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4'}
-
-
-class Tally:
-    """How often a fault was tried and survived, and what the first failure was."""
-
-    def __init__(self, what):
-        self._what, self._tried, self._survived, self._first = what, 0, 0, None
-
-    @contextmanager
-    def trial(self, which):
-        """Count what is done in the context as survived unless it raises."""
-        self._tried += 1
-        try:
-            yield
-        except Exception as error:
-            self._first = self._first or f'{which}: {type(error).__name__}: {error}'
-        else:
-            self._survived += 1
-
-    def row(self, remark=''):
-        """Return the row of the table."""
-        return self._what, self._tried, self._survived, self._first or remark
-
-
-def ensure(condition, text):
-    """Raise an error if a condition does not hold."""
-    if not condition:
-        raise RuntimeError(text)
 
 
 @contextmanager
@@ -201,25 +174,10 @@ def hostile(folder, quick):
     return tally.row(f'at most {most} MB of memory')
 
 
-@contextmanager
-def _small_disk(folder, size):
-    """Yield a folder on a disk of its own [B], or None where one may not mount."""
-    mounted = folder / 'disk'
-    mounted.mkdir()
-    if subprocess.run(['mount', '-t', 'tmpfs', '-o', f'size={size}', 'tmpfs', mounted],
-                      capture_output=True).returncode:
-        yield None
-        return
-    try:
-        yield mounted
-    finally:
-        subprocess.run(['umount', '-l', mounted], check=True)
-
-
 def full_disks(folder, quick):
     """Let the disk be full at many a place of a log."""
     tally = Tally('disk full while recording')
-    with _small_disk(folder, 4 << 20) as disk:
+    with small_disk(folder, 4 << 20) as disk:
         ballast = disk / 'ballast' if disk else None
         for size in range(4096, 120000, 16384 if quick else 2048):
             with tally.trial(f'{size} bytes free'):
@@ -281,7 +239,7 @@ def places_that_are_none(folder):
         with tally.trial(name):
             error = _record_on(path)
             ensure(error and '\n' not in error, f'not one line: {error!r}')
-    with tally.trial('a read-only disk'), _small_disk(folder, 1 << 20) as disk:
+    with tally.trial('a read-only disk'), small_disk(folder, 1 << 20) as disk:
         if disk:
             subprocess.run(['mount', '-o', 'remount,ro', disk], check=True)
             ensure('Read-only' in _record_on(disk / 'run.mcap'), 'it is written')
@@ -299,100 +257,6 @@ def places_that_are_none(folder):
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
     return tally.row('one line each')
-
-
-def _tripled(number):
-    return 3.0 * number
-
-
-def machine_code(folder, count, generator):
-    """Damage machine code on disk."""
-    tally, shelf = Tally('machine code on disk flipped, cut, replaced'), folder / 'code'
-    shelf.mkdir()
-    before, compiled.cache_directory = compiled.cache_directory, lambda: shelf
-    try:
-        for number in range(count):
-            function = compiled.entry_point(_tripled)
-            function(1.0)
-            file, = shelf.glob('*.code')
-            content = bytearray(file.read_bytes())
-            place = generator.randrange(len(content))
-            content[place] ^= 1 << generator.randrange(8)
-            file.write_bytes([content, content[:place], os.urandom(place)][number % 3])
-            with tally.trial(f'byte {place}, kind {number % 3}'):
-                again = compiled.entry_point(_tripled)
-                ensure(again(2.0) == 6.0 and not sum(again._cache_hits.values()), 'it is used')
-    finally:
-        compiled.cache_directory = before
-    return tally.row('compiled again')
-
-
-RUN = """
-import os, pathlib, shutil, sys, timo_sim
-from timo_sim.physics.compiled import cache_directory
-folder = cache_directory()
-if sys.argv[1] == 'removed':
-    shutil.rmtree(folder)
-elif sys.argv[1] == 'full':
-    with open(folder / 'ballast', 'wb', buffering=0) as ballast:
-        try:
-            while True:
-                ballast.write(bytes(4096))
-        except OSError:
-            pass
-scene = timo_sim.load_scene({'model.formulation': 'newton', 'model.modes': 1,
-                             'initial.shaft_velocity': 1.0})
-print(timo_sim.simulate(scene, 0.1).motion[-1].tobytes().hex())
-"""
-
-
-def runs_without_a_cache(folder):
-    """Take the folder of machine code away from a run, in several ways."""
-    tally, expected = Tally('run whose machine code cannot be kept'), set()
-
-    def run(how, cache):
-        done = subprocess.run([sys.executable, '-c', RUN, how], capture_output=True, text=True,
-                              timeout=200.0, env={**os.environ, 'NUMBA_CACHE_DIR': str(cache)})
-        ensure(not done.returncode, done.stderr)
-        expected.add(done.stdout)
-        ensure(len(expected) == 1, 'another result')
-
-    with tally.trial('removed while it runs'):
-        run('removed', folder / 'removed')
-    with tally.trial('all files cut'):
-        run('', folder / 'cut')
-        for file in (folder / 'cut').rglob('*.code'):
-            file.write_bytes(file.read_bytes()[:-100])
-        run('', folder / 'cut')
-    with tally.trial('on a full disk'), _small_disk(folder, 1 << 20) as disk:
-        if disk:
-            run('full', disk)
-    return tally.row('the same result to the last bit')
-
-
-def sweep_parts(folder, count, generator):
-    """Damage the parts of a sweep."""
-    from timo_sim.sweep.chunk import chunks_of, run_chunk
-    from timo_sim.sweep.plan import read_plan
-    from timo_sim.sweep.store import Store
-    from timo_sim.sweep.table import table_of
-    tally, plan = Tally('part of a sweep flipped, cut, replaced'), read_plan(
-        ROOT / 'config' / 'sweep.yaml')
-    store = Store(folder / 'sweep.parquet', plan)
-    chunk = next(chunks_of(plan.scene, plan.duration, plan.count, plan.variations()))
-    table = table_of(chunk, plan.names, run_chunk(chunk))
-    store.add(chunk, table)
-    part, = (folder / 'sweep.parquet.parts').glob('*.parquet')
-    intact, expected = part.read_bytes(), store._read(part)
-    for number in range(count):
-        content = bytearray(intact)
-        place = generator.randrange(len(content))
-        content[place] ^= 1 << generator.randrange(8)
-        part.write_bytes([content, content[:place], os.urandom(place)][number % 3])
-        with tally.trial(f'byte {place}, kind {number % 3}'):
-            # What Parquet has no checksum for may be wrong in the file, but not in the table.
-            ensure(not store.has(chunk) or store._read(part).equals(expected), 'it is taken')
-    return tally.row('done again')
 
 
 def rows(quick=False, seed=None):
@@ -417,10 +281,7 @@ def rows(quick=False, seed=None):
             yield hostile(folder, quick)
             yield full_disks(_made(folder / 'full'), quick)
             yield places_that_are_none(_made(folder / 'none'))
-            yield machine_code(folder, 9 if quick else 100, generator)
-            if not quick:
-                yield runs_without_a_cache(_made(folder / 'cache'))
-            yield sweep_parts(folder, 60 if quick else 1000, generator)
+            yield from stress_files.rows(_made(folder / 'files'), quick, generator)
     finally:
         os.fsync = sync
 

@@ -22,7 +22,7 @@ class LinearModel:
 
     Attributes
     ----------
-    A, B, C, D : ndarray
+    A, B, C, D : ndarray, shapes (m, m), (m, u), (y, m), (y, u)
     states, inputs, outputs : tuple of str
         Names with units.
 
@@ -136,14 +136,14 @@ def linearize(scene, at=None):
                 for unit in units]
     b = np.linalg.solve(to_state, np.reshape(per_load, (len(units), len(a))).T)
 
-    places = _Places(formulation)
-    c = jacobian(places.outputs)
+    outputs = _Outputs(formulation)
+    c = jacobian(outputs.values)
     # Of the tip's velocity the rates are those of the coordinates and what these do.
-    across = jacobian(lambda motion: places.across(motion, at[2]))[:, :half]
+    across = jacobian(lambda motion: outputs.across(motion, at[2]))[:, :half]
     c = np.vstack([c, across @ a[half:]])
     d = np.vstack([np.zeros((len(c) - 1, len(units))), across @ b[half:]])
     return LinearModel(a, b, c, d, _state_names(axes, first, len(formulation.modes)),
-                       tuple(columns), (*places.names, 'tip_acceleration_m_per_s2'))
+                       tuple(columns), (*outputs.names, 'tip_acceleration_m_per_s2'))
 
 
 def _check(at, rate):
@@ -166,7 +166,7 @@ def _jacobian(function, at, steps, columns):
     return np.stack(found, axis=-1)
 
 
-class _Places:
+class _Outputs:
     """What is read off a motion."""
 
     names = ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'tip_x_m', 'tip_y_m',
@@ -182,8 +182,8 @@ class _Places:
         self._strain = 0.5 * float(np.ravel(height)[0]) * formulation.modes.curvature(
             np.zeros(1))[0]
 
-    def outputs(self, motion):
-        """Return the values of `names`."""
+    def values(self, motion):
+        """Return the values of `names` in a motion."""
         base, rates = motion[:3], motion[self._half:self._half + 3]
         along, sideways, rotation = self._formulation.tip(motion)
         return np.concatenate([

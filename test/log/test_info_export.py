@@ -55,7 +55,7 @@ def test_info_says_what_was_run(log, paper):
     rows = {words[0]: words[1:] for words in map(str.split, text.splitlines()) if words}
     assert rows['/timo_sim/tip_pose'] == ['401', '200', 'Hz', '0.005', 's']
     assert rows['/timo_sim/modal_state'] == ['101', '50', 'Hz', '0.02', 's']
-    assert rows['/timo_sim/motor_torque'] == ['0', '-', '-']
+    assert '/timo_sim/motor_torque' in ' '.join(rows['without'])
 
 
 def test_info_finds_gaps_and_reads_the_peak_where_nobody_noted_it(tmp_path):

@@ -104,7 +104,7 @@ def test_two_nodes_in_one_process(tmp_path):
         messages = list(read_ros2_messages(str(tmp_path / f'{name}.mcap')))
         states = [message for message in messages
                   if message.channel.topic == f'/{name}/joint_states']
-        assert states[0].ros_msg.velocity[2] == speed and len(states) > 1
+        assert abs(states[0].ros_msg.velocity[2] - speed) < 1e-12 and len(states) > 1
         statuses = {message.ros_msg.status[0].name for message in messages
                     if message.channel.topic == '/diagnostics'}
         assert statuses <= {f'{name}/timo_sim: simulation'}

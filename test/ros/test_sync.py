@@ -9,6 +9,7 @@ from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
+from std_srvs.srv import Trigger
 
 import timo_sim
 from timo_sim.log.recording import Recording
@@ -100,6 +101,12 @@ def test_a_wait_ends_after_its_time_and_is_counted(start, client):
     client.wait(begins, 'the run')
     assert node.wait()[0] == 0
     assert 1 <= int(Recording(node.log).summary['missed_commands']) <= 9
+
+
+def test_a_step_that_waits_says_so(start, client):
+    start(sync='wait', start_paused=True, record=False)
+    step = client.service(Trigger, '/timo_sim/step')()
+    assert not step.success and step.message == 'at step 0, which waits for a command'
 
 
 def test_who_speaks_last_for_an_input_is_obeyed(start, client):

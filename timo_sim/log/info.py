@@ -96,16 +96,21 @@ def _about_topics(index):
     pauses = [after.start - before.end for before, after in zip(index.chunks, index.chunks[1:])]
     if max(pauses, default=0) > _NANOSECONDS:
         yield f'  no messages at all for {max(pauses) / _NANOSECONDS:.6g} s'
-    width = max([len(channel.topic) for channel in index.channels.values()], default=5)
+    width, silent = max([len(channel.topic) for channel in index.channels.values()], default=5), []
     width = min(width, 60)
     yield f'  {"topic":<{width}}  {"messages":>9}  {"rate":>10}  largest gap' + (
         f' (in one of {step} chunks)' if step > 1 else '')
     for number, channel in sorted(index.channels.items(), key=lambda item: item[1].topic):
         first, last, gap = times.get(number, (0, 0, 0))
         count = counts.get(number, 0)
+        if not count:
+            silent.append(channel.topic)
+            continue
         rate = f'{(count - 1) * _NANOSECONDS / (last - first):.6g} Hz' if last > first else '-'
         gap = f'{gap / _NANOSECONDS:.6g} s' if gap else '-'
         yield f'  {channel.topic[:width]:<{width}}  {count:>9}  {rate:>10}  {gap}'
+    if silent:
+        yield f'  without messages: {", ".join(silent)}'
 
 
 def _times(index, step):

@@ -52,7 +52,7 @@ class Gate:
 
     def closed(self, step, now, answered):
         """
-        Return whether a step must wait.
+        Return whether a step must wait; for a gate with a period.
 
         Parameters
         ----------
@@ -63,7 +63,7 @@ class Gate:
             Whether a command for this step has arrived.
 
         """
-        if not self._period or step % self._period or step == self._passed:
+        if step % self._period or step == self._passed:
             return False
         self._since = now if self._since is None else self._since
         if not answered:

@@ -15,13 +15,13 @@ from timo_sim.accuracy import settle
 from timo_sim.log.notes import Peak, RESET, start_note, START, SUMMARY
 from timo_sim.log.recorder import Recorder
 from timo_sim.outputs import NANOSECONDS, outputs, Snapshot
-from timo_sim.parameters import (
-    changed, LATEST, ParameterError, RATES, short, whole_ratio)
+from timo_sim.parameters import changed, LATEST, ParameterError, RATES, whole_ratio
 from timo_sim.physics.formulation import LOADS
 from timo_sim.ros import diagnostics
 from timo_sim.ros.commands import Commands
-from timo_sim.ros.pacing import Pace
 from timo_sim.ros.gate import Gate
+from timo_sim.ros.optional import arm_shape, live_feed
+from timo_sim.ros.pacing import Pace
 from timo_sim.ros.parameters import declare_parameters, on_set
 from timo_sim.ros.topics import MotionOutlet, Outlet
 from timo_sim.scene import scene_from
@@ -94,8 +94,9 @@ class SimNode(Node):
                          for output in outputs(scene.values['model.modes'])
                          if output.name != '/clock' or self._values['publish_clock']]
         if self._values['publish_arm_shape']:
-            self._outlets.append(self._arm_shape())
-        self._live = self._connect() if self._values['rerun_live'] else None
+            self._outlets.append(arm_shape(self, self._simulator.formulation))
+        self._live = live_feed(scene, self._values['rerun_live'],
+                               self.get_fully_qualified_name())
         self._health_outlet = Outlet(self, '/diagnostics', DiagnosticArray)
         self._apply(self._values, steps_each)
         on_set(self, self._values, self._on_parameters)
@@ -107,29 +108,6 @@ class SimNode(Node):
     def subscriptions(self):
         """Those that an executor serves: all but the commands."""
         return (entry for entry in super().subscriptions if not entry.raw)
-
-    # What only some need, and not everybody has.
-
-    def _arm_shape(self):
-        try:
-            from timo_sim.ros.arm_shape import ArmShape
-        except ModuleNotFoundError as error:
-            raise ParameterError(f'publish_arm_shape needs {error.name}, which is not installed: '
-                                 'apt-get install ros-jazzy-visualization-msgs, or pip install it'
-                                 ) from None
-        return ArmShape(self, self._simulator.formulation)
-
-    def _connect(self):
-        try:
-            from timo_sim.view.feed import Feed
-            return Feed(self._simulator.scene, self._values['rerun_live'],
-                        self.get_fully_qualified_name())
-        except ModuleNotFoundError as error:
-            raise ParameterError(f'rerun_live needs {error.name}, which is not installed: '
-                                 'pip install timo_sim[view]') from None
-        except ValueError as error:
-            raise ParameterError('rerun_live must be the address of a viewer of rerun, got '
-                                 f'{short(self._values["rerun_live"])}: {error}') from None
 
     def _settled(self, scene):
         self.get_logger().info(
@@ -175,7 +153,7 @@ class SimNode(Node):
         now = time.monotonic()
         if now - self._reported[0] >= diagnostics.PERIOD:
             self._diagnose(now)
-        self._poll()
+        self._commands.poll()
         if self._live is not None:
             self._live.offer(now, self._simulator, lambda: self._snapshot().effort)
         if self._paused:
@@ -228,9 +206,6 @@ class SimNode(Node):
             return 0
         return whole_ratio('sync_period', self._values['sync_period'], 'integrator.step',
                            self._step)
-
-    def _poll(self):
-        self._commands.poll()
 
     def _next_event(self, step):
         # The next step at which something is published or a command may begin or fall to zero.
@@ -368,12 +343,13 @@ class SimNode(Node):
                                     else '~/step needs a paused simulation')
                 return response
             self._look()
-            self._poll()
+            self._commands.poll()
             first = self._simulator.steps
             self._advance(self._values['step_count'])
             done = self._simulator.steps - first
         response.success = done == self._values['step_count']
-        response.message = self._diverged or f'at step {self._simulator.steps}'
+        response.message = self._diverged or f'at step {self._simulator.steps}' + (
+            ', which waits for a command' if self._gate.waiting else '')
         return response
 
     # The log.

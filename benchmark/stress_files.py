@@ -1,0 +1,112 @@
+"""Faults that machine code on disk and the parts of a sweep must survive; see stress_log.py."""
+
+import os
+import subprocess
+import sys
+
+from references import ROOT
+from stress_tally import ensure, small_disk, Tally
+
+from timo_sim.physics import compiled
+
+
+def _tripled(number):
+    return 3.0 * number
+
+
+def machine_code(folder, count, generator):
+    """Damage machine code on disk."""
+    tally, shelf = Tally('machine code on disk flipped, cut, replaced'), folder / 'code'
+    shelf.mkdir()
+    before, compiled.cache_directory = compiled.cache_directory, lambda: shelf
+    try:
+        for number in range(count):
+            function = compiled.entry_point(_tripled)
+            function(1.0)
+            file, = shelf.glob('*.code')
+            content = bytearray(file.read_bytes())
+            place = generator.randrange(len(content))
+            content[place] ^= 1 << generator.randrange(8)
+            file.write_bytes([content, content[:place], os.urandom(place)][number % 3])
+            with tally.trial(f'byte {place}, kind {number % 3}'):
+                again = compiled.entry_point(_tripled)
+                ensure(again(2.0) == 6.0 and not sum(again._cache_hits.values()), 'it is used')
+    finally:
+        compiled.cache_directory = before
+    return tally.row('compiled again')
+
+
+RUN = """
+import os, pathlib, shutil, sys, timo_sim
+from timo_sim.physics.compiled import cache_directory
+folder = cache_directory()
+if sys.argv[1] == 'removed':
+    shutil.rmtree(folder)
+elif sys.argv[1] == 'full':
+    with open(folder / 'ballast', 'wb', buffering=0) as ballast:
+        try:
+            while True:
+                ballast.write(bytes(4096))
+        except OSError:
+            pass
+scene = timo_sim.load_scene({'model.formulation': 'newton', 'model.modes': 1,
+                             'initial.shaft_velocity': 1.0})
+print(timo_sim.simulate(scene, 0.1).motion[-1].tobytes().hex())
+"""
+
+
+def runs_without_a_cache(folder):
+    """Take the folder of machine code away from a run, in several ways."""
+    tally, expected = Tally('run whose machine code cannot be kept'), set()
+
+    def run(how, cache):
+        done = subprocess.run([sys.executable, '-c', RUN, how], capture_output=True, text=True,
+                              timeout=200.0, env={**os.environ, 'NUMBA_CACHE_DIR': str(cache)})
+        ensure(not done.returncode, done.stderr)
+        expected.add(done.stdout)
+        ensure(len(expected) == 1, 'another result')
+
+    with tally.trial('removed while it runs'):
+        run('removed', folder / 'removed')
+    with tally.trial('all files cut'):
+        run('', folder / 'cut')
+        for file in (folder / 'cut').rglob('*.code'):
+            file.write_bytes(file.read_bytes()[:-100])
+        run('', folder / 'cut')
+    with tally.trial('on a full disk'), small_disk(folder, 1 << 20) as disk:
+        if disk:
+            run('full', disk)
+    return tally.row('the same result to the last bit')
+
+
+def sweep_parts(folder, count, generator):
+    """Damage the parts of a sweep."""
+    from timo_sim.sweep.chunk import chunks_of, run_chunk
+    from timo_sim.sweep.plan import read_plan
+    from timo_sim.sweep.store import Store
+    from timo_sim.sweep.table import table_of
+    tally, plan = Tally('part of a sweep flipped, cut, replaced'), read_plan(
+        ROOT / 'config' / 'sweep.yaml')
+    store = Store(folder / 'sweep.parquet', plan)
+    chunk = next(chunks_of(plan.scene, plan.duration, plan.count, plan.variations()))
+    table = table_of(chunk, plan.names, run_chunk(chunk))
+    store.add(chunk, table)
+    part, = (folder / 'sweep.parquet.parts').glob('*.parquet')
+    intact, expected = part.read_bytes(), store._read(part)
+    for number in range(count):
+        content = bytearray(intact)
+        place = generator.randrange(len(content))
+        content[place] ^= 1 << generator.randrange(8)
+        part.write_bytes([content, content[:place], os.urandom(place)][number % 3])
+        with tally.trial(f'byte {place}, kind {number % 3}'):
+            # What Parquet has no checksum for may be wrong in the file, but not in the table.
+            ensure(not store.has(chunk) or store._read(part).equals(expected), 'it is taken')
+    return tally.row('done again')
+
+
+def rows(folder, quick, generator):
+    """Try all faults; yield what, how many were tried and survived, and a remark."""
+    yield machine_code(folder, 9 if quick else 100, generator)
+    if not quick:
+        yield runs_without_a_cache(folder)
+    yield sweep_parts(folder, 60 if quick else 1000, generator)
