@@ -6,14 +6,14 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from timo_sim.physics.formulation import (
-    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
+    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE, VOLTAGE)
 
 # Columns of the load, and their names with units, by input. An input is what the last message that
 # spoke for it says; of messages that begin to act in the same step, the last one of COMMANDS wins.
 INPUTS = {
     'carrier': {FORCE_X: 'force_x_N', FORCE_Y: 'force_y_N', FORCE_I: 'force_along_arm_N',
                 FORCE_II: 'force_across_arm_N'},
-    'shaft': {TORQUE: 'torque_N_m'},
+    'shaft': {TORQUE: 'torque_N_m', VOLTAGE: 'voltage_V'},
     'tip': {TIP_X: 'tip_force_x_N', TIP_Y: 'tip_force_y_N', TIP_I: 'tip_force_along_arm_N',
             TIP_II: 'tip_force_across_arm_N', TIP_TORQUE: 'tip_torque_N_m'},
 }
@@ -44,10 +44,18 @@ def _carrier_wrench(texts, lists):
     return {'carrier': _force(texts, lists[0])}
 
 
-def _motor_torque(texts, lists):
+def _scalar(lists):
     if not math.isfinite(lists[0][0]):
         raise Refused(f'data must be finite, got {lists[0][0]}')
-    return {'shaft': lists[0]}
+    return lists[0][0]
+
+
+def _motor_torque(texts, lists):
+    return {'shaft': (_scalar(lists), 0.0)}
+
+
+def _motor_voltage(texts, lists):
+    return {'shaft': (0.0, _scalar(lists))}
 
 
 def _tip_wrench(texts, lists):
@@ -69,7 +77,7 @@ def _joint_command(texts, lists):
     if given.keys() - {'shaft'}:
         found['carrier'] = given.get('carrier_x', 0.0), given.get('carrier_y', 0.0), 0.0, 0.0
     if 'shaft' in given:
-        found['shaft'] = (given['shaft'],)
+        found['shaft'] = given['shaft'], 0.0
     return found
 
 
@@ -125,4 +133,5 @@ COMMANDS = [
     Command('~/joint_command', 'sensor_msgs/msg/JointState', _joint_command,
             ('carrier', 'shaft')),
     Command('~/commands', 'std_msgs/msg/Float64MultiArray', _commands, ('carrier', 'shaft')),
+    Command('~/motor_voltage', 'std_msgs/msg/Float64', _motor_voltage, ('shaft',)),
 ]

@@ -18,7 +18,7 @@ class Snapshot:
     Parameters
     ----------
     simulator : Simulator
-    load : list of float, length 13
+    load : list of float, length 14
         What acted at the end of the last step, columns as in `physics.formulation`.
 
     Attributes

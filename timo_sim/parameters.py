@@ -43,7 +43,7 @@ class Parameter:
         Whether `low` itself is excluded.
     choices : tuple of str
     scope : str
-        SCENE: part of the physics, read-only in the node. NODE: the node's own.
+        SCENE: part of the physics. NODE: the node's own.
     runtime : bool
         Whether the node lets it be set while it runs.
 
@@ -144,17 +144,21 @@ def _load(channel, unit, meaning):
     prefix = f'load.{channel}'
     return [
         Parameter(f'{prefix}.harmonic.amplitude', (), unit,
-                  f'{meaning}: amplitudes of its terms amplitude sin(2 pi frequency t + phase)'),
+                  f'{meaning}: amplitudes of its terms amplitude sin(2 pi frequency t + phase)',
+                  runtime=True),
         Parameter(f'{prefix}.harmonic.frequency', (), 'Hz', 'frequencies of the same terms',
-                  low=0.0),
-        Parameter(f'{prefix}.harmonic.phase', (), 'rad', 'phases of the same terms; none: all 0'),
+                  low=0.0, runtime=True),
+        Parameter(f'{prefix}.harmonic.phase', (), 'rad', 'phases of the same terms; none: all 0',
+                  runtime=True),
         Parameter(f'{prefix}.piecewise.time', (), 's',
-                  f'{meaning}: times at which it jumps to a new constant value', low=0.0),
-        Parameter(f'{prefix}.piecewise.value', (), unit, 'value from each of these times on'),
+                  f'{meaning}: times at which it jumps to a new constant value', low=0.0,
+                  runtime=True),
+        Parameter(f'{prefix}.piecewise.value', (), unit, 'value from each of these times on',
+                  runtime=True),
         Parameter(f'{prefix}.table.time', (), 's',
                   f'{meaning}: times of points joined by straight lines; a time twice is a jump',
-                  low=0.0),
-        Parameter(f'{prefix}.table.value', (), unit, 'values at these points'),
+                  low=0.0, runtime=True),
+        Parameter(f'{prefix}.table.value', (), unit, 'values at these points', runtime=True),
     ]
 
 
@@ -186,12 +190,32 @@ _ALL = [
     _profile('young_modulus', 'Pa'),
     _profile('shear_modulus', 'Pa'),
     Parameter('arm.damping_ratio', (), '', 'modal damping ratios: none, one for all modes, or one '
-              'for each', low=0.0, high=1.0),
+              'for each', low=0.0, high=1.0, runtime=True),
     _positive('carrier.mass', 5.0, 'kg', 'mass of the carrier'),
+    _not_negative('carrier.viscous_friction', 0.0, 'N s/m', 'force against the carrier per speed, '
+                  'along world x and y', runtime=True),
+    _not_negative('carrier.force_limit', 0.0, 'N', 'largest force that a command makes along an '
+                  'axis; 0: any', runtime=True),
+    _not_negative('carrier.force_rate_limit', 0.0, 'N/s', 'how fast it changes at most; 0: at '
+                  'once', runtime=True),
     Parameter('carrier.held', 'none', '', 'axes of the world along which the carrier cannot move',
               choices=('none', 'x', 'y', 'both')),
     _not_negative('motor.mass', 5.0, 'kg', 'mass of the motor, on the carrier'),
     _not_negative('motor.shaft_inertia', 2.0, 'kg m2', 'moment of inertia of the motor shaft'),
+    _not_negative('motor.viscous_friction', 0.0, 'N m s/rad', 'torque against the shaft per speed',
+                  runtime=True),
+    _not_negative('motor.torque_limit', 0.0, 'N m', 'largest torque that a command makes; 0: any',
+                  runtime=True),
+    _not_negative('motor.torque_rate_limit', 0.0, 'N m/s', 'how fast it changes at most; 0: at '
+                  'once', runtime=True),
+    _not_negative('motor.dc.resistance', 0.0, 'ohm', 'of the winding of a DC motor that takes '
+                  'voltages; 0: there is none'),
+    _not_negative('motor.dc.torque_constant', 0.0, 'N m/A', 'torque of the rotor per current, and '
+                  'back-EMF per speed [V s/rad]'),
+    _positive('motor.dc.gear', 1.0, '', 'turns of the rotor per turn of the shaft; the inertia of '
+              'the rotor, times its square, is part of motor.shaft_inertia'),
+    _not_negative('motor.dc.voltage_limit', 0.0, 'V', 'largest voltage that a command makes; 0: '
+                  'any', runtime=True),
     Parameter('motor.shaft', 'free', '', 'free: turned by the torque; locked at initial.shaft; '
               'driven along motor.drive', choices=('free', 'locked', 'driven')),
     _not_negative('motor.drive.time', (), 's', 'a driven shaft passes these points, quintic in '

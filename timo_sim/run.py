@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from timo_sim.energy import integral
 from timo_sim.physics.formulation import Formulation
 from timo_sim.scene import Scene
 
@@ -91,6 +92,11 @@ class Run:
     def energy(self):
         """Return kinetic plus strain energy, shape (n,) [J]."""
         return self.formulation.energy(self.motion)
+
+    def dissipated(self):
+        """Return what viscous friction and modal damping have taken so far, shape (n,) [J]."""
+        taken = integral(np.rint(self.t * 1e9), self.formulation.dissipation(self.motion))
+        return np.append(0.0, np.cumsum(taken))
 
     def momentum(self):
         """

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from timo_sim.actuators import motor_constants
 from timo_sim.parameters import check, ParameterError, PARAMETERS, SCENE, short, whole_ratio
 from timo_sim.physics import FORMULATIONS
 from timo_sim.physics.bodies import Beam, Manipulator, Section
@@ -158,7 +159,9 @@ def scene_from(values):
 
     manipulator = Manipulator(
         _arm(values), values['carrier.mass'], values['motor.mass'], values['motor.shaft_inertia'],
-        values['end_effector.mass'], values['end_effector.inertia'])
+        values['end_effector.mass'], values['end_effector.inertia'],
+        values['carrier.viscous_friction'],
+        values['motor.viscous_friction'] + motor_constants(values)[1])
     step = values['integrator.step']
     load = Load({channel: tuple(_terms(f'load.{channel}', values, step)) for channel in CHANNELS},
                 _drive(values))

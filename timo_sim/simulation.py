@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 
+from timo_sim.actuators import Actuators
 from timo_sim.parameters import ParameterError, whole_ratio
 from timo_sim.physics import etdrk4
 from timo_sim.physics.compiled import compiling, size_mark
@@ -64,7 +65,26 @@ class Simulator:
         self._origin = self.steps
         self._next_look = self.steps
         self._block = 0, _NO_LOADS
+        self._actuators = Actuators(self.scene.values)
         self._load = self.scene.load.stages(0, 1, self.scene.step)[0, 0]
+        self.caution = self._unseen_load()
+
+    def change(self, scene):
+        """
+        Go on with another scene: other loads, damping, viscous friction or limits.
+
+        Parameters
+        ----------
+        scene : Scene
+            Of the same bodies, modes and time step.
+
+        """
+        first = self.steps - self._origin
+        self._actuators = Actuators(scene.values, first, self._actuators.reached(first))
+        self.scene, self.formulation = scene, scene.build()
+        self.control = self.control.following(scene, self.formulation)
+        self._resting = self._resting and not scene.load
+        self._block = 0, _NO_LOADS
         self.caution = self._unseen_load()
 
     @property
@@ -91,7 +111,7 @@ class Simulator:
         return round(self.steps * self.scene.step * 1e9)
 
     def scene_loads(self, count):
-        """Return the scene's own loads of the next steps, shape (count, 3, 13)."""
+        """Return the scene's own loads of the next steps, shape (count, 3, 14)."""
         first = self.steps - self._origin
         begin, block = self._block
         if not begin <= first <= first + count <= begin + len(block):
@@ -108,8 +128,9 @@ class Simulator:
         Parameters
         ----------
         steps : int
-        held : ndarray, shape (13,), optional
-            What is added to the scene's own loads during all of them, see `physics.formulation`.
+        held : ndarray, shape (14,), optional
+            What is commanded during all of them, see `physics.formulation`; it acts besides the
+            scene's own loads, as the actuators let it.
         every : int
             Steps between samples; 0: none are taken.
 
@@ -131,14 +152,18 @@ class Simulator:
                 motions[:] = self.motion()
             return motions
         before, first = self._state.copy(), self.steps - self._origin
+        actuators = None
+        if held is not None:
+            actuators = self._actuators
+            actuators.command(held, first)
         if self.control.tolerance:
-            loads = self.control.loads(first, steps, held, 1)
+            loads = self.control.loads(first, steps, actuators, 1)
             done, motions = self.control.advance(
-                self._state, self._load, loads, first, held, every)
+                self._state, self._load, loads, first, actuators, every)
         else:
             loads = self.scene_loads(steps)
-            if held is not None:
-                loads = loads + held
+            if actuators:
+                loads = loads + actuators.loads(first, steps)
             self._watch_error(loads)
             done, motions = self.formulation.advance(
                 self.control.propagator(), self._state, self._load, loads, every)
@@ -163,7 +188,7 @@ class Simulator:
 
     @property
     def load(self):
-        """Load at the end of the last step, shape (13,), see `physics.formulation`."""
+        """Load at the end of the last step, shape (14,), see `physics.formulation`."""
         return self._load
 
     def motion(self):

@@ -41,6 +41,12 @@ class StepControl:
         self._propagators = {}
         self.largest, self.splits, self.coarse = 0.0, 0, 0
 
+    def following(self, scene, formulation):
+        """Return the control of a scene that takes the place of this one; it counts on."""
+        control = StepControl(scene, formulation)
+        control.largest, control.splits, control.coarse = self.largest, self.splits, self.coarse
+        return control
+
     def propagator(self, level=0):
         """Return the matrices of a step divided by 2^level, a record."""
         if level not in self._propagators:
@@ -49,13 +55,13 @@ class StepControl:
                 self._propagators[number] = record(matrices)
         return self._propagators[level]
 
-    def loads(self, first, count, held, level=0):
-        """Return the loads of parts of steps, those of the scene and commands, (parts, 3, 13)."""
+    def loads(self, first, count, actuators, level=0):
+        """Return the loads of parts of steps, those of the scene and commands, (parts, 3, 14)."""
         parts = 2**level
         loads = self._scene.load.stages(parts * first, parts * count, self._scene.step / parts)
-        return loads if held is None else loads + held
+        return loads if actuators is None else loads + actuators.loads(first, count, parts)
 
-    def advance(self, state, load, loads, first, held, every):
+    def advance(self, state, load, loads, first, actuators, every):
         """
         Integrate `state` in place, each step in as many parts as the tolerance asks for.
 
@@ -63,12 +69,12 @@ class StepControl:
         ----------
         state, load, every
             See `Formulation.advance`.
-        loads : ndarray, shape (2 steps, 3, 13)
+        loads : ndarray, shape (2 steps, 3, 14)
             Of the halves of the steps, see `loads`.
         first : int
             Number of the first step, since the start of the scene's loads.
-        held : ndarray, shape (13,), or None
-            Commands, which are part of `loads`.
+        actuators : Actuators or None
+            What acts of commands is part of `loads`.
 
         Returns
         -------
@@ -81,7 +87,7 @@ class StepControl:
         while True:
             done = self._advance_within(
                 self.tolerance, 0, state, load, loads, done, every, motions, errors)
-            if done == steps or not self._split(state, load, first + done, held, errors):
+            if done == steps or not self._split(state, load, first + done, actuators, errors):
                 break
             load = loads[2 * done + 1, -1]
             done += 1
@@ -93,7 +99,7 @@ class StepControl:
             self._formulation.packed, self.propagator(level), self.propagator(level + 1),
             self._shift, tolerance, state, load, loads, *rest)
 
-    def _split(self, state, load, number, held, errors):
+    def _split(self, state, load, number, actuators, errors):
         # Do one step in parts; say whether the state is still finite.
         level, none = 0, np.empty((0, self._formulation.size))
         while True:
@@ -103,7 +109,7 @@ class StepControl:
             level = min(level, FINEST)
             parts, trial, of_parts = 2**level, state.copy(), np.zeros(2)
             tolerance = math.inf if level == FINEST else self.tolerance / parts
-            loads = self.loads(number, 1, held, level + 1)
+            loads = self.loads(number, 1, actuators, level + 1)
             done = self._advance_within(tolerance, level, trial, load, loads, 0, 0, none, of_parts)
             errors[1] = of_parts[1]
             if done == parts:
@@ -125,7 +131,7 @@ class StepControl:
         ----------
         state : ndarray, shape (m,)
             At its start.
-        loads : ndarray, shape (1, 3, 13)
+        loads : ndarray, shape (1, 3, 14)
             Of the step; those of its halves are interpolated.
 
         Returns

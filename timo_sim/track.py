@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from timo_sim.energy import integral, work
 from timo_sim.physics.formulation import FORCE_X, FORCE_Y, TORQUE
 from timo_sim.physics.load import CHANNELS
 
@@ -106,7 +107,8 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True):
     resets : array_like of int
         Samples that don't follow from the one before.
     balanced : bool
-        Whether the work of the loads is worked out, too; that of a load on the tip is not known.
+        Whether work and losses are worked out, too; the work of a load on the tip is not known,
+        nor what friction takes when it was set to something else on the way.
 
     Returns
     -------
@@ -136,13 +138,15 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True):
     pushed = any(scene.load.terms[channel] for channel in CHANNELS if channel.startswith('tip'))
     if balanced and not pushed and scene.values['motor.shaft'] != 'driven':
         done = work(ns, motion[:, :3], motion[:, half:half + 3], effort)
+        done -= integral(ns, _in_blocks(formulation.dissipation, motion))
         gained = np.diff(energy)
         gained[np.asarray(resets, dtype=int) - 1] = 0.0
         done[np.asarray(resets, dtype=int) - 1] = 0.0
         curves = np.column_stack([energy, energy[0] + np.append(0.0, np.cumsum(done))])
         balance = np.append(0.0, np.cumsum(gained - done))[:, np.newaxis]
-        traces += [trace('energy', ('energy', 'first energy + work'), curves.__getitem__),
-                   trace('balance', ('energy - work',), balance.__getitem__)]
+        traces += [trace('energy', ('energy', 'first energy + work - losses'),
+                         curves.__getitem__),
+                   trace('balance', ('energy - work + losses',), balance.__getitem__)]
     else:  # also because the torque of a driven shaft is not known
         traces.append(trace('energy', ('energy',), energy[:, np.newaxis].__getitem__))
     return Track(name, ns, poses, [entry for entry in traces if entry.names], body_of(scene),
@@ -202,45 +206,14 @@ def of_recording(recording, name):
     resets += step[resets] < recording.resets
     return of_motion(name, scene, ns, motion, joints.values[place, 6:9],
                      resets[(0 < resets) & (resets < len(ns))],
-                     '~/tip_wrench' not in series or not len(series['~/tip_wrench'].ns))
+                     not recording.changes and ('~/tip_wrench' not in series
+                                                or not len(series['~/tip_wrench'].ns)))
 
 
 def unique_names(names):
     """Return names with a number after those that are there before."""
     return [name if names.index(name) == place else f'{name}_{place}'
             for place, name in enumerate(names)]
-
-
-def work(ns, position, velocity, force):
-    """
-    Return the work done from each sample to the next.
-
-    Simpson's rule on cubics through neighbouring samples; exact for constant forces.
-
-    Parameters
-    ----------
-    ns : ndarray, shape (n,)
-        [ns]
-    position, velocity, force : ndarray, shape (n, k)
-
-    Returns
-    -------
-    ndarray, shape (n - 1,)
-        [J]
-
-    """
-    if len(ns) < 3:
-        return np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(position, axis=0), axis=1)
-    duration = np.diff(ns)[:, np.newaxis] * 1e-9
-    still = duration == 0.0
-    span = np.where(still, 1.0, duration)
-    slope = np.diff(force, axis=0) / span
-    # Slope of the force at the samples, from both sides.
-    slopes = 0.5 * (np.vstack([slope[:1], slope]) + np.vstack([slope, slope[-1:]]))
-    middle = 0.5 * (force[1:] + force[:-1]) - span * np.diff(slopes, axis=0) / 8.0
-    pace = 1.5 * np.diff(position, axis=0) / span - 0.25 * (velocity[1:] + velocity[:-1])
-    power = force[1:] * velocity[1:] + 4.0 * middle * pace + force[:-1] * velocity[:-1]
-    return np.sum(np.where(still, 0.0, span * power / 6.0), axis=1)
 
 
 def _in_blocks(function, values, *more):

@@ -16,8 +16,9 @@ from rosbags.typesys import get_typestore, Stores
 from ros_process import Process
 import timo_sim
 from timo_sim.cli import main
+from timo_sim.energy import work
 from timo_sim.log.recording import Recording
-from timo_sim.track import of_recording, of_run, TrackError, unique_names, work
+from timo_sim.track import of_recording, of_run, TrackError, unique_names
 from timo_sim.view.convert import write
 from timo_sim.view.viewer import picture
 

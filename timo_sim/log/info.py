@@ -44,13 +44,17 @@ def info(file):
 
 
 def _about_run(index, notes):
-    facts, summary, resets = notes
+    facts, summary, resets, changes = notes
     yield from _entry('changed', _changed(facts) or ['nothing: the arm of the paper at rest'])
     yield from _entry('made with', [made_with(facts)])
     end = index.statistics.message_end_time / _NANOSECONDS
     yield from _entry('sim time', [f'0 to {end:.9g} s'])
     steps = ', '.join(str(step) for step, _ in resets[:8]) + (', ...' if len(resets) > 8 else '')
     yield from _entry('resets', [f'at steps {steps}' if resets else 'none'])
+    if changes:
+        yield from _entry('set later', [
+            f'at step {step}: {name} = {json.dumps(value)}'[:90]
+            for step, _, values in changes for name, value in values.items()][:20])
     counted = [f'{name} {summary[name][:20]}' for name in _COUNTERS if name in summary]
     yield from _entry('counted', [', '.join(counted) or 'not known: the node did not write its '
                                   'end'])

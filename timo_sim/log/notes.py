@@ -9,6 +9,7 @@ import timo_sim
 from timo_sim.log.reader import LogError
 
 START, RESET, SUMMARY = 'timo_sim', 'timo_sim.reset', 'timo_sim.summary'
+CHANGE = 'timo_sim.change'
 # What the last bits of a run depend on besides its scene.
 _GROUND = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processor')
 
@@ -23,12 +24,15 @@ class LogNotes(NamedTuple):
         At its beginning and at its end; empty where it does not.
     resets : list of tuple of int
         Step and place in the file of each.
+    changes : list of tuple
+        Step, place in the file, and values by name of each setting of the scene's parameters.
 
     """
 
     facts: dict
     summary: dict
     resets: list
+    changes: list
 
 
 def read_notes(index):
@@ -48,18 +52,39 @@ def read_notes(index):
     LogError
 
     """
-    facts, summary, resets = {}, {}, []
+    facts, summary, resets, changes = {}, {}, [], []
     for place, record in index.metadata():
         if record.name == START:
             facts = record.metadata
         elif record.name == SUMMARY:
             summary = record.metadata
         elif record.name == RESET:
-            step = record.metadata.get('step', '')
-            if not (step.isdecimal() and len(step) < 19):
-                raise LogError(f'{index.name} has a reset at step {step[:40]!r}')
-            resets.append((int(step), place))
-    return LogNotes(facts, summary, resets)
+            resets.append((_step(record, index.name), place))
+        elif record.name == CHANGE:
+            changes.append((_step(record, index.name), place, _values(record, index.name)))
+    return LogNotes(facts, summary, resets, changes)
+
+
+def _step(record, name):
+    step = record.metadata.get('step', '')
+    if not (step.isdecimal() and len(step) < 19):
+        raise LogError(f'{name} has a {record.name} at step {step[:40]!r}')
+    return int(step)
+
+
+def _values(record, name):
+    try:
+        values = json.loads(record.metadata['values'])
+    except (KeyError, ValueError, RecursionError):
+        values = None
+    if not isinstance(values, dict):
+        raise LogError(f'{name} has a {record.name} whose values are no dictionary')
+    return values
+
+
+def change_note(step, values):
+    """Return what a log says of parameters of the scene that are set while the node runs."""
+    return {'step': str(step), 'values': json.dumps(values)}
 
 
 def start_note(node, values, changed, scene):

@@ -50,6 +50,8 @@ class Recording:
         What it noted at its end; empty if it did not.
     resets : ndarray of int
         Steps at which the motion was reset.
+    changes : list of tuple
+        Step, place in the file and values by name of each setting of the scene's parameters.
     index : Index
 
     Raises
@@ -62,7 +64,7 @@ class Recording:
     def __init__(self, path, node=None):
         self.path = _single(Path(path))
         self.index = Index(self.path)
-        self.facts, self.summary, resets = read_notes(self.index)
+        self.facts, self.summary, resets, self.changes = read_notes(self.index)
         self.resets, self.reset_places = np.array(resets, dtype=np.int64).reshape(-1, 2).T
         self.name = node or self.facts.get('node') or self._find_node()
 

@@ -130,6 +130,9 @@ class Manipulator:
         J_m [kg m2]
     tip_mass, tip_inertia : float
         Mass m_e [kg] and moment of inertia J_e [kg m2] of the end effector, at the arm's tip.
+    carrier_friction, shaft_friction : float
+        Viscous friction of the carrier along either axis, c_c [N s/m], and of the shaft, c_s
+        [N m s/rad].
 
     """
 
@@ -139,6 +142,8 @@ class Manipulator:
     shaft_inertia: float
     tip_mass: float
     tip_inertia: float
+    carrier_friction: float = 0.0
+    shaft_friction: float = 0.0
 
     @property
     def base_mass(self):

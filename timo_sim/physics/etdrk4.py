@@ -135,7 +135,7 @@ def rate(tables, state, load, out):
     tables : record
         The formulation's constants.
     state, out : ndarray, shape (m,)
-    load : ndarray, shape (13,)
+    load : ndarray, shape (14,)
         Columns as in `formulation`.
 
     """
@@ -216,9 +216,9 @@ def advance(tables, propagator, state, load, loads, every, samples):
         The matrices of the step.
     state : ndarray, shape (m,)
         Advanced in place.
-    load : ndarray, shape (13,)
+    load : ndarray, shape (14,)
         Load at the start, for the first sample.
-    loads : ndarray, shape (steps, 3, 13)
+    loads : ndarray, shape (steps, 3, 14)
         Load of each step at its start, middle and end, as the step itself sees it: a jump on the
         boundary between two steps appears on the right side in either.
     every : int
@@ -270,7 +270,7 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
     shift : ndarray, shape (m, m)
         Turns the difference of the states into errors, of which the sizes are summed up.
     tolerance : float
-    loads : ndarray, shape (2 steps, 3, 13)
+    loads : ndarray, shape (2 steps, 3, 14)
         Of the halves.
     first : int
         Steps that are done.

@@ -22,7 +22,8 @@ separates; what is left are the coordinates q_i and their momenta p_i = M_ij q_j
     q_i' = (M^-1 p)_i        p_i' = dT/dq_i - omega_i^2 q_i - 2 zeta_i omega_i q_i' + Q_i  (T25)
 
 where Q holds the shaft torque and the forces on carrier and tip as seen from the mass centre, and
-the torque on the tip, `Phi_i(l)` of it; F is the sum of both forces (T30). The
+the torque on the tip, `Phi_i(l)` of it; F is the sum of both forces (T30). Viscous friction of
+the carrier is a force on it, that of the shaft stands for `2 zeta_0 omega_0` (T32). The
 momenta of a free manipulator, P and p_0 (spin about the mass centre), are constant by
 construction. Nodal values act through two constant arrays: `d = D^T m`, and for either
 axis a kernel, `K = D^T diag(m) D - d d^T / m_t` of the masses about their centre.
@@ -56,7 +57,8 @@ class Tables(NamedTuple):
     shear: np.ndarray      # Gamma_i at the nodes, (1 + N, n_g)
     rotary: np.ndarray     # Xi_ij = int J Phi_i Phi_j, the shaft's J_m included, (1 + N, 1 + N)
     straight: np.ndarray   # M^-1 of the straight arm, (n, n)
-    damping: np.ndarray    # 2 zeta_i omega_i, (1 + N,)
+    damping: np.ndarray    # c_s, then 2 zeta_i omega_i, (1 + N,)
+    drag: float            # c_c
     axes: np.ndarray       # along which the carrier is free
     anchor: np.ndarray     # where it is held, (2,)
     reach: np.ndarray      # from nodal values to their integral over the arm, (n_g,)
@@ -138,6 +140,16 @@ def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed):
             speed[i] -= mass[k, i] * speed[k]
 
 
+@inner
+def _carrier_rate(tables, state, k, slope_rates, speed):
+    """Return the carrier's speed along its k-th free axis, with C1 or C2 of that axis."""
+    rate = state[len(state) // 2 + k] / tables.mass
+    for j in range(len(tables.lever)):
+        for i in range(len(speed)):
+            rate -= tables.lever[j] * slope_rates[i, j] * speed[i]
+    return rate
+
+
 @etdrk4.rate.of(Tables)
 def _rate(tables, state, load, out):
     """Write what the linear part leaves of the state's rate."""
@@ -169,8 +181,12 @@ def _rate(tables, state, load, out):
     for k in range(len(axes)):
         if axes[k] == 0:
             push_x = load[FORCE_X] + turned_x * load[FORCE_I] - turned_y * load[FORCE_II] + tip_x
+            if tables.drag != 0.0:
+                push_x -= tables.drag * _carrier_rate(tables, state, k, c1, speed)
         else:
             push_y = load[FORCE_Y] + turned_y * load[FORCE_I] + turned_x * load[FORCE_II] + tip_y
+            if tables.drag != 0.0:
+                push_y -= tables.drag * _carrier_rate(tables, state, k, c2, speed)
         out[k] = 0.0
         out[half + k] = push_x if axes[k] == 0 else push_y
 
@@ -228,14 +244,10 @@ def _observe(tables, state, load, out):
     for k in range(len(tables.axes)):
         axis = tables.axes[k]
         slope, derivative = (a, c1) if axis == 0 else (b, c2)
-        centre = 0.0
-        centre_rate = 0.0
+        out[axis] = state[k]
         for j in range(nodes):
-            centre += lever[j] * slope[j]
-            for i in range(count):
-                centre_rate += lever[j] * derivative[i, j] * speed[i]
-        out[axis] = state[k] - centre
-        out[half + axis] = state[len(state) // 2 + k] / tables.mass - centre_rate
+            out[axis] -= lever[j] * slope[j]
+        out[half + axis] = _carrier_rate(tables, state, k, derivative, speed)
 
 
 @etdrk4.tip.of(Tables)
@@ -281,7 +293,7 @@ class Exact(Formulation):
         slope, free = rotation + shear, slice(self.first, None)
         inverse = np.linalg.inv((rotary + slope.T @ kernel.mean(axis=0) @ slope)[free, free])
         stiffness = np.append(0.0, modes.omega**2)
-        damping = np.append(0.0, 2.0 * self.damping * modes.omega)
+        damping = np.append(self.manipulator.shaft_friction, 2.0 * self.damping * modes.omega)
 
         axes, half = len(self.axes), len(self.axes) + len(inverse)
         linear = np.zeros((2 * half, 2 * half))
@@ -292,7 +304,8 @@ class Exact(Formulation):
         if axes != 1:
             kernel = kernel[:1]
         return Tables(self.mass, kernel, lever, rotation.T, shear.T, rotary, inverse, damping,
-                      self.axes, self.anchor, self.points.integral[:, -1], at_points[-1]), linear
+                      self.manipulator.carrier_friction, self.axes, self.anchor,
+                      self.points.integral[:, -1], at_points[-1]), linear
 
     def state(self, motion):
         """Return the state that belongs to a motion."""

@@ -15,10 +15,11 @@ from timo_sim.physics.quadrature import Quadrature
 
 # Columns of a load: forces on the carrier in world axes and in the shaft's axes [N], torque on the
 # shaft [N m]; forces on the tip likewise [N], torque on the end effector [N m]; angle, speed and
-# acceleration of a driven shaft [rad], [rad/s], [rad/s2].
+# acceleration of a driven shaft [rad], [rad/s], [rad/s2]; voltage at a DC motor [V], of which the
+# equations know only its torque.
 (FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE, TIP_X, TIP_Y, TIP_I, TIP_II, TIP_TORQUE,
- ANGLE, SPEED, ACCELERATION) = range(13)
-LOADS = 13
+ ANGLE, SPEED, ACCELERATION, VOLTAGE) = range(14)
+LOADS = 14
 
 
 @dataclass(frozen=True)
@@ -244,6 +245,15 @@ class Formulation(ABC):
                    + np.sum(velocity**2, axis=2) @ self.point_mass
                    + turning**2 @ self.point_inertia)
         return 0.5 * (kinetic + q**2 @ self.modes.omega**2)
+
+    def dissipation(self, motions):
+        """Return the power that viscous friction and modal damping take, shape (n,) [W]."""
+        half, body = self.size // 2, self.manipulator
+        rates = motions[:, half:]**2
+        # What is held, locked or driven is not rubbed: a driven shaft's friction is its drive's.
+        return (body.carrier_friction * rates[:, self.axes].sum(axis=1)
+                + (1 - self.first) * body.shaft_friction * rates[:, 2]
+                + rates[:, 3:] @ (2.0 * self.damping * self.modes.omega))
 
     def momentum(self, motions):
         """

@@ -149,7 +149,7 @@ class Load:
                     for term in terms if isinstance(term, Harmonic)), default=(0.0, ''))
 
     def stages(self, first, count, step):
-        """Return the loads of steps first, first + 1, ..., shape (count, 3, 13)."""
+        """Return the loads of steps first, first + 1, ..., shape (count, 3, 14)."""
         loads = np.zeros((count, STAGES, LOADS))
         for channel, terms in self.terms.items():
             for term in terms:

@@ -83,6 +83,7 @@ class Tables(NamedTuple):
     axial: np.ndarray           # e, (N,)
     stiffness: np.ndarray       # omega_n^2, (N,)
     damping: np.ndarray         # 2 zeta_n omega_n, (N,)
+    drag: np.ndarray            # c_c of the carrier, c_s of the shaft, (2,)
     axes: np.ndarray            # along which the carrier is free
     anchor: np.ndarray          # where it is held, (2,)
     length: float               # l
@@ -128,7 +129,7 @@ def _rate(tables, state, load, out):
         if i:
             force[i] = tables.sway[i - 1] * tip_2 + tables.turn[i - 1] * load[TIP_TORQUE]
         else:
-            force[i] = load[TORQUE] + tip_moment
+            force[i] = load[TORQUE] - tables.drag[1] * omega + tip_moment
         for n in range(count):
             force[i] += omega**2 * softening[i, n] * q[n]
         if first == 1:
@@ -157,6 +158,11 @@ def _rate(tables, state, load, out):
     tilt = bent * tables.response[0]  # -P(0) per beta
     force_x = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
     force_y = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
+    for k in range(len(axes)):
+        if axes[k] == 0:
+            force_x -= tables.drag[0] * state[half + k]
+        else:
+            force_y -= tables.drag[0] * state[half + k]
     beta = 0.0
     if len(axes) == 2:
         force_1 = cosine * force_x + sine * force_y
@@ -269,9 +275,10 @@ class Newton(Formulation):
         tables = Tables(
             base_mass, self.arm_mass, self.lever, inverse, laws.matrix[:, 0], response,
             across, per_stress[0], reaction, in_linear, laws.softening, laws.shear_row,
-            laws.shear_softening, laws.axial, stiffness, damping, self.axes, self.anchor,
-            self.manipulator.arm.length, laws.tip_share, self.points.deflection[:, -1],
-            self.points.rotation[:, -1])
+            laws.shear_softening, laws.axial, stiffness, damping,
+            np.array([self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
+            self.axes, self.anchor, self.manipulator.arm.length, laws.tip_share,
+            self.points.deflection[:, -1], self.points.rotation[:, -1])
         return tables, linear
 
     def state(self, motion):

@@ -27,6 +27,8 @@ class Segment:
         Steps.
     commands : list of tuple
         Step, index in COMMANDS, what it sets, message; ascending.
+    changes : list of tuple
+        Step and values by name of the scene's parameters; ascending.
     samples : dict of ndarray
         Steps of the messages of each topic, by short name; ascending.
     logged : dict of ndarray
@@ -41,6 +43,7 @@ class Segment:
     first: int
     last: int
     commands: list
+    changes: list
     samples: dict
     logged: dict
     replayed: dict = field(default_factory=dict)
@@ -97,9 +100,7 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
     acting = [(number, series, steps(series, False)) for number, series in commands]
     shown = {name: steps(series, True) for name, series in own.items()}
     last = _last(acting, shown, motions, shift, scene, duration)
-    resets = np.ceil(recording.resets * (recording.scene.step / scene.step) - _ROUNDING).astype(
-        int) if recording.facts else []
-    ends = [*(int(step) for step in resets), last]
+    ends = [*_steps_of(recording.resets, recording, scene).tolist(), last]
     result = []
     for number, end in enumerate(ends):
         first = ends[number - 1] if number else 0
@@ -110,6 +111,8 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
         inside = [(int(at[k]), kind, series.values[k], series.data[k])
                   for kind, series, at in acting for k in np.flatnonzero(
                       (series.place >= here) & (series.place < there))]
+        changes = [(int(_steps_of(step, recording, scene)), values)
+                   for step, place, values in recording.changes if here <= place < there]
         samples, logged = {}, {}
         for name, at in shown.items():
             which = (own[name].place >= here) & (own[name].place < there) & (at <= end)
@@ -119,9 +122,15 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
                 samples[name] = samples['joint_states']
             elif not own:
                 samples[name] = _by_rate(known[name].rate, values, scene.step, end)
-        result.append(Segment(first, end, sorted(inside, key=lambda entry: entry[:2]), samples,
-                              logged))
+        result.append(Segment(first, end, sorted(inside, key=lambda entry: entry[:2]), changes,
+                              samples, logged))
     return result
+
+
+def _steps_of(steps, recording, scene):
+    # Steps of a recording in those of a scene; a plain bag has none.
+    ratio = recording.scene.step / scene.step if recording.facts else 1.0
+    return np.ceil(np.asarray(steps) * ratio - _ROUNDING).astype(int)
 
 
 def _by_rate(rate, values, step, end):

@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from timo_sim.commands import COMMANDS
-from timo_sim.log.notes import RESET
+from timo_sim.log.notes import CHANGE, change_note, RESET
 from timo_sim.outputs import outputs, Snapshot, with_angles
 from timo_sim.physics.formulation import LOADS
 from timo_sim.simulation import DivergenceError, Simulator
@@ -63,6 +63,7 @@ class Replay:
             segment.replayed[name] = np.empty((len(steps) - 1, len(output.columns)))
             segment.done[name] = 0
         commands, begun = [*segment.commands, (math.inf,)], 0
+        changes, made = [*segment.changes, (math.inf,)], 0
         simulator = self.simulator
         while True:
             step, snapshot, following = simulator.steps, None, segment.last
@@ -76,6 +77,12 @@ class Replay:
                         self._sink.output(name, snapshot, numbers)
                     segment.done[name] = place = place + 1
                 following = min(following, steps[place])
+            while changes[made][0] <= step:
+                values = changes[made][1]
+                simulator.change(simulator.scene.vary(values))
+                if self._sink:
+                    self._sink.note(CHANGE, change_note(step, values))
+                made += 1
             if step >= segment.last:
                 return
             while commands[begun][0] <= step:
@@ -84,7 +91,7 @@ class Replay:
                 if self._sink:
                     self._sink.command(index, step, simulator.nanoseconds, data)
                 begun += 1
-            following = min(following, commands[begun][0], step + _BATCH)
+            following = min(following, commands[begun][0], changes[made][0], step + _BATCH)
             simulator.advance(following - step, held)
             load = simulator.load.tolist()
             report(following - step)

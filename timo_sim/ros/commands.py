@@ -100,6 +100,8 @@ class Commands:
     Parameters
     ----------
     node : Node
+    voltage : bool
+        Whether there is a motor that takes one.
 
     Attributes
     ----------
@@ -110,8 +112,9 @@ class Commands:
 
     """
 
-    def __init__(self, node):
-        self._inlets = [Inlet(node, command) for command in COMMANDS]
+    def __init__(self, node, voltage):
+        self._inlets = [Inlet(node, command) for command in COMMANDS
+                        if voltage or command.name != '~/motor_voltage']
         self.channels = [inlet.channel for inlet in self._inlets]
         self.stale = 0
         # Of each input that obeys a command: its inlet, and the step from which it has acted.

@@ -12,10 +12,12 @@ from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool, Trigger
 
 from timo_sim.accuracy import settle
-from timo_sim.log.notes import Peak, RESET, start_note, START, SUMMARY
+from timo_sim.log.notes import (
+    CHANGE, change_note, Peak, RESET, start_note, START, SUMMARY)
 from timo_sim.log.recorder import Recorder
 from timo_sim.outputs import NANOSECONDS, outputs, Snapshot
-from timo_sim.parameters import changed, LATEST, ParameterError, RATES, whole_ratio
+from timo_sim.parameters import (
+    changed, LATEST, ParameterError, PARAMETERS, RATES, SCENE, whole_ratio)
 from timo_sim.physics.formulation import LOADS
 from timo_sim.ros import diagnostics
 from timo_sim.ros.commands import Commands
@@ -88,7 +90,7 @@ class SimNode(Node):
         self._shown = -math.inf
         self._health = diagnostics.Health(self.get_fully_qualified_name())
 
-        self._commands = Commands(self)
+        self._commands = Commands(self, self._values['motor.dc.resistance'] > 0.0)
         self._gate = Gate(self._sync_period(), self._values['sync_timeout'])
         self._outlets = [MotionOutlet(self, output)
                          for output in outputs(scene.values['model.modes'])
@@ -306,8 +308,15 @@ class SimNode(Node):
     def _on_parameters(self, changed):
         values = {**self._values, **changed}
         steps_each = _steps_between_messages(values, self._step)
+        of_scene = {name: value for name, value in changed.items()
+                    if PARAMETERS[name].scope == SCENE}
+        scene = self._simulator.scene.vary(of_scene)
         with self._lock:
             self._apply(values, steps_each)
+            if of_scene:
+                self._simulator.change(scene)
+                if self._recorder is not None:
+                    self._recorder.note(CHANGE, change_note(self._simulator.steps, of_scene))
 
     def _on_pause(self, request, response):
         with self._lock:

@@ -18,7 +18,7 @@ TITLES = {
     'torque': 'torque on shaft [N m]',
     'modal': 'modes q [m sqrt(kg)]',
     'energy': 'energy [J]',
-    'balance': 'energy - work [J]',
+    'balance': 'energy - work + losses [J]',
     'shaft_speed': 'shaft speed [rad/s]',
     'carrier_velocity': 'carrier velocity [m/s]',
     'tip_axial': 'tip deflection u, along [m]',
