@@ -88,7 +88,7 @@ def test_the_energy_that_is_not_stored_was_taken_or_done(tolerance):
         assert np.abs(loads[:, TORQUE]).max() == 8.0 and np.abs(loads[:, FORCE_X]).max() == 6.0
         assert 0.2 < run.dissipated()[-1] < energy.max()
         left.append(abs(energy[-1] - energy[0] + run.dissipated()[-1] - done))
-    # Measured 2e-8 and 1e-9 of 40 J, of the rule for the integrals for the most part.
+    # Measured 2e-8 and 1e-9 of 3.4 J, of the rule for the integrals for the most part.
     assert left[1] < 2e-9 and left[0] > 12.0 * left[1]
 
 
