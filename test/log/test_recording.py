@@ -94,7 +94,7 @@ def test_a_bag_has_sim_time_of_headers_and_commands_by_log_time(tmp_path):
     tip, torque = recording.topics['~/tip_deflection'], recording.topics['~/motor_torque']
     assert tip.ns.tolist() == [5000000000 + k * 1000000 for k in range(11)]
     assert tip.values.tolist() == [[0.5 * k, -k] for k in range(11)]
-    assert torque.values.tolist() == [[1.0], [2.0], [3.0]] and torque.refused == 1
+    assert torque.values.tolist() == [[1.0, 0.0], [2.0, 0.0], [3.0, 0.0]] and torque.refused == 1
     assert torque.ns.tolist() == [4998000000, 5002500000, 5015000000]
     assert set(torque.step) == {-1}
 
