@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from timo_sim.parameters import ParameterError
-from timo_sim.physics.formulation import ANGLE, FORCE_X, FORCE_Y, LOADS, TORQUE
+from timo_sim.physics.formulation import ANGLE, FORCE_X, FORCE_Y, LOADS, STENCIL, TORQUE
 
 # Differences of fourth order over this part of the arm's length, or of a radian.
 _SHIFT = 1e-3
-_STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
 _INPUTS = {'force_x_N': FORCE_X, 'force_y_N': FORCE_Y, 'torque_N_m': TORQUE}
 # Rates that are left where a state that is called an equilibrium is none [1/s].
 _STILL = 1e-9
@@ -161,7 +160,7 @@ def _jacobian(function, at, steps, columns):
     for column in columns:
         shift = np.zeros_like(at)
         shift[column] = steps[column]
-        found.append(sum(weight * function(at + number * shift) for number, weight in _STENCIL)
+        found.append(sum(weight * function(at + number * shift) for number, weight in STENCIL)
                      / steps[column])
     return np.stack(found, axis=-1)
 
@@ -175,12 +174,8 @@ class _Outputs:
              'shaft_velocity_rad_per_s')
 
     def __init__(self, formulation):
-        arm = formulation.manipulator.arm
         self._formulation, self._half = formulation, formulation.size // 2
-        self._tip = formulation.at([arm.length])
-        height = arm.at(np.zeros(1)).height
-        self._strain = 0.5 * float(np.ravel(height)[0]) * formulation.modes.curvature(
-            np.zeros(1))[0]
+        self._tip = formulation.at([formulation.manipulator.arm.length])
 
     def values(self, motion):
         """Return the values of `names` in a motion."""
@@ -188,7 +183,7 @@ class _Outputs:
         along, sideways, rotation = self._formulation.tip(motion)
         return np.concatenate([
             base, self._world(motion), [along, sideways, rotation],
-            [self._strain @ motion[3:self._half]], rates])
+            [self._formulation.root_strain @ motion[3:self._half]], rates])
 
     def across(self, motion, angle):
         """Return where the tip is along axis II of a shaft at an angle, shape (1,) [m]."""

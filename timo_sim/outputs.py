@@ -7,6 +7,7 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from timo_sim.physics.formulation import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, TORQUE
+from timo_sim.sensors import shown
 
 NANOSECONDS = 1000000000
 
@@ -33,6 +34,8 @@ class Snapshot:
 
     def __init__(self, simulator, load):
         self._formulation, self._load = simulator.formulation, load
+        self._flow = simulator.state, simulator.load
+        self._parameters = simulator.scene.values
         self.step = simulator.steps
         self.nanoseconds = simulator.nanoseconds
         self.time = divmod(self.nanoseconds, NANOSECONDS)
@@ -68,6 +71,29 @@ class Snapshot:
         """Where the tip is in the arm frame [m], and its rotation relative to the shaft [rad]."""
         return self._formulation.tip(self.motion).tolist()
 
+    @property
+    def root_strain(self):
+        """Strain of the outer fibre at the root."""
+        return float(self._formulation.root_strain @ self.motion[3:self._half])
+
+    @property
+    def tip_turning(self):
+        """Angular velocity of the end effector [rad/s]."""
+        rotation = self._formulation.points.rotation[:, -1]
+        return self._values[self._half + 2] + float(rotation @ self.motion[self._half + 3:])
+
+    @property
+    def tip_acceleration(self):
+        """Acceleration of the tip along the axes of the end effector [m/s2]."""
+        x, y = self._formulation.tip_acceleration(*self._flow).tolist()
+        angle = self._values[2] + self.tip[2]
+        cosine, sine = math.cos(angle), math.sin(angle)
+        return cosine * x + sine * y, cosine * y - sine * x
+
+    def shown(self, sensor, *quantities):
+        """Return what a sensor shows of these quantities."""
+        return shown(self._parameters, sensor, self.step, *quantities)
+
     @cached_property
     def energy(self):
         """Kinetic plus strain energy [J]."""
@@ -101,12 +127,26 @@ def _carrier_pose(snapshot):
     return *snapshot.joint_positions[:2], 0.0, 1.0
 
 
+def _root_strain(snapshot):
+    return snapshot.shown('root_strain', snapshot.root_strain)
+
+
+def _tip_imu(snapshot):
+    return (*snapshot.shown('tip_acceleration', *snapshot.tip_acceleration),
+            *snapshot.shown('gyro', snapshot.tip_turning))
+
+
+def _encoder(snapshot):
+    return snapshot.shown('encoder', snapshot.joint_positions[2])
+
+
 class Output(NamedTuple):
     """
     The numbers of a topic.
 
     `numbers` reads them off a snapshot, `columns` names them with units, `places` says which of
-    the floating-point numbers of a message they are; `rate` names the parameter with the rate.
+    the floating-point numbers of a message they are; `rate` names the parameter with the rate,
+    and `delay`, of a sensor, that with the time from measurement to message.
     """
 
     name: str
@@ -115,6 +155,7 @@ class Output(NamedTuple):
     columns: tuple
     places: tuple
     rate: str
+    delay: str | None = None
 
 
 def _output(name, type_name, numbers, columns, places=None):
@@ -122,8 +163,14 @@ def _output(name, type_name, numbers, columns, places=None):
                   f'rate.{name.strip("~/")}')
 
 
+def _sensor(*output):
+    found = _output(*output)
+    return found._replace(delay=f'sensor.{found.name.strip("~/")}.delay')
+
+
 _POSE = 'x_m', 'y_m', 'orientation_z', 'orientation_w'
 _IN_PLANE = 0, 1, 5, 6  # of a position and a quaternion
+_IMU = 25, 26, 15  # after orientation, angular velocity and acceleration there are covariances
 
 
 def outputs(modes):
@@ -144,6 +191,10 @@ def outputs(modes):
         _output('~/tip_pose', 'geometry_msgs/msg/PoseStamped', _tip_pose, _POSE, _IN_PLANE),
         _output('~/carrier_pose', 'geometry_msgs/msg/PoseStamped', _carrier_pose, _POSE,
                 _IN_PLANE),
+        _sensor('~/root_strain', 'sensor_msgs/msg/JointState', _root_strain, ('outer_fibre',)),
+        _sensor('~/tip_imu', 'sensor_msgs/msg/Imu', _tip_imu, (
+            'acceleration_x_m_per_s2', 'acceleration_y_m_per_s2', 'turning_rad_per_s'), _IMU),
+        _sensor('~/encoder', 'sensor_msgs/msg/JointState', _encoder, ('shaft_rad',)),
         _output('/clock', 'rosgraph_msgs/msg/Clock', lambda snapshot: (), ()),
     ]
 

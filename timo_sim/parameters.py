@@ -172,6 +172,24 @@ def _rate(topic, default):
                      scope=NODE, runtime=True)
 
 
+def _sensor(name, unit, meaning):
+    prefix = f'sensor.{name}'
+    return [
+        _not_negative(f'{prefix}.noise', 0.0, unit,
+                      f'standard deviation of the noise in {meaning}', high=_WRONG,
+                      runtime=True),
+        Parameter(f'{prefix}.bias', 0.0, unit, f'what is added to {meaning}', low=-_WRONG,
+                  high=_WRONG, runtime=True),
+        _not_negative(f'{prefix}.resolution', 0.0, unit, f'step in which {meaning} is shown; 0: '
+                      'not rounded', high=_WRONG, runtime=True)]
+
+
+def _delay(topic):
+    return _not_negative(f'sensor.{topic}.delay', 0.0, 's', f'sim time from a measurement to its '
+                         f'message on ~/{topic}, a whole multiple of integrator.step', high=1000.0)
+
+
+_WRONG = 1e9  # of which nothing overflows
 _TURNS = 1e6  # [rad] of which sine and cosine are still accurate
 
 _ALL = [
@@ -251,6 +269,15 @@ _ALL = [
     *_load('tip_force_x', 'N', 'force on the end effector along world x'),
     *_load('tip_force_y', 'N', 'force on the end effector along world y'),
     *_load('tip_torque', 'N m', 'torque on the end effector'),
+    Parameter('sensor.seed', 0, '', 'what the noise of all sensors is drawn from', low=0,
+              high=1000000000),
+    *_sensor('root_strain', '', 'the strain of the outer fibre at the root'),
+    _delay('root_strain'),
+    *_sensor('tip_acceleration', 'm/s2', 'either axis of the acceleration of the tip'),
+    *_sensor('gyro', 'rad/s', 'the angular velocity of the tip'),
+    _delay('tip_imu'),
+    *_sensor('encoder', 'rad', 'the shaft angle'),
+    _delay('encoder'),
     _not_negative('real_time_factor', 1.0, '', 'sim time per wall time; 0: as fast as possible',
                   high=1e6, scope=NODE, runtime=True),
     _not_negative('catch_up_limit', 0.1, 's', 'wall time that is caught up after a delay; what is '
@@ -275,11 +302,16 @@ _ALL = [
     _rate('tip_deflection', 100.0),
     _rate('tip_pose', 100.0),
     _rate('carrier_pose', 100.0),
+    _rate('root_strain', 100.0),
+    _rate('tip_imu', 100.0),
+    _rate('encoder', 100.0),
     _rate('clock', 100.0),
     _rate('arm_shape', 50.0),
     Parameter('record', True, '', 'whether the run is logged to an MCAP file', scope=NODE),
     Parameter('record_file', '', '', 'path of the log; empty: timo_sim_DATE_TIME.mcap in the '
               'working directory', scope=NODE),
+    Parameter('record_sensors', False, '', 'whether ~/root_strain, ~/tip_imu and ~/encoder are '
+              'logged also while nobody subscribes', scope=NODE),
     Parameter('rerun_live', '', '', 'address of a running viewer of rerun to which the motion is '
               'streamed, such as rerun+http://127.0.0.1:9876/proxy; empty: none', scope=NODE),
     Parameter('publish_arm_shape', False, '', 'whether the centre line goes to ~/arm_shape, for '
@@ -288,6 +320,7 @@ _ALL = [
 
 PARAMETERS = {parameter.name: parameter for parameter in _ALL}
 RATES = [name for name in PARAMETERS if name.startswith('rate.')]
+DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
 
 
 def check(values, source):

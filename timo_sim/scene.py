@@ -9,7 +9,8 @@ import numpy as np
 import yaml
 
 from timo_sim.actuators import motor_constants
-from timo_sim.parameters import check, ParameterError, PARAMETERS, SCENE, short, whole_ratio
+from timo_sim.parameters import (
+    check, DELAYS, ParameterError, PARAMETERS, SCENE, short, whole_ratio)
 from timo_sim.physics import FORMULATIONS
 from timo_sim.physics.bodies import Beam, Manipulator, Section
 from timo_sim.physics.formulation import Constraints
@@ -163,6 +164,8 @@ def scene_from(values):
         values['carrier.viscous_friction'],
         values['motor.viscous_friction'] + motor_constants(values)[1])
     step = values['integrator.step']
+    for name in DELAYS:
+        whole_ratio(name, values[name], 'integrator.step', step)
     load = Load({channel: tuple(_terms(f'load.{channel}', values, step)) for channel in CHANNELS},
                 _drive(values))
     scene = Scene(manipulator, _constraints(values), load, step, values)

@@ -94,9 +94,11 @@ class Simulator:
         return mark is not None and mark.exists()
 
     def warm_up(self):
-        """Compile, or load from disk, what `advance`, `motion` and `formulation.tip` call."""
+        """Compile, or load from disk, what `advance`, `motion` and `formulation` call."""
         with compiling(*self._sizes()):
             self.formulation.tip(self.motion())
+            if not self.is_compiled:  # else it is loaded when a sensor asks for it
+                self.formulation.rate(self._state, self._load)
             if self.control.tolerance:
                 self.control.advance(self._state, self._load, _NO_LOADS, 0, None, 0)
 
@@ -185,6 +187,11 @@ class Simulator:
     def spacing(self):
         """Steps from one look at the error of a step to the next."""
         return min(max(self.steps - self._origin, _FIRST_LOOK), _CHUNK)
+
+    @property
+    def state(self):
+        """What the formulation integrates, shape (m,), a copy."""
+        return self._state.copy()
 
     @property
     def load(self):

@@ -41,7 +41,8 @@ def test_series_are_what_another_reader_finds(log):
     assert recording.name == '/left/timo_sim' and not len(recording.resets)
     topics = recording.topics
     assert set(topics) == {'joint_states', '~/modal_state', '~/tip_deflection', '~/tip_pose',
-                           '~/carrier_pose', *(command.name for command in COMMANDS)} - {
+                           '~/carrier_pose', '~/root_strain', '~/tip_imu', '~/encoder',
+                           *(command.name for command in COMMANDS)} - {
                                '~/motor_voltage'}  # there is no such motor
     found = {name: [] for name in topics}
     for message in read_ros2_messages(str(log)):

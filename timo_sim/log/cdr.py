@@ -12,6 +12,7 @@ _FIELDS = {
     'geometry_msgs/msg/WrenchStamped': (*_HEADER, *6 * ['double']),
     'std_msgs/msg/Float64': ('double',),
     'std_msgs/msg/Float64MultiArray': ('dimensions', 'number', 'doubles'),
+    'sensor_msgs/msg/Imu': (*_HEADER, *37 * ['double']),
     'rosgraph_msgs/msg/Clock': ('stamp',),
 }
 TYPES = frozenset(_FIELDS)

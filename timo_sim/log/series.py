@@ -122,7 +122,8 @@ class Collector:
         output = by_name[self.name]
         self.columns, self._places = output.columns, output.places
         expected = {'joint_states': ['carrier_x', 'carrier_y', 'shaft'],
-                    '~/modal_state': [f'mode_{n + 1}' for n in range(len(texts))]}
+                    '~/modal_state': [f'mode_{n + 1}' for n in range(len(texts))],
+                    '~/root_strain': ['root_strain'], '~/encoder': ['shaft']}
         if texts != expected.get(self.name, texts) or len(found.doubles) <= max(
                 self._places, default=-1):
             raise CdrError(f'{", ".join(texts)[:80]} are not the joints of this node')

@@ -34,7 +34,8 @@ class NewLog:
             topic = (name if name.startswith('/') else
                      node + name[1:] if name.startswith('~') else f'{namespace}/{name}')
             serialize = Serializer(MESSAGES[name][1], len(output.columns))
-            self._topics[name] = len(channels), serialize
+            delay = round(1e9 * scene.values[output.delay]) if output.delay else 0
+            self._topics[name] = len(channels), serialize, delay
             channels.append(Channel(topic, output.type_name))
         self._recorder = Recorder(path, channels, {
             START: {**start_note(node, values, changed(values), scene),
@@ -51,8 +52,8 @@ class NewLog:
 
     def output(self, name, snapshot, numbers):
         """Log a message."""
-        index, serialize = self._topics[name]
-        self._recorder.write(index, snapshot.step, snapshot.nanoseconds,
+        index, serialize, delay = self._topics[name]
+        self._recorder.write(index, snapshot.step, snapshot.nanoseconds + delay,
                              serialize(snapshot.time, numbers))
         if name == '~/tip_deflection':
             self._peak.see(numbers, snapshot.nanoseconds)

@@ -82,7 +82,7 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
     known = {output.name: output for output in outputs(scene.values['model.modes'])}
     commands = [(number, found[command.name]) for number, command in enumerate(COMMANDS)
                 if command.name in found]
-    motions = {name: series for name, series in found.items() if name in known}
+    motions = {name: series for name, series in found.items() if name in known and len(series.ns)}
     if not any(len(series.ns) for series in found.values()):
         raise ReplayError(f'{recording.index.name} has no messages of {recording.name}')
     shift = _shift(recording, [series for _, series in commands], motions, start)
@@ -101,6 +101,8 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
     shown = {name: steps(series, True) for name, series in own.items()}
     last = _last(acting, shown, motions, shift, scene, duration)
     ends = [*_steps_of(recording.resets, recording, scene).tolist(), last]
+    unasked = {'/clock', *(name for name, output in known.items()
+                           if output.delay and not values.get('record_sensors'))}
     result = []
     for number, end in enumerate(ends):
         first = ends[number - 1] if number else 0
@@ -117,7 +119,7 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
         for name, at in shown.items():
             which = (own[name].place >= here) & (own[name].place < there) & (at <= end)
             samples[name], logged[name] = at[which], own[name].values[which]
-        for name in known.keys() - samples.keys() - {'/clock'}:
+        for name in known.keys() - samples.keys() - unasked:
             if 'joint_states' in samples:  # of a scene with modes where the log's had none
                 samples[name] = samples['joint_states']
             elif not own:

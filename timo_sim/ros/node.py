@@ -25,7 +25,7 @@ from timo_sim.ros.gate import Gate
 from timo_sim.ros.optional import arm_shape, live_feed
 from timo_sim.ros.pacing import Pace
 from timo_sim.ros.parameters import declare_parameters, on_set
-from timo_sim.ros.topics import MotionOutlet, Outlet
+from timo_sim.ros.topics import LateOutlet, MotionOutlet, Outlet
 from timo_sim.scene import scene_from
 from timo_sim.simulation import DivergenceError, Simulator
 
@@ -92,9 +92,9 @@ class SimNode(Node):
 
         self._commands = Commands(self, self._values['motor.dc.resistance'] > 0.0)
         self._gate = Gate(self._sync_period(), self._values['sync_timeout'])
-        self._outlets = [MotionOutlet(self, output)
-                         for output in outputs(scene.values['model.modes'])
+        self._outlets = [self._outlet(output) for output in outputs(scene.values['model.modes'])
                          if output.name != '/clock' or self._values['publish_clock']]
+        self._late = [outlet for outlet in self._outlets if isinstance(outlet, LateOutlet)]
         if self._values['publish_arm_shape']:
             self._outlets.append(arm_shape(self, self._simulator.formulation))
         self._live = live_feed(scene, self._values['rerun_live'],
@@ -110,6 +110,12 @@ class SimNode(Node):
     def subscriptions(self):
         """Those that an executor serves: all but the commands."""
         return (entry for entry in super().subscriptions if not entry.raw)
+
+    def _outlet(self, output):
+        delay = output.delay and round(self._values[output.delay] / self._step)
+        outlet = LateOutlet(self, output, delay) if delay else MotionOutlet(self, output)
+        outlet.asks = not output.delay or self._values['record_sensors']
+        return outlet
 
     def _settled(self, scene):
         self.get_logger().info(
@@ -213,6 +219,7 @@ class SimNode(Node):
         # The next step at which something is published or a command may begin or fall to zero.
         events = [step - step % outlet.every + outlet.every for outlet in self._outlets
                   if outlet.wanted]
+        events += [outlet.arrival for outlet in self._late]
         events += self._commands.end(self._timeout_steps)
         return max(step + 1, min([*events, self._gate.following(step)]))
 
@@ -226,6 +233,8 @@ class SimNode(Node):
     def _publish(self, everything=False):
         """Send each message that is due at this step and wanted by somebody."""
         step = self._simulator.steps
+        for outlet in self._late:
+            outlet.deliver(step, self._simulator.nanoseconds)
         due = [outlet for outlet in self._outlets
                if (everything or step % outlet.every == 0) and outlet.wanted]
         if due:
@@ -335,6 +344,8 @@ class SimNode(Node):
             self._simulator.reset()
             self._commands.clear(self._held)
             self._gate.restart()
+            for outlet in self._late:
+                outlet.drop()
             self._applied = [0.0] * LOADS
             self._diverged = None
             if self._recorder is not None:

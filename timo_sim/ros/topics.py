@@ -1,16 +1,20 @@
 """The topics that carry the motion, as messages; a further one is an Output and a line here."""
 
+import math
+
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import (
     Point, Pose, PoseStamped, Quaternion, Vector3, Vector3Stamped)
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 
 from timo_sim.log.cdr import layout
 from timo_sim.log.recorder import Channel
+
+_GRAVITY = 9.80665  # [m/s2]
 
 
 def _joint_state(time, *numbers):
@@ -36,6 +40,20 @@ def _pose_in_world(time, x, y, z, w):
         pose=Pose(position=Point(x=x, y=y), orientation=Quaternion(z=z, w=w)))
 
 
+def _one_joint(name):
+    return lambda time, position: JointState(
+        header=Header(stamp=time), name=[name], position=[position])
+
+
+def _imu_at_tip(time, x, y, turning):
+    return Imu(
+        header=Header(stamp=time, frame_id='tip'),
+        orientation_covariance=[-1.0] + 8 * [0.0],  # REP-145: there is no orientation
+        angular_velocity=Vector3(z=turning),
+        # The plane of motion is horizontal, and a sensor at rest shows what holds it up.
+        linear_acceleration=Vector3(x=x, y=y, z=_GRAVITY))
+
+
 def _clock(time):
     return Clock(clock=time)
 
@@ -47,6 +65,9 @@ MESSAGES = {
     '~/tip_deflection': (Vector3Stamped, _vector_in_arm),
     '~/tip_pose': (PoseStamped, _pose_in_world),
     '~/carrier_pose': (PoseStamped, _pose_in_world),
+    '~/root_strain': (JointState, _one_joint('root_strain')),
+    '~/tip_imu': (Imu, _imu_at_tip),
+    '~/encoder': (JointState, _one_joint('shaft')),
     '/clock': (Clock, _clock),
 }
 
@@ -107,6 +128,8 @@ class Outlet:
     ----------
     logged : bool
         Whether its messages are for the log, too.
+    asks : bool
+        Whether the log wants messages that nobody else receives.
     channel : Channel
         Of the log.
     recorder : Recorder or None
@@ -115,7 +138,7 @@ class Outlet:
 
     """
 
-    logged = True
+    logged = asks = True
 
     def __init__(self, node, topic, message_type):
         self._subscribed = False
@@ -132,7 +155,8 @@ class Outlet:
     @property
     def wanted(self):
         """Whether a message would reach anybody."""
-        return self._subscribed or self.recorder is not None and self.recorder.error is None
+        return self._subscribed or (
+            self.asks and self.recorder is not None and self.recorder.error is None)
 
     def send(self, data, step, nanoseconds):
         """Hand a message, CDR, to subscribers and to the log."""
@@ -168,3 +192,40 @@ class MotionOutlet(Outlet):
         self.send(self._serialize(snapshot.time, numbers), snapshot.step, snapshot.nanoseconds)
         if self.watch is not None:
             self.watch(numbers, snapshot.nanoseconds)
+
+
+class LateOutlet(MotionOutlet):
+    """
+    The outlet of a sensor whose messages come some time after the measurement.
+
+    Their header and their step in the log are those of the measurement.
+
+    Parameters
+    ----------
+    delay : int
+        Steps.
+
+    """
+
+    def __init__(self, node, output, delay):
+        super().__init__(node, output)
+        self._delay, self._under_way = delay, {}
+
+    def publish(self, snapshot):
+        """Measure; a second look at the same step takes the place of the first."""
+        self._under_way[snapshot.step] = self._serialize(snapshot.time, self._numbers(snapshot))
+
+    @property
+    def arrival(self):
+        """The step at which the next message comes, or infinity."""
+        return next(iter(self._under_way), math.inf) + self._delay
+
+    def deliver(self, step, nanoseconds):
+        """Send what arrives until a step, at this sim time [ns]."""
+        while self.arrival <= step:
+            measured = next(iter(self._under_way))
+            self.send(self._under_way.pop(measured), measured, nanoseconds)
+
+    def drop(self):
+        """Lose what is under way."""
+        self._under_way.clear()

@@ -1,0 +1,199 @@
+"""What sensors measure, by closed forms and differences; what they show of it, by statistics."""
+
+import numpy as np
+import pytest
+
+import timo_sim
+from timo_sim.outputs import outputs, Snapshot
+from timo_sim.parameters import PARAMETERS
+from timo_sim.physics import FORMULATIONS
+from timo_sim.sensors import shown
+from timo_sim.simulation import Simulator
+
+MOVING = {'initial.shaft_velocity': 2.0, 'initial.modal_rates': [2.0, 0.5, 0.1]}
+PERFECT = {name: parameter.default for name, parameter in PARAMETERS.items()}
+STEPS = 20000
+
+
+def measured(simulator):
+    """Return the numbers of the sensors' messages by topic."""
+    snapshot = Snapshot(simulator, simulator.load.tolist())
+    return {output.name: np.array(output.numbers(snapshot))
+            for output in outputs(simulator.scene.values['model.modes']) if output.delay}
+
+
+@pytest.mark.parametrize('name', [*FORMULATIONS, 'driven'])
+def test_acceleration_is_the_second_difference_of_the_tips_place(name, paper, spin_up):
+    """Along the motion under loads, at the end of a step; of a driven shaft, too."""
+    scene = timo_sim.load_scene(spin_up) if name == 'driven' else timo_sim.load_scene(
+        paper, {'model.formulation': name, **MOVING})
+    scene = scene.vary({'integrator.step': 5e-4})
+    length = scene.manipulator.arm.length
+    simulator, ahead = (Simulator(scene) for _ in range(2))
+    simulator.advance(8000)
+    ahead.advance(8000 - 24)
+    formulation = simulator.formulation
+    place = formulation.world(ahead.advance(48, every=1), formulation.at([length]))[:, 0]
+    found = formulation.tip_acceleration(simulator.state, simulator.load)
+
+    def error(weights, stride):
+        half = len(weights) // 2
+        at = place[24 - half * stride:25 + half * stride:stride]
+        return np.linalg.norm(weights @ at / (stride * scene.step)**2 - found)
+
+    second = [error(np.array([1.0, -2.0, 1.0]), stride) for stride in (8, 4, 2)]
+    # Observed order 2, while that is above the error of the motion.
+    assert np.array(second[:-1]) / second[1:] == pytest.approx([4.0, 4.0], rel=0.1)
+    sixth = np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90])
+    # Measured: 3e-9 to 7e-9, the round-off of the places over the step squared.
+    assert error(sixth, 1) < 2e-8 * np.linalg.norm(found)
+
+
+def test_acceleration_depends_on_the_load_at_once():
+    """What a force on the tip changes is linear in it, and the force does work at that rate."""
+    scene = timo_sim.load_scene({**MOVING})
+    simulator = Simulator(scene)
+    simulator.advance(100)
+    formulation, force = simulator.formulation, np.array([3.0, -2.0])
+    push = simulator.load.copy()
+    push[5:7] = force
+    before, pushed, twice = (formulation.tip_acceleration(simulator.state, load) for load in (
+        simulator.load, push, 2.0 * push))
+    assert twice - before == pytest.approx(2.0 * (pushed - before), rel=1e-8)
+    assert (pushed - before) @ force > 0.0
+
+
+# Without newton_root_stress, in which what no mode carries does not turn the shaft.
+@pytest.mark.parametrize('formulation', ['exact', 'newton', 'newton_rigid_axial'])
+def test_imu_on_a_rigid_arm(formulation):
+    """A free body under a torque: centripetal and tangential about its mass centre."""
+    turning, torque = 3.0, 4.0
+    scene = timo_sim.load_scene({
+        'model.modes': 0, 'model.formulation': formulation, 'initial.shaft_velocity': turning,
+        'load.torque.piecewise.time': [0.0], 'load.torque.piecewise.value': [torque]})
+    body, length = scene.manipulator, 2.0
+    beam = body.arm.section.mass_per_length * length
+    total = body.base_mass + beam + body.tip_mass
+    centre = (0.5 * beam + body.tip_mass) * length / total
+    inertia = (body.shaft_inertia + body.tip_inertia + body.tip_mass * length**2
+               + beam * length**2 / 3.0
+               + body.arm.section.inertia_per_length * length - total * centre**2)
+    simulator = Simulator(scene)
+    for _ in range(2):
+        speed = turning + torque / inertia * simulator.steps * scene.step
+        found = measured(simulator)
+        assert found['~/tip_imu'] == pytest.approx([
+            -(length - centre) * speed**2, (length - centre) * torque / inertia, speed],
+            rel=1e-9)
+        assert found['~/encoder'][0] == simulator.motion()[2]
+        assert found['~/root_strain'][0] == 0.0
+        simulator.advance(700)
+
+
+def test_root_strain_is_that_of_the_moment_which_accelerates_the_arm():
+    """E I Phi_n'(0) = omega_n^2 b_n (theory, section 2): a moment without any curvature."""
+    scene = timo_sim.load_scene({'model.formulation': 'newton', **MOVING})
+    simulator = Simulator(scene)
+    simulator.advance(300)
+    model, section = simulator.formulation, scene.manipulator.arm.section
+    inertia = (model.points.deflection @ (model.point_mass * model.points.xi)
+               + model.points.rotation @ model.point_inertia)
+    moment = (model.modes.omega**2 * inertia) @ simulator.motion()[3:6]
+    found = measured(simulator)['~/root_strain'][0]
+    assert abs(found) > 1e-4
+    assert found == pytest.approx(0.5 * section.height * moment / section.bending_stiffness,
+                                  rel=1e-9)
+
+
+def test_strain_under_a_constant_force_is_that_of_statics():
+    """A locked arm, damped until it is still: F l h / (2 E I), and no acceleration is left."""
+    scene = timo_sim.load_scene({
+        'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,
+        'arm.damping_ratio': [0.7], 'load.tip_force_y.piecewise.time': [0.0],
+        'load.tip_force_y.piecewise.value': [1.0]})
+    simulator, section = Simulator(scene), scene.manipulator.arm.section
+    simulator.advance(5000)
+    found = measured(simulator)
+    statics = 2.0 * section.height / (2.0 * section.bending_stiffness)
+    assert found['~/root_strain'][0] == pytest.approx((1.0 - missing(3)) * statics, rel=1e-5)
+    assert found['~/tip_imu'] == pytest.approx(np.zeros(3), abs=1e-9)
+
+
+def missing(modes):
+    """Return the share of the strain under a force on the tip that these modes do not give."""
+    model = timo_sim.load_scene({'model.modes': modes}).build()
+    section = model.manipulator.arm.section
+    compliance = model.modes.deflection([2.0])[0] / model.modes.omega**2
+    return 1.0 - (model.root_strain @ compliance) * section.bending_stiffness / section.height
+
+
+def test_strain_converges_to_statics_with_the_modes():
+    shares = np.abs([missing(modes) for modes in (3, 6, 12, 24)])
+    # 5e-3, 5e-4, 5e-5, 6e-6: order 3.
+    assert np.all(shares[1:] < shares[:-1] / 8.0) and shares[-1] < 1e-5
+
+
+def test_a_perfect_sensor_shows_what_is():
+    assert shown(PERFECT, 'gyro', 7, 0.1, -3.0) == (0.1, -3.0)
+
+
+def noise_of(sensor, steps=range(STEPS), axes=1, **changed):
+    """Return what a sensor with unit noise shows of nothing."""
+    values = {**PERFECT, f'sensor.{sensor}.noise': 1.0, **changed}
+    return np.array([shown(values, sensor, step, *[0.0] * axes) for step in steps]).T
+
+
+def test_noise_is_white_normal_and_independent():
+    rows = np.vstack([noise_of('tip_acceleration', axes=2), noise_of('root_strain'),
+                      noise_of('gyro'), noise_of('encoder'),
+                      noise_of('gyro', **{'sensor.seed': 1})])
+    # Four times the standard error of each estimate; seeds are fixed, so nothing here is chance.
+    assert np.abs(rows.mean(axis=1)).max() < 4.0 / np.sqrt(STEPS)
+    assert np.abs(rows.std(axis=1) - 1.0).max() < 4.0 / np.sqrt(2.0 * STEPS)
+    assert np.abs((np.abs(rows) > 1.96).mean(axis=1) - 0.05).max() < 4.0 * np.sqrt(0.0475 / STEPS)
+    assert np.abs(np.corrcoef(rows) - np.eye(len(rows))).max() < 4.0 / np.sqrt(STEPS)
+    for lag in (1, 256):  # the next step, the next block of them
+        assert np.abs((rows[:, lag:] * rows[:, :-lag]).mean(axis=1)).max() < 4.0 / np.sqrt(STEPS)
+
+
+def test_noise_depends_on_the_step_and_not_on_what_was_asked_before():
+    steps = [3, 2**40, 0, 255, 256, 70000, 3]
+    at_once, backwards = noise_of('gyro', steps)[0], noise_of('gyro', steps[::-1])[0]
+    assert np.array_equal(at_once, backwards[::-1]) and len(set(at_once)) == len(steps) - 1
+    # One axis is not disturbed by the other.
+    both = noise_of('tip_acceleration', steps, axes=2)
+    assert np.array_equal(both[0], noise_of('tip_acceleration', steps)[0])
+
+
+def test_bias_noise_and_resolution_in_this_order():
+    values = {**PERFECT, 'sensor.encoder.bias': 0.3, 'sensor.encoder.noise': 0.1,
+              'sensor.encoder.resolution': 0.25}
+    found = [shown(values, 'encoder', step, 5.0)[0] for step in range(200)]
+    random = noise_of('encoder', range(200))[0]
+    assert found == [0.25 * round((5.3 + 0.1 * number) / 0.25) for number in random]
+    assert len(set(found)) > 2
+
+
+@pytest.mark.parametrize('resolution', [5e-324, 1e-300, 1e-17])
+def test_what_is_finer_than_a_number_rounds_nothing(resolution):
+    assert shown({**PERFECT, 'sensor.gyro.resolution': resolution}, 'gyro', 0, 1e8) == (1e8,)
+
+
+def test_the_same_bits_however_the_steps_are_done(paper):
+    scene = timo_sim.load_scene(paper, {**MOVING, **{
+        f'sensor.{name}.noise': 0.01 for name in ('root_strain', 'tip_acceleration', 'gyro')}})
+    found = []
+    for batches in ([600], [1] * 100 + [77, 423], [599, 1]):
+        simulator = Simulator(scene)
+        for steps in batches:
+            measured(simulator) if steps == 77 else None
+            simulator.advance(steps)
+        found.append(np.concatenate(list(measured(simulator).values())))
+    assert np.array_equal(found[0], found[1]) and np.array_equal(found[0], found[2])
+
+
+def test_a_delay_that_does_not_fit_the_step_is_refused_with_the_ratio():
+    with pytest.raises(timo_sim.ParameterError, match=(
+            'sensor.tip_imu.delay = 0.0025 must be a whole multiple of integrator.step = 0.001, '
+            'the ratio is 2.5')):
+        timo_sim.load_scene({'sensor.tip_imu.delay': 0.0025})
