@@ -1,0 +1,149 @@
+"""Sensors over DDS and in the log: delayed, noisy, and the same in a replay to the last bit."""
+
+from mcap.reader import make_reader
+import numpy as np
+import pytest
+from sensor_msgs.msg import Imu, JointState
+from std_srvs.srv import Trigger
+
+import timo_sim
+from timo_sim.log.export import table
+from timo_sim.log.recording import Recording
+from timo_sim.replay.command import replay
+from timo_sim.sensors import shown
+
+WRONG = {'sensor.seed': 7, 'sensor.encoder.noise': 1e-3, 'sensor.encoder.resolution': 1e-4,
+         'sensor.root_strain.noise': 1e-6, 'sensor.gyro.bias': 0.01, 'sensor.gyro.noise': 2e-3,
+         'sensor.tip_acceleration.noise': 0.05}
+LATE = {'sensor.encoder.delay': 0.005, 'sensor.tip_imu.delay': 0.003}
+MOVING = {'initial.shaft_velocity': 2.0, 'initial.modal_rates': [2.0, 0.5, 0.1]}
+
+
+def step_of(message):
+    """Return the step of a header, of 1 ms each."""
+    return round(1e3 * message.header.stamp.sec + 1e-6 * message.header.stamp.nanosec)
+
+
+def lateness(log, topic):
+    """Return by how many steps messages were logged after the step that they name."""
+    with open(log, 'rb') as stream:
+        return {message.log_time // 1000000 - message.sequence
+                for _, _, message in make_reader(stream).iter_messages([topic])}
+
+
+def same_again(log, **options):
+    """Replay a log and see the same bits."""
+    lines = []
+    assert replay(log, show=lines.append, **options), lines
+    return next(line for line in lines if 'same to the last bit' in line)
+
+
+def test_a_delayed_message_comes_later_and_says_when_it_was_measured(start, client):
+    """Step by step: none too early, none too late; a reset drops what is under way."""
+    node = start(start_paused=True, **WRONG, **LATE, **MOVING, **{
+        'rate.encoder': 500.0, 'rate.joint_states': 1000.0, 'rate.tip_imu': 250.0})
+    states = client.collect(JointState, '/joint_states')
+    angles = client.collect(JointState, '/timo_sim/encoder')
+    motions = client.collect(Imu, '/timo_sim/tip_imu')
+    step, reset = (client.service(Trigger, f'/timo_sim/{name}') for name in ('step', 'reset'))
+    first = 0
+
+    def advance(until):
+        for now in range(step_of(states[-1]) + 1 if states else 1, until + 1):
+            assert step().success
+            client.wait(lambda: states and step_of(states[-1]) == now, f'step {now}')
+            for received, every, delay in ((angles, 2, 5), (motions, 4, 3)):
+                expected = [at for at in range(first, now - delay + 1) if at % every == 0]
+                client.wait(lambda: len(received) >= len(expected), f'messages by step {now}')
+                assert [step_of(message) for message in received] == expected
+
+    assert reset().success  # the node knows all subscribers, and measures at step 0
+    advance(12)
+    assert reset().success
+    angles.clear(), motions.clear()
+    first = 12
+    advance(30)
+    assert node.end()[0] == 0
+
+    # What is shown is what was, at the time of the header.
+    truth = {step_of(state): state.position[2] for state in states}
+    values = timo_sim.load_scene(WRONG).values
+    for message in angles:
+        assert message.name == ['shaft'] and not message.velocity and not message.effort
+        assert tuple(message.position) == shown(
+            values, 'encoder', step_of(message), truth[step_of(message)])
+    assert motions[0].header.frame_id == 'tip' and motions[0].orientation_covariance[0] == -1.0
+    assert motions[0].linear_acceleration.z == 9.80665
+
+    recording = Recording(node.log)
+    found = {name: series.step.tolist() for name, series in recording.topics.items()}
+    assert found['~/encoder'] == [0, 2, 4, 6, *range(12, 26, 2)]
+    assert found['~/tip_imu'] == [0, 4, 8, *range(12, 28, 4)]
+    assert lateness(node.log, '/timo_sim/encoder') == {5}
+    assert lateness(node.log, '/timo_sim/tip_imu') == {3}
+    # Nobody asked for the strain; a replay can tell what it was.
+    assert found['~/root_strain'] == []
+    same_again(node.log)
+    again = node.log.with_name('again.mcap')
+    replay(node.log, {'record_sensors': True}, output=again, show=lambda line: None)
+    strain = Recording(again).topics['~/root_strain']
+    assert strain.step.tolist() == found['joint_states'] and np.abs(strain.values).max() > 1e-4
+
+
+@pytest.fixture(scope='module')
+def log(tmp_path_factory):
+    """Log half a second of all sensors, that nobody subscribes to."""
+    from ros_process import Process
+    node = Process(tmp_path_factory.mktemp('sensors'), record_sensors=True, duration=0.5,
+                   real_time_factor=0.0, **WRONG, **LATE, **MOVING, **{'rate.tip_imu': 500.0})
+    assert node.wait()[0] == 0
+    return node.log
+
+
+def test_sensors_are_logged_alone_and_replayed_to_the_last_bit(log, tmp_path):
+    topics = Recording(log).topics
+    # A message that is still under way at the end is not there.
+    assert topics['~/tip_imu'].step.tolist() == list(range(0, 498, 2))
+    assert topics['~/encoder'].step.tolist() == list(range(0, 500, 10))
+    assert topics['~/root_strain'].step.tolist() == list(range(0, 501, 10))
+    count = sum(series.values.size for series in topics.values())
+    assert f'all {count} logged numbers' in same_again(log, output=tmp_path / 'again.mcap')
+    again = Recording(tmp_path / 'again.mcap')
+    for name, series in topics.items():
+        assert np.array_equal(series.values, again.topics[name].values)
+        assert np.array_equal(series.log_ns, again.topics[name].log_ns)
+    # Another seed has other numbers.
+    lines = []
+    replay(log, {'sensor.seed': 8}, output=tmp_path / 'other.mcap', show=lines.append)
+    assert not any('same to the last bit' in line for line in lines)
+    assert any(line.startswith('tip_imu turning_rad_per_s') for line in lines)
+
+
+def test_the_tip_is_where_twice_integrated_acceleration_takes_it(log, tmp_path):
+    """Without noise, turned into the world by the tip's pose, from messages alone."""
+    replay(log, {name: 0.0 for name in WRONG if name != 'sensor.seed'},
+           output=tmp_path / 'clean.mcap', show=lambda line: None)
+    topics = Recording(tmp_path / 'clean.mcap').topics
+    imu = topics['~/tip_imu'].values[:246]
+    x, y, z, w = topics['~/tip_pose'].values[:50].T
+    turned = 2.0 * np.unwrap(np.arctan2(z, w), period=2.0 * np.pi)
+    h = 2e-3
+    # The trapezoidal rule over two milliseconds, whose error is measured: 2e-5 rad, 7e-6 m.
+    gained = np.concatenate([[0.0], np.cumsum(0.5 * h * (imu[1:, 2] + imu[:-1, 2]))])
+    assert np.abs(gained[::5] - (turned - turned[0])).max() < 3e-5
+    angle = turned[0] + gained
+    world = np.exp(1j * angle) * (imu[:, 0] + 1j * imu[:, 1])
+    speed = np.concatenate([[0.0], np.cumsum(0.5 * h * (world[1:] + world[:-1]))])
+    place = np.concatenate([[0.0], np.cumsum(0.5 * h * (speed[1:] + speed[:-1]))])[::5]
+    start = (x + 1j * y)[[0, -1]]
+    # The velocity at the start is not measured: it follows from where the tip ends.
+    time = 0.01 * np.arange(50)
+    drift = (start[1] - start[0] - place[-1]) / time[-1]
+    assert np.abs(x + 1j * y - (start[0] + drift * time + place)).max() < 2e-5
+
+
+def test_sensors_are_columns_of_a_table(log):
+    columns, left = table(Recording(log))
+    assert {'encoder_shaft_rad', 'root_strain_outer_fibre', 'tip_imu_turning_rad_per_s',
+            'tip_imu_acceleration_x_m_per_s2'} <= columns.keys() and left == ['~/tip_imu']
+    assert np.isnan(columns['encoder_shaft_rad']).sum() == 1  # the last
