@@ -34,8 +34,7 @@ class Snapshot:
 
     def __init__(self, simulator, load):
         self._formulation, self._load = simulator.formulation, load
-        self._flow = simulator.state, simulator.load
-        self._parameters = simulator.scene.values
+        self._simulator = simulator  # which has not gone on while a message is made
         self.step = simulator.steps
         self.nanoseconds = simulator.nanoseconds
         self.time = divmod(self.nanoseconds, NANOSECONDS)
@@ -85,14 +84,14 @@ class Snapshot:
     @property
     def tip_acceleration(self):
         """Acceleration of the tip along the axes of the end effector [m/s2]."""
-        x, y = self._formulation.tip_acceleration(*self._flow).tolist()
+        x, y = self._simulator.tip_acceleration().tolist()
         angle = self._values[2] + self.tip[2]
         cosine, sine = math.cos(angle), math.sin(angle)
         return cosine * x + sine * y, cosine * y - sine * x
 
     def shown(self, sensor, *quantities):
         """Return what a sensor shows of these quantities."""
-        return shown(self._parameters, sensor, self.step, *quantities)
+        return shown(self._simulator.scene.values, sensor, self.step, *quantities)
 
     @cached_property
     def energy(self):

@@ -188,10 +188,9 @@ class Simulator:
         """Steps from one look at the error of a step to the next."""
         return min(max(self.steps - self._origin, _FIRST_LOOK), _CHUNK)
 
-    @property
-    def state(self):
-        """What the formulation integrates, shape (m,), a copy."""
-        return self._state.copy()
+    def tip_acceleration(self):
+        """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
+        return self.formulation.tip_acceleration(self._state, self._load)
 
     @property
     def load(self):
