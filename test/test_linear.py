@@ -83,14 +83,14 @@ def test_a_step_of_the_simulation_is_the_discrete_model(name, step):
     rest = scene.initial_motion()
     random, small = np.random.default_rng(1), 1e-6
     for _ in range(3):
-        x, u = random.normal(size=len(model.A)), random.normal(size=3)
+        x, u = random.normal(size=len(model.A)), random.normal(size=6)
         ends = []
         for sign in (-1.0, 1.0):
             simulator = Simulator(scene)
             simulator._state[:] = simulator.formulation.state(rest + sign * small * x)
             simulator._resting = False
             held = np.zeros(LOADS)
-            held[[0, 1, 4]] = sign * small * u
+            held[[0, 1, 4, 5, 6, 9]] = sign * small * u
             simulator.advance(1, held)
             ends.append(simulator.motion())
         found = (ends[1] - ends[0]) / (2.0 * small)
@@ -130,6 +130,17 @@ def test_outputs_of_a_small_motion():
     d = 1e-5
     strain = 0.01 * (4.0 * run.rotation(d) - run.rotation(2.0 * d)) / (2.0 * d)
     assert np.abs(found['root_strain'] - strain).max() < 1e-5 * np.abs(strain).max()
+
+
+@pytest.mark.parametrize('values, inputs', [
+    ({}, ['force_x_N', 'force_y_N', 'torque_N_m', 'tip_force_x_N', 'tip_force_y_N',
+          'tip_torque_N_m']),
+    ({'carrier.held': 'both'}, ['torque_N_m', 'tip_force_y_N', 'tip_torque_N_m']),
+    ({'carrier.held': 'y', 'motor.shaft': 'locked', 'model.modes': 0},
+     ['force_x_N', 'tip_force_x_N'])])
+def test_inputs_are_those_that_do_anything(values, inputs):
+    model = timo_sim.linearize(timo_sim.load_scene({'initial.shaft': 0.0, **values}))
+    assert list(model.inputs) == inputs
 
 
 def test_selection_and_state_space():

@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from timo_sim.parameters import ParameterError
-from timo_sim.physics.formulation import ANGLE, FORCE_X, FORCE_Y, LOADS, STENCIL, TORQUE
+from timo_sim.physics.formulation import ANGLE, LOADS, STENCIL
+from timo_sim.physics.load import CHANNELS
 
 # Differences of fourth order over this part of the arm's length, or of a radian.
 _SHIFT = 1e-3
-_INPUTS = {'force_x_N': FORCE_X, 'force_y_N': FORCE_Y, 'torque_N_m': TORQUE}
+_INPUTS = {f'{channel}_{"N_m" if "torque" in channel else "N"}': column
+           for channel, column in CHANNELS.items()}
 # Rates that are left where a state that is called an equilibrium is none [1/s].
 _STILL = 1e-9
 
@@ -96,10 +98,10 @@ def linearize(scene, at=None):
     Returns
     -------
     LinearModel
-        States: free coordinates, then their rates. Inputs: forces on the carrier in world axes
-        and torque on the shaft, as far as they do anything. Outputs: carrier and shaft, tip in
-        world axes, deflection and rotation of the tip and its acceleration across the arm, strain
-        at the root, rates of carrier and shaft.
+        States: free coordinates, then their rates. Inputs: forces on carrier and tip in world
+        axes, torques on shaft and tip, as far as they do anything. Outputs: carrier and shaft, tip
+        in world axes, deflection and rotation of the tip and its acceleration across the arm,
+        strain at the root, rates of carrier and shaft.
 
     Raises
     ------
@@ -127,22 +129,20 @@ def linearize(scene, at=None):
                     - formulation.linear @ formulation.state(motion))
     a = np.linalg.solve(to_state, formulation.linear @ to_state + rest)
 
-    columns = {name: column for name, column in _INPUTS.items()
-               if (column == TORQUE and not first) or column - FORCE_X in axes}
     # A rate is linear in a load.
-    units = np.eye(LOADS)[list(columns.values())]
-    per_load = [formulation.rate(state, load + unit) - formulation.rate(state, load)
-                for unit in units]
-    b = np.linalg.solve(to_state, np.reshape(per_load, (len(units), len(a))).T)
+    inputs = {name: formulation.rate(state, load + np.eye(LOADS)[column])
+              - formulation.rate(state, load) for name, column in _INPUTS.items()}
+    inputs = {name: per_load for name, per_load in inputs.items() if per_load.any()}
+    b = np.linalg.solve(to_state, np.reshape([*inputs.values()], (len(inputs), len(a))).T)
 
     outputs = _Outputs(formulation)
     c = jacobian(outputs.values)
     # Of the tip's velocity the rates are those of the coordinates and what these do.
     across = jacobian(lambda motion: outputs.across(motion, at[2]))[:, :half]
     c = np.vstack([c, across @ a[half:]])
-    d = np.vstack([np.zeros((len(c) - 1, len(units))), across @ b[half:]])
+    d = np.vstack([np.zeros((len(c) - 1, len(inputs))), across @ b[half:]])
     return LinearModel(a, b, c, d, _state_names(axes, first, len(formulation.modes)),
-                       tuple(columns), (*outputs.names, 'tip_acceleration_m_per_s2'))
+                       tuple(inputs), (*outputs.names, 'tip_acceleration_m_per_s2'))
 
 
 def _check(at, rate):
