@@ -139,6 +139,13 @@ def _encoder(snapshot):
     return snapshot.shown('encoder', snapshot.joint_positions[2])
 
 
+def _transforms(snapshot):
+    x, y, theta = snapshot.joint_positions
+    along, across, rotation = snapshot.tip
+    return (x, y, math.sin(0.5 * theta), math.cos(0.5 * theta),
+            along, across, math.sin(0.5 * rotation), math.cos(0.5 * rotation))
+
+
 class Output(NamedTuple):
     """
     The numbers of a topic.
@@ -196,6 +203,13 @@ def outputs(modes):
         _sensor('~/encoder', 'sensor_msgs/msg/JointState', _encoder, ('shaft_rad',)),
         _output('/clock', 'rosgraph_msgs/msg/Clock', lambda snapshot: (), ()),
     ]
+
+
+# Frames: carrier in world, arm (which turns with the shaft) on it, tip in the arm frame. Neither
+# logged nor replayed: it is what is read off the motion above.
+TRANSFORMS = _output('/tf', 'tf2_msgs/msg/TFMessage', _transforms, (
+    'carrier_x_m', 'carrier_y_m', 'arm_orientation_z', 'arm_orientation_w',
+    'tip_x_m', 'tip_y_m', 'tip_orientation_z', 'tip_orientation_w'))
 
 
 def with_angles(columns, values):

@@ -307,6 +307,7 @@ _ALL = [
     _rate('encoder', 100.0),
     _rate('clock', 100.0),
     _rate('arm_shape', 50.0),
+    _rate('tf', 50.0),
     Parameter('record', True, '', 'whether the run is logged to an MCAP file', scope=NODE),
     Parameter('record_file', '', '', 'path of the log; empty: timo_sim_DATE_TIME.mcap in the '
               'working directory', scope=NODE),
@@ -316,6 +317,8 @@ _ALL = [
               'streamed, such as rerun+http://127.0.0.1:9876/proxy; empty: none', scope=NODE),
     Parameter('publish_arm_shape', False, '', 'whether the centre line goes to ~/arm_shape, for '
               'RViz; needs visualization_msgs', scope=NODE),
+    Parameter('publish_tf', False, '', 'whether the frames carrier, arm and tip go to /tf; needs '
+              'tf2_msgs', scope=NODE),
 ]
 
 PARAMETERS = {parameter.name: parameter for parameter in _ALL}

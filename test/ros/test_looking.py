@@ -1,6 +1,7 @@
 """What a node shows while it runs: a stream to rerun, a marker for RViz; both only when wanted."""
 
 import ast
+import os
 from pathlib import Path
 import socket
 import subprocess
@@ -16,6 +17,9 @@ from visualization_msgs.msg import Marker
 
 import timo_sim
 from timo_sim.commands import JOINTS
+from timo_sim.outputs import Snapshot, TRANSFORMS
+from timo_sim.physics.formulation import LOADS
+from timo_sim.simulation import Simulator
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -79,7 +83,8 @@ def test_a_live_address_that_is_none_is_refused(start):
 
 def test_nothing_of_it_is_imported_when_off():
     code = ('import sys, timo_sim.ros.node; '
-            'assert not {"rerun", "visualization_msgs", "timo_sim.view"} & set(sys.modules)')
+            'assert not {"rerun", "visualization_msgs", "tf2_msgs", "timo_sim.view"} & '
+            'set(sys.modules)')
     subprocess.run([sys.executable, '-c', code], check=True)
 
 
@@ -95,12 +100,44 @@ def test_the_arm_has_its_shape_in_rviz(start, client, paper):
         assert np.allclose([point.x, point.y, point.z], [*run.position(xi)[-1], 0.0], atol=1e-12)
 
 
+def turn(half_sine, half_cosine):
+    """Return the rotation in the plane of a quaternion."""
+    cosine, sine = half_cosine**2 - half_sine**2, 2.0 * half_sine * half_cosine
+    return np.array([[cosine, -sine], [sine, cosine]])
+
+
+def test_the_frames_of_tf_lead_from_the_world_to_the_bent_tip(paper):
+    """One after the other they give position and rotation of the tip that a run has."""
+    scene = timo_sim.load_scene(paper)
+    simulator = Simulator(scene)
+    simulator.advance(1810)  # where the arm is bent most
+    x, y, *arm, along, across, tip_z, tip_w = TRANSFORMS.numbers(
+        Snapshot(simulator, [0.0] * LOADS))
+    run = timo_sim.simulate(scene, 1.81, every=1810)
+    assert abs(across - run.deflection(2.0)[-1, 1]) < 1e-14 and abs(across) > 0.08
+    assert np.allclose([x, y] + turn(*arm) @ [along, across], run.position(2.0)[-1], atol=1e-14)
+    angle = run.shaft[-1] + run.rotation(2.0)[-1]
+    assert np.allclose(turn(*arm) @ turn(tip_z, tip_w) @ [1.0, 0.0],
+                       [np.cos(angle), np.sin(angle)], atol=1e-14)
+
+
+def test_tf_without_its_messages_ends_with_one_line_and_code_2(start, tmp_path, monkeypatch):
+    (tmp_path / 'tf2_msgs.py').write_text(
+        'raise ModuleNotFoundError("not here", name="tf2_msgs")')
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
+    code, output = start(publish_tf=True, record=False).wait()
+    assert code == 2 and 'Traceback' not in output
+    assert ('timo_sim: publish_tf needs tf2_msgs, which is not installed: apt-get install '
+            'ros-jazzy-tf2-msgs\n') in output
+
+
 def test_the_urdf_has_the_joints_and_bodies_of_the_paper(paper):
     robot = ElementTree.parse(ROOT / 'urdf' / 'timo_sim.urdf').getroot()
     joints = {joint.get('name'): joint for joint in robot.findall('joint')}
     assert {name: joint.get('type') for name, joint in joints.items()} == {
         'carrier_x': 'prismatic', 'carrier_y': 'prismatic', 'shaft': 'continuous', 'tip': 'fixed'}
     links = {link.get('name'): link for link in robot.findall('link')}
+    assert set(links) == {'world', 'carrier_rail', 'carrier', 'arm', 'tip'}
     # A tree with one root.
     children = [joint.find('child').get('link') for joint in joints.values()]
     assert sorted([*children, 'world']) == sorted(links)
@@ -110,7 +147,7 @@ def test_the_urdf_has_the_joints_and_bodies_of_the_paper(paper):
     def mass(link):
         return float(links[link].find('inertial/mass').get('value'))
 
-    assert mass('carrier') == body.base_mass and mass('end_effector') == body.tip_mass
+    assert mass('carrier') == body.base_mass and mass('tip') == body.tip_mass
     assert mass('arm') == pytest.approx(section.mass_per_length * length, rel=1e-4)
     assert float(joints['tip'].find('origin').get('xyz').split()[0]) == length
     assert links['arm'].find('visual/geometry/box').get('size') == (

@@ -14,6 +14,7 @@ _FIELDS = {
     'std_msgs/msg/Float64MultiArray': ('dimensions', 'number', 'doubles'),
     'sensor_msgs/msg/Imu': (*_HEADER, *37 * ['double']),
     'rosgraph_msgs/msg/Clock': ('stamp',),
+    'tf2_msgs/msg/TFMessage': ('transforms',),
 }
 TYPES = frozenset(_FIELDS)
 _START = 4                     # of what is aligned, after the encoding
@@ -33,7 +34,7 @@ class Layout(NamedTuple):
     """
 
     size: int            # without the padding that some writers add
-    stamp: int | None    # of seconds, nanoseconds follow
+    stamps: list         # of the seconds of each time, nanoseconds follow
     doubles: list        # of each number
     lists: list          # how many numbers are in each list; fields in a row are one
     texts: list          # values
@@ -49,14 +50,14 @@ class Layout(NamedTuple):
 
     def meant(self):
         """Return the places of all bytes that mean something: none of those in between."""
-        numbers = [*([] if self.stamp is None else [self.stamp]), *self.doubles]
-        return [*self.fixed, *(place + byte for place in numbers for byte in range(8))]
+        return [*self.fixed, *(place + byte for place in (*self.stamps, *self.doubles)
+                               for byte in range(8))]
 
 
 class _Walk:
     def __init__(self, data):
         self._data, self.place = data, _START
-        self.found = Layout(0, None, [], [], [], [0, 1])
+        self.found = Layout(0, [], [], [], [], [0, 1])
         if bytes(data[:2]) != _LITTLE_ENDIAN:
             raise CdrError(f'its encoding is {bytes(data[:2])!r}, not {_LITTLE_ENDIAN!r}')
 
@@ -73,7 +74,7 @@ class _Walk:
         return struct.unpack_from('<I', self._data, begin)[0]
 
     def stamp(self):
-        self.found = self.found._replace(stamp=self._pass(8, 4))
+        self.found.stamps.append(self._pass(8, 4))
 
     def string(self):
         size = self._count()
@@ -94,6 +95,14 @@ class _Walk:
             self.string()
             self.number()  # its size
             self.number()  # its stride
+
+    def transforms(self):
+        for _ in range(self._count()):
+            self.stamp()
+            self.string()  # frame
+            self.string()  # its child
+            for _ in range(7):
+                self.double()
 
     def double(self):
         if not self.found.lists:

@@ -142,7 +142,8 @@ class Collector:
             return which[kept], None, np.array(loads, dtype=float).reshape(shape), [
                 row.tobytes() for row in rows[kept]]
         values = _doubles(rows, [found.doubles[place] for place in self._places])
-        stamp = np.ascontiguousarray(rows[:, found.stamp:found.stamp + 8]).view('<i4')
+        first = found.stamps[0]
+        stamp = np.ascontiguousarray(rows[:, first:first + 8]).view('<i4')
         return which, stamp[:, 0] * np.int64(NANOSECONDS) + stamp[:, 1], values, []
 
     def arrays(self):

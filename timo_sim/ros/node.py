@@ -22,10 +22,10 @@ from timo_sim.physics.formulation import LOADS
 from timo_sim.ros import diagnostics
 from timo_sim.ros.commands import Commands
 from timo_sim.ros.gate import Gate
-from timo_sim.ros.optional import arm_shape, live_feed
+from timo_sim.ros.optional import arm_shape, live_feed, transforms
 from timo_sim.ros.pacing import Pace
 from timo_sim.ros.parameters import declare_parameters, on_set
-from timo_sim.ros.topics import LateOutlet, MotionOutlet, Outlet
+from timo_sim.ros.topics import LateOutlet, MESSAGES, MotionOutlet, Outlet
 from timo_sim.scene import scene_from
 from timo_sim.simulation import DivergenceError, Simulator
 
@@ -40,7 +40,7 @@ _TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees i
 
 def _steps_between_messages(values, step):
     return {rate: whole_ratio('1/integrator.step', 1.0 / step, rate, values[rate])
-            for rate in RATES if rate != 'rate.arm_shape' or values['publish_arm_shape']}
+            for rate in RATES if values.get(f'publish_{rate.removeprefix("rate.")}', True)}
 
 
 class SimNode(Node):
@@ -97,6 +97,8 @@ class SimNode(Node):
         self._late = [outlet for outlet in self._outlets if isinstance(outlet, LateOutlet)]
         if self._values['publish_arm_shape']:
             self._outlets.append(arm_shape(self, self._simulator.formulation))
+        if self._values['publish_tf']:
+            self._outlets.append(transforms(self))
         self._live = live_feed(scene, self._values['rerun_live'],
                                self.get_fully_qualified_name())
         self._health_outlet = Outlet(self, '/diagnostics', DiagnosticArray)
@@ -113,7 +115,8 @@ class SimNode(Node):
 
     def _outlet(self, output):
         delay = output.delay and round(self._values[output.delay] / self._step)
-        outlet = LateOutlet(self, output, delay) if delay else MotionOutlet(self, output)
+        made = self, output, *MESSAGES[output.name]
+        outlet = LateOutlet(*made, delay) if delay else MotionOutlet(*made)
         outlet.asks = not output.delay or self._values['record_sensors']
         return outlet
 

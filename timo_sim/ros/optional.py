@@ -14,6 +14,16 @@ def arm_shape(node, formulation):
     return ArmShape(node, formulation)
 
 
+def transforms(node):
+    """Return the outlet of /tf; raise ParameterError if its messages are not installed."""
+    try:
+        from timo_sim.ros.transforms import Transforms
+    except ModuleNotFoundError as error:
+        raise ParameterError(f'publish_tf needs {error.name}, which is not installed: apt-get '
+                             'install ros-jazzy-tf2-msgs') from None
+    return Transforms(node)
+
+
 def live_feed(scene, url, name):
     """Return what streams to the viewer at an address, None for ''; or raise ParameterError."""
     if not url:

@@ -82,15 +82,15 @@ class Serializer:
     Parameters
     ----------
     message : function(Time, *float) -> message
-        Its first field must be the time, or a header.
+        It must hold the time; all its times are the same.
     size : int
         Numbers that it takes.
 
     """
 
     def __init__(self, message, size):
-        sec, nanosec, *numbers = marks = [1234567, 7654321] + [1.1 + n for n in range(size)]
-        first = message(Time(sec=sec, nanosec=nanosec), *numbers)
+        numbers = [1.1 + n for n in range(size)]
+        first = message(Time(), *numbers)
         data = serialize_message(first)
         found = layout(type_name(type(first)), data)
         # Without what rclpy puts between fields and at the end: whatever was in memory there.
@@ -99,16 +99,18 @@ class Serializer:
             self._data[place] = data[place]
         # After four bytes CDR aligns every number to its size.
         body = memoryview(self._data)[4:]
-        self._time = body[:8].cast('I')
+        self._words = body[:len(body) // 4 * 4].cast('I')
+        self._times = [(place - 4) // 4 for place in found.stamps]
         self._numbers = body[:len(body) // 8 * 8].cast('d')
         inside = self._numbers.tolist()
         self._places = [inside.index(number) for number in numbers]
-        if self._time.tolist() != marks[:2]:
-            raise ValueError(f'{message} does not begin with the time')
+        if not self._times:
+            raise ValueError(f'{message} has no time')
 
     def __call__(self, time, numbers):
         """Return the message with this time ([s], [ns]) and these numbers, CDR."""
-        self._time[0], self._time[1] = time
+        for place in self._times:
+            self._words[place], self._words[place + 1] = time
         view = self._numbers
         for place, number in zip(self._places, numbers):
             view[place] = number
@@ -179,8 +181,7 @@ class MotionOutlet(Outlet):
 
     """
 
-    def __init__(self, node, output):
-        message_type, message = MESSAGES[output.name]
+    def __init__(self, node, output, message_type, message):
         super().__init__(node, output.name, message_type)
         self._serialize = Serializer(message, len(output.columns))
         self._numbers, self.rate = output.numbers, output.rate
@@ -207,8 +208,8 @@ class LateOutlet(MotionOutlet):
 
     """
 
-    def __init__(self, node, output, delay):
-        super().__init__(node, output)
+    def __init__(self, node, output, message_type, message, delay):
+        super().__init__(node, output, message_type, message)
         self._delay, self._under_way = delay, {}
 
     def publish(self, snapshot):

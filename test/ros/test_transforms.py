@@ -1,0 +1,55 @@
+"""The frames on /tf; conftest.py leaves this out where tf2_msgs is not installed."""
+
+import math
+from pathlib import Path
+import xml.etree.ElementTree as ElementTree
+
+from builtin_interfaces.msg import Time
+import numpy as np
+from rclpy.serialization import deserialize_message, serialize_message
+from tf2_msgs.msg import TFMessage
+
+import timo_sim
+from timo_sim.log.cdr import layout
+from timo_sim.outputs import TRANSFORMS
+from timo_sim.ros.topics import Serializer
+from timo_sim.ros.transforms import message
+
+URDF = Path(__file__).resolve().parents[2] / 'urdf' / 'timo_sim.urdf'
+
+
+def test_packed_is_what_rclpy_serializes():
+    numbers = np.random.default_rng(1).normal(size=len(TRANSFORMS.columns)).tolist()
+    expected = message(Time(sec=3, nanosec=5), *numbers)
+    packed = Serializer(message, len(numbers))((3, 5), numbers)
+    assert deserialize_message(packed, TFMessage) == expected
+    data = serialize_message(expected)
+    meant = layout(TRANSFORMS.type_name, data).meant()
+    assert [packed[place] for place in meant] == [data[place] for place in meant]
+    assert len(packed) == len(data)
+
+
+def test_a_node_turns_the_frames_with_the_shaft_and_the_tip(start, client, paper):
+    node = start('--params-file', str(paper), publish_tf=True, **{'rate.tf': 100.0})
+    messages = client.collect(TFMessage, '/tf')
+    client.wait(lambda: len(messages) > 30, 'frames')
+    code, output = node.end()
+    assert code == 0, output
+    links = {link.get('name') for link in ElementTree.parse(URDF).getroot().findall('link')}
+    run = timo_sim.simulate(timo_sim.load_scene(paper), 2.0)
+    for frames in messages:
+        names = [(frame.header.frame_id, frame.child_frame_id) for frame in frames.transforms]
+        assert names == [('world', 'carrier'), ('carrier', 'arm'), ('arm', 'tip')]
+        assert {name for pair in names for name in pair} <= links
+        stamps = {(frame.header.stamp.sec, frame.header.stamp.nanosec)
+                  for frame in frames.transforms}
+        (sec, nanosec), = stamps
+        step = round(1e3 * (sec + 1e-9 * nanosec))
+        assert step % 10 == 0
+        carrier, arm, tip = (frame.transform for frame in frames.transforms)
+        assert [carrier.translation.x, carrier.translation.y] == run.carrier[step].tolist()
+        assert carrier.rotation.w == 1.0 and arm.translation.x == arm.translation.y == 0.0
+        for turned, angle in ((arm, run.shaft[step]), (tip, run.rotation(2.0)[step])):
+            assert abs(2.0 * math.atan2(turned.rotation.z, turned.rotation.w) - angle) < 1e-13
+        place = run.deflection(2.0)[step] + [2.0, 0.0]
+        assert np.allclose([tip.translation.x, tip.translation.y], place, rtol=0, atol=1e-14)
