@@ -1,6 +1,5 @@
 """The node `timo_sim`: wiring of simulator, topics, services, clock, diagnostics and log."""
 
-from datetime import datetime
 import math
 import threading
 import time
@@ -9,22 +8,20 @@ from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
-from std_srvs.srv import SetBool, Trigger
 
-from timo_sim.accuracy import settle
-from timo_sim.log.notes import (
-    CHANGE, change_note, Peak, RESET, start_note, START, SUMMARY)
-from timo_sim.log.recorder import Recorder
+from timo_sim.log.notes import CHANGE, change_note, Peak, RESET, start_note
 from timo_sim.outputs import NANOSECONDS, outputs, Snapshot
-from timo_sim.parameters import (
-    changed, LATEST, ParameterError, PARAMETERS, RATES, SCENE, whole_ratio)
+from timo_sim.parameters import changed, LATEST, PARAMETERS, SCENE, whole_ratio
 from timo_sim.physics.formulation import LOADS
 from timo_sim.ros import diagnostics
 from timo_sim.ros.commands import Commands
 from timo_sim.ros.gate import Gate
-from timo_sim.ros.optional import arm_shape, live_feed, transforms
+from timo_sim.ros.optional import arm_shape, interfaces, live_feed, transforms
 from timo_sim.ros.pacing import Pace
-from timo_sim.ros.parameters import declare_parameters, on_set
+from timo_sim.ros.parameters import (
+    declare_parameters, on_set, settled_scene, steps_between_messages)
+from timo_sim.ros.run_log import RunLog
+from timo_sim.ros.services import NotNow, offer_services
 from timo_sim.ros.topics import LateOutlet, MESSAGES, MotionOutlet, Outlet
 from timo_sim.scene import scene_from
 from timo_sim.simulation import DivergenceError, Simulator
@@ -36,11 +33,6 @@ _PAUSED_POLL, _LONGEST_SLEEP = 0.01, 0.1
 # The same while a step waits for a command, and how often the first state is shown again [s].
 _COMMAND_POLL, _SHOWN_AGAIN = 1e-4, 0.2
 _TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees it jump'
-
-
-def _steps_between_messages(values, step):
-    return {rate: whole_ratio('1/integrator.step', 1.0 / step, rate, values[rate])
-            for rate in RATES if values.get(f'publish_{rate.removeprefix("rate.")}', True)}
 
 
 class SimNode(Node):
@@ -69,9 +61,9 @@ class SimNode(Node):
         self._values = declare_parameters(self)
         scene = scene_from(self._values)
         if scene.values['model.accuracy']:
-            scene = self._settled(scene)
+            scene = settled_scene(self, scene, self._values)
         self._step = scene.step
-        steps_each = _steps_between_messages(self._values, self._step)
+        steps_each = steps_between_messages(self._values, self._step)
         self._end = whole_ratio('duration', self._values['duration'], 'integrator.step',
                                 self._step) or math.floor(LATEST / self._step)
 
@@ -84,8 +76,8 @@ class SimNode(Node):
         self._paused = self._values['start_paused']
         self._diverged = None
         self._pace = Pace(self._step)
-        self._recorder, self._log_error, self._cautioned = None, None, None
-        self._peak = Peak()
+        self._cautioned = None
+        self._log, self._peak = RunLog(self.get_logger()), Peak()
         self._foreign_clock, self.failed_calls = False, 0
         self._shown = -math.inf
         self._health = diagnostics.Health(self.get_fully_qualified_name())
@@ -104,9 +96,8 @@ class SimNode(Node):
         self._health_outlet = Outlet(self, '/diagnostics', DiagnosticArray)
         self._apply(self._values, steps_each)
         on_set(self, self._values, self._on_parameters)
-        self.create_service(SetBool, '~/pause', self._on_pause)
-        self.create_service(Trigger, '~/reset', self._on_reset)
-        self.create_service(Trigger, '~/step', self._on_step)
+        offer_services(self)
+        interfaces(self)
 
     @property
     def subscriptions(self):
@@ -120,23 +111,6 @@ class SimNode(Node):
         outlet.asks = not output.delay or self._values['record_sensors']
         return outlet
 
-    def _settled(self, scene):
-        self.get_logger().info(
-            'choosing modes and step for model.accuracy, compiling once for each new size')
-        settled = settle(scene, self._values['duration'], self._suits)
-        self.get_logger().info(
-            f'model.accuracy = {scene.values["model.accuracy"]:g} m: {settled}')
-        self._values.update(settled.scene.values)
-        return settled.scene
-
-    def _suits(self, step):
-        try:
-            _steps_between_messages(self._values, step)
-            whole_ratio('duration', self._values['duration'], 'integrator.step', step)
-        except ParameterError:
-            return False
-        return True
-
     def open(self):
         """Open the log and show the initial state, before any callback can change it."""
         if self._values['record']:
@@ -144,8 +118,8 @@ class SimNode(Node):
         self._look()
         self._publish()
         # Only now: rclpy's first line of a process takes a tenth of a second.
-        if self._recorder is not None:
-            self.get_logger().info(f'logging to {self._recorder.path}')
+        if self._log.path:
+            self.get_logger().info(f'logging to {self._log.path}')
 
     def run(self):
         """Advance sim time with wall time until asked to stop."""
@@ -230,8 +204,7 @@ class SimNode(Node):
         if not self._gate.boundary(step):
             return
         for index, data in self._commands.apply(step, self._timeout_steps, self._held):
-            if self._recorder is not None:
-                self._recorder.write(index, step, self._simulator.nanoseconds, data)
+            self._log.write(index, step, self._simulator.nanoseconds, data)
 
     def _publish(self, everything=False):
         """Send each message that is due at this step and wanted by somebody."""
@@ -258,9 +231,7 @@ class SimNode(Node):
         simulator = self._simulator
         steps = simulator.steps
         self._reported = now, steps
-        if self._recorder is not None and self._recorder.error and not self._log_error:
-            self._log_error = f'the log ends early: {self._recorder.error}'
-            self.get_logger().error(self._log_error)
+        self._log.look()
         self._pass_on_caution()
         self._look_for_clocks()
         if not self._health_outlet.wanted:
@@ -275,8 +246,8 @@ class SimNode(Node):
                 'energy_J': snapshot.energy,
                 'step_error_m': f'{simulator.control.largest:.2g}',
                 'split_steps': simulator.control.splits,
-                'log': self._recorder.path if self._recorder is not None else 'off'},
-            errors=[error for error in (self._diverged, self._log_error) if error],
+                'log': self._log.path or 'off'},
+            errors=[error for error in (self._diverged, self._log.error) if error],
             cautions=[text for text in (
                 simulator.caution, self._foreign_clock and _TWO_CLOCKS) if text])
         self._health_outlet.send(serialize_message(message), snapshot.step, snapshot.nanoseconds)
@@ -303,7 +274,7 @@ class SimNode(Node):
         if self._foreign_clock and not before:
             self.get_logger().warning(_TWO_CLOCKS)
 
-    # Parameters and services, called by the executor.
+    # Parameters, called by the executor.
 
     def survive(self, error):
         """Say that a callback failed, for example rclpy's at a request that makes no sense."""
@@ -319,7 +290,7 @@ class SimNode(Node):
 
     def _on_parameters(self, changed):
         values = {**self._values, **changed}
-        steps_each = _steps_between_messages(values, self._step)
+        steps_each = steps_between_messages(values, self._step)
         of_scene = {name: value for name, value in changed.items()
                     if PARAMETERS[name].scope == SCENE}
         scene = self._simulator.scene.vary(of_scene)
@@ -327,21 +298,31 @@ class SimNode(Node):
             self._apply(values, steps_each)
             if of_scene:
                 self._simulator.change(scene)
-                if self._recorder is not None:
-                    self._recorder.note(CHANGE, change_note(self._simulator.steps, of_scene))
+                self._log.note(CHANGE, change_note(self._simulator.steps, of_scene))
 
-    def _on_pause(self, request, response):
+    # Operations for the services, called by the executor.
+
+    @property
+    def paused(self):
+        """Whether time stands."""
+        return self._paused
+
+    @property
+    def steps(self):
+        """Steps done."""
+        return self._simulator.steps
+
+    def pause(self, paused):
+        """Let time stand, or go on; return what it does; raise NotNow."""
         with self._lock:
-            if self._diverged and not request.data:
-                response.success = False
-                response.message = f'~/reset is needed first: {self._diverged}'
-                return response
-            self._paused = request.data
+            if not paused:
+                self._refuse_diverged()
+            self._paused = paused
             self._pace.start(self._simulator.steps, time.monotonic())
-        response.success, response.message = True, 'paused' if request.data else 'running'
-        return response
+        return 'paused' if paused else 'running'
 
-    def _on_reset(self, request, response):
+    def reset(self):
+        """Go back to the initial state; return when, as text."""
         with self._lock:
             self._look()
             self._simulator.reset()
@@ -351,48 +332,45 @@ class SimNode(Node):
                 outlet.drop()
             self._applied = [0.0] * LOADS
             self._diverged = None
-            if self._recorder is not None:
-                self._recorder.note(RESET, {'step': str(self._simulator.steps)})
+            self._log.note(RESET, {'step': str(self._simulator.steps)})
             self._publish(everything=True)
             self._pace.start(self._simulator.steps, time.monotonic())
-        response.success, response.message = True, f'reset at step {self._simulator.steps}'
-        return response
+            return f'reset at step {self._simulator.steps}'
 
-    def _on_step(self, request, response):
+    def step(self, count=None):
+        """Do so many steps while paused, or `step_count`; return until when; raise NotNow."""
         with self._lock:
-            if not self._paused or self._diverged:
-                response.success = False
-                response.message = (f'~/reset is needed first: {self._diverged}' if self._diverged
-                                    else '~/step needs a paused simulation')
-                return response
+            self._refuse_diverged()
+            if not self._paused:
+                raise NotNow('a step needs a paused simulation')
             self._look()
             self._commands.poll()
-            first = self._simulator.steps
-            self._advance(self._values['step_count'])
-            done = self._simulator.steps - first
-        response.success = done == self._values['step_count']
-        response.message = self._diverged or f'at step {self._simulator.steps}' + (
-            ', which waits for a command' if self._gate.waiting else '')
-        return response
+            goal = self._simulator.steps + (self._values['step_count'] if count is None else count)
+            self._advance(goal - self._simulator.steps)
+            reached = f'at step {self._simulator.steps}'
+            if self._simulator.steps < goal:
+                raise NotNow(self._diverged or reached + (
+                    ', which waits for a command' if self._gate.waiting else ''))
+        return reached
+
+    def quit(self):
+        """End the process, as SIGINT does."""
+        self._stop.set = True
+
+    def _refuse_diverged(self):
+        if self._diverged:
+            raise NotNow(f'~/reset is needed first: {self._diverged}')
 
     # The log.
 
     def _open_log(self):
-        path = self._values['record_file'] or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap'
-        outlets = [outlet for outlet in (*self._outlets, self._health_outlet) if outlet.logged]
-        channels = [*self._commands.channels, *(outlet.channel for outlet in outlets)]
-        try:
-            self._recorder = Recorder(path, channels, {
-                START: start_note(self.get_fully_qualified_name(), self._values,
-                                  changed(self._values), self._simulator.scene)})
-        except (OSError, ValueError) as error:  # ValueError: a path without a name
-            self._log_error = f'no log is written to {path}: {error}'
-            self.get_logger().error(self._log_error)
-            return
-        for index, outlet in enumerate(outlets, start=len(self._commands.channels)):
-            outlet.recorder, outlet.index = self._recorder, index
+        self._log.open(
+            self._values['record_file'], self._commands.channels,
+            [*self._outlets, self._health_outlet],
+            start_note(self.get_fully_qualified_name(), self._values, changed(self._values),
+                       self._simulator.scene))
         for outlet in self._outlets:
-            if outlet.name == '~/tip_deflection':
+            if self._log.path and outlet.name == '~/tip_deflection':
                 outlet.watch = self._peak.see
 
     def _close(self, wall_time):
@@ -402,11 +380,8 @@ class SimNode(Node):
         sim_time = self._simulator.steps * self._step
         report = (f'simulated {sim_time:.6g} s in {wall_time:.3f} s, {self._pace.overruns} '
                   f'overruns, {self._pace.dropped_steps * self._step:.6g} s dropped')
-        if self._recorder is not None:
-            counted = {name: str(count) for name, count in self._counters().items()}
-            self._recorder.note(SUMMARY, {**self._peak.note(), **counted})
-            self._recorder.close()
-            report += f'; log: {self._recorder.path}'
-            if self._recorder.error and not self._log_error:
-                self.get_logger().error(f'the log ends early: {self._recorder.error}')
+        self._log.close({**self._peak.note(), **{
+            name: str(count) for name, count in self._counters().items()}})
+        if self._log.path:
+            report += f'; log: {self._log.path}'
         self.get_logger().info(report)

@@ -1,5 +1,7 @@
 """What only some scenes ask for, and not every machine has: imported when it is asked for."""
 
+from importlib.util import find_spec
+
 from timo_sim.parameters import ParameterError, short
 
 
@@ -22,6 +24,13 @@ def transforms(node):
         raise ParameterError(f'publish_tf needs {error.name}, which is not installed: apt-get '
                              'install ros-jazzy-tf2-msgs') from None
     return Transforms(node)
+
+
+def interfaces(node):
+    """Offer the services of simulation_interfaces, where that is installed."""
+    if find_spec('simulation_interfaces') is not None:
+        from timo_sim.ros.interfaces import Interfaces
+        Interfaces(node)
 
 
 def live_feed(scene, url, name):

@@ -6,7 +6,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-from timo_sim.parameters import check, ParameterError, PARAMETERS
+from timo_sim.accuracy import settle
+from timo_sim.parameters import check, ParameterError, PARAMETERS, RATES, whole_ratio
 
 # Names that rclpy itself takes.
 _FOREIGN = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
@@ -73,6 +74,30 @@ def on_set(node, values, apply):
         return SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(callback)
+
+
+def steps_between_messages(values, step):
+    """Return how many time steps [s] lie between the messages of each rate that is in use."""
+    return {rate: whole_ratio('1/integrator.step', 1.0 / step, rate, values[rate])
+            for rate in RATES if values.get(f'publish_{rate.removeprefix("rate.")}', True)}
+
+
+def settled_scene(node, scene, values):
+    """Return a scene with modes and step that its `model.accuracy` asks for; update values."""
+    def suits(step):
+        try:
+            steps_between_messages(values, step)
+            whole_ratio('duration', values['duration'], 'integrator.step', step)
+        except ParameterError:
+            return False
+        return True
+
+    logger = node.get_logger()
+    logger.info('choosing modes and step for model.accuracy, compiling once for each new size')
+    settled = settle(scene, values['duration'], suits)
+    logger.info(f'model.accuracy = {scene.values["model.accuracy"]:g} m: {settled}')
+    values.update(settled.scene.values)
+    return settled.scene
 
 
 def _descriptor(parameter):

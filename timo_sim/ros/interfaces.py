@@ -1,0 +1,133 @@
+"""The services and the action of simulation_interfaces, on the operations of ~/pause and so on."""
+
+from rclpy.action import ActionServer, CancelResponse
+from simulation_interfaces.action import SimulateSteps
+from simulation_interfaces.msg import Result, SimulationState, SimulatorFeatures
+from simulation_interfaces.srv import (
+    GetSimulationState, GetSimulatorFeatures, ResetSimulation, SetSimulationState, StepSimulation)
+
+from timo_sim import __version__
+from timo_sim.ros.services import NotNow
+
+_CLOCK = 'the clock goes on at a reset'
+_FEATURES = [getattr(SimulatorFeatures, name) for name in (
+    'SIMULATION_RESET', 'SIMULATION_RESET_STATE', 'SIMULATION_STATE_GETTING',
+    'SIMULATION_STATE_SETTING', 'SIMULATION_STATE_PAUSE', 'STEP_SIMULATION_SINGLE',
+    'STEP_SIMULATION_MULTIPLE', 'STEP_SIMULATION_ACTION')]
+
+
+class _Turn:
+    """What a coroutine awaits to let the executor's other callbacks have their turn."""
+
+    def __await__(self):
+        yield
+
+
+class Interfaces:
+    """
+    Offers a node to clients that speak simulation_interfaces.
+
+    Parameters
+    ----------
+    node : SimNode
+
+    """
+
+    def __init__(self, node):
+        self._node = node
+        self._stopped_at = None  # step at which the simulation was stopped
+        for kind, name, answer in (
+                (GetSimulatorFeatures, 'get_simulator_features', self._features),
+                (GetSimulationState, 'get_simulation_state', self._get_state),
+                (SetSimulationState, 'set_simulation_state', self._set_state),
+                (StepSimulation, 'step_simulation', self._step),
+                (ResetSimulation, 'reset_simulation', self._reset)):
+            node.create_service(kind, f'~/{name}', answer)
+        self._action = ActionServer(
+            node, SimulateSteps, '~/simulate_steps', self._simulate,
+            cancel_callback=lambda goal: CancelResponse.ACCEPT)
+
+    def _features(self, request, response):
+        response.features.features = _FEATURES
+        response.features.custom_info = f'timo_sim {__version__}; {_CLOCK}'
+        return response
+
+    def _state(self):
+        if not self._node.paused:
+            return SimulationState.STATE_PLAYING
+        return (SimulationState.STATE_STOPPED if self._node.steps == self._stopped_at
+                else SimulationState.STATE_PAUSED)
+
+    def _get_state(self, request, response):
+        response.state.state = self._state()
+        response.result.result = Result.RESULT_OK
+        return response
+
+    def _set_state(self, request, response):
+        target = request.state.state
+        if target == self._state():
+            response.result.result = SetSimulationState.Response.ALREADY_IN_TARGET_STATE
+            return response
+        response.result.result = Result.RESULT_OK
+        try:
+            if target == SimulationState.STATE_PLAYING:
+                self._node.pause(False)
+            elif target == SimulationState.STATE_PAUSED:
+                self._node.pause(True)
+                self._stopped_at = None
+            elif target == SimulationState.STATE_STOPPED:
+                self._node.pause(True)
+                self._node.reset()
+                self._stopped_at = self._node.steps
+            elif target == SimulationState.STATE_QUITTING:
+                self._node.quit()
+            else:
+                response.result = Result(
+                    result=Result.RESULT_FEATURE_UNSUPPORTED,
+                    error_message=f'state {target} cannot be set: there are no worlds to load')
+        except NotNow as reason:
+            response.result = Result(result=SetSimulationState.Response.STATE_TRANSITION_ERROR,
+                                     error_message=str(reason))
+        return response
+
+    def _step(self, request, response):
+        response.result = self._stepped(request.steps)
+        return response
+
+    def _stepped(self, count):
+        try:
+            self._node.step(count)
+        except NotNow as reason:
+            return Result(result=Result.RESULT_OPERATION_FAILED, error_message=str(reason))
+        return Result(result=Result.RESULT_OK)
+
+    def _reset(self, request, response):
+        if request.scope != ResetSimulation.Request.SCOPE_STATE:
+            response.result = Result(
+                result=Result.RESULT_FEATURE_UNSUPPORTED,
+                error_message=f'scope {request.scope} cannot be reset, because {_CLOCK}: '
+                              f'ask for SCOPE_STATE, {ResetSimulation.Request.SCOPE_STATE}')
+            return response
+        self._node.reset()
+        response.result.result = Result.RESULT_OK
+        return response
+
+    async def _simulate(self, goal):
+        """Do the steps of an action one by one; others are served in between."""
+        total, result = goal.request.steps, Result(result=Result.RESULT_OK)
+        for done in range(total):
+            if goal.is_cancel_requested:
+                goal.canceled()
+                return SimulateSteps.Result(result=Result(
+                    result=Result.RESULT_OPERATION_FAILED,
+                    error_message=f'canceled after {done} of {total} steps'))
+            result = self._stepped(1)
+            if result.result != Result.RESULT_OK:
+                goal.abort()
+                return SimulateSteps.Result(result=result)
+            goal.publish_feedback(SimulateSteps.Feedback(
+                completed_steps=done + 1, remaining_steps=total - done - 1))
+            self._node.executor.wake()
+            await _Turn()
+        goal.succeed()
+        return SimulateSteps.Result(result=result)

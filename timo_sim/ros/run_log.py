@@ -1,0 +1,84 @@
+"""What a node's run is logged to, if it is."""
+
+from datetime import datetime
+
+from timo_sim.log.notes import START, SUMMARY
+from timo_sim.log.recorder import Recorder
+
+
+class RunLog:
+    """
+    The log of a run; it takes everything and keeps nothing while it is not open.
+
+    Parameters
+    ----------
+    logger
+        Of rclpy: hears why there is no log, or why it ends early.
+
+    Attributes
+    ----------
+    error : str or None
+        The same.
+
+    """
+
+    def __init__(self, logger):
+        self._logger, self._recorder, self.error = logger, None, None
+
+    @property
+    def path(self):
+        """Where the log is, None without one."""
+        return self._recorder and self._recorder.path
+
+    def open(self, path, channels, outlets, note):
+        """
+        Begin a log.
+
+        Parameters
+        ----------
+        path : str
+            Empty: a name with date and time.
+        channels : list of Channel
+            Of what `write` is given.
+        outlets : list of Outlet
+            They write by themselves from now on.
+        note : dict
+            What is to be known of the run at its start.
+
+        """
+        path = path or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap'
+        outlets = [outlet for outlet in outlets if outlet.logged]
+        try:
+            self._recorder = Recorder(
+                path, [*channels, *(outlet.channel for outlet in outlets)], {START: note})
+        except (OSError, ValueError) as error:  # ValueError: a path without a name
+            self._fail(f'no log is written to {path}: {error}')
+            return
+        for index, outlet in enumerate(outlets, start=len(channels)):
+            outlet.recorder, outlet.index = self._recorder, index
+
+    def write(self, index, step, nanoseconds, data):
+        """Log a message, CDR, of a channel."""
+        if self._recorder is not None:
+            self._recorder.write(index, step, nanoseconds, data)
+
+    def note(self, name, values):
+        """Log what is not a message."""
+        if self._recorder is not None:
+            self._recorder.note(name, values)
+
+    def look(self):
+        """Find out whether the log has ended early."""
+        if self._recorder is not None and self._recorder.error and not self.error:
+            self._fail(f'the log ends early: {self._recorder.error}')
+
+    def close(self, summary):
+        """End the log with a note of the whole run."""
+        if self._recorder is not None:
+            self._recorder.note(SUMMARY, summary)
+            self._recorder.close()
+            self.look()
+
+    def _fail(self, error):
+        self.error = error
+        self._logger.error(error)
