@@ -102,10 +102,11 @@ class Interfaces:
         return Result(result=Result.RESULT_OK)
 
     def _reset(self, request, response):
-        if request.scope != ResetSimulation.Request.SCOPE_STATE:
+        # By default what there is to reset.
+        if request.scope & ResetSimulation.Request.SCOPE_TIME:
             response.result = Result(
                 result=Result.RESULT_FEATURE_UNSUPPORTED,
-                error_message=f'scope {request.scope} cannot be reset, because {_CLOCK}: '
+                error_message=f'scope {request.scope} has the time, and {_CLOCK}: '
                               f'ask for SCOPE_STATE, {ResetSimulation.Request.SCOPE_STATE}')
             return response
         self._node.reset()
