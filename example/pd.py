@@ -1,72 +1,49 @@
 """
-PD control of the shaft, in lock step with the node: turns the arm by 45 degrees.
+PD control of the shaft, from the encoder: the arm goes on vibrating after the slew.
 
-    ros2 run timo_sim sim_node --ros-args -p sync:=wait -p sync_period:=0.002 \
-        -p rate.joint_states:=500.0 -p duration:=4.0 -p record_file:=pd.mcap
-    python example/pd.py
+    ros2 run timo_sim sim_node --ros-args --params-file example/slew.yaml -p record_file:=pd.mcap
+    python example/pd.py --plot pd.png
 
-Each state of the node is answered by one command with the same stamp; the run has the same bits
-however busy the machine is. It ends with the node. `timo_sim view pd.mcap` shows it.
+The run has the same bits however busy the machine is, and ends with the node. `timo_sim view
+pd.mcap` shows it. `--loop` does the same without ROS.
 """
 
-import math
+from lock_step import main
+from loop import PERIOD
+from slew import GOAL, SCENE, smooth
+import timo_sim
 
-import rclpy
-from rclpy.executors import ExternalShutdownException
-from rclpy.node import Node
-from sensor_msgs.msg import JointState
-
-GOAL = math.radians(45.0)      # of the shaft, from where it starts [rad]
-STIFFNESS, DAMPING = 40.0, 40.0  # [N m/rad], [N m s/rad]
-QUIET = 2.0                    # [s] of wall time without a state: the node has ended
+STIFFNESS, DAMPING = 1000.0, 100.0  # [N m/rad], [N m s/rad]
 
 
-def torque(angle, speed, goal):
-    """Return the torque on the shaft [N m]."""
-    return STIFFNESS * (goal - angle) - DAMPING * speed
+class PD:
+    """
+    Turns the shaft along a reference.
+
+    Parameters
+    ----------
+    reference : function(float) -> (float, float)
+        Angle [rad] and speed [rad/s] at a time [s].
+
+    """
+
+    def __init__(self, reference):
+        self.reference, self.last = reference, None
+
+    def effort(self, t, seen):
+        """Return the torque on the shaft [N m] that answers what is seen."""
+        turned = 0.0 if self.last is None else seen.encoder - self.last
+        self.last = seen.encoder
+        angle, speed = self.reference(t)
+        return {'shaft': STIFFNESS * (angle - seen.encoder)
+                + DAMPING * (speed - turned / PERIOD)}
 
 
-class Controller(Node):
-    """Answers each joint state with an effort for the shaft."""
-
-    def __init__(self):
-        super().__init__('pd')
-        self.goal, self.answers = None, 0
-        self.publisher = self.create_publisher(JointState, '/timo_sim/joint_command', 10)
-        self.create_subscription(JointState, '/joint_states', self.answer, 10)
-        self.clock = self.create_timer(QUIET, self.look)
-        self.seen = -1
-
-    def answer(self, state):
-        """Send the command for a state."""
-        place = state.name.index('shaft')
-        angle, speed = state.position[place], state.velocity[place]
-        if self.goal is None:
-            self.goal = angle + GOAL
-        command = JointState(name=['shaft'], effort=[torque(angle, speed, self.goal)])
-        command.header.stamp = state.header.stamp
-        self.publisher.publish(command)
-        self.answers += 1
-
-    def look(self):
-        """End when the node has ended."""
-        if self.answers and self.answers == self.seen:
-            raise ExternalShutdownException
-        self.seen = self.answers
-
-
-def main():
-    """Control until the node ends."""
-    rclpy.init()
-    node = Controller()
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        print(f'{node.answers} states answered')
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+def turn(t):
+    """Return angle [rad] and speed [rad/s] of a smooth slew."""
+    part, rate = smooth(t)
+    return GOAL[2] * part, GOAL[2] * rate
 
 
 if __name__ == '__main__':
-    main()
+    main(__doc__, timo_sim.load_scene(SCENE), {'PD': lambda scene: PD(turn)})

@@ -1,0 +1,61 @@
+"""
+Carrier feed-forward: the carrier moves by 0.5 m across the arm, which should stay calm.
+
+    ros2 run timo_sim sim_node --ros-args --params-file example/slew.yaml -p carrier.held:=none
+    python example/carrier.py flexible --plot carrier.png
+
+PD control of carrier and shaft by itself leaves a vibration; so it does with the forces fed
+forward that a rigid arm would need. With those that bring the flexible arm to rest, and the motion
+that goes with them as the reference, next to nothing is left.
+"""
+
+from lock_step import main
+from loop import PERIOD
+import numpy as np
+from slew import rest_to_rest, SCENE
+import timo_sim
+
+GOAL = 0.0, 0.5, 0.0                            # carrier x, y [m], shaft [rad]
+JOINTS = 'carrier_x', 'carrier_y', 'shaft'
+STIFFNESS = np.array([2000.0, 2000.0, 1000.0])  # [N/m], [N m/rad]
+DAMPING = np.array([600.0, 600.0, 100.0])       # [N s/m], [N m s/rad]
+
+
+class Follower:
+    """
+    Moves carrier and shaft along a plan.
+
+    Parameters
+    ----------
+    scene : timo_sim.scene.Scene
+        What the plan is made for.
+    feed_forward : bool
+        Whether the plan's forces are fed forward.
+
+    """
+
+    def __init__(self, scene, feed_forward=True):
+        model = timo_sim.linearize(scene)
+        modes = len(model.states) // 2 - 3
+        self.path, self.forces = rest_to_rest(model.discrete(PERIOD), {'carrier_y_m': GOAL[1]})
+        self.path = np.delete(self.path, np.r_[3:3 + modes, 6 + modes:6 + 2 * modes], axis=1)
+        self.forces = self.forces * feed_forward
+
+    def effort(self, t, seen):
+        """Return the forces on the carrier [N] and the torque on the shaft [N m]."""
+        place = min(round(t / PERIOD), len(self.path) - 1)
+        off = self.path[place] - seen.joints[:6]
+        forces = self.forces[place] + STIFFNESS * off[:3] + DAMPING * off[3:]
+        return dict(zip(JOINTS, forces.tolist()))
+
+
+def rigid(scene):
+    """Return the scene with an arm that does not bend."""
+    return scene.vary({'model.modes': 0})
+
+
+if __name__ == '__main__':
+    main(__doc__, timo_sim.load_scene(SCENE, {'carrier.held': 'none'}), {
+        'PD': lambda scene: Follower(rigid(scene), False),
+        'rigid': lambda scene: Follower(rigid(scene)),
+        'flexible': Follower}, goal=GOAL)

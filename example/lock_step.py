@@ -1,0 +1,96 @@
+"""A controller in lock step with the node: each state is answered by a command of its stamp."""
+
+from argparse import ArgumentParser
+
+from geometry_msgs.msg import Vector3Stamped
+from loop import in_a_loop, Seen
+import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from slew import plot, score
+
+TOPICS = (  # in the order of Seen: type, name, what is taken of a message
+    (JointState, '/timo_sim/encoder', lambda message: message.position[0]),
+    (JointState, '/timo_sim/root_strain', lambda message: message.position[0]),
+    (JointState, '/joint_states',
+     lambda message: (*message.position, *message.velocity, *message.effort)),
+    (Vector3Stamped, '/timo_sim/tip_deflection',
+     lambda message: (message.vector.x, message.vector.y)))
+QUIET = 2.0  # [s] of wall time without a state: the node has ended
+
+
+class LockStep(Node):
+    """
+    Answers when all topics of a stamp have arrived; sensors must have no delay.
+
+    Attributes
+    ----------
+    rows : list
+        The record, see `loop.Seen`.
+
+    """
+
+    def __init__(self, controller):
+        super().__init__('controller')
+        self.controller, self.rows, self.looked = controller, [], 0
+        self.stamp, self.parts, self.command = -1, {}, None
+        self.publisher = self.create_publisher(JointState, '/timo_sim/joint_command', 10)
+        for place, (kind, name, _) in enumerate(TOPICS):
+            self.create_subscription(
+                kind, name, lambda message, place=place: self.arrive(place, message), 10)
+        self.clock = self.create_timer(QUIET, self.look)
+
+    def arrive(self, place, message):
+        """Keep a message; answer if it is the last one of its stamp."""
+        stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        if stamp < self.stamp:
+            return
+        if stamp > self.stamp:
+            self.stamp, self.parts, self.command = stamp, {}, None
+        self.parts[place] = TOPICS[place][2](message)
+        if len(self.parts) < len(TOPICS):
+            return
+        if self.command is None:
+            seen = Seen(*(self.parts[place] for place in range(len(TOPICS))))
+            self.rows.append(seen.row(stamp / 1e9))
+            efforts = self.controller.effort(stamp / 1e9, seen)
+            self.command = JointState(name=list(efforts), effort=list(efforts.values()))
+            self.command.header.stamp = message.header.stamp
+        # The node shows a state again until an answer reaches it: the same one.
+        self.publisher.publish(self.command)
+        self.parts = {}
+
+    def look(self):
+        """End when the node has ended."""
+        if self.rows and len(self.rows) == self.looked:
+            raise ExternalShutdownException
+        self.looked = len(self.rows)
+
+
+def with_the_node(controller):
+    """Control until the node ends; return the record."""
+    rclpy.init()
+    node = LockStep(controller)
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return np.array(node.rows)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def main(text, scene, controllers, **goal):
+    """Run what the command line asks for: a controller by name, with the node or in a loop."""
+    parser = ArgumentParser(description=text.strip().splitlines()[0])
+    parser.add_argument('controller', nargs='?', choices=controllers, default=[*controllers][-1])
+    parser.add_argument('--loop', action='store_true', help='without ROS, in a loop')
+    parser.add_argument('--plot', metavar='FILE', help='a picture of the run')
+    chosen = parser.parse_args()
+    controller = controllers[chosen.controller](scene)
+    record = in_a_loop(scene, controller) if chosen.loop else with_the_node(controller)
+    print(f'{chosen.controller}: {len(record)} states answered; {score(record, **goal)}')
+    if chosen.plot:
+        plot(record, chosen.controller, chosen.plot, **goal)

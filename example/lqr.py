@@ -1,0 +1,65 @@
+"""
+LQR with an observer: a planned slew, held to by feedback from encoder and strain gauge.
+
+    ros2 run timo_sim sim_node --ros-args --params-file example/slew.yaml -p record_file:=lqr.mcap
+    python example/lqr.py --plot lqr.png
+
+Plan, regulator and Kalman filter are of the linear model of the scene; the node simulates the
+nonlinear one, with noise and with limits on the torque.
+"""
+
+from lock_step import main
+from loop import PERIOD
+import numpy as np
+from scipy.linalg import solve_discrete_are
+from slew import GOAL, rest_to_rest, SCENE
+import timo_sim
+
+# What is as bad as a torque of 1 N m.
+BAD = {'shaft_rad': 0.002, 'shaft_velocity_rad_per_s': 0.02, 'tip_transverse_m': 0.002}
+UNKNOWN = 3e-4  # standard deviation of what else each rate changes by in a period
+
+
+class LQR:
+    """
+    Turns the shaft along a plan.
+
+    Parameters
+    ----------
+    scene : timo_sim.scene.Scene
+        With the noise of encoder and strain gauge, and the limit of the torque.
+
+    """
+
+    def __init__(self, scene):
+        model = timo_sim.linearize(scene).select(['torque_N_m'])
+        weighed = model.select(outputs=list(BAD)).C / [[bad] for bad in BAD.values()]
+        model = model.select(outputs=['shaft_rad', 'root_strain']).discrete(PERIOD)
+        self.a, self.b, self.c = a, b, c = model.A, model.B, model.C
+        self.limit = scene.values['motor.torque_limit']
+
+        self.path, self.torque = rest_to_rest(model, {'shaft_rad': GOAL[2]})
+        p = solve_discrete_are(a, b, weighed.T @ weighed, np.eye(1))
+        self.gain = np.linalg.solve(1.0 + b.T @ p @ b, b.T @ p @ a)
+
+        noise = np.diag([scene.values['sensor.encoder.noise']**2
+                         + scene.values['sensor.encoder.resolution']**2 / 12.0,
+                         scene.values['sensor.root_strain.noise']**2])
+        unknown = np.diag([UNKNOWN**2 * name.endswith('_per_s') for name in model.states])
+        p = solve_discrete_are(a.T, c.T, unknown, noise)
+        self.correction = p @ c.T @ np.linalg.inv(c @ p @ c.T + noise)
+        self.expected = np.zeros(len(a))
+
+    def effort(self, t, seen):
+        """Return the torque on the shaft [N m] that answers what is seen."""
+        place = min(round(t / PERIOD), len(self.path) - 1)
+        x = self.expected + self.correction @ (
+            [seen.encoder, seen.root_strain] - self.c @ self.expected)
+        wanted = self.torque[place] - self.gain @ (x - self.path[place])
+        torque = np.clip(wanted, -self.limit, self.limit)
+        self.expected = self.a @ x + self.b @ torque
+        return {'shaft': float(torque[0])}
+
+
+if __name__ == '__main__':
+    main(__doc__, timo_sim.load_scene(SCENE), {'LQR': LQR})

@@ -1,0 +1,114 @@
+"""
+What the examples share: the slew, the plan of a motion from rest to rest, score and picture.
+
+The arm turns by 45 degrees within 2 s, on a carrier with its brakes on; then all should be calm.
+"""
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+from loop import PERIOD
+import numpy as np
+
+SCENE = Path(__file__).with_name('slew.yaml')
+LENGTH = 2.0                  # of the arm [m]
+DURATION = 2.0                # of the motion [s]
+GOAL = 0.0, 0.0, math.pi / 4  # carrier x, y [m], shaft [rad]; all start at 0
+NEAR = 1e-3                   # of its goal is a tip that has settled [m]
+WINDOW = 1.0                  # after the motion, in which vibration is looked for [s]
+
+
+def smooth(t, duration=DURATION):
+    """Return the part of the way and its rate [1/s] that a motion of least jerk has done."""
+    s = np.clip(t / duration, 0.0, 1.0)
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s * (1.0 - s))**2 / duration
+
+
+def rest_to_rest(model, target, duration=DURATION):
+    """
+    Plan the motion of a discrete linear model to another state of rest, its vibration included.
+
+    Inputs begin and end at zero, and the sum of their squared changes is the least: for a rigid
+    arm this is the motion of least jerk.
+
+    Parameters
+    ----------
+    model : timo_sim.linear.LinearModel
+        `discrete(PERIOD)`.
+    target : dict
+        What is not 0 at the end, by name of the state.
+    duration : float
+        [s].
+
+    Returns
+    -------
+    x, u : ndarray, shape (steps + 1, n), (steps + 1, m)
+        States at each period, and inputs from then on.
+
+    """
+    (n, m), steps = model.B.shape, round(duration / PERIOD)
+    a = np.block([[model.A, model.B], [np.zeros((m, n)), np.eye(m)]])
+    change = np.vstack([np.zeros((n, m)), np.eye(m)])
+    reached = [change]  # at the end: by the last change, by the last but one, ...
+    while len(reached) < steps:
+        reached.append(a @ reached[-1])
+    end = [target.get(name, 0.0) for name in model.states] + [0.0] * m
+    changes = np.linalg.lstsq(np.hstack(reached[::-1]), end, rcond=None)[0].reshape(steps, m)
+    path = [np.zeros(n + m)]
+    for each in changes:
+        path.append(a @ path[-1] + change @ each)
+    return np.array(path)[:, :n], np.array(path)[:, n:]
+
+
+class Score(NamedTuple):
+    """Settling time [s], residual vibration and peak deflection of the tip [m]."""
+
+    settled: float
+    residual: float
+    peak: float
+
+    def __str__(self):
+        return (f'tip within {1e3 * NEAR:g} mm of its goal from {self.settled:.2f} s on, '
+                f'bent by up to {1e3 * self.peak:.1f} mm, '
+                f'by {1e3 * self.residual:.3f} mm after {DURATION:g} s')
+
+
+def distance(record, goal=GOAL):
+    """Return how far the tip is from where it is meant to be [m]."""
+    def place(x, y, angle, along, across):
+        return np.array([x + along * np.cos(angle) - across * np.sin(angle),
+                         y + along * np.sin(angle) + across * np.cos(angle)])
+    along, across = record[:, 10:].T
+    meant = place(*goal, LENGTH, 0.0)
+    return np.linalg.norm(
+        place(*record[:, 1:4].T, LENGTH + along, across) - meant[:, np.newaxis], axis=0)
+
+
+def score(record, goal=GOAL):
+    """Return the score of a record, see `loop.Seen.row`; inf if the tip does not settle."""
+    t, bent = record[:, 0], np.abs(record[:, 11])
+    calm = np.append(np.flatnonzero(distance(record, goal) > NEAR), -1).max() + 1
+    after = (t >= DURATION) & (t <= DURATION + WINDOW)
+    return Score(t[calm] if calm < len(t) else math.inf, bent[after].max(), bent.max())
+
+
+def plot(record, title, file, goal=GOAL):
+    """Draw a record: what is moved and what moves it, and how calm the tip is."""
+    from matplotlib.figure import Figure
+    t = record[:, 0]
+    moved = np.argmax(np.abs(goal))
+    figure = Figure(figsize=(7.0, 7.0), layout='constrained')
+    curves = {('carrier x [m]', 'carrier y [m]', 'shaft [rad]')[moved]: record[:, 1 + moved],
+              ('force [N]', 'force [N]', 'torque [N m]')[moved]: record[:, 7 + moved],
+              'tip deflection [mm]': 1e3 * record[:, 11],
+              'tip off its goal [mm]': 1e3 * distance(record, goal)}
+    panels = figure.subplots(len(curves), sharex=True)
+    for axes, (label, curve) in zip(panels, curves.items()):
+        axes.plot(t, curve)
+        axes.set(ylabel=label)
+        axes.axvline(DURATION, color='grey', linestyle=':')
+    panels[0].set(title=title)
+    panels[-1].axhline(1e3 * NEAR, color='grey', linestyle=':')
+    panels[-1].set(yscale='log', xlabel='t [s]')
+    figure.savefig(file)
