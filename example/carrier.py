@@ -17,6 +17,8 @@ import timo_sim
 
 GOAL = 0.0, 0.5, 0.0                            # carrier x, y [m], shaft [rad]
 JOINTS = 'carrier_x', 'carrier_y', 'shaft'
+SEEN = ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'carrier_x_velocity_m_per_s',
+        'carrier_y_velocity_m_per_s', 'shaft_velocity_rad_per_s')
 STIFFNESS = np.array([2000.0, 2000.0, 1000.0])  # [N/m], [N m/rad]
 DAMPING = np.array([600.0, 600.0, 100.0])       # [N s/m], [N m s/rad]
 
@@ -35,11 +37,9 @@ class Follower:
     """
 
     def __init__(self, scene, feed_forward=True):
-        model = timo_sim.linearize(scene)
-        modes = len(model.states) // 2 - 3
-        self.path, self.forces = rest_to_rest(model.discrete(PERIOD), {'carrier_y_m': GOAL[1]})
-        self.path = np.delete(self.path, np.r_[3:3 + modes, 6 + modes:6 + 2 * modes], axis=1)
-        self.forces = self.forces * feed_forward
+        model = timo_sim.linearize(scene).select(outputs=SEEN).discrete(PERIOD)
+        states, forces = rest_to_rest(model, {'carrier_y_m': GOAL[1]})
+        self.path, self.forces = states @ model.C.T, forces * feed_forward
 
     def effort(self, t, seen):
         """Return the forces on the carrier [N] and the torque on the shaft [N m]."""
