@@ -17,6 +17,7 @@ import timo_sim
 
 GOAL = 0.0, 0.5, 0.0                            # carrier x, y [m], shaft [rad]
 JOINTS = 'carrier_x', 'carrier_y', 'shaft'
+INPUTS = 'force_x_N', 'force_y_N', 'torque_N_m'
 SEEN = ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'carrier_x_velocity_m_per_s',
         'carrier_y_velocity_m_per_s', 'shaft_velocity_rad_per_s')
 STIFFNESS = np.array([2000.0, 2000.0, 1000.0])  # [N/m], [N m/rad]
@@ -37,7 +38,7 @@ class Follower:
     """
 
     def __init__(self, scene, feed_forward=True):
-        model = timo_sim.linearize(scene).select(outputs=SEEN).discrete(PERIOD)
+        model = timo_sim.linearize(scene).select(INPUTS, SEEN).discrete(PERIOD)
         states, forces = rest_to_rest(model, {'carrier_y_m': GOAL[1]})
         self.path, self.forces = states @ model.C.T, forces * feed_forward
 

@@ -81,8 +81,8 @@ def test_shaped_slews_leave_little_and_zvd_forgives(scene):
 def test_the_plan_of_a_rigid_arm_is_the_motion_of_least_jerk(scene):
     """Later by half a period, for torques that are held; else what is left is of second order."""
     from slew import GOAL, PERIOD, rest_to_rest, smooth
-    rigid = timo_sim.linearize(scene.vary({'model.modes': 0})).discrete(PERIOD)
-    x, _ = rest_to_rest(rigid, {'shaft_rad': GOAL[2]})
+    rigid = timo_sim.linearize(scene.vary({'model.modes': 0})).select(['torque_N_m'])
+    x, _ = rest_to_rest(rigid.discrete(PERIOD), {'shaft_rad': GOAL[2]})
     part, rate = smooth(PERIOD * (np.arange(len(x)) - 0.5))
     # (PERIOD / DURATION)^2 is 1e-6.
     assert x == pytest.approx(GOAL[2] * np.column_stack([part, rate]), abs=1e-5)
@@ -91,7 +91,7 @@ def test_the_plan_of_a_rigid_arm_is_the_motion_of_least_jerk(scene):
 def test_a_plan_ends_at_rest(scene):
     """It is the model's motion, with all modes of the arm."""
     from slew import PERIOD, rest_to_rest
-    model = timo_sim.linearize(scene).discrete(PERIOD)
+    model = timo_sim.linearize(scene).select(['torque_N_m']).discrete(PERIOD)
     x, u = rest_to_rest(model, {'shaft_rad': 1.0}, 1.0)
     assert x[1:] == pytest.approx(x[:-1] @ model.A.T + u[:-1] @ model.B.T, abs=1e-12)
     assert x[-1] == pytest.approx([1.0] + [0.0] * (len(model.states) - 1), abs=1e-11)
