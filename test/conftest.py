@@ -1,9 +1,12 @@
 """What several tests need: the paper's scene and the finite-element reference."""
 
+from contextlib import suppress
+import fcntl
 from importlib.util import find_spec
 import os
 from pathlib import Path
-import uuid
+import random
+import tempfile
 
 import pytest
 from references import read
@@ -11,14 +14,20 @@ from references import read
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / 'config' / 'paper.yaml'
 
+
+def own_domain():
+    """Return a DDS domain that no other run of the tests uses, and the file that keeps it."""
+    for domain in random.sample(range(1, 101), 100):
+        with suppress(OSError):
+            kept = open(Path(tempfile.gettempdir()) / f'timo_sim_domain_{domain}', 'w')
+            fcntl.flock(kept, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return domain, kept
+    raise RuntimeError('every DDS domain is in use by other runs of the tests')
+
+
 # Tests talk to nobody but themselves: neither to other runs nor to a worker process beside them.
-os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-if 'PYTEST_XDIST_WORKER' in os.environ:
-    _DOMAIN = int(os.environ['PYTEST_XDIST_TESTRUNUID'], 16) + int(
-        os.environ['PYTEST_XDIST_WORKER'].removeprefix('gw'))
-else:
-    _DOMAIN = uuid.uuid4().int
-os.environ['ROS_DOMAIN_ID'] = str(1 + _DOMAIN % 100)
+_DOMAIN, _KEPT = own_domain()
+os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(_DOMAIN))
 
 
 @pytest.fixture(scope='session')
