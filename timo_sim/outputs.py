@@ -197,11 +197,11 @@ def outputs(modes):
         _output('~/tip_pose', 'geometry_msgs/msg/PoseStamped', _tip_pose, _POSE, _IN_PLANE),
         _output('~/carrier_pose', 'geometry_msgs/msg/PoseStamped', _carrier_pose, _POSE,
                 _IN_PLANE),
+        _output('/clock', 'rosgraph_msgs/msg/Clock', lambda snapshot: (), ()),
         _sensor('~/root_strain', 'sensor_msgs/msg/JointState', _root_strain, ('outer_fibre',)),
         _sensor('~/tip_imu', 'sensor_msgs/msg/Imu', _tip_imu, (
             'acceleration_x_m_per_s2', 'acceleration_y_m_per_s2', 'turning_rad_per_s'), _IMU),
         _sensor('~/encoder', 'sensor_msgs/msg/JointState', _encoder, ('shaft_rad',)),
-        _output('/clock', 'rosgraph_msgs/msg/Clock', lambda snapshot: (), ()),
     ]
 
 

@@ -100,6 +100,32 @@ def test_a_bag_has_sim_time_of_headers_and_commands_by_log_time(tmp_path):
     assert set(torque.step) == {-1}
 
 
+def test_a_late_sensor_is_not_the_clock_of_a_bag(tmp_path):
+    """Its headers say when it measured, 0.2 s ago; the joint states know the time."""
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        encoder, joints, torque = (
+            bag.add_connection(topic, kind, typestore=STORE) for topic, kind in (
+                ('/timo_sim/encoder', 'sensor_msgs/msg/JointState'),
+                ('/joint_states', 'sensor_msgs/msg/JointState'),
+                ('/timo_sim/motor_torque', 'std_msgs/msg/Float64')))
+        types, none = STORE.types, np.zeros(0)
+        for k in range(11):
+            for connection, names, late in ((encoder, ['shaft'], 200), (
+                    joints, ['carrier_x', 'carrier_y', 'shaft'], 0)):
+                header = types['std_msgs/msg/Header'](
+                    types['builtin_interfaces/msg/Time'](5, (300 + k - late) * 1000000), '')
+                numbers = np.zeros(len(names))
+                message = types[connection.msgtype](
+                    header, names, numbers, *([none, none] if late else [numbers, numbers]))
+                bag.write(connection, 1000000 * k, STORE.serialize_cdr(
+                    message, connection.msgtype))
+        bag.write(torque, 4000000, STORE.serialize_cdr(types[torque.msgtype](1.0),
+                                                       torque.msgtype))
+    topics = Recording(tmp_path / 'bag', '/timo_sim').topics
+    assert topics['~/encoder'].ns[0] == 5100000000
+    assert topics['~/motor_torque'].ns.tolist() == [5304000000]
+
+
 def changed(log, folder, change):
     """Return a copy of a log, changed by a function of its bytes."""
     data = bytearray(log.read_bytes())

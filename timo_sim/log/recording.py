@@ -250,7 +250,10 @@ class Recording:
     @cached_property
     def _clock(self):
         """Log times and sim times of a bag's messages with sim time, if there are any."""
-        for series in self.read(*(output.name for output in outputs(1))).values():
+        names = [output.name for output in outputs(1)]
+        found = self.read(*names)
+        # In this order, because what a sensor shows may have been measured a while ago.
+        for series in [found[name] for name in names if name in found]:
             if len(series.ns) > 1:
                 order = np.argsort(series.log_ns, kind='stable')
                 return series.log_ns[order], series.ns[order]
