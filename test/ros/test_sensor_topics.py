@@ -94,7 +94,7 @@ def test_a_delayed_message_comes_later_and_says_when_it_was_measured(start, clie
 def log(tmp_path_factory):
     """Log half a second of all sensors, that nobody subscribes to."""
     from ros_process import Process
-    node = Process(tmp_path_factory.mktemp('sensors'), record_sensors=True, duration=0.5,
+    node = Process(tmp_path_factory.mktemp('sensors'), record_sensors=True, duration=0.503,
                    real_time_factor=0.0, **WRONG, **LATE, **MOVING, **{'rate.tip_imu': 500.0})
     assert node.wait()[0] == 0
     return node.log
@@ -103,7 +103,7 @@ def log(tmp_path_factory):
 def test_sensors_are_logged_alone_and_replayed_to_the_last_bit(log, tmp_path):
     topics = Recording(log).topics
     # A message that is still under way at the end is not there.
-    assert topics['~/tip_imu'].step.tolist() == list(range(0, 498, 2))
+    assert topics['~/tip_imu'].step.tolist() == list(range(0, 502, 2))
     assert topics['~/encoder'].step.tolist() == list(range(0, 500, 10))
     assert topics['~/root_strain'].step.tolist() == list(range(0, 501, 10))
     count = sum(series.values.size for series in topics.values())
@@ -112,9 +112,12 @@ def test_sensors_are_logged_alone_and_replayed_to_the_last_bit(log, tmp_path):
     for name, series in topics.items():
         assert np.array_equal(series.values, again.topics[name].values)
         assert np.array_equal(series.log_ns, again.topics[name].log_ns)
-    # Another seed has other numbers.
+    # Another seed has other numbers; what comes later has not come by the end.
     lines = []
-    replay(log, {'sensor.seed': 8}, output=tmp_path / 'other.mcap', show=lines.append)
+    replay(log, {'sensor.seed': 8, 'sensor.tip_imu.delay': 0.013}, output=tmp_path / 'other.mcap',
+           show=lines.append)
+    other = Recording(tmp_path / 'other.mcap').topics['~/tip_imu']
+    assert other.step.tolist() == list(range(0, 492, 2)) and other.log_ns[-1] == 503000000
     assert not any('same to the last bit' in line for line in lines)
     assert any(line.startswith('tip_imu turning_rad_per_s') for line in lines)
 

@@ -99,10 +99,14 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
     places = [0, *recording.reset_places.tolist(), math.inf]
     acting = [(number, series, steps(series, False)) for number, series in commands]
     shown = {name: steps(series, True) for name, series in own.items()}
-    last = _last(acting, shown, motions, shift, scene, duration)
+    came = _late(known, recording.scene, scene.step) if own else {}
+    last = _last(acting, {name: at + came[name] for name, at in shown.items()}, motions, shift,
+                 scene, duration)
     ends = [*_steps_of(recording.resets, recording, scene).tolist(), last]
     unasked = {'/clock', *(name for name, output in known.items()
                            if output.delay and not values.get('record_sensors'))}
+    # What is under way at the end, or at a reset, does not arrive.
+    late = _late(known, scene, scene.step)
     result = []
     for number, end in enumerate(ends):
         first = ends[number - 1] if number else 0
@@ -117,13 +121,16 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
                    for step, place, values in recording.changes if here <= place < there]
         samples, logged = {}, {}
         for name, at in shown.items():
-            which = (own[name].place >= here) & (own[name].place < there) & (at <= end)
+            which = (own[name].place >= here) & (own[name].place < there) & (
+                at <= end - late[name])
             samples[name], logged[name] = at[which], own[name].values[which]
         for name in known.keys() - samples.keys() - unasked:
             if 'joint_states' in samples:  # of a scene with modes where the log's had none
-                samples[name] = samples['joint_states']
+                at = samples['joint_states']
+                samples[name] = at[at <= end - late[name]]
             elif not own:
-                samples[name] = _by_rate(known[name].rate, values, scene.step, end)
+                samples[name] = _by_rate(known[name].rate, values, scene.step,
+                                         end - late[name])
         result.append(Segment(first, end, sorted(inside, key=lambda entry: entry[:2]), changes,
                               samples, logged))
     return result
@@ -133,6 +140,12 @@ def _steps_of(steps, recording, scene):
     # Steps of a recording in those of a scene; a plain bag has none.
     ratio = recording.scene.step / scene.step if recording.facts else 1.0
     return np.ceil(np.asarray(steps) * ratio - _ROUNDING).astype(int)
+
+
+def _late(known, scene, step):
+    """Return how many whole steps the messages of each topic come after their measurement."""
+    return {name: math.floor(scene.values[output.delay] / step + 1e-6) if output.delay else 0
+            for name, output in known.items()}
 
 
 def _by_rate(rate, values, step, end):
