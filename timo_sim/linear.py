@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from timo_sim.parameters import ParameterError
-from timo_sim.physics.formulation import ANGLE, LOADS, STENCIL
+from timo_sim.physics.formulation import ANGLE, LOADS
 from timo_sim.physics.load import CHANNELS
 
 # Differences of fourth order over this part of the arm's length, or of a radian.
 _SHIFT = 1e-3
+_STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
 _INPUTS = {f'{channel}_{"N_m" if "torque" in channel else "N"}': column
            for channel, column in CHANNELS.items()}
 # Rates that are left where a state that is called an equilibrium is none [1/s].
@@ -160,7 +161,7 @@ def _jacobian(function, at, steps, columns):
     for column in columns:
         shift = np.zeros_like(at)
         shift[column] = steps[column]
-        found.append(sum(weight * function(at + number * shift) for number, weight in STENCIL)
+        found.append(sum(weight * function(at + number * shift) for number, weight in _STENCIL)
                      / steps[column])
     return np.stack(found, axis=-1)
 
