@@ -94,10 +94,14 @@ class Simulator:
         return mark is not None and mark.exists()
 
     def warm_up(self):
-        """Compile, or load from disk, what `advance`, `motion` and `formulation` call."""
+        """
+        Compile, or load from disk, what `advance`, `motion` and `formulation.tip` call.
+
+        What sensors call besides is compiled, too, but loaded only when one is asked.
+        """
         with compiling(*self._sizes()):
             self.formulation.tip(self.motion())
-            if not self.is_compiled:  # else it is loaded when a sensor asks for it
+            if not self.is_compiled:
                 self.formulation.rate(self._state, self._load)
             if self.control.tolerance:
                 self.control.advance(self._state, self._load, _NO_LOADS, 0, None, 0)
