@@ -156,9 +156,10 @@ def test_steps_and_resets(run, client):
     simulator.at(250)
     first = {state.header.stamp.nanosec // 1000000: state for state in simulator.states}
     for scope in (ResetSimulation.Request.SCOPE_ALL, ResetSimulation.Request.SCOPE_TIME,
+                  ResetSimulation.Request.SCOPE_SPAWNED,
                   ResetSimulation.Request.SCOPE_TIME | ResetSimulation.Request.SCOPE_STATE):
         code, text = simulator.reset(scope)
-        assert code == UNSUPPORTED and f'scope {scope} has the time' in text
+        assert code == UNSUPPORTED and f'scope {scope} is not that of the state, 2' in text
     assert simulator.reset(ResetSimulation.Request.SCOPE_DEFAULT) == (OK, '')
     assert simulator.reset(ResetSimulation.Request.SCOPE_STATE) == (OK, '')
 

@@ -36,7 +36,8 @@ def test_a_node_turns_the_frames_with_the_shaft_and_the_tip(start, client, paper
     code, output = node.end()
     assert code == 0, output
     links = {link.get('name') for link in ElementTree.parse(URDF).getroot().findall('link')}
-    run = timo_sim.simulate(timo_sim.load_scene(paper), 2.0)
+    last = messages[-1].transforms[0].header.stamp
+    run = timo_sim.simulate(timo_sim.load_scene(paper), last.sec + 1e-9 * last.nanosec)
     for frames in messages:
         names = [(frame.header.frame_id, frame.child_frame_id) for frame in frames.transforms]
         assert names == [('world', 'carrier'), ('carrier', 'arm'), ('arm', 'tip')]

@@ -102,12 +102,13 @@ class Interfaces:
         return Result(result=Result.RESULT_OK)
 
     def _reset(self, request, response):
+        state = ResetSimulation.Request.SCOPE_STATE
         # By default what there is to reset.
-        if request.scope & ResetSimulation.Request.SCOPE_TIME:
+        if (request.scope or state) != state:
             response.result = Result(
                 result=Result.RESULT_FEATURE_UNSUPPORTED,
-                error_message=f'scope {request.scope} has the time, and {_CLOCK}: '
-                              f'ask for SCOPE_STATE, {ResetSimulation.Request.SCOPE_STATE}')
+                error_message=f'scope {request.scope} is not that of the state, {state}: {_CLOCK} '
+                              'and nothing is spawned')
             return response
         self._node.reset()
         response.result.result = Result.RESULT_OK
