@@ -192,7 +192,7 @@ def slew(scene, reference, inertia):
                         + derivative * (speed[k] - motion[half + 2]))
         simulator.advance(1, held)
         motions.append(simulator.motion())
-    return timo_sim.Run(scene, simulator.formulation, t, np.array(motions))
+    return timo_sim.Run(scene, simulator.formulation, t, np.array(motions), np.zeros_like(t))
 
 
 def vibration_control():

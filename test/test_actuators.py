@@ -83,7 +83,7 @@ def test_the_energy_that_is_not_stored_was_taken_or_done(tolerance):
             force = loads[part][:, [0, 1, TORQUE]]
             force[0] = force[1] - (force[2] - force[1])
             done += work(ns[part], motions[part, :3], motions[part, half:half + 3], force).sum()
-        run = timo_sim.Run(scene, model, 1e-9 * ns, motions)
+        run = timo_sim.Run(scene, model, 1e-9 * ns, motions, np.zeros(len(ns)))
         energy = run.energy()
         assert np.abs(loads[:, TORQUE]).max() == 8.0 and np.abs(loads[:, FORCE_X]).max() == 6.0
         assert 0.2 < run.dissipated()[-1] < energy.max()

@@ -87,7 +87,7 @@ class LinearModel:
 
 def linearize(scene, at=None):
     """
-    Return the linear model of a scene about a state of rest.
+    Return the linear model of a scene about a state of rest, without its Coulomb friction.
 
     Parameters
     ----------

@@ -212,6 +212,8 @@ _ALL = [
     _positive('carrier.mass', 5.0, 'kg', 'mass of the carrier'),
     _not_negative('carrier.viscous_friction', 0.0, 'N s/m', 'force against the carrier per speed, '
                   'along world x and y', runtime=True),
+    _not_negative('carrier.coulomb_friction', 0.0, 'N', 'largest force of dry friction on the '
+                  'carrier, the same along world x and y'),
     _not_negative('carrier.force_limit', 0.0, 'N', 'largest force that a command makes along an '
                   'axis; 0: any', runtime=True),
     _not_negative('carrier.force_rate_limit', 0.0, 'N/s', 'how fast it changes at most; 0: at '
@@ -222,6 +224,8 @@ _ALL = [
     _not_negative('motor.shaft_inertia', 2.0, 'kg m2', 'moment of inertia of the motor shaft'),
     _not_negative('motor.viscous_friction', 0.0, 'N m s/rad', 'torque against the shaft per speed',
                   runtime=True),
+    _not_negative('motor.coulomb_friction', 0.0, 'N m', 'largest torque of dry friction on the '
+                  'shaft'),
     _not_negative('motor.torque_limit', 0.0, 'N m', 'largest torque that a command makes; 0: any',
                   runtime=True),
     _not_negative('motor.torque_rate_limit', 0.0, 'N m/s', 'how fast it changes at most; 0: at '

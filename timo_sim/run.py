@@ -22,6 +22,8 @@ class Run:
         Sim time [s].
     motion : ndarray, shape (n, 2 (3 + N))
         See `physics.formulation`.
+    friction_heat : ndarray, shape (n,)
+        What Coulomb friction has made of the work of the loads since the start [J].
 
     """
 
@@ -29,6 +31,7 @@ class Run:
     formulation: Formulation
     t: np.ndarray
     motion: np.ndarray
+    friction_heat: np.ndarray
 
     @property
     def _half(self):

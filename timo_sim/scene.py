@@ -54,6 +54,13 @@ class Scene:
         return FORMULATIONS[self.values['model.formulation']](
             self.manipulator, count, damping, self.constraints)
 
+    @property
+    def friction(self):
+        """Largest Coulomb friction of carrier x, y [N] and shaft [N m], shape (3,)."""
+        axis, shaft = (self.values[f'{body}.coulomb_friction'] for body in ('carrier', 'motor'))
+        held = [position is not None for position in self.constraints.carrier]
+        return np.where([*held, self.constraints.driven], 0.0, [axis, axis, shaft])
+
     def vary(self, overrides):
         """
         Return the scene with other values of some parameters.
@@ -169,6 +176,9 @@ def scene_from(values):
     load = Load({channel: tuple(_terms(f'load.{channel}', values, step)) for channel in CHANNELS},
                 _drive(values))
     scene = Scene(manipulator, _constraints(values), load, step, values)
+    if scene.friction.any() and values['integrator.tolerance']:
+        raise ParameterError('integrator.tolerance must be 0 with coulomb_friction, whose steps '
+                             f'cannot be split, got {values["integrator.tolerance"]:g}')
     try:
         with np.errstate(over='raise', divide='raise', invalid='raise'):
             finite = _is_finite(scene)

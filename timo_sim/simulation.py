@@ -7,8 +7,8 @@ import numpy as np
 
 from timo_sim.actuators import Actuators
 from timo_sim.parameters import ParameterError, whole_ratio
-from timo_sim.physics import etdrk4
-from timo_sim.physics.compiled import compiling, size_mark
+from timo_sim.physics import etdrk4, friction
+from timo_sim.physics.compiled import compiling, record, size_mark
 from timo_sim.physics.formulation import LOADS
 from timo_sim.run import Run
 from timo_sim.step_control import FINEST, StepControl
@@ -22,6 +22,8 @@ _FIRST_LOOK = 128
 _MOST_OF_A_PERIOD = 0.25
 # Deflection that is no arm's any more, in arm lengths.
 _MOST_BENT = 10.0
+# Displacement, in arm lengths or radians, over which friction does work that is worth a look.
+_MOVED = 1e-6
 _NO_LOADS = np.zeros((0, etdrk4.STAGES, LOADS))
 
 
@@ -53,6 +55,8 @@ class Simulator:
         self.scene = scene
         self.formulation = scene.build()
         self.control = StepControl(scene, self.formulation)
+        limits = scene.friction
+        self._joints = record(friction.Joints(limits)) if limits.any() else None
         self.steps = 0
         self.reset()
 
@@ -60,6 +64,7 @@ class Simulator:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
         motion = self.scene.initial_motion()
         self._state = self.formulation.state(motion)
+        self._friction = np.zeros(friction.HEAT + 1)
         # Without speeds, deflection, loads and drive nothing changes until the first command.
         self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any())
         self._origin = self.steps
@@ -101,6 +106,8 @@ class Simulator:
         """
         with compiling(*self._sizes()):
             self.formulation.tip(self.motion())
+            if self._joints is not None:  # the looks at the error of a step leave it out
+                self.formulation.observe(self._state, self._load)
             if not self.is_compiled:
                 self.formulation.rate(self._state, self._load)
             if self.control.tolerance:
@@ -108,6 +115,8 @@ class Simulator:
 
     def _sizes(self):
         sizes = [self.formulation.packed, self.control.propagator()]
+        if self._joints is not None:
+            sizes.append(self._joints)
         # With a tolerance another function is compiled, of two propagators.
         return sizes + [self.control.propagator(1)] if self.control.tolerance else sizes
 
@@ -127,7 +136,7 @@ class Simulator:
             self._block = begin, block
         return block[first - begin:first - begin + count]
 
-    def advance(self, steps, held=None, every=0):
+    def advance(self, steps, held=None, every=0, heats=None):
         """
         Do some steps.
 
@@ -139,6 +148,8 @@ class Simulator:
             scene's own loads, as the actuators let it.
         every : int
             Steps between samples; 0: none are taken.
+        heats : ndarray, shape (1 + steps // every,), optional
+            Receives `heat` at the samples.
 
         Returns
         -------
@@ -157,7 +168,8 @@ class Simulator:
             if every:
                 motions[:] = self.motion()
             return motions
-        before, first = self._state.copy(), self.steps - self._origin
+        before = self._state.copy(), self._friction.copy()
+        first = self.steps - self._origin
         actuators = None
         if held is not None:
             actuators = self._actuators
@@ -171,8 +183,7 @@ class Simulator:
             if actuators:
                 loads = loads + actuators.loads(first, steps)
             self._watch_error(loads)
-            done, motions = self.formulation.advance(
-                self.control.propagator(), self._state, self._load, loads, every)
+            done, motions = self._integrate(loads, every, heats)
         if done < steps or not self._bent() <= _MOST_BENT * self.scene.manipulator.arm.length:
             self._give_up(before, steps, held)
         self._watch_speed(motions)
@@ -180,7 +191,19 @@ class Simulator:
         if steps:
             self._load = loads[-1, -1].copy()
         self._watch_splitting()
+        self._watch_friction()
         return motions
+
+    def _integrate(self, loads, every, heats=None):
+        # As `Formulation.advance`, with friction if there is any.
+        rest = self._state, self._load, loads, every
+        if self._joints is None:
+            return self.formulation.advance(self.control.propagator(), *rest)
+        motions = np.empty((1 + len(loads) // every if every else 0, self.formulation.size))
+        heats = np.empty(len(motions)) if heats is None else heats
+        done = friction.advance(self.formulation.packed, self.control.propagator(), self._joints,
+                                self._friction, *rest, motions, heats)
+        return done, motions
 
     def _rests(self, steps, held):
         # Whether these steps would leave the state as it is, to the last bit.
@@ -194,7 +217,11 @@ class Simulator:
 
     def tip_acceleration(self):
         """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
-        return self.formulation.tip_acceleration(self._state, self._load)
+        load = self._load
+        if self._joints is not None:
+            load = load.copy()
+            load[list(friction.COLUMNS)] += self.friction
+        return self.formulation.tip_acceleration(self._state, load)
 
     @property
     def load(self):
@@ -203,8 +230,17 @@ class Simulator:
 
     def motion(self):
         """Return the motion now, shape (2 (3 + N),), see `physics.formulation`."""
-        return self.formulation.advance(self.control.propagator(), self._state, self._load,
-                                        _NO_LOADS, every=1)[1][0]
+        return self._integrate(_NO_LOADS, every=1)[1][0]
+
+    @property
+    def friction(self):
+        """Coulomb friction on carrier x, y [N] and shaft [N m] in the last step, shape (3,)."""
+        return self._friction[:friction.HEAT].copy()
+
+    @property
+    def heat(self):
+        """What Coulomb friction has made of work since the initial motion [J]."""
+        return float(self._friction[friction.HEAT])
 
     def _watch_speed(self, motions):
         limit, column = self.formulation.speed_limit, self.formulation.size // 2 + 2
@@ -246,6 +282,19 @@ class Simulator:
                 f't = {self.steps * self.scene.step:.6g} s: take a smaller integrator.step or '
                 'fewer model.modes')
 
+    def _watch_friction(self):
+        # Where a step holds no vibration still, friction gives energy. Read the theory, (T35).
+        if self.caution or self.heat >= 0.0:
+            return
+        length = self.scene.manipulator.arm.length
+        if -self.heat < _MOVED * self.scene.friction @ [length, length, 1.0]:
+            return
+        if -self.heat > self.formulation.energy(self.motion()[np.newaxis])[0]:
+            self.caution = (
+                f'at t = {self.steps * self.scene.step:.6g} s Coulomb friction has given '
+                f'{-self.heat:.2g} J: a vibration of the joint that it holds takes less than two '
+                'steps; take a smaller integrator.step or fewer model.modes')
+
     def _bent(self):
         # Deflection by all modes together [m].
         modes = self.formulation.reach[3:]
@@ -254,7 +303,7 @@ class Simulator:
 
     def _give_up(self, before, steps, held):
         # Go to the last good state and say what it is.
-        self._state = before
+        self._state, self._friction = before
         if steps > 1:
             for part in (steps // 2, steps - steps // 2):
                 self.advance(part, held)
@@ -352,12 +401,12 @@ def sampled_run(scene, steps, every=1, report=lambda count: None):
     simulator = Simulator(scene)
     simulator.warm_up()
     motion = np.empty((steps // every + 1, simulator.formulation.size))
-    motion[0] = simulator.motion()
+    motion[0], heat = simulator.motion(), np.zeros(len(motion))
     while simulator.steps < steps:
         first = simulator.steps
         count = min(max(1, simulator.spacing // every) * every, steps - first)
-        motion[first // every:(first + count) // every + 1] = simulator.advance(
-            count, every=every)
+        samples = slice(first // every, (first + count) // every + 1)
+        motion[samples] = simulator.advance(count, every=every, heats=heat[samples])
         report(count)
     t = np.arange(0, steps + 1, every) * scene.step
-    return Run(scene, simulator.formulation, t, motion), simulator.caution
+    return Run(scene, simulator.formulation, t, motion, heat), simulator.caution

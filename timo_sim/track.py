@@ -136,7 +136,8 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True):
         trace('modal', modes, lambda part: motion[part, 3:half])]
     energy = _in_blocks(formulation.energy, motion)
     pushed = any(scene.load.terms[channel] for channel in CHANNELS if channel.startswith('tip'))
-    if balanced and not pushed and scene.values['motor.shaft'] != 'driven':
+    known = scene.values['motor.shaft'] != 'driven' and not scene.friction.any()
+    if balanced and known and not pushed:
         done = work(ns, motion[:, :3], motion[:, half:half + 3], effort)
         done -= integral(ns, _in_blocks(formulation.dissipation, motion))
         gained = np.diff(energy)
@@ -147,7 +148,7 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True):
         traces += [trace('energy', ('energy', 'first energy + work - losses'),
                          curves.__getitem__),
                    trace('balance', ('energy - work + losses',), balance.__getitem__)]
-    else:  # also because the torque of a driven shaft is not known
+    else:  # also because the torque of a driven shaft is not known, nor Coulomb friction's heat
         traces.append(trace('energy', ('energy',), energy[:, np.newaxis].__getitem__))
     return Track(name, ns, poses, [entry for entry in traces if entry.names], body_of(scene),
                  _note(scene, ns))

@@ -25,7 +25,9 @@ from timo_sim.replay.run import Replay
 
 EVERY_STEP = ('joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
 SCENES = {
-    'free': {'initial.shaft_velocity': 1.0},
+    'free, with friction': {
+        'initial.shaft_velocity': 1.0, 'carrier.coulomb_friction': 2.0,
+        'motor.coulomb_friction': 0.5},
     'split steps': {'integrator.tolerance': 1e-9, 'integrator.step': 0.005,
                     'initial.shaft_velocity': 3.0},
     'newton, held, driven': {

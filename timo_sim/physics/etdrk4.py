@@ -94,7 +94,7 @@ def _phi(z):
 
 
 @inner
-def _copy(vector, out):
+def copy(vector, out):
     for i in range(len(vector)):
         out[i] = vector[i]
 
@@ -118,7 +118,7 @@ def _multiply_add(matrix, vector, out):
 
 
 @strict
-def _is_finite(vector):
+def is_finite(vector):
     for i in range(len(vector)):
         if not np.isfinite(vector[i]):
             return False
@@ -176,17 +176,17 @@ def tip_once(tables, motion, out):
 
 
 @pasted
-def _step(tables, propagator, now, start, middle, end, half, following, combined,
-          rate_0, rate_a, rate_b, rate_c, stage):
+def one_step(tables, propagator, now, start, middle, end, half, following, combined,
+             rate_0, rate_a, rate_b, rate_c, stage):
     """Write the state one step after `now`, and the rates of the four stages."""
     rate(tables, now, start, rate_0)
     _multiply(propagator.half, now, half)
-    _copy(half, stage)
+    copy(half, stage)
     _multiply_add(propagator.half_weight, rate_0, stage)
 
     rate(tables, stage, middle, rate_a)
     _multiply(propagator.half, stage, following)
-    _copy(half, stage)
+    copy(half, stage)
     _multiply_add(propagator.half_weight, rate_a, stage)
 
     rate(tables, stage, middle, rate_b)
@@ -236,7 +236,7 @@ def advance(tables, propagator, state, load, loads, every, samples):
     now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
     combined = local((size,))
     rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
-    _copy(state, now)
+    copy(state, now)
     for k in range(len(loads) + 1):
         # The only place from which motions come: others would be rounded in another way.
         if every and k % every == 0:
@@ -244,14 +244,14 @@ def advance(tables, propagator, state, load, loads, every, samples):
         if k == len(loads):
             break
         start, middle, end = loads[k, 0], loads[k, 1], loads[k, 2]
-        _step(tables, propagator, now, start, middle, end, half, following, combined, rate_0,
-              rate_a, rate_b, rate_c, stage)
-        if not _is_finite(stage):
-            _copy(now, state)
+        one_step(tables, propagator, now, start, middle, end, half, following, combined, rate_0,
+                 rate_a, rate_b, rate_c, stage)
+        if not is_finite(stage):
+            copy(now, state)
             return k
-        _copy(stage, now)
+        copy(stage, now)
         load = end
-    _copy(now, state)
+    copy(now, state)
     return len(loads)
 
 
@@ -288,7 +288,7 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
     combined = local((size,))
     rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
     begin, coarse, difference = local((size,)), local((size,)), local((size,))
-    _copy(state, now)
+    copy(state, now)
     steps = len(loads) // 2
     done = first
     for k in range(first, steps + 1):
@@ -296,7 +296,7 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
             observe(tables, now, load, samples[k // every])
         if k == steps:
             break
-        _copy(now, begin)
+        copy(now, begin)
         for part in range(3):  # the whole, then the halves
             if part == 0:
                 matrices = whole
@@ -304,24 +304,24 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
             else:
                 matrices, i = halves, 2 * k + part - 1
                 start, middle, end = loads[i, 0], loads[i, 1], loads[i, 2]
-            _step(tables, matrices, begin, start, middle, end, half, following, combined, rate_0,
-                  rate_a, rate_b, rate_c, stage)
+            one_step(tables, matrices, begin, start, middle, end, half, following, combined,
+                     rate_0, rate_a, rate_b, rate_c, stage)
             if part == 0:
-                _copy(stage, coarse)
+                copy(stage, coarse)
             else:
-                _copy(stage, begin)
+                copy(stage, begin)
         for i in range(len(size)):
             coarse[i] -= stage[i]
         _multiply(shift, coarse, difference)
         error = 0.0
         for i in range(len(size)):
             error += abs(difference[i])
-        if not (error <= tolerance and _is_finite(stage)):
+        if not (error <= tolerance and is_finite(stage)):
             errors[1] = error
             break
         errors[0] = max(errors[0], error)
-        _copy(stage, now)
+        copy(stage, now)
         load = end
         done += 1
-    _copy(now, state)
+    copy(now, state)
     return done

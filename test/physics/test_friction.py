@@ -1,0 +1,296 @@
+"""Coulomb friction against closed forms, other integrators, a locked shaft and conservation."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+import timo_sim
+from timo_sim import simulation
+from timo_sim.parameters import ParameterError
+from timo_sim.physics import FORMULATIONS, friction
+from timo_sim.physics.formulation import FORCE_X, FORCE_Y, LOADS, TORQUE
+from timo_sim.simulation import DivergenceError, Simulator
+from timo_sim.track import of_run
+
+# The paper's manipulator with a rigid arm: mass of all, static moment and inertia about the shaft.
+DENSITY, LENGTH, AREA, SECOND_MOMENT = 2710.0, 2.0, 4e-4, 0.02**4 / 12.0
+MASS = 10.0 + DENSITY * AREA * LENGTH + 2.0
+MOMENT = DENSITY * AREA * LENGTH**2 / 2.0 + 2.0 * LENGTH
+INERTIA = (2.0 + DENSITY * (AREA * LENGTH**3 / 3.0 + SECOND_MOMENT * LENGTH)
+           + 2.0 * LENGTH**2 + 0.5)
+STUCK = {'model.modes': 0, 'carrier.coulomb_friction': 1e3}  # a carrier that nothing moves
+ALL = {'carrier.coulomb_friction': 2.0, 'motor.coulomb_friction': 1.0}
+# Vibrates, slides, stops, sticks and breaks away, in all three joints.
+LIVELY = {'carrier.coulomb_friction': 12.0, 'motor.coulomb_friction': 15.0,
+          'initial.carrier_x_velocity': 0.1, 'initial.carrier_y_velocity': -0.05,
+          'initial.shaft_velocity': 0.1, 'initial.modal_coordinates': [0.1, 0.01, 0.0]}
+PUSHES = np.array([6.0, -7.0, 9.0])
+
+
+def loaded(pushes):
+    """Return the load of forces x, y and a torque."""
+    load = np.zeros(LOADS)
+    load[[FORCE_X, FORCE_Y, TORQUE]] = pushes
+    return load
+
+
+def order(steps, errors):
+    """Return the slope of errors over steps in logarithms."""
+    return np.polyfit(np.log(steps), np.log(errors), 1)[0]
+
+
+@pytest.mark.parametrize('formulation', FORMULATIONS)
+def test_a_rigid_arm_speeds_up_coasts_to_rest_and_stays(formulation):
+    step, torque, limit, jump = 0.001, 3.0, 1.9, 1.2
+    run = timo_sim.simulate(timo_sim.load_scene({
+        **STUCK, 'model.formulation': formulation, 'motor.coulomb_friction': limit,
+        'integrator.step': step, 'initial.shaft': 0.0, 'load.torque.piecewise.time': [0.0, jump],
+        'load.torque.piecewise.value': [torque, 0.0]}), 4.0)
+    # Without modes the stresses at the root are none: the shaft is alone.
+    inertia = 2.0 if formulation == 'newton_root_stress' else INERTIA
+    faster, slower = (torque - limit) / inertia, limit / inertia
+    rest = jump + jump * faster / slower  # in the middle of a step
+    coasting = np.clip(run.t, jump, rest) - jump
+    angle = (0.5 * faster * np.minimum(run.t, jump)**2 + jump * faster * coasting
+             - 0.5 * slower * coasting**2)
+    late, over = np.abs(run.shaft - angle), run.t > rest + step
+    # The carrier gives way by (T35)'s h^3 r' / 12 m: 1e-11 in the angle.
+    assert late[run.t < rest].max() < 2e-11
+    # In the step in which it comes to rest it is slowed down evenly: at most h^2 / 8 of that.
+    assert 1e-9 < late.max() <= slower * step**2 / 8.0
+    assert np.ptp(run.shaft[over]) == 0.0 and np.abs(run.shaft_velocity[over]).max() < 1e-16
+    assert abs(run.friction_heat[-1] - torque * run.shaft[np.searchsorted(run.t, jump)]) < 1e-12
+
+
+@pytest.mark.parametrize('formulation', FORMULATIONS)
+@pytest.mark.parametrize('modes', [0, 3])
+def test_loads_below_the_limits_move_nothing(formulation, modes):
+    simulator = Simulator(timo_sim.load_scene({
+        **ALL, 'model.modes': modes, 'model.formulation': formulation,
+        'initial.carrier_x': 0.3}))
+    start, pushes = simulator.motion(), np.array([1.99, -1.5, 0.99])
+    motions = simulator.advance(10000, loaded(pushes), every=1)
+    # To the last bit, but for the round-off of what is 0: 3e-17 and 2e-17 were measured.
+    np.testing.assert_array_equal(motions[:, [0, 2]], np.tile(start[[0, 2]], (10001, 1)))
+    np.testing.assert_allclose(motions, np.tile(start, (10001, 1)), rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(simulator.friction, -pushes, rtol=1e-11)
+
+
+def stick_slip(torque, frequency, limit, times):
+    """Return the angle of a rigid arm on a held carrier under a harmonic torque, by its pieces."""
+    w, fine = 2.0 * math.pi * frequency, 1e-3 / frequency
+
+    def speed(t, begin, side):
+        return (torque * (math.cos(w * begin) - math.cos(w * t)) / w
+                - limit * side * (t - begin)) / INERTIA
+
+    def angle(t, begin, side):
+        return (torque * (np.cos(w * begin) * (t - begin)
+                          - (np.sin(w * t) - np.sin(w * begin)) / w) / w
+                - 0.5 * limit * side * (t - begin)**2) / INERTIA
+
+    def excess(t):
+        return abs(torque * math.sin(w * t)) - limit
+
+    t, place, found = 0.0, 0.0, np.zeros(len(times))
+    while t < times[-1]:
+        found[times >= t] = place
+        if excess(t) <= 0.0:  # at rest until the torque is large enough
+            end = t + fine
+            while excess(end) <= 0.0:
+                end += fine
+            t = brentq(excess, t, end, xtol=1e-15)
+        side, end = math.copysign(1.0, math.sin(w * t)), t + fine
+        while speed(end, t, side) * side > 0.0:
+            end += fine
+        end = brentq(speed, end - fine, end, args=(t, side), xtol=1e-15)
+        sliding = times >= t
+        found[sliding] = place + angle(times[sliding], t, side)
+        place += angle(end, t, side)
+        t = end
+    return found
+
+
+@pytest.mark.parametrize('limit', [0.5, 2.0])  # turns round at once; sticks first
+def test_turning_round_and_stick_slip_are_of_second_order(limit):
+    times, steps, errors = np.arange(0.0, 3.001, 0.02), 0.02 * 0.5**np.arange(8), []
+    truth = stick_slip(3.0, 1.1, limit, times)
+    for step in steps:
+        run = timo_sim.simulate(timo_sim.load_scene({
+            **STUCK, 'motor.coulomb_friction': limit, 'integrator.step': step,
+            'load.torque.harmonic.amplitude': [3.0], 'load.torque.harmonic.frequency': [1.1]}),
+            3.0, every=round(0.02 / step))
+        errors.append(np.abs(run.shaft - run.shaft[0] - truth).max())
+    # Where in its step an event falls is chance: errors are 0.03 to 0.31 h^2.
+    assert np.all(errors < 0.6 * steps**2) and 1.7 < order(steps, errors) < 2.3
+
+
+def test_shaft_and_carrier_at_once_against_another_integrator():
+    """The rigid arm's equations, with a steep hyperbolic tangent for friction, by Radau."""
+    limits, smooth, frequencies = np.array([2.0, 2.0, 1.0]), 1e-8, np.array([2.0, 3.0, 4.0])
+
+    def rate(t, state):
+        theta, speeds = state[2], state[3:]
+        c, s = MOMENT * math.cos(theta), MOMENT * math.sin(theta)
+        matrix = np.array([[MASS, 0.0, -s], [0.0, MASS, c], [-s, c, INERTIA]])
+        force = 5.0 * np.sin(2.0 * np.pi * frequencies * t) - limits * np.tanh(speeds / smooth)
+        force[:2] += speeds[2]**2 * np.array([c, s])
+        return np.concatenate([speeds, np.linalg.solve(matrix, force)])
+
+    times = np.linspace(0.0, 2.0, 101)
+    start = np.array([0.0, 0.0, 0.7, 0.3, -0.2, 0.5])
+    truth = solve_ivp(rate, (0.0, 2.0), start, 'Radau', times, rtol=1e-10, atol=1e-12).y.T
+    values = {**ALL, 'model.modes': 0}
+    for k, (joint, load) in enumerate((
+            ('carrier_x', 'force_x'), ('carrier_y', 'force_y'), ('shaft', 'torque'))):
+        values |= {f'initial.{joint}': start[k], f'initial.{joint}_velocity': start[3 + k],
+                   f'load.{load}.harmonic.amplitude': [5.0],
+                   f'load.{load}.harmonic.frequency': [frequencies[k]]}
+    steps, errors = np.array([0.01, 0.005, 0.0025, 0.00125]), []
+    for step in steps:
+        run = timo_sim.simulate(timo_sim.load_scene(values, {'integrator.step': step}), 2.0,
+                                every=round(0.02 / step))
+        errors.append(np.abs(run.motion - truth).max())
+    # The reference is off by about 3e-7; errors are 0.56 to 0.71 h^2.
+    assert np.all(errors < 1.0 * steps**2) and 1.8 < order(steps, errors) < 2.2
+
+
+@pytest.mark.parametrize('formulation', ['exact', 'newton'])
+def test_a_shaft_that_is_held_is_a_locked_one(formulation):
+    slew = timo_sim.load_scene({'model.formulation': formulation, 'motor.coulomb_friction': 90.0,
+                                'initial.shaft_velocity': 0.4})
+    stopped = timo_sim.simulate(slew, 0.2)
+    last, half = stopped.motion[-1], stopped.motion.shape[1] // 2
+    begin = {'initial.carrier_x': last[0], 'initial.carrier_y': last[1], 'initial.shaft': last[2],
+             'initial.modal_coordinates': last[3:half], 'initial.carrier_x_velocity': last[half],
+             'initial.carrier_y_velocity': last[half + 1], 'initial.shaft_velocity': 0.0,
+             'initial.modal_rates': last[half + 3:]}
+    locked = timo_sim.simulate(timo_sim.load_scene({
+        'model.formulation': formulation, **begin, 'motor.shaft': 'locked'}), 2.0, every=4)
+    steps, errors = [0.004, 0.002, 0.001], []
+    for step in steps:
+        held = timo_sim.simulate(slew.vary({**begin, 'integrator.step': step}), 2.0,
+                                 every=round(0.004 / step))
+        errors.append(np.abs(held.q - locked.q).max())
+        # What 1e-12 of the limit does to the shaft alone in a step.
+        assert np.abs(held.shaft_velocity).max() < 1e-12 * 90.0 * 0.004 / 2.0
+    assert np.abs(locked.q).max() > 0.1 and errors[-1] < 1e-4
+    assert 1.95 < order(steps, errors) < 2.05
+
+
+def test_energy_and_heat_are_the_work_of_the_loads():
+    steps, errors = [0.01, 0.005, 0.0025], []
+    for step in steps:
+        simulator = Simulator(timo_sim.load_scene({**LIVELY, 'integrator.step': step}))
+        heats = np.zeros(round(2.0 / step) + 1)
+        motions = simulator.advance(len(heats) - 1, loaded(PUSHES), 1, heats)
+        energy = simulator.formulation.energy(motions)
+        work = (motions[:, :3] - motions[0, :3]) @ PUSHES
+        errors.append(np.abs(energy - energy[0] + heats - work).max())
+        assert heats[-1] == simulator.heat > 0.8
+    # The integrator's order, events or not; 1e-9 J of 0.9 J at 2.5 ms.
+    assert errors[-1] < 5e-9 and order(steps, errors) > 3.8
+
+
+def test_each_step_obeys_the_law():
+    simulator = Simulator(timo_sim.load_scene({**LIVELY, 'integrator.step': 0.005}))
+    limits, seen = simulator.scene.friction, np.zeros((3, 3), dtype=int)
+    after = simulator.motion()[6:9]
+    for _ in range(800):
+        simulator.advance(1, loaded(PUSHES))
+        before, after, r = after, simulator.motion()[6:9], simulator.friction
+        rests, came = np.abs(after) < 1e-13, np.abs(before) < 1e-13
+        slides = (before * after > 0.0) & ~rests & ~came
+        assert np.all(np.abs(r) <= limits * (1.0 + 1e-14))
+        np.testing.assert_allclose(r[slides], -(limits * np.sign(after))[slides], rtol=1e-14)
+        # What leaves its rest is pushed to where friction does not.
+        assert np.all((r * after)[came & ~rests] < 0.0)
+        seen += [slides, rests & came, came & ~rests]
+    assert np.all(seen >= 5), 'this scene does not do all that is tested'
+
+
+def test_bits_do_not_depend_on_how_steps_are_asked_for():
+    scene, whole = timo_sim.load_scene({**LIVELY, 'integrator.step': 0.005}), np.zeros(91)
+    pieces = Simulator(scene)
+    motions = Simulator(scene).advance(630, loaded(PUSHES), 7, whole)
+    found, heats = [pieces.motion()], [pieces.heat]
+    for k in range(90):
+        for count in (1, 4, 2) if k % 2 else (7,):
+            pieces.advance(count, loaded(PUSHES))
+        found.append(pieces.motion())
+        heats.append(pieces.heat)
+    assert np.array(found).tobytes() == motions.tobytes()
+    assert np.array(heats).tobytes() == whole.tobytes()
+
+
+def test_a_run_tells_the_heat_of_its_samples():
+    scene = timo_sim.load_scene({**LIVELY, 'integrator.step': 0.005})
+    fine, coarse = (timo_sim.simulate(scene, 6.0, every) for every in (1, 8))
+    assert np.array_equal(coarse.friction_heat, fine.friction_heat[::8])
+    assert fine.friction_heat[0] == 0.0 and fine.friction_heat[-1] > 0.1
+    # A log does not know the heat: what is looked at has no balance.
+    assert of_run(coarse).trace('balance') is None
+
+
+def test_the_acceleration_of_the_tip_sees_friction():
+    scene = timo_sim.load_scene({'model.modes': 0, 'motor.coulomb_friction': 5.0,
+                                 'initial.shaft_velocity': 2.0})
+    simulator, formulation = Simulator(scene), scene.build()
+    motions = simulator.advance(200, every=1)
+    found = simulator.tip_acceleration()
+    motions = np.vstack([motions[-2:], simulator.advance(1, every=1)[1:]])
+    tip = formulation.world(motions, formulation.at([LENGTH]))[:, 0]
+    second = (tip[0] - 2.0 * tip[1] + tip[2]) / scene.step**2
+    # What the differences leave out, and their round-off; friction makes a tenth of it all.
+    assert np.abs(found - second).max() < 1e-5
+    without = formulation.tip_acceleration(simulator._state, simulator.load)
+    assert np.abs(without - found).max() > 0.5
+
+
+def test_a_reset_and_a_run_that_diverges_leave_the_right_heat(monkeypatch):
+    scene = timo_sim.load_scene(LIVELY)
+    simulator, other = Simulator(scene), Simulator(scene)
+    simulator.advance(100)
+    assert simulator.heat > 0.0 and simulator.friction.any()
+    simulator.reset()
+    assert simulator.heat == 0.0 and not simulator.friction.any()
+    monkeypatch.setattr(simulation, '_MOST_BENT', 0.06)
+    with pytest.raises(DivergenceError):
+        simulator.advance(1000, loaded([0.0, 0.0, 200.0]))
+    monkeypatch.undo()
+    other.advance(simulator.steps - 100, loaded([0.0, 0.0, 200.0]))
+    assert other.steps > 20 and other.heat == simulator.heat
+    assert np.array_equal(other.friction, simulator.friction)
+    assert np.array_equal(other.motion(), simulator.motion())
+
+
+@pytest.mark.parametrize('inertia, step, warned', [
+    (0.01, 0.01, True), (0.01, 0.005, False), (2.0, 0.01, False)])
+def test_a_step_that_cannot_hold_a_joint_is_warned_of(inertia, step, warned):
+    """A light shaft vibrates at 70 Hz: of 10 ms a period is less than two."""
+    simulator = Simulator(timo_sim.load_scene({
+        'motor.shaft_inertia': inertia, 'motor.coulomb_friction': 30.0, 'integrator.step': step,
+        'load.torque.harmonic.amplitude': [36.0], 'load.torque.harmonic.frequency': [0.3]}))
+    simulator.advance(round(5.0 / step))
+    assert bool(simulator.caution) == warned == bool(simulator.heat < 0.0)
+    assert not warned or 'Coulomb friction has given' in simulator.caution
+
+
+def test_what_has_no_friction_does_not_ask_for_it(monkeypatch):
+    monkeypatch.setattr(friction, 'advance', None)
+    locked = timo_sim.load_scene({'motor.coulomb_friction': 1.0, 'motor.shaft': 'locked',
+                                  'initial.modal_coordinates': [0.1, 0.0, 0.0]})
+    for scene in (locked, timo_sim.load_scene({'initial.shaft_velocity': 1.0})):
+        assert not timo_sim.simulate(scene, 0.1).friction_heat.any()
+    assert locked.vary({**ALL, 'carrier.held': 'y'}).friction.tolist() == [2.0, 0.0, 0.0]
+    held = {**ALL, 'carrier.held': 'both', 'motor.shaft': 'free'}
+    assert locked.vary(held).friction.tolist() == [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize('name', ['carrier.coulomb_friction', 'motor.coulomb_friction'])
+def test_friction_and_split_steps_exclude_each_other(name):
+    with pytest.raises(ParameterError, match='integrator.tolerance must be 0 with coulomb_fricti'):
+        timo_sim.load_scene({name: 1.0, 'integrator.tolerance': 1e-6})
