@@ -156,12 +156,12 @@ def test_a_load_of_a_hundred_thousand_pieces_is_read(tmp_path):
     ({'duration': 1e308}, 'must be a finite number >= 0 and <= 2.14748e.09 s'),
     ({'real_time_factor': 1e300}, '<= 1e.06'), ({'command_timeout': 1e300}, '<= 2.147')])
 def test_numbers_that_would_round_to_none_or_overflow(value, words):
-    from timo_sim.ros.node import _steps_between_messages
+    from timo_sim.ros.parameters import steps_between_messages
     from timo_sim.parameters import check, whole_ratio
     with pytest.raises(timo_sim.ParameterError, match=words):
         values = {**{name: parameter.default for name, parameter in PARAMETERS.items()},
                   **check(value, 'test')}
-        _steps_between_messages(values, 0.001)
+        steps_between_messages(values, 0.001)
         whole_ratio('duration', values['duration'], 'integrator.step', 0.001)
 
 

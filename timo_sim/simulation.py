@@ -1,29 +1,25 @@
 """From a scene to a run: the integrator with its state, and the whole run at once."""
 
-import math
 import warnings
 
 import numpy as np
 
 from timo_sim.actuators import Actuators
+from timo_sim.cautions import after_steps, divergence, unseen_load, wrong_step
 from timo_sim.parameters import ParameterError, whole_ratio
 from timo_sim.physics import etdrk4, friction
 from timo_sim.physics.compiled import compiling, record, size_mark
 from timo_sim.physics.formulation import LOADS
 from timo_sim.run import Run
-from timo_sim.step_control import FINEST, StepControl
+from timo_sim.step_control import StepControl
 
 # Steps whose loads are worked out at once: enough to make that cheap.
 _CHUNK, _FEW = 512, 256
 # The error of a step is looked at at the start, after so many steps, twice as many, and so on up
 # to each chunk: what begins wildly calms down, as a rule.
 _FIRST_LOOK = 128
-# Part of the period of a harmonic load that a step may cover: its three values then are the load.
-_MOST_OF_A_PERIOD = 0.25
 # Deflection that is no arm's any more, in arm lengths.
 _MOST_BENT = 10.0
-# Displacement, in arm lengths or radians, over which friction does work that is worth a look.
-_MOVED = 1e-6
 _NO_LOADS = np.zeros((0, etdrk4.STAGES, LOADS))
 
 
@@ -72,7 +68,7 @@ class Simulator:
         self._block = 0, _NO_LOADS
         self._actuators = Actuators(self.scene.values)
         self._load = self.scene.load.stages(0, 1, self.scene.step)[0, 0]
-        self.caution = self._unseen_load()
+        self.caution = unseen_load(self.scene)
 
     def change(self, scene):
         """
@@ -90,7 +86,7 @@ class Simulator:
         self.control = self.control.following(scene, self.formulation)
         self._resting = self._resting and not scene.load
         self._block = 0, _NO_LOADS
-        self.caution = self._unseen_load()
+        self.caution = unseen_load(self.scene)
 
     @property
     def is_compiled(self):
@@ -186,12 +182,10 @@ class Simulator:
             done, motions = self._integrate(loads, every, heats)
         if done < steps or not self._bent() <= _MOST_BENT * self.scene.manipulator.arm.length:
             self._give_up(before, steps, held)
-        self._watch_speed(motions)
         self.steps += steps
         if steps:
             self._load = loads[-1, -1].copy()
-        self._watch_splitting()
-        self._watch_friction()
+        self.caution = self.caution or after_steps(self, motions)
         return motions
 
     def _integrate(self, loads, every, heats=None):
@@ -242,26 +236,6 @@ class Simulator:
         """What Coulomb friction has made of work since the initial motion [J]."""
         return float(self._friction[friction.HEAT])
 
-    def _watch_speed(self, motions):
-        limit, column = self.formulation.speed_limit, self.formulation.size // 2 + 2
-        if math.isinf(limit) or self.caution:
-            return
-        speed = max(abs(self.motion()[column]), np.abs(motions[:, column]).max(initial=0.0))
-        if speed > limit:
-            self.caution = (
-                f'at {speed:.3g} rad/s the shaft is faster than {limit:.3g} rad/s, where the arm '
-                f'loses its stiffness in model.formulation '
-                f'{self.scene.values["model.formulation"]}, which has no centrifugal stiffening: '
-                'take model.formulation exact')
-
-    def _unseen_load(self):
-        frequency, channel = self.scene.load.fastest()
-        if frequency * self.scene.step <= _MOST_OF_A_PERIOD:
-            return None
-        return (f'load.{channel}.harmonic.frequency = {frequency:g} Hz is too high for '
-                f'integrator.step = {self.scene.step:g} s: take at most '
-                f'{_MOST_OF_A_PERIOD / frequency:.2g} s')
-
     def _watch_error(self, loads):
         # Now and then, at the first of some steps.
         if self.caution or not len(loads) or self.steps < self._next_look:
@@ -269,31 +243,7 @@ class Simulator:
         self._next_look = self.steps + self.spacing
         error, alarming = self.control.look_ahead(self._state, loads[:1])
         if alarming:
-            self.caution = (
-                f'at t = {self.steps * self.scene.step:.6g} s a step is wrong by about '
-                f'{error:.1g} m at the tip: take a smaller integrator.step, or let it be split by '
-                'an integrator.tolerance')
-
-    def _watch_splitting(self):
-        if self.control.coarse and not self.caution:
-            self.caution = (
-                'the error of a step was above integrator.tolerance = '
-                f'{self.control.tolerance:g} m when done in {2**(FINEST + 1)} parts, too, before '
-                f't = {self.steps * self.scene.step:.6g} s: take a smaller integrator.step or '
-                'fewer model.modes')
-
-    def _watch_friction(self):
-        # Where a step holds no vibration still, friction gives energy. Read the theory, (T35).
-        if self.caution or self.heat >= 0.0:
-            return
-        length = self.scene.manipulator.arm.length
-        if -self.heat < _MOVED * self.scene.friction @ [length, length, 1.0]:
-            return
-        if -self.heat > self.formulation.energy(self.motion()[np.newaxis])[0]:
-            self.caution = (
-                f'at t = {self.steps * self.scene.step:.6g} s Coulomb friction has given '
-                f'{-self.heat:.2g} J: a vibration of the joint that it holds takes less than two '
-                'steps; take a smaller integrator.step or fewer model.modes')
+            self.caution = wrong_step(self, error)
 
     def _bent(self):
         # Deflection by all modes together [m].
@@ -307,16 +257,7 @@ class Simulator:
         if steps > 1:
             for part in (steps // 2, steps - steps // 2):
                 self.advance(part, held)
-        motion, reach = self.motion(), self.formulation.reach
-        largest = np.argmax(np.abs(motion[:len(reach)]) * reach)
-        name = (['carrier x', 'carrier y', 'shaft angle'] + [
-            f'modal coordinate {n + 1}' for n in range(len(reach) - 3)])[largest]
-        raise DivergenceError(
-            f'the state diverges after t = {self.steps * self.scene.step:.6g} s (step '
-            f'{self.steps}), at {name} = {motion[largest]:.3g} with the arm bent by '
-            f'{self._bent():.3g} m: take a smaller integrator.step, an integrator.tolerance, '
-            'fewer model.modes or model.formulation exact' + (
-                f'; {self.caution}' if self.caution else ''))
+        raise DivergenceError(divergence(self, self._bent()))
 
 
 def simulate(scene, duration, every=1):

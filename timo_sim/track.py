@@ -90,7 +90,7 @@ class Track:
         return np.unique(wanted)
 
 
-def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True):
+def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=None):
     """
     Return the track of a known motion.
 
@@ -109,6 +109,8 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True):
     balanced : bool
         Whether work and losses are worked out, too; the work of a load on the tip is not known,
         nor what friction takes when it was set to something else on the way.
+    heat : ndarray, shape (n,), optional
+        What Coulomb friction has taken so far [J], needed for the balance where there is any.
 
     Returns
     -------
@@ -136,10 +138,12 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True):
         trace('modal', modes, lambda part: motion[part, 3:half])]
     energy = _in_blocks(formulation.energy, motion)
     pushed = any(scene.load.terms[channel] for channel in CHANNELS if channel.startswith('tip'))
-    known = scene.values['motor.shaft'] != 'driven' and not scene.friction.any()
+    known = scene.values['motor.shaft'] != 'driven' and (
+        heat is not None or not scene.friction.any())
     if balanced and known and not pushed:
         done = work(ns, motion[:, :3], motion[:, half:half + 3], effort)
         done -= integral(ns, _in_blocks(formulation.dissipation, motion))
+        done -= 0.0 if heat is None else np.diff(heat)
         gained = np.diff(energy)
         gained[np.asarray(resets, dtype=int) - 1] = 0.0
         done[np.asarray(resets, dtype=int) - 1] = 0.0
@@ -167,7 +171,7 @@ def of_run(run, name='run'):
         effort[k:k + count] = block[::every, -1, :][:, [FORCE_X, FORCE_Y, TORQUE]]
     effort[0] = run.scene.load.stages(first, 1, run.scene.step)[0, 0, [FORCE_X, FORCE_Y, TORQUE]]
     ns = np.rint(run.t * 1e9).astype(np.int64)
-    return of_motion(name, run.scene, ns, run.motion, effort)
+    return of_motion(name, run.scene, ns, run.motion, effort, heat=run.friction_heat)
 
 
 def of_recording(recording, name):
