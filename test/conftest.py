@@ -16,18 +16,17 @@ PAPER = ROOT / 'config' / 'paper.yaml'
 
 
 def own_domain():
-    """Return a DDS domain that no other run of the tests uses, and the file that keeps it."""
+    """Return a DDS domain that no other run of the tests uses until this process ends."""
     for domain in random.sample(range(1, 101), 100):
+        path = Path(tempfile.gettempdir()) / f'timo_sim_domain_{domain}'
         with suppress(OSError):
-            kept = open(Path(tempfile.gettempdir()) / f'timo_sim_domain_{domain}', 'w')
-            fcntl.flock(kept, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return domain, kept
+            fcntl.flock(os.open(path, os.O_CREAT | os.O_RDWR), fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return domain
     raise RuntimeError('every DDS domain is in use by other runs of the tests')
 
 
 # Tests talk to nobody but themselves: neither to other runs nor to a worker process beside them.
-_DOMAIN, _KEPT = own_domain()
-os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(_DOMAIN))
+os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(own_domain()))
 
 
 @pytest.fixture(scope='session')
