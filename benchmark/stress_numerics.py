@@ -41,6 +41,7 @@ LEVELS = {
     'damping': [0.0, 0.01, 0.1, 1.0],                # ratio of all modes
     'load': ['none', 'resonance 1', 'near resonance 1', 'resonance 2', 'resonance 3', 'torque',
              'impulse'],
+    'friction': ['none', 'viscous', 'stiff', 'dry', 'sticky'],  # of carrier and shaft
 }
 VERDICTS = ['accurate', 'flagged', 'refused', 'silent']
 DURATION = 2.0  # [s]
@@ -101,6 +102,9 @@ def scene_of(cell, step, tolerance=0.0):
         shape[0] = cell['vibration'] / formulation.reach[3]
         values['initial.modal_coordinates'] = shape.tolist()
     values.update(_load(cell['load'], formulation, mass))
+    values.update(_friction(cell['friction'], mass))
+    if cell['friction'] in ('dry', 'sticky'):  # whose steps cannot be split
+        values['integrator.tolerance'] = 0.0
     return timo_sim.load_scene(values)
 
 
@@ -122,6 +126,17 @@ def _load(kind, formulation, mass):
     off = 1.05 if kind.startswith('near') else 1.0
     return {'load.torque.harmonic.amplitude': [torque],
             'load.torque.harmonic.frequency': [off * vibrating[number] / (2.0 * np.pi)]}
+
+
+def _friction(kind, mass):
+    if kind == 'none':
+        return {}
+    # Viscous: a second to come to rest, or a tenth of a millisecond. Dry: against what turns the
+    # shaft by 30 degrees in a second, or a hundred times as much.
+    law, size = {'viscous': ('viscous', 1.0), 'stiff': ('viscous', 1e4), 'dry': ('coulomb', 1.0),
+                 'sticky': ('coulomb', 100.0)}[kind]
+    return {f'carrier.{law}_friction': size * mass,
+            f'motor.{law}_friction': size * mass * LENGTH**2 / 3.0}
 
 
 def tip(scene, steps, every):
