@@ -35,7 +35,7 @@ class LockStep(Node):
     def __init__(self, controller):
         super().__init__('controller')
         self.controller, self.rows, self.looked = controller, [], 0
-        self.stamp, self.parts, self.command = -1, {}, None
+        self.stamp, self.answered, self.parts = -1, -1, {}
         self.publisher = self.create_publisher(JointState, '/timo_sim/joint_command', 10)
         for place, (kind, name, _) in enumerate(TOPICS):
             self.create_subscription(
@@ -45,22 +45,22 @@ class LockStep(Node):
     def arrive(self, place, message):
         """Keep a message; answer if it is the last one of its stamp."""
         stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        if stamp < self.stamp:
+        # The first state is shown until it is answered. Its stamp, 0, is that of a command without
+        # a stamp, so that a second answer would be taken for one to the next state.
+        if stamp < self.stamp or stamp == self.answered:
             return
         if stamp > self.stamp:
-            self.stamp, self.parts, self.command = stamp, {}, None
+            self.stamp, self.parts = stamp, {}
         self.parts[place] = TOPICS[place][2](message)
-        if len(self.parts) < len(TOPICS):
+        if len(self.parts) < len(TOPICS) or not self.publisher.get_subscription_count():
             return
-        if self.command is None:
-            seen = Seen(*(self.parts[place] for place in range(len(TOPICS))))
-            self.rows.append(seen.row(stamp / 1e9))
-            efforts = self.controller.effort(stamp / 1e9, seen)
-            self.command = JointState(name=list(efforts), effort=list(efforts.values()))
-            self.command.header.stamp = message.header.stamp
-        # The node shows a state again until an answer reaches it: the same one.
-        self.publisher.publish(self.command)
-        self.parts = {}
+        seen = Seen(*(self.parts[place] for place in range(len(TOPICS))))
+        self.rows.append(seen.row(stamp / 1e9))
+        efforts = self.controller.effort(stamp / 1e9, seen)
+        command = JointState(name=list(efforts), effort=list(efforts.values()))
+        command.header.stamp = message.header.stamp
+        self.publisher.publish(command)
+        self.answered = stamp
 
     def look(self):
         """End when the node has ended."""

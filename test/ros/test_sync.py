@@ -4,8 +4,9 @@ from contextlib import contextmanager
 from pathlib import Path
 import subprocess
 import sys
+from types import SimpleNamespace
 
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
@@ -73,6 +74,25 @@ def shown(recording, topic):
     """Return what a topic has shown; the first state is shown until there is an answer."""
     series = recording.topics[topic]
     return series.values[np.append(np.diff(series.step) > 0, True)]
+
+
+def test_an_example_answers_a_state_once(ros):
+    """The first is shown again; a second answer, its stamp 0, would be one to the next state."""
+    from lock_step import LockStep
+    from pd import PD, turn
+    node = LockStep(PD(turn))
+    sent = []
+    node.publisher = SimpleNamespace(publish=sent.append, get_subscription_count=lambda: 1)
+    parts = (JointState(position=[0.0]), JointState(position=[0.0]),
+             JointState(position=[0.0] * 3, velocity=[0.0] * 3, effort=[0.0] * 3),
+             Vector3Stamped())
+    for nanoseconds in (0, 0, 2000000, 0):
+        for place, message in enumerate(parts):
+            message.header.stamp.nanosec = nanoseconds
+            node.arrive(place, message)
+        sent.append(None)
+    node.destroy_node()
+    assert [message is not None for message in sent] == [True, False, False, True, False, False]
 
 
 def test_lqr_calms_the_arm_at_least_20_times_as_well_as_pd(start):
