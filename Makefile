@@ -23,7 +23,7 @@ export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
 INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --use-pep517 --constraint constraints.txt
 
 .PHONY: sim test graphics gallery picture paper benchmark benchmark-quick benchmark-speed benchmark-speed-quick \
-	benchmark-latency references stability stress stress-quick clean
+	benchmark-latency benchmark-control references stability stress stress-quick clean
 
 sim: $(VENV)/.run
 	@mkdir -p $(dir $(RUN))
@@ -69,6 +69,9 @@ benchmark-speed: $(VENV)/.benchmark
 
 benchmark-speed-quick: $(VENV)/.benchmark
 	@$(BIN)/python benchmark/speed.py --quick
+
+benchmark-control: $(VENV)/.plot
+	@$(BIN)/python benchmark/control.py
 
 benchmark-latency: $(VENV)/.benchmark
 	@$(BIN)/python benchmark/latency.py

@@ -1,0 +1,135 @@
+"""
+Compare the controllers in example/, in a loop without ROS: settling time, residual vibration.
+
+It prints Markdown tables, and draws doc/control.png. Noise and limits are those of
+example/slew.yaml.
+"""
+
+from pathlib import Path
+import sys
+
+import matplotlib
+matplotlib.use('Agg')
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+from references import ROOT  # noqa: E402
+from speed import table  # noqa: E402
+
+import timo_sim  # noqa: E402
+
+sys.path.append(str(ROOT / 'example'))
+import carrier  # noqa: E402
+from loop import in_a_loop, PERIOD  # noqa: E402
+from lqr import LQR  # noqa: E402
+from pd import PD, turn  # noqa: E402
+from shaping import shaped  # noqa: E402
+import slew  # noqa: E402
+
+PLANTS = {
+    'as modelled': {},
+    'tip 10 % heavier': {'end_effector.mass': 2.2},
+    '1 N s stroke on the tip': {'load.tip_force_y.piecewise.time': [1.0, 1.05],
+                                'load.tip_force_y.piecewise.value': [20.0, 0.0]},
+}
+
+
+class Planned(PD):
+    """PD on the plan of the LQR, whose torque is fed forward."""
+
+    def __init__(self, scene):
+        plan = LQR(scene)
+        names = timo_sim.linearize(scene).states
+        places = [names.index(name) for name in ('shaft_rad', 'shaft_velocity_rad_per_s')]
+        self._path, self._torque = plan.path[:, places], plan.torque[:, 0]
+        super().__init__(lambda t: self._path[self._place(t)])
+
+    def _place(self, t):
+        return min(round(t / PERIOD), len(self._path) - 1)
+
+    def effort(self, t, seen):
+        """Return the torque on the shaft [N m] that answers what is seen."""
+        return {'shaft': super().effort(t, seen)['shaft'] + self._torque[self._place(t)]}
+
+
+SLEWS = {'PD': lambda scene: PD(turn), 'ZV': lambda scene: shaped(scene, 'ZV'),
+         'ZVD': lambda scene: shaped(scene, 'ZVD'), 'LQR': LQR,
+         "PD on the LQR's plan": Planned}
+SEEDS = range(10)
+COLOURS = {'PD': '#d55e00', 'ZV': '#e69f00', 'ZVD': '#009e73', 'LQR': '#0072b2'}
+
+
+def told(score):
+    """Return settling time and residual vibration as text."""
+    return f'{score.settled:.2f} s, {1e3 * score.residual:.2f} mm'
+
+
+def slews(scene):
+    """Return the rows of the table of slews, and the records on the plant as modelled."""
+    rows, records = [], {}
+    for name, make in SLEWS.items():
+        cells = []
+        for plant, values in PLANTS.items():
+            record = in_a_loop(scene.vary(values), make(scene), slew.DURATION + 3.0)
+            records.setdefault(name, record)
+            cells.append(told(slew.score(record)))
+        rows.append([name, *cells, f'{np.abs(records[name][:, 9]).max():.1f} N m'])
+    return rows, records
+
+
+def ratios(scene, values):
+    """Return how many times less than PD the LQR leaves, for each seed of the noise."""
+    found = []
+    for seed in SEEDS:
+        plant = scene.vary({**values, 'sensor.seed': seed})
+        left = [slew.score(in_a_loop(plant, make(scene), slew.DURATION + 1.0)).residual
+                for make in (SLEWS['PD'], SLEWS['LQR'])]
+        found.append(left[0] / left[1])
+    return f'{min(found):.0f} to {max(found):.0f}'
+
+
+def moves(scene):
+    """Yield the rows of the table of motions of the carrier."""
+    free = scene.vary({'carrier.held': 'none'})
+    for name, controller in (
+            ('PD', carrier.Follower(carrier.rigid(free), False)),
+            ("PD, a rigid arm's forces fed forward", carrier.Follower(carrier.rigid(free))),
+            ("PD, the flexible arm's forces fed forward", carrier.Follower(free))):
+        record = in_a_loop(free, controller, slew.DURATION + 3.0)
+        score = slew.score(record, carrier.GOAL)
+        yield name, f'{score.settled:.2f} s', f'{1e3 * score.residual:.3f} mm'
+
+
+def draw(records, path):
+    """Draw the slews over each other."""
+    figure, axes = plt.subplots(3, 1, figsize=(9, 7), sharex=True, layout='constrained')
+    for name, colour in COLOURS.items():
+        record = records[name]
+        t = record[:, 0]
+        axes[0].plot(t, record[:, 9], color=colour, label=name, linewidth=1.0)
+        axes[1].plot(t, 1e3 * record[:, 11], color=colour)
+        axes[2].semilogy(t, 1e3 * slew.distance(record), color=colour)
+    for each, label in zip(axes, ('torque [N m]', 'tip deflection [mm]', 'tip off its goal [mm]')):
+        each.set(ylabel=label)
+        each.grid(alpha=0.3)
+        each.axvline(slew.DURATION, color='grey', linestyle=':')
+    axes[0].legend(ncols=4)
+    axes[2].axhline(1e3 * slew.NEAR, color='grey', linestyle=':')
+    axes[2].set(xlabel='t [s]', ylim=(1e-4, 3e3))
+    figure.savefig(path, dpi=100)
+
+
+def main():
+    """Print the tables and draw the picture."""
+    scene = timo_sim.load_scene(slew.SCENE)
+    rows, records = slews(scene)
+    print(table(['', *PLANTS, 'peak torque'], rows))
+    print(f'\nPD over LQR, {len(SEEDS)} seeds: {ratios(scene, {})}; with the stroke '
+          f'{ratios(scene, PLANTS["1 N s stroke on the tip"])}.\n')
+    print(table(['carrier by 0.5 m', 'settled', 'residual'], moves(scene)))
+    path = Path(ROOT / 'doc' / 'control.png')
+    draw(records, path)
+    print(f'\n{path} is drawn')
+
+
+if __name__ == '__main__':
+    main()
