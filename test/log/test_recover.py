@@ -409,4 +409,5 @@ def test_only_the_name_of_a_log_depends_on_the_wall_clock():
                for line in path.read_text().splitlines()
                if 'time.time(' in line or 'time_ns(' in line or '.now' in line or 'utcnow' in line
                or 'get_clock' in line}
-    assert list(looking) == ['node.py'] and 'datetime.now():%Y%m%d_%H%M%S' in looking['node.py']
+    assert list(looking) == ['run_log.py']
+    assert 'datetime.now():%Y%m%d_%H%M%S' in looking['run_log.py']

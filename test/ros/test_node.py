@@ -116,6 +116,7 @@ def test_bad_commands_are_refused_counted_and_change_nothing(start, client):
     torque = client.command(Float64, '/timo_sim/motor_torque')
     torque.publish(Float64(data=0.5))
     client.wait(lambda: states and states[-1].effort[2] == 0.5, 'the torque acting')
+    begun = len(states)
 
     for data in (np.nan, np.inf, -np.inf):
         torque.publish(Float64(data=data))
@@ -128,7 +129,7 @@ def test_bad_commands_are_refused_counted_and_change_nothing(start, client):
     client.wait(lambda: health and values(health[-1].status[0])['refused_commands'] == '5',
                 'five refused commands')
     assert health[-1].status[0].level == DiagnosticStatus.WARN
-    assert all(state.effort.tolist() == [0.0, 0.0, 0.5] for state in states[-10:])
+    assert all(state.effort.tolist() == [0.0, 0.0, 0.5] for state in states[begun:])
     code, output = node.end()
     assert code == 0
     assert 'data must be finite, got nan' in output
