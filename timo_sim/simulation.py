@@ -52,7 +52,7 @@ class Simulator:
         self.formulation = scene.build()
         self.control = StepControl(scene, self.formulation)
         limits = scene.friction
-        self._joints = record(friction.Joints(limits)) if limits.any() else None
+        self._joints = record(friction.Joints(limits, scene.step)) if limits.any() else None
         self.steps = 0
         self.reset()
 

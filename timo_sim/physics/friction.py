@@ -23,12 +23,15 @@ _SAME = 1e-12
 # Trial steps at most, of which the first and one for each joint make the linear model, and sweeps
 # over the joints in that model.
 _TRIALS, _SWEEPS = 12, 200
+# The slope of r is left as it is after so many trials, so that its mean converges.
+_SLOPED = _JOINTS + 1
 
 
 class Joints(NamedTuple):
     """Constants of the compiled function."""
 
     limit: np.ndarray  # of carrier x, y [N] and shaft [N m]; 0: no friction; (3,)
+    step: float  # [s]
 
 
 @inner
@@ -50,14 +53,15 @@ def _hold(joints, side, drift, mobility, r):
 
 
 @inner
-def _follow(joints, speed, drift, mobility, now, change, side, r, mean):
+def _follow(joints, speed, drift, mobility, now, change, side, r, mean, slope):
     """
-    Set the mean of r over a step in which speeds are straight lines from event to event.
+    Set mean and slope of r over a step in which speeds are straight lines from event to event.
 
-    From `speed` they change by drift + mobility r per step (T34).
+    From `speed` they change by drift + mobility r per step (T34). The straight line of r has the
+    impulse and the first moment of its pieces; r itself is left with what it is at the end.
     """
     for i in range(_JOINTS):
-        now[i], side[i], mean[i] = speed[i], np.sign(speed[i]), 0.0
+        now[i], side[i], mean[i], slope[i] = speed[i], np.sign(speed[i]), 0.0, 0.0
     left = 1.0  # of the step
     for _ in range(_JOINTS + 1):  # each comes to rest once
         for i in range(_JOINTS):
@@ -75,6 +79,7 @@ def _follow(joints, speed, drift, mobility, now, change, side, r, mean):
         for i in range(_JOINTS):
             now[i] += part * change[i]
             mean[i] += part * r[i]
+            slope[i] += 6.0 * part * (1.0 - 2.0 * left + part) * r[i]
         left -= part
         if stops < 0:
             break
@@ -104,7 +109,8 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
     place, speed, end, drift = local((three,)), local((three,)), local((three,)), local((three,))
     r, before, mobility = local((three,)), local((three,)), local((three, three))
     passing, change = local((three,)), local((three,))
-    side, acting = local((three,)), local((three,))
+    side, acting, slope, sloping = (
+        local((three,)), local((three,)), local((three,)), local((three,)))
     motion, pushed = np.empty(samples.shape[1]), np.empty((STAGES, LOADS))
     rates = len(motion) // 2
     for i in range(_JOINTS):
@@ -115,7 +121,8 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
         observe(tables, now, load, motion)
         for i in range(_JOINTS):
             if k > 0:
-                friction[HEAT] -= friction[i] * (motion[i] - place[i])
+                friction[HEAT] -= (r[i] * (motion[i] - place[i]) + slope[i] * joints.step
+                                   * (motion[rates + i] - speed[i]) / 12.0)
             place[i], speed[i] = motion[i], motion[rates + i]
         if every and k % every == 0:
             copy(motion, samples[k // every])
@@ -128,7 +135,8 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
             copy(r, before)
             if trial == 0:
                 for i in range(_JOINTS):
-                    r[i] = -joints.limit[i] * np.sign(speed[i])
+                    acting[i] = r[i] = -joints.limit[i] * np.sign(speed[i])
+                    slope[i] = 0.0
             elif trial <= _JOINTS:
                 i = trial - 1
                 if joints.limit[i] == 0.0:
@@ -140,17 +148,20 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
                     for j in range(_JOINTS):
                         drift[i] -= mobility[i, j] * before[j]
                 copy(before, acting)
-                _follow(joints, speed, drift, mobility, passing, change, side, acting, r)
+                _follow(joints, speed, drift, mobility, passing, change, side, acting, r,
+                        sloping)
                 same = True
                 for i in range(_JOINTS):
                     same = same and abs(r[i] - before[i]) <= _SAME * joints.limit[i]
                 if same:
                     copy(before, r)
                     break
+                if trial <= _SLOPED:
+                    copy(sloping, slope)
             for j in range(STAGES):
                 copy(loads[k, j], pushed[j])
                 for i in range(_JOINTS):
-                    pushed[j, COLUMNS[i]] += r[i]
+                    pushed[j, COLUMNS[i]] += r[i] + 0.5 * (j - 1) * slope[i]
             one_step(tables, propagator, now, pushed[0], pushed[1], pushed[2], half, following,
                      combined, rate_0, rate_a, rate_b, rate_c, stage)
             observe(tables, stage, pushed[2], motion)
@@ -167,7 +178,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
             copy(now, state)
             return k
         copy(stage, now)
-        copy(r, friction[:_JOINTS])
+        copy(acting, friction[:_JOINTS])
         load = loads[k, 2]
     copy(now, state)
     return len(loads)
