@@ -24,7 +24,7 @@ _SAME = 1e-12
 # over the joints in that model.
 _TRIALS, _SWEEPS = 12, 200
 # The slope of r is left as it is after so many trials, so that its mean converges.
-_SLOPED = _JOINTS + 1
+_SLOPED = _JOINTS + 3
 
 
 class Joints(NamedTuple):
@@ -53,7 +53,7 @@ def _hold(joints, side, drift, mobility, r):
 
 
 @inner
-def _follow(joints, speed, drift, mobility, now, change, side, r, mean, slope):
+def _follow(joints, speed, drift, bend, mobility, now, change, side, r, mean, slope):
     """
     Set mean and slope of r over a step in which speeds are straight lines from event to event.
 
@@ -84,6 +84,23 @@ def _follow(joints, speed, drift, mobility, now, change, side, r, mean, slope):
         if stops < 0:
             break
         side[stops] = 0.0
+    for i in range(_JOINTS):
+        now[i] = 0.0
+    for _ in range(_SWEEPS):
+        changed = False
+        for i in range(_JOINTS):
+            if side[i] == 0.0 and abs(r[i]) < joints.limit[i]:
+                pull = bend[i]
+                for j in range(_JOINTS):
+                    if j != i:
+                        pull += mobility[i, j] * now[j]
+                last, now[i] = now[i], -pull / mobility[i, i]
+                changed = changed or abs(now[i] - last) > _SAME * joints.limit[i]
+        if not changed:
+            break
+    for i in range(_JOINTS):
+        slope[i] += part**3 * now[i]
+        r[i] = min(max(r[i] + 0.5 * part * now[i], -joints.limit[i]), joints.limit[i])
 
 
 @entry_point
@@ -111,6 +128,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
     passing, change = local((three,)), local((three,))
     side, acting, slope, sloping = (
         local((three,)), local((three,)), local((three,)), local((three,)))
+    bend, travel = local((three,)), local((three,))
     motion, pushed = np.empty(samples.shape[1]), np.empty((STAGES, LOADS))
     rates = len(motion) // 2
     for i in range(_JOINTS):
@@ -145,10 +163,12 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
             else:
                 for i in range(_JOINTS):
                     drift[i] = end[i] - speed[i]
+                    bend[i] = 6.0 * (speed[i] + end[i]) - 12.0 * travel[i]
                     for j in range(_JOINTS):
                         drift[i] -= mobility[i, j] * before[j]
+                        bend[i] -= mobility[i, j] * slope[j]
                 copy(before, acting)
-                _follow(joints, speed, drift, mobility, passing, change, side, acting, r,
+                _follow(joints, speed, drift, bend, mobility, passing, change, side, acting, r,
                         sloping)
                 same = True
                 for i in range(_JOINTS):
@@ -171,6 +191,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
                     mobility[i, trial - 1] = (
                         (motion[rates + i] - end[i]) / (r[trial - 1] - before[trial - 1]))
                 end[i] = motion[rates + i]
+                travel[i] = (motion[i] - place[i]) / joints.step
                 sliding = sliding and (joints.limit[i] == 0.0 or end[i] * speed[i] > 0.0)
             if trial == 0 and sliding:
                 break
