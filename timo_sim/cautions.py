@@ -8,8 +8,8 @@ from timo_sim.step_control import FINEST
 
 # Part of the period of a harmonic load that a step may cover: its three values then are the load.
 _MOST_OF_A_PERIOD = 0.25
-# Displacement, in arm lengths or radians, over which friction does work that is worth a look.
-_MOVED = 1e-6
+# How far joints may go astray in steps with dry friction, in arm lengths.
+_ASTRAY = 1e-3
 
 
 def _now(simulator):
@@ -46,7 +46,7 @@ def after_steps(simulator, motions):
 
     """
     return (_fast_shaft(simulator, motions) or _coarse_steps(simulator)
-            or _given_heat(simulator))
+            or _astray(simulator))
 
 
 def _fast_shaft(simulator, motions):
@@ -71,19 +71,14 @@ def _coarse_steps(simulator):
             f'{_now(simulator)}: take a smaller integrator.step or fewer model.modes')
 
 
-def _given_heat(simulator):
-    # Where a step holds no vibration still, friction gives energy: doc/theory.md, (T35).
-    given, scene = -simulator.heat, simulator.scene
-    if given <= 0.0:
+def _astray(simulator):
+    # Speeds in steps with events are not the straight lines of doc/theory.md, (T34), or steps are
+    # too long to hold a joint still, (T35).
+    if simulator.astray <= _ASTRAY * simulator.scene.manipulator.arm.length:
         return None
-    length = scene.manipulator.arm.length
-    if given < _MOVED * scene.friction @ [length, length, 1.0]:
-        return None
-    if given <= simulator.formulation.energy(simulator.motion()[np.newaxis])[0]:
-        return None
-    return (f'at {_now(simulator)} Coulomb friction has given {given:.2g} J: a vibration of the '
-            'joint that it holds takes less than two steps; take a smaller integrator.step or '
-            'fewer model.modes')
+    return (f'before {_now(simulator)} joints that Coulomb friction stops or holds have gone '
+            f'{simulator.astray:.2g} m astray, as seen at the tip: take a smaller integrator.step '
+            'or fewer model.modes')
 
 
 def divergence(simulator, bent):

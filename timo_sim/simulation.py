@@ -60,7 +60,7 @@ class Simulator:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
         motion = self.scene.initial_motion()
         self._state = self.formulation.state(motion)
-        self._friction = np.zeros(friction.HEAT + 1)
+        self._friction = np.zeros(friction.KEPT)
         # Without speeds, deflection, loads and drive nothing changes until the first command.
         self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any())
         self._origin = self.steps
@@ -228,13 +228,19 @@ class Simulator:
 
     @property
     def friction(self):
-        """Coulomb friction on carrier x, y [N] and shaft [N m] in the last step, shape (3,)."""
+        """Coulomb friction on carrier x, y [N], shaft [N m] at the last step's end, shape (3,)."""
         return self._friction[:friction.HEAT].copy()
 
     @property
     def heat(self):
         """What Coulomb friction has made of work since the initial motion [J]."""
         return float(self._friction[friction.HEAT])
+
+    @property
+    def astray(self):
+        """How far joints went from what was assumed in steps with friction, at the tip [m]."""
+        length = self.scene.manipulator.arm.length
+        return float(self._friction[friction.ASTRAY:] @ [1.0, 1.0, length])
 
     def _watch_error(self, loads):
         # Now and then, at the first of some steps.

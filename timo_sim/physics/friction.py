@@ -1,10 +1,10 @@
 """
 Coulomb friction of the joints: of the carrier along world x and y, and of the shaft.
 
-In each step the friction of a joint is one constant r, at most `limit` in size, which is added to
-the load. It is found by trial steps, see doc/theory.md (T33)-(T35): sliding through the whole step
-takes one, and what comes to rest, is held or breaks away takes a few more. No trial knows of the
-steps before, so that it does not matter how many steps are done at once.
+In each step the friction of a joint is a straight line in time, a mean r and a slope s, which is
+added to the load. It is found by trial steps, see doc/theory.md (T33)-(T37): sliding through the
+whole step takes one, and what comes to rest, is held or breaks away takes a few more. No trial
+knows of the steps before, so that it does not matter how many steps are done at once.
 """
 
 from typing import NamedTuple
@@ -17,14 +17,15 @@ from timo_sim.physics.formulation import FORCE_X, FORCE_Y, LOADS, TORQUE
 
 COLUMNS = FORCE_X, FORCE_Y, TORQUE  # of a load, by joint
 _JOINTS = len(COLUMNS)
-HEAT = _JOINTS  # its place behind the forces, see `advance`
+# What `advance` keeps: forces, heat, by how much each joint went another way than was assumed.
+HEAT, ASTRAY, KEPT = _JOINTS, _JOINTS + 1, 2 * _JOINTS + 1
 # Change of r, as a part of the limit, that is none; with it, speeds end at zero to round-off.
 _SAME = 1e-12
-# Trial steps at most, of which the first and one for each joint make the linear model, and sweeps
-# over the joints in that model.
-_TRIALS, _SWEEPS = 12, 200
-# The slope of r is left as it is after so many trials, so that its mean converges.
-_SLOPED = _JOINTS + 3
+# Way that is none [m, rad]: what is at rest stays there to the last bit.
+_STILL = 1e-12
+# Trial steps at most, of which the first and one for each joint make the linear model; rounds for
+# mean and slope in that model, and sweeps over the joints in each.
+_TRIALS, _ROUNDS, _SWEEPS = 12, 30, 200
 
 
 class Joints(NamedTuple):
@@ -35,39 +36,40 @@ class Joints(NamedTuple):
 
 
 @inner
-def _hold(joints, side, drift, mobility, r):
-    """Set r of the joints that are at rest: what holds them, or the limit."""
+def _hold(side, pull, mobility, room, r):
+    """Set r of the joints that are at rest: what holds them against a pull, or all their room."""
     for _ in range(_SWEEPS):
         changed = False
         for i in range(_JOINTS):
-            limit = joints.limit[i]
-            if limit > 0.0 and side[i] == 0.0:
-                pull = drift[i]
+            if room[i] > 0.0 and side[i] == 0.0:
+                change = pull[i]
                 for j in range(_JOINTS):
                     if j != i:
-                        pull += mobility[i, j] * r[j]
-                last, r[i] = r[i], min(max(-pull / mobility[i, i], -limit), limit)
-                changed = changed or abs(r[i] - last) > _SAME * limit
+                        change += mobility[i, j] * r[j]
+                last, r[i] = r[i], min(max(-change / mobility[i, i], -room[i]), room[i])
+                changed = changed or abs(r[i] - last) > _SAME * room[i]
         if not changed:
             break
 
 
 @inner
-def _follow(joints, speed, drift, bend, mobility, now, change, side, r, mean, slope):
+def _follow(joints, speed, drift, bend, mobility, bending, now, change, room, turn, side, r, mean,
+            slope, path):
     """
-    Set mean and slope of r over a step in which speeds are straight lines from event to event.
+    Follow speeds that are straight lines from event to event through a step.
 
-    From `speed` they change by drift + mobility r per step (T34). The straight line of r has the
-    impulse and the first moment of its pieces; r itself is left with what it is at the end.
+    From `speed` they change by drift + mobility r per step (T34). Receives mean and slope of r over
+    the step, and each joint's path in steps; r itself is left with what it is at the end.
     """
     for i in range(_JOINTS):
-        now[i], side[i], mean[i], slope[i] = speed[i], np.sign(speed[i]), 0.0, 0.0
-    left = 1.0  # of the step
+        now[i], side[i] = speed[i], np.sign(speed[i])
+        mean[i], slope[i], path[i], turn[i] = 0.0, 0.0, 0.0, 0.0
+    left, part = 1.0, 1.0  # of the step, and of that until the next event
     for _ in range(_JOINTS + 1):  # each comes to rest once
         for i in range(_JOINTS):
             if side[i] != 0.0:
                 r[i] = -joints.limit[i] * side[i]
-        _hold(joints, side, drift, mobility, r)
+        _hold(side, drift, mobility, joints.limit, r)
         part, stops = left, -1
         for i in range(_JOINTS):
             change[i] = drift[i]
@@ -77,6 +79,7 @@ def _follow(joints, speed, drift, bend, mobility, now, change, side, r, mean, sl
             if joints.limit[i] * side[i] * change[i] < 0.0 and until < part:
                 part, stops = until, i
         for i in range(_JOINTS):
+            path[i] += part * (now[i] + 0.5 * part * change[i])
             now[i] += part * change[i]
             mean[i] += part * r[i]
             slope[i] += 6.0 * part * (1.0 - 2.0 * left + part) * r[i]
@@ -84,23 +87,22 @@ def _follow(joints, speed, drift, bend, mobility, now, change, side, r, mean, sl
         if stops < 0:
             break
         side[stops] = 0.0
+    # What holds to the end is a straight line, too, within the limits.
     for i in range(_JOINTS):
-        now[i] = 0.0
-    for _ in range(_SWEEPS):
-        changed = False
-        for i in range(_JOINTS):
-            if side[i] == 0.0 and abs(r[i]) < joints.limit[i]:
-                pull = bend[i]
-                for j in range(_JOINTS):
-                    if j != i:
-                        pull += mobility[i, j] * now[j]
-                last, now[i] = now[i], -pull / mobility[i, i]
-                changed = changed or abs(now[i] - last) > _SAME * joints.limit[i]
-        if not changed:
-            break
+        room[i] = 2.0 * (joints.limit[i] - abs(r[i])) / part
+    _hold(side, bend, bending, room, turn)
     for i in range(_JOINTS):
-        slope[i] += part**3 * now[i]
-        r[i] = min(max(r[i] + 0.5 * part * now[i], -joints.limit[i]), joints.limit[i])
+        slope[i] += part**3 * turn[i]
+        r[i] += 0.5 * part * turn[i]
+
+
+@inner
+def _same(joints, r, other):
+    """Return whether two r are the same but for round-off."""
+    for i in range(_JOINTS):
+        if abs(r[i] - other[i]) > _SAME * joints.limit[i]:
+            return False
+    return True
 
 
 @entry_point
@@ -112,35 +114,39 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
     ----------
     joints : record
         Of `Joints`.
-    friction : ndarray, shape (4,)
-        Forces of friction on carrier x, y [N], its torque on the shaft [N m] in the last step, and
-        the heat it has made [J]; advanced in place.
+    friction : ndarray, shape (7,)
+        Forces of friction on carrier x, y [N] and its torque on the shaft [N m] at the end of the
+        last step; the heat it has made [J]; how far joints that came to rest, or were held, went
+        from the paths of (T34), all such steps summed up [m, m, rad]. Advanced in place.
     heats : ndarray, shape (1 + steps // every,)
         Receives the heat with each sample.
 
     """
-    size, three = propagator.whole, joints.limit
+    size, three, h = propagator.whole, joints.limit, joints.step
     now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
     combined = local((size,))
     rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
-    place, speed, end, drift = local((three,)), local((three,)), local((three,)), local((three,))
-    r, before, mobility = local((three,)), local((three,)), local((three, three))
-    passing, change = local((three,)), local((three,))
-    side, acting, slope, sloping = (
-        local((three,)), local((three,)), local((three,)), local((three,)))
-    bend, travel = local((three,)), local((three,))
+    # By joint: where the step begins and where a trial ends, the travel in steps.
+    place, speed, end, travel = local((three,)), local((three,)), local((three,)), local((three,))
+    r, slope, acting, path = local((three,)), local((three,)), local((three,)), local((three,))
+    before, sloping, last = local((three,)), local((three,)), local((three,))
+    drift, bend, mobility = local((three,)), local((three,)), local((three, three))
+    pull, turning, bending = local((three,)), local((three,)), local((three, three))
+    going, cross = local((three, three)), local((three, three))
+    passing, change, side = local((three,)), local((three,)), local((three,))
+    room, turn = local((three,)), local((three,))
     motion, pushed = np.empty(samples.shape[1]), np.empty((STAGES, LOADS))
     rates = len(motion) // 2
     for i in range(_JOINTS):
         for j in range(_JOINTS):
-            mobility[i, j] = 0.0
+            mobility[i, j] = going[i, j] = 0.0
     copy(state, now)
     for k in range(len(loads) + 1):
         observe(tables, now, load, motion)
         for i in range(_JOINTS):
             if k > 0:
-                friction[HEAT] -= (r[i] * (motion[i] - place[i]) + slope[i] * joints.step
-                                   * (motion[rates + i] - speed[i]) / 12.0)
+                friction[HEAT] -= (r[i] * (motion[i] - place[i])
+                                   + slope[i] * h * (motion[rates + i] - speed[i]) / 12.0)
             place[i], speed[i] = motion[i], motion[rates + i]
         if every and k % every == 0:
             copy(motion, samples[k // every])
@@ -153,7 +159,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
             copy(r, before)
             if trial == 0:
                 for i in range(_JOINTS):
-                    acting[i] = r[i] = -joints.limit[i] * np.sign(speed[i])
+                    r[i] = acting[i] = -joints.limit[i] * np.sign(speed[i])
                     slope[i] = 0.0
             elif trial <= _JOINTS:
                 i = trial - 1
@@ -165,19 +171,30 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
                     drift[i] = end[i] - speed[i]
                     bend[i] = 6.0 * (speed[i] + end[i]) - 12.0 * travel[i]
                     for j in range(_JOINTS):
-                        drift[i] -= mobility[i, j] * before[j]
-                        bend[i] -= mobility[i, j] * slope[j]
-                copy(before, acting)
-                _follow(joints, speed, drift, bend, mobility, passing, change, side, acting, r,
-                        sloping)
-                same = True
-                for i in range(_JOINTS):
-                    same = same and abs(r[i] - before[i]) <= _SAME * joints.limit[i]
-                if same:
+                        # (T36); 6.4 and 2.2: what is left is of fourth order.
+                        cross[i, j] = going[i, j] - 0.5 * mobility[i, j]
+                        bending[i, j] = 6.4 * going[i, j] - 2.2 * mobility[i, j]
+                        drift[i] -= mobility[i, j] * r[j] + cross[i, j] * slope[j]
+                        bend[i] -= bending[i, j] * slope[j] - 12.0 * cross[i, j] * r[j]
+                copy(slope, sloping)
+                for _ in range(_ROUNDS):
+                    for i in range(_JOINTS):
+                        pull[i], turning[i] = drift[i], bend[i]
+                        for j in range(_JOINTS):
+                            pull[i] += cross[i, j] * sloping[j]
+                            turning[i] -= 12.0 * cross[i, j] * r[j]
+                        if abs(turning[i]) * h <= 12.0 * _STILL:
+                            turning[i] = 0.0
+                    copy(r, last)
+                    copy(before, acting)
+                    _follow(joints, speed, pull, turning, mobility, bending, passing, change, room,
+                            turn, side, acting, r, sloping, path)
+                    if _same(joints, r, last):
+                        break
+                if _same(joints, r, before):
                     copy(before, r)
                     break
-                if trial <= _SLOPED:
-                    copy(sloping, slope)
+                copy(sloping, slope)
             for j in range(STAGES):
                 copy(loads[k, j], pushed[j])
                 for i in range(_JOINTS):
@@ -188,16 +205,20 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
             sliding = True
             for i in range(_JOINTS):
                 if 0 < trial <= _JOINTS:
-                    mobility[i, trial - 1] = (
-                        (motion[rates + i] - end[i]) / (r[trial - 1] - before[trial - 1]))
-                end[i] = motion[rates + i]
-                travel[i] = (motion[i] - place[i]) / joints.step
+                    more = r[trial - 1] - before[trial - 1]
+                    mobility[i, trial - 1] = (motion[rates + i] - end[i]) / more
+                    going[i, trial - 1] = ((motion[i] - place[i]) / h - travel[i]) / more
+                end[i], travel[i] = motion[rates + i], (motion[i] - place[i]) / h
                 sliding = sliding and (joints.limit[i] == 0.0 or end[i] * speed[i] > 0.0)
             if trial == 0 and sliding:
                 break
         if not is_finite(stage):
             copy(now, state)
             return k
+        if trial > 0:
+            for i in range(_JOINTS):
+                if joints.limit[i] > 0.0 and side[i] == 0.0:
+                    friction[ASTRAY + i] += abs(travel[i] - path[i]) * h
         copy(stage, now)
         copy(acting, friction[:_JOINTS])
         load = loads[k, 2]
