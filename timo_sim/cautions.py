@@ -72,13 +72,12 @@ def _coarse_steps(simulator):
 
 
 def _astray(simulator):
-    # Speeds in steps with events are not the straight lines of doc/theory.md, (T34), or steps are
-    # too long to hold a joint still, (T35).
+    # Steps are too long for events in them, or to hold a joint still: doc/theory.md, (T35).
     if simulator.astray <= _ASTRAY * simulator.scene.manipulator.arm.length:
         return None
     return (f'before {_now(simulator)} joints that Coulomb friction stops or holds have gone '
-            f'{simulator.astray:.2g} m astray, as seen at the tip: take a smaller integrator.step '
-            'or fewer model.modes')
+            f'{simulator.astray:.2g} m astray, as seen at the tip and summed up: take a smaller '
+            'integrator.step or fewer model.modes')
 
 
 def divergence(simulator, bent):

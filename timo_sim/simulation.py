@@ -238,7 +238,7 @@ class Simulator:
 
     @property
     def astray(self):
-        """How far joints went from what was assumed in steps with friction, at the tip [m]."""
+        """How far joints went astray in steps with friction, summed up, as at the tip [m]."""
         length = self.scene.manipulator.arm.length
         return float(self._friction[friction.ASTRAY:] @ [1.0, 1.0, length])
 

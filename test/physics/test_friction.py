@@ -56,13 +56,32 @@ def test_a_rigid_arm_speeds_up_coasts_to_rest_and_stays(formulation):
     coasting = np.clip(run.t, jump, rest) - jump
     angle = (0.5 * faster * np.minimum(run.t, jump)**2 + jump * faster * coasting
              - 0.5 * slower * coasting**2)
-    late, over = np.abs(run.shaft - angle), run.t > rest + step
-    # The carrier gives way by (T35)'s h^3 r' / 12 m: 1e-11 in the angle.
-    assert late[run.t < rest].max() < 2e-11
-    # In the step in which it comes to rest it is slowed down evenly: at most h^2 / 8 of that.
-    assert 1e-9 < late.max() <= slower * step**2 / 8.0
+    over = run.t > rest + step
+    # Where the carrier gives way by less than 1e-12 m in a step, it may: 1.4e-11 in the angle.
+    assert np.abs(run.shaft - angle).max() < 2e-11
     assert np.ptp(run.shaft[over]) == 0.0 and np.abs(run.shaft_velocity[over]).max() < 1e-16
     assert abs(run.friction_heat[-1] - torque * run.shaft[np.searchsorted(run.t, jump)]) < 1e-12
+
+
+def test_a_sudden_stop_is_followed_within_its_step():
+    limit, speed = 3e3, 1.0  # a tenth of a step
+    run = timo_sim.simulate(timo_sim.load_scene({
+        **STUCK, 'carrier.coulomb_friction': 1e5, 'motor.coulomb_friction': limit,
+        'integrator.step': 0.05, 'initial.shaft': 0.0, 'initial.shaft_velocity': speed}), 0.5)
+    # Evenly in the step it would be 0.5 h v, 25 mrad; round-off of the linear model of a step.
+    assert np.abs(run.shaft[1:] - 0.5 * INERTIA * speed**2 / limit).max() < 1e-6
+
+
+def test_a_sudden_stop_leaves_the_arm_the_right_vibration():
+    values = {'carrier.held': 'both', 'motor.coulomb_friction': 1e3, 'initial.shaft_velocity': 1.0}
+    finely = timo_sim.simulate(timo_sim.load_scene({**values, 'integrator.step': 1e-4}), 0.1)
+    last, half = finely.motion[-1], finely.motion.shape[1] // 2
+    locked = timo_sim.simulate(timo_sim.load_scene({
+        'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': last[2],
+        'initial.modal_coordinates': last[3:half], 'initial.modal_rates': last[half + 3:]}), 1.9,
+        every=10)
+    found = timo_sim.simulate(timo_sim.load_scene({**values, 'integrator.step': 0.01}), 2.0)
+    assert np.abs(found.q[10:] - locked.q).max() < SUDDEN
 
 
 @pytest.mark.parametrize('formulation', FORMULATIONS)
@@ -175,10 +194,12 @@ def test_a_shaft_that_is_held_is_a_locked_one(formulation):
         held = timo_sim.simulate(slew.vary({**begin, 'integrator.step': step}), 2.0,
                                  every=round(0.004 / step))
         errors.append(np.abs(held.q - locked.q).max())
-        # What 1e-12 of the limit does to the shaft alone in a step.
-        assert np.abs(held.shaft_velocity).max() < 1e-12 * 90.0 * 0.004 / 2.0
-    assert np.abs(locked.q).max() > 0.1 and errors[-1] < 1e-4
-    assert 1.95 < order(steps, errors) < 2.05
+        # What 1e-9 of the limit as a slope does; 2.5e-11 was measured.
+        assert np.abs(held.shaft_velocity).max() < 1e-10
+        # Where it gives way by less than 1e-12 in a step, it may.
+        assert np.ptp(held.shaft) < 1e-10
+    assert np.abs(locked.q).max() > 0.1 and errors[-1] < 1e-8
+    assert 3.9 < order(steps, errors) < 4.1
 
 
 def test_energy_and_heat_are_the_work_of_the_loads():
@@ -191,8 +212,8 @@ def test_energy_and_heat_are_the_work_of_the_loads():
         work = (motions[:, :3] - motions[0, :3]) @ PUSHES
         errors.append(np.abs(energy - energy[0] + heats - work).max())
         assert heats[-1] == simulator.heat > 0.8
-    # The integrator's order, events or not; 1e-9 J of 0.9 J at 2.5 ms.
-    assert errors[-1] < 5e-9 and order(steps, errors) > 3.8
+    # The integrator's order, events or not; 2e-7 J of 1.7 J at 2.5 ms.
+    assert errors[-1] < 1e-6 and order(steps, errors) > 3.8
 
 
 def test_each_step_obeys_the_law():
@@ -231,8 +252,8 @@ def test_a_run_tells_the_heat_of_its_samples():
     fine, coarse = (timo_sim.simulate(scene, 6.0, every) for every in (1, 8))
     assert np.array_equal(coarse.friction_heat, fine.friction_heat[::8])
     assert fine.friction_heat[0] == 0.0 and fine.friction_heat[-1] > 0.1
-    # What is looked at closes to the step's error, 8e-9 of 0.9 J.
-    assert np.abs(of_run(fine).trace('balance').values(slice(None))).max() < 3e-8
+    # What is looked at closes to the step's error, 5e-6 of 0.8 J.
+    assert np.abs(of_run(fine).trace('balance').values(slice(None))).max() < 1.5e-5
 
 
 def test_the_acceleration_of_the_tip_sees_friction():
@@ -267,16 +288,22 @@ def test_a_reset_and_a_run_that_diverges_leave_the_right_heat(monkeypatch):
     assert np.array_equal(other.motion(), simulator.motion())
 
 
-@pytest.mark.parametrize('inertia, step, warned', [
-    (0.01, 0.01, True), (0.01, 0.005, False), (2.0, 0.01, False)])
-def test_a_step_that_cannot_hold_a_joint_is_warned_of(inertia, step, warned):
-    """A light shaft vibrates at 70 Hz: of 10 ms a period is less than two."""
-    simulator = Simulator(timo_sim.load_scene({
-        'motor.shaft_inertia': inertia, 'motor.coulomb_friction': 30.0, 'integrator.step': step,
-        'load.torque.harmonic.amplitude': [36.0], 'load.torque.harmonic.frequency': [0.3]}))
+LIGHT = {'motor.shaft_inertia': 0.01, 'motor.coulomb_friction': 30.0,
+         'load.torque.harmonic.amplitude': [36.0], 'load.torque.harmonic.frequency': [0.3]}
+THICK = {'arm.height': 0.2, 'motor.coulomb_friction': 1e4, 'carrier.coulomb_friction': 1e4,
+         'initial.shaft_velocity': 1.0}
+
+
+@pytest.mark.parametrize('scene, step, warned', [
+    (LIGHT, 0.01, True), (LIGHT, 0.005, False), ({**LIGHT, 'motor.shaft_inertia': 2.0}, 0.01, False),
+    (THICK, 0.01, True), (THICK, 0.0005, False)])
+def test_a_step_that_cannot_hold_a_joint_is_warned_of(scene, step, warned):
+    """A light shaft vibrates at 70 Hz, a thick arm above: of 10 ms a period is less than two."""
+    simulator = Simulator(timo_sim.load_scene({**scene, 'integrator.step': step}))
     simulator.advance(round(5.0 / step))
-    assert bool(simulator.caution) == warned == bool(simulator.heat < 0.0)
-    assert not warned or 'Coulomb friction has given' in simulator.caution
+    length = simulator.scene.manipulator.arm.length
+    assert bool(simulator.caution) == warned == (simulator.astray > 1e-3 * length)
+    assert not warned or 'Coulomb friction stops or holds have gone' in simulator.caution
 
 
 def test_what_has_no_friction_does_not_ask_for_it(monkeypatch):

@@ -2,7 +2,7 @@
 Coulomb friction of the joints: of the carrier along world x and y, and of the shaft.
 
 In each step the friction of a joint is a straight line in time, a mean r and a slope s, which is
-added to the load. It is found by trial steps, see doc/theory.md (T33)-(T37): sliding through the
+added to the load. It is found by trial steps, see doc/theory.md (T33)-(T36): sliding through the
 whole step takes one, and what comes to rest, is held or breaks away takes a few more. No trial
 knows of the steps before, so that it does not matter how many steps are done at once.
 """
@@ -17,7 +17,7 @@ from timo_sim.physics.formulation import FORCE_X, FORCE_Y, LOADS, TORQUE
 
 COLUMNS = FORCE_X, FORCE_Y, TORQUE  # of a load, by joint
 _JOINTS = len(COLUMNS)
-# What `advance` keeps: forces, heat, by how much each joint went another way than was assumed.
+# What `advance` keeps: forces, heat, by how much each joint went astray.
 HEAT, ASTRAY, KEPT = _JOINTS, _JOINTS + 1, 2 * _JOINTS + 1
 # Change of r, as a part of the limit, that is none; with it, speeds end at zero to round-off.
 _SAME = 1e-12
@@ -56,10 +56,10 @@ def _hold(side, pull, mobility, room, r):
 def _follow(joints, speed, drift, bend, mobility, bending, now, change, room, turn, side, r, mean,
             slope, path):
     """
-    Follow speeds that are straight lines from event to event through a step.
+    Follow speeds that are parabolas from event to event through a step, (T34).
 
-    From `speed` they change by drift + mobility r per step (T34). Receives mean and slope of r over
-    the step, and each joint's path in steps; r itself is left with what it is at the end.
+    Receives mean and slope of r over the step, and each joint's path in steps as of speeds that
+    are straight lines; r itself is left with what it is at the end.
     """
     for i in range(_JOINTS):
         now[i], side[i] = speed[i], np.sign(speed[i])
@@ -67,32 +67,37 @@ def _follow(joints, speed, drift, bend, mobility, bending, now, change, room, tu
     left, part = 1.0, 1.0  # of the step, and of that until the next event
     for _ in range(_JOINTS + 1):  # each comes to rest once
         for i in range(_JOINTS):
+            # What is held has no speed at the end.
+            change[i] = drift[i] + 0.5 * (1.0 - left) * bend[i] + now[i] / left
             if side[i] != 0.0:
                 r[i] = -joints.limit[i] * side[i]
-        _hold(side, drift, mobility, joints.limit, r)
+        _hold(side, change, mobility, joints.limit, r)
         part, stops = left, -1
         for i in range(_JOINTS):
-            change[i] = drift[i]
+            # From here on, change from now: `change` t + bend t^2 / 2.
+            change[i] = drift[i] + (0.5 - left) * bend[i]
             for j in range(_JOINTS):
                 change[i] += mobility[i, j] * r[j]
-            until = -now[i] / change[i]
-            if joints.limit[i] * side[i] * change[i] < 0.0 and until < part:
+            falling = np.sqrt(change[i]**2 - 2.0 * bend[i] * now[i]) - side[i] * change[i]
+            until = 2.0 * side[i] * now[i] / falling
+            if joints.limit[i] * abs(side[i]) > 0.0 and falling > 0.0 and until < part:
                 part, stops = until, i
         for i in range(_JOINTS):
-            path[i] += part * (now[i] + 0.5 * part * change[i])
-            now[i] += part * change[i]
+            path[i] += part * (now[i] + part * (0.5 * change[i] + part * bend[i] / 6.0))
+            now[i] += part * (change[i] + 0.5 * part * bend[i])
             mean[i] += part * r[i]
             slope[i] += 6.0 * part * (1.0 - 2.0 * left + part) * r[i]
         left -= part
         if stops < 0:
             break
-        side[stops] = 0.0
+        side[stops], now[stops] = 0.0, 0.0
     # What holds to the end is a straight line, too, within the limits.
     for i in range(_JOINTS):
         room[i] = 2.0 * (joints.limit[i] - abs(r[i])) / part
     _hold(side, bend, bending, room, turn)
     for i in range(_JOINTS):
         slope[i] += part**3 * turn[i]
+        path[i] += bend[i] / 12.0
         r[i] += 0.5 * part * turn[i]
 
 
@@ -116,8 +121,9 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
         Of `Joints`.
     friction : ndarray, shape (7,)
         Forces of friction on carrier x, y [N] and its torque on the shaft [N m] at the end of the
-        last step; the heat it has made [J]; how far joints that came to rest, or were held, went
-        from the paths of (T34), all such steps summed up [m, m, rad]. Advanced in place.
+        last step; the heat it has made [J]; how far joints that came to rest, turned round or were
+        held went from where straight speeds lead, summed up over steps [m, m, rad]. Advanced in
+        place.
     heats : ndarray, shape (1 + steps // every,)
         Receives the heat with each sample.
 
@@ -126,7 +132,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
     now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
     combined = local((size,))
     rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
-    # By joint: where the step begins and where a trial ends, the travel in steps.
+    # Where the step begins and what a trial ends with; its travel is counted in steps.
     place, speed, end, travel = local((three,)), local((three,)), local((three,)), local((three,))
     r, slope, acting, path = local((three,)), local((three,)), local((three,)), local((three,))
     before, sloping, last = local((three,)), local((three,)), local((three,))
@@ -171,7 +177,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, every, sam
                     drift[i] = end[i] - speed[i]
                     bend[i] = 6.0 * (speed[i] + end[i]) - 12.0 * travel[i]
                     for j in range(_JOINTS):
-                        # (T36); 6.4 and 2.2: what is left is of fourth order.
+                        # (T36)
                         cross[i, j] = going[i, j] - 0.5 * mobility[i, j]
                         bending[i, j] = 6.4 * going[i, j] - 2.2 * mobility[i, j]
                         drift[i] -= mobility[i, j] * r[j] + cross[i, j] * slope[j]
