@@ -22,9 +22,9 @@ Made by `make stress` in {minutes:.0f} minutes on: {machine}.
 Scenes from the corners of what can be asked for (`benchmark/stress_numerics.py`): 0 to 40 modes,
 0.1 to 20 ms, a shaft of up to 100 rad/s, vibrations up to half an arm's length, slenderness 4 to
 500, up to 100 arm masses at the tip, carriers of 1 g to 1000 t and held, damping up to critical,
-loads at and beside resonances, steps and impulses of torque. Accurate: within 1/1000 of the arm's
-length of a run at a tenth of the step, which is split to a thousandth of the tolerance. Flagged:
-not so, but the run says so. Refused: an error says why. Silent: none of these; there may be none.
+loads at and beside resonances, steps and impulses of torque, viscous and dry friction. Accurate:
+within 1/1000 of the arm's length of a run at a tenth of the step, which is split to a thousandth
+of the tolerance (with dry friction neither is split). Flagged: not so, but one of them says so. Refused: an error says why. Silent: none of these; there may be none.
 What was silent once is a test now (`test/test_stress.py`).
 """
 PARTS = [

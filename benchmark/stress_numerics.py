@@ -6,7 +6,7 @@ or two of them. It is run with its fixed step, and with an `integrator.tolerance
 compared with a run at a tenth of the step and a thousandth of the tolerance. A cell is
 
 - accurate: the tip stays within a thousandth of the arm's length of the reference;
-- flagged: it does not, and the run says so (`ModelWarning`);
+- flagged: it does not, and the run says so (`ModelWarning`), or its reference does;
 - refused: a ParameterError or a DivergenceError says why;
 - silent: none of these. There must be none.
 """
@@ -157,7 +157,7 @@ def judge(cell):
         fixed = scene_of(cell, step)
     except timo_sim.ParameterError as error:
         return [('refused', math.nan, str(error))] * 2
-    reference = _reference(cell, step / 10.0, 10 * steps, 10 * every)
+    reference, doubt = _reference(cell, step / 10.0, 10 * steps, 10 * every)
     found = []
     for scene in fixed, scene_of(cell, step, TOLERANCE):
         try:
@@ -166,16 +166,18 @@ def judge(cell):
             found.append(('refused', math.nan, str(error)))
             continue
         error = math.inf if reference is None else np.abs(path - reference).max()
-        verdict = 'accurate' if error <= ACCURATE else 'flagged' if caution else 'silent'
+        # A reference with a warning cannot tell a wrong run from a right one.
+        verdict = ('accurate' if error <= ACCURATE else 'flagged' if caution or doubt else
+                   'silent')
         found.append((verdict, error, caution or ''))
     return found
 
 
 def _reference(cell, step, steps, every):
     try:
-        return tip(scene_of(cell, step, TOLERANCE / 1000.0), steps, every)[0]
+        return tip(scene_of(cell, step, TOLERANCE / 1000.0), steps, every)
     except timo_sim.DivergenceError:
-        return None
+        return None, None
 
 
 def matrix(count, seed=1):
