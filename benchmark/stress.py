@@ -24,7 +24,8 @@ Scenes from the corners of what can be asked for (`benchmark/stress_numerics.py`
 500, up to 100 arm masses at the tip, carriers of 1 g to 1000 t and held, damping up to critical,
 loads at and beside resonances, steps and impulses of torque, viscous and dry friction. Accurate:
 within 1/1000 of the arm's length of a run at a tenth of the step, which is split to a thousandth
-of the tolerance (with dry friction neither is split). Flagged: not so, but one of them says so. Refused: an error says why. Silent: none of these; there may be none.
+of the tolerance (with dry friction neither is split). Flagged: not so, but one of them says so.
+Refused: an error says why. Silent: none of these; there may be none.
 What was silent once is a test now (`test/test_stress.py`).
 """
 PARTS = [
