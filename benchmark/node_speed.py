@@ -135,7 +135,9 @@ def running(arguments, **options):
         if process.poll() is None:
             process.send_signal(signal.SIGCONT)
             process.terminate()
-        process.communicate()
+        if process.stdout is None or not process.stdout.closed:  # by whoever has read it all
+            process.communicate()
+        process.wait()
 
 
 def compare(turns, seconds, **peers):
