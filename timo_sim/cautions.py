@@ -9,7 +9,7 @@ from timo_sim.step_control import FINEST
 # Part of the period of a harmonic load that a step may cover: its three values then are the load.
 _MOST_OF_A_PERIOD = 0.25
 # How far joints may go astray in steps with dry friction, in arm lengths.
-_ASTRAY = 1e-3
+_ASTRAY = 3e-4
 
 
 def _now(simulator):
