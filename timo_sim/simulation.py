@@ -239,6 +239,8 @@ class Simulator:
     @property
     def astray(self):
         """How far joints went astray in steps with friction, summed up, as at the tip [m]."""
+        if self._joints is None:
+            return 0.0
         length = self.scene.manipulator.arm.length
         return float(self._friction[friction.ASTRAY:] @ [1.0, 1.0, length])
 
