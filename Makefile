@@ -44,43 +44,43 @@ graphics:
 		$(GRAPHICS) >/dev/null; } || echo "pictures of views need: apt-get install $(GRAPHICS)"
 
 gallery: $(VENV)/.test graphics
-	@$(BIN)/python benchmark/gallery.py
+	@$(BIN)/python -m benchmark.figures.gallery
 
 picture: $(VENV)/.plot
-	@$(BIN)/python benchmark/picture.py
+	@$(BIN)/python -m benchmark.figures.picture
 
 paper: $(VENV)/.plot
-	@$(BIN)/python benchmark/paper.py
+	@$(BIN)/python -m benchmark.figures.paper
 
 benchmark: $(VENV)/.benchmark
-	@$(BIN)/python benchmark/work_precision.py
+	@$(BIN)/python -m benchmark.accuracy.work_precision
 
 benchmark-quick: $(VENV)/.benchmark
-	@$(BIN)/python benchmark/work_precision.py --quick
+	@$(BIN)/python -m benchmark.accuracy.work_precision --quick
 
 references: $(VENV)/.benchmark
-	@$(BIN)/python benchmark/generate_references.py
+	@$(BIN)/python -m benchmark.accuracy.generate_references
 
 stability: $(VENV)/.run
-	@$(BIN)/python benchmark/stability.py
+	@$(BIN)/python -m benchmark.accuracy.stability
 
 benchmark-speed: $(VENV)/.benchmark
-	@$(BIN)/python benchmark/speed.py
+	@$(BIN)/python -m benchmark.speed
 
 benchmark-speed-quick: $(VENV)/.benchmark
-	@$(BIN)/python benchmark/speed.py --quick
+	@$(BIN)/python -m benchmark.speed --quick
 
 benchmark-control: $(VENV)/.plot
-	@$(BIN)/python benchmark/control.py
+	@$(BIN)/python -m benchmark.figures.control
 
 benchmark-latency: $(VENV)/.benchmark
-	@$(BIN)/python benchmark/latency.py
+	@$(BIN)/python -m benchmark.speed.latency
 
 stress: $(VENV)/.benchmark
-	@$(BIN)/python benchmark/stress.py
+	@$(BIN)/python -m benchmark.stress
 
 stress-quick: $(VENV)/.benchmark
-	@$(BIN)/python benchmark/stress.py --quick
+	@$(BIN)/python -m benchmark.stress --quick
 
 clean:
 	rm -rf $(VENV) run build install log .pytest_cache .mypy_cache

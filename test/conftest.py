@@ -9,7 +9,8 @@ import random
 import tempfile
 
 import pytest
-from references import read
+
+from oracles.references import read
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / 'config' / 'paper.yaml'

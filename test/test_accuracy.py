@@ -5,8 +5,8 @@ import json
 from mcap.reader import make_reader
 import numpy as np
 import pytest
-from references import read, spin_up as shaft_of_spin_up, TORQUE, world
 
+from oracles.references import read, spin_up as shaft_of_spin_up, TORQUE, world
 import timo_sim
 from timo_sim.accuracy import PERIOD, settle
 

@@ -1,9 +1,9 @@
-"""The benchmark's peers integrate the same equations: they agree."""
+"""The benchmarks' peers integrate the same equations: they agree."""
 
 import numpy as np
-import peers
 import pytest
 
+from oracles import peers
 import timo_sim
 
 SCENE = {'model.formulation': 'newton', 'model.modes': 1, 'initial.shaft_velocity': 1.0,

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from stress_numerics import cells, judge, LEVELS
+
+from benchmark.stress.numerics import cells, judge, LEVELS
 
 PLAIN = {name: levels[0] for name, levels in LEVELS.items()}
 # What was wrong and silent once: with an embedded estimate of third order, or looked at too late.

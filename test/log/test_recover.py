@@ -11,8 +11,6 @@ import threading
 import time
 
 from click.testing import CliRunner
-import hostile_logs
-from hostile_logs import contents, decoded, limited, outcome, payload, places
 import lz4.frame
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
@@ -21,6 +19,8 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 import yaml
 
+from oracles import hostile_logs
+from oracles.hostile_logs import contents, decoded, limited, outcome, payload, places
 from timo_sim.cli import main
 from timo_sim.log import recorder as recorder_module
 from timo_sim.log.reader import LogError

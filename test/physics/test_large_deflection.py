@@ -1,9 +1,9 @@
 """Deflections far from small: a tip turned by more than 60 degrees, against the elastica."""
 
-import elastica
 import numpy as np
 import pytest
 
+from oracles import elastica
 import timo_sim
 
 LOAD = 3.2

@@ -6,8 +6,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh, expm
 from scipy.optimize import brentq
-from slips import THICK
 
+from oracles.slips import THICK
 from timo_sim.physics.bodies import Beam, Manipulator, Section
 from timo_sim.physics.galerkin import frequencies, GalerkinModes
 from timo_sim.physics.modes import modes_of, UniformModes

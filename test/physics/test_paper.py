@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-import references
-from references import LENGTH, read, station, STATIONS, TORQUE
-import slips
 
+from oracles import references, slips
+from oracles.references import LENGTH, read, station, STATIONS, TORQUE
 import timo_sim
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import references
 
+from oracles import references
 import timo_sim
 
 LENGTH = 10.0

@@ -13,17 +13,23 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
-import stress_processes
 
 import timo_sim
 from timo_sim.ros.middleware import use_profiles
+
+ATTACKER = [sys.executable, '-m', 'benchmark.stress.attackers']
+
+
+def environment():
+    """Return that of this process, in which modules are found as they are here."""
+    return {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
 
 
 @contextmanager
 def attack(name):
     """Run one of the attacking processes."""
-    process = subprocess.Popen([sys.executable, stress_processes.__file__, name],
-                               stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen([*ATTACKER, name], stdout=subprocess.PIPE, text=True,
+                               env=environment())
     try:
         yield process
     finally:
@@ -98,8 +104,7 @@ def test_what_is_dropped_is_counted_and_the_physics_stays_exact(start, client, p
 
 
 def test_two_nodes_in_one_process(tmp_path):
-    subprocess.run([sys.executable, stress_processes.__file__, 'two'], cwd=tmp_path, check=True,
-                   timeout=120)
+    subprocess.run([*ATTACKER, 'two'], cwd=tmp_path, check=True, timeout=120, env=environment())
     for name, speed in (('left', 1.0), ('right', 2.0)):
         messages = list(read_ros2_messages(str(tmp_path / f'{name}.mcap')))
         states = [message for message in messages

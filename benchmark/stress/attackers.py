@@ -1,7 +1,7 @@
 """
 The processes that attack a node; each runs until SIGTERM and prints what it counted.
 
-    python benchmark/stress_processes.py NAME [NAMESPACE]
+    python -m benchmark.stress.attackers NAME [NAMESPACE]
 
 `storm` sends commands of every kind, good and bad, as fast as it can; `bad` sends a hundred that
 must be refused, each after the other has had time to arrive; `reader` subscribes to all topics and

@@ -1,12 +1,11 @@
-"""Faults that machine code on disk and the parts of a sweep must survive; see stress_log.py."""
+"""Faults that machine code on disk and the parts of a sweep must survive; see log.py."""
 
 import os
 import subprocess
 import sys
 
-from references import ROOT
-from stress_tally import ensure, small_disk, Tally
-
+from benchmark import ROOT
+from benchmark.stress.tally import ensure, small_disk, Tally
 from timo_sim.physics import compiled
 
 

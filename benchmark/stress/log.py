@@ -1,5 +1,5 @@
 """
-Faults that logs and other files must survive: `python benchmark/stress_log.py`.
+Faults that logs and other files must survive: `python -m benchmark.stress.log`.
 
 Each fault is tried so many times; one that is survived has left the simulation unharmed, what was
 written readable, or has been refused in one line. `--quick` tries a few of each. The seed is shown
@@ -20,18 +20,17 @@ import sys
 import tempfile
 import time
 
-import hostile_logs
-from hostile_logs import decoded, limited, outcome, places
-from node_speed import arguments, ENVIRONMENT
-import stress_files
-from stress_tally import ensure, small_disk, Tally
-
+from benchmark import ROOT
+from benchmark.speed.node import arguments, ENVIRONMENT
+from benchmark.stress import files
+from benchmark.stress.tally import ensure, small_disk, Tally
+from oracles import hostile_logs
+from oracles.hostile_logs import decoded, limited, outcome, places
 import timo_sim
 from timo_sim.log.reader import LogError
 from timo_sim.log.recorder import Recorder
 from timo_sim.log.recover import recover
 
-ROOT = Path(__file__).resolve().parents[1]
 NODES = 4              # that live at the same time
 LIFE = 3.0             # [s] of a node, at most, from its first message; of some, from their start
 PATIENCE = 60.0        # [s] until a node is heard
@@ -202,7 +201,7 @@ FILL = """
 import os, sys
 sys.path[:0] = sys.argv[2:]
 import resource, signal
-from hostile_logs import CHANNELS, Recorder
+from oracles.hostile_logs import CHANNELS, Recorder
 if sys.argv[1] != 'None':
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
@@ -281,7 +280,7 @@ def rows(quick=False, seed=None):
             yield hostile(folder, quick)
             yield full_disks(_made(folder / 'full'), quick)
             yield places_that_are_none(_made(folder / 'none'))
-            yield from stress_files.rows(_made(folder / 'files'), quick, generator)
+            yield from files.rows(_made(folder / 'files'), quick, generator)
     finally:
         os.fsync = sync
 

@@ -19,16 +19,18 @@ import sys
 import tempfile
 import time
 
-from node_speed import DOMAIN, ENVIRONMENT, running, spread, started
 import numpy as np
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from references import machine
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from benchmark.report import machine
+from benchmark.speed.node import DOMAIN, ENVIRONMENT, running, spread, started
+
+MODULE = 'benchmark.speed.latency'
 EXECUTORS = {'rclpy.spin': SingleThreadedExecutor, 'EventsExecutor': EventsExecutor}
 APART = 0.003, 0.006    # [s] between samples, drawn at random
 SETTLE = 1.0            # [s]
@@ -139,7 +141,7 @@ def samples(count):
         path = Path(folder) / 'ticks.npy'
         with ExitStack() as stack:
             node = stack.enter_context(started('node', path, ENVIRONMENT, *BASE, cwd=folder))
-            stack.enter_context(running([__file__, 'echo'], env=ENVIRONMENT))
+            stack.enter_context(running(['-m', MODULE, 'echo'], env=ENVIRONMENT))
             client = Client()
             for name in ('node', 'echo'):
                 while client.sample(name) is None:
@@ -177,9 +179,9 @@ def periods(server, domain, executor, seconds):
     environment = {**ENVIRONMENT, 'ROS_DOMAIN_ID': str(domain)}
     with tempfile.TemporaryDirectory() as folder, running(
             ['-m', 'timo_sim.ros.sim_node', *WAITS] if server == 'node'
-            else [__file__, 'server', executor], env=environment, cwd=folder,
+            else ['-m', MODULE, 'server', executor], env=environment, cwd=folder,
             stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT), running(
-            [__file__, 'controller', executor, str(seconds)], env=environment,
+            ['-m', MODULE, 'controller', executor, str(seconds)], env=environment,
             stdout=subprocess.PIPE) as controller:
         # The middleware may have something to say, too.
         return float(next(line for line in controller.stdout

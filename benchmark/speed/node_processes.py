@@ -1,7 +1,7 @@
 """
-The processes that benchmark/node_speed.py compares; each runs until SIGTERM.
+The processes that benchmark/speed/node.py compares; each runs until SIGTERM.
 
-    python benchmark/node_processes.py NAME FILE [ROS arguments]
+    python -m benchmark.speed.node_processes NAME FILE [ROS arguments]
 
 `node` is sim_node itself. `bare` has the same loop and publishes the same messages at 1 kHz,
 without a simulation; `timer` does so from an rclpy timer in a SingleThreadedExecutor. They leave

@@ -9,10 +9,11 @@ from pathlib import Path
 import sys
 
 import exudyn
-import finite_elements
 import numpy as np
-from references import ROOT, spin_up, TORQUE
 
+from benchmark import ROOT
+from oracles import finite_elements
+from oracles.references import spin_up, TORQUE
 from timo_sim import load_scene
 
 RIGID, TIP = ('x_c_m', 'y_c_m', 'theta_rad'), ('w_l_m', 'phi_l_rad', 'u_l_m')

@@ -15,12 +15,13 @@ import threading
 import time
 
 import numpy as np
-from timing import product
 
+from benchmark import ROOT
+from benchmark.speed.timing import product
 import timo_sim
 from timo_sim.sweep.local import LocalExecutor
 
-PAPER = Path(__file__).resolve().parents[1] / 'config' / 'paper.yaml'
+PAPER = ROOT / 'config' / 'paper.yaml'
 DURATION, STEP, TARGET = 10.0, 0.01, 20.0
 COUNTS, QUICK_COUNTS = (1000, 2000, 5000, 10000), (200, 400)
 PRODUCTS = 25

@@ -1,4 +1,4 @@
-"""Time of a step and of a run: rows of `speed.py`'s table, and cost against N, n_g and horizon."""
+"""Time of a step and of a run: rows of doc/speed.md, and cost against N, n_g and horizon."""
 
 import time
 
@@ -6,9 +6,10 @@ import matplotlib
 matplotlib.use('Agg')
 import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
-from references import read, ROOT  # noqa: E402
-from timing import timed  # noqa: E402
 
+from benchmark import ROOT  # noqa: E402
+from benchmark.speed.timing import timed  # noqa: E402
+from oracles.references import read  # noqa: E402
 import timo_sim  # noqa: E402
 from timo_sim.physics import etdrk4, FORMULATIONS  # noqa: E402
 from timo_sim.physics.compiled import record  # noqa: E402

@@ -7,11 +7,9 @@ The torture bench: numerics, node, log and files. It writes doc/stress.md.
 import argparse
 import time
 
-import stress_log
-import stress_node
-import stress_numerics
-from references import machine, ROOT
-from speed import table
+from benchmark import ROOT
+from benchmark.report import machine, table
+from benchmark.stress import log, node, numerics
 
 INTRODUCTION = """# Stress
 
@@ -19,7 +17,7 @@ Made by `make stress` in {minutes:.0f} minutes on: {machine}.
 
 ## Numerics
 
-Scenes from the corners of what can be asked for (`benchmark/stress_numerics.py`): 0 to 40 modes,
+Scenes from the corners of what can be asked for (`benchmark/stress/numerics.py`): 0 to 40 modes,
 0.1 to 20 ms, a shaft of up to 100 rad/s, vibrations up to half an arm's length, slenderness 4 to
 500, up to 100 arm masses at the tip, carriers of 1 g to 1000 t and held, damping up to critical,
 loads at and beside resonances, steps and impulses of torque, viscous and dry friction. Accurate:
@@ -29,12 +27,12 @@ Refused: an error says why. Silent: none of these; there may be none.
 What was silent once is a test now (`test/test_stress.py`).
 """
 PARTS = [
-    ('Node', stress_node, """Real processes over real DDS (`benchmark/stress_node.py`). Survived:
+    ('Node', node, """Real processes over real DDS (`benchmark/stress/node.py`). Survived:
 the node goes on, or has ended with code 0, answers, has counted what it should, has grown by less
 than 5 MB, and its log can be read to the end."""),
-    ('Log and files', stress_log, """(`benchmark/stress_log.py`.) Survived: the simulation goes on
+    ('Log and files', log, """(`benchmark/stress/log.py`.) Survived: the simulation goes on
 unharmed, and what was written is readable, or is refused in one line.
-`benchmark/fuzz_log.py` looks for more, guided by coverage."""),
+`benchmark/stress/fuzz.py` looks for more, guided by coverage."""),
 ]
 
 
@@ -45,11 +43,11 @@ def main():
     quick = parser.parse_args().quick
     start = time.monotonic()
     parts = [
-        table(['', 'tried', *stress_numerics.VERDICTS, 'remark'], stress_numerics.rows(quick)),
+        table(['', 'tried', *numerics.VERDICTS, 'remark'], numerics.rows(quick)),
         f'Without loads and damping, at 1 ms, {"a minute" if quick else "an hour"}: '
         'relative drift of energy and of linear momentum.',
         table(['scene', 'formulation', 'energy', 'momentum', 'remark'],
-              stress_numerics.long_rows(quick))]
+              numerics.long_rows(quick))]
     for title, module, words in PARTS:
         parts += [f'## {title}', words,
                   table(['fault', 'tried', 'survived', 'remark'], module.rows(quick))]

@@ -11,13 +11,10 @@ for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
 
 import argparse  # noqa: E402
 
-import memory  # noqa: E402
-import node_speed  # noqa: E402
-from references import machine, ROOT  # noqa: E402
-import skipping  # noqa: E402
-import step_speed  # noqa: E402
-import sweep_speed  # noqa: E402
-from timing import product  # noqa: E402
+from benchmark import ROOT  # noqa: E402
+from benchmark.report import machine, table  # noqa: E402
+from benchmark.speed import memory, node, skipping, step, sweep  # noqa: E402
+from benchmark.speed.timing import product  # noqa: E402
 
 INTRODUCTION = """# Speed
 
@@ -30,14 +27,7 @@ below). Sweep: half of a run is its steps, the rest modes, tables, loads and sum
 Cold start: type inference and optimisation by numba for one size. A locked shaft saves nothing:
 what is prescribed still moves every section.
 """
-SECTIONS = [('Step and run', step_speed), ('Memory', memory), ('Node', node_speed),
-            ('Sweep', sweep_speed)]
-
-
-def table(header, rows):
-    """Return a Markdown table."""
-    lines = [header, ['---'] * len(header), *rows]
-    return '\n'.join('| ' + ' | '.join(map(str, line)) + ' |' for line in lines)
+SECTIONS = [('Step and run', step), ('Memory', memory), ('Node', node), ('Sweep', sweep)]
 
 
 def main():
@@ -56,7 +46,7 @@ def main():
         parts.append(f'## {title}\n\n' + table(
             ['', 'target', 'measured', 'met', 'remark'], rows) + '\n')
         print(parts[-1], flush=True)
-    exponents = step_speed.curves(folder / 'speed' / 'cost.png', quick)
+    exponents = step.curves(folder / 'speed' / 'cost.png', quick)
     parts.append('## What the cost grows with\n\n![Cost](speed/cost.png)\n\n' + table(
         ['', 'exponent', 'why'], exponents) + '\n')
     parts.append("## What a scene doesn't need\n\n" + table(

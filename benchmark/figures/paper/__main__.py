@@ -9,10 +9,11 @@ import numpy as np
 import matplotlib
 matplotlib.use('Agg')
 import matplotlib.pyplot as plt  # noqa: E402
-from references import (  # noqa: E402
-    errors, LENGTH, motion_of, read, ROOT, simulate, station, STATIONS, STEP)
-import slips  # noqa: E402
 
+from benchmark import ROOT  # noqa: E402
+from oracles import slips  # noqa: E402
+from oracles.references import (  # noqa: E402
+    errors, LENGTH, motion_of, read, simulate, station, STATIONS, STEP)
 import timo_sim  # noqa: E402
 from timo_sim.physics import FORMULATIONS  # noqa: E402
 
@@ -293,7 +294,7 @@ planar moving Timoshenko beam considering non-rigid non-elastic axial effects*; 
 are its equations. `newton` is the set of equations that the paper derives, `exact` this
 package's own ([theory](theory.md)); both with {MODES} modes and a step of {1e3 * STEP:g} ms unless
 said otherwise. The finite-element side is a geometrically exact model in exudyn
-(`benchmark/finite_elements.py`). How it was made, and its error estimate: {comment}.
+(`test/oracles/finite_elements.py`). How it was made, and its error estimate: {comment}.
 
 An error in per cent is the largest absolute error over 10 s, divided by the largest absolute value
 that the same quantity has at the same section in the finite-element run. The paper does not say

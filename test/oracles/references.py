@@ -2,17 +2,13 @@
 
 import csv
 import math
-import os
 from pathlib import Path
-import platform
 
-import numba
 import numpy as np
-import scipy
 
 import timo_sim
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / 'test' / 'data'
 LENGTH, DURATION, PERIOD, STEP = 2.0, 10.0, 0.01, 0.002  # of the paper's scene, and its runs
 # Torque steps on the paper's manipulator, without forces.
@@ -91,16 +87,3 @@ def errors(motion, truth):
                         for position, angle in (motion[name], truth[name]))
         result[name] = 100.0 * np.abs(ours - theirs) / np.abs(theirs).max(axis=0)
     return result
-
-
-def machine():
-    """Return what a benchmark was measured on."""
-    try:
-        with open('/proc/cpuinfo', encoding='utf-8') as file:
-            model = next(line.split(':')[1].strip() for line in file if 'model name' in line)
-    except (OSError, StopIteration):
-        model = platform.processor()
-    return {'processor': model, 'cores': os.cpu_count(), 'machine': platform.machine(),
-            'python': platform.python_version(), 'numpy': np.__version__,
-            'scipy': scipy.__version__, 'numba': numba.__version__,
-            'timo_sim': timo_sim.__version__}

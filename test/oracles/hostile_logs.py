@@ -260,7 +260,7 @@ def decoded(path):
 
 LIMITED = """
 import pathlib, re, resource, sys
-from hostile_logs import outcome
+from oracles.hostile_logs import outcome
 resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)
 for path in map(pathlib.Path, sys.argv[2:]):
     print(path.stem, outcome(path), sep=': ')

@@ -18,15 +18,16 @@ from importlib.metadata import version  # noqa: E402
 import json  # noqa: E402
 import warnings  # noqa: E402
 
-from cases import (  # noqa: E402
-    cases_of, ENGINE, errors_of, of_reference, OWN, REDUCED, SCENES)
-import elastica  # noqa: E402
 import matplotlib  # noqa: E402
 matplotlib.use('Agg')
 import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
-from references import machine, ROOT  # noqa: E402
 
+from benchmark import ROOT  # noqa: E402
+from benchmark.accuracy.cases import (  # noqa: E402
+    cases_of, ENGINE, errors_of, of_reference, OWN, REDUCED, SCENES)
+from benchmark.report import machine  # noqa: E402
+from oracles import elastica  # noqa: E402
 import timo_sim  # noqa: E402
 
 GOALS = (1e-3, 1e-4, 1e-5)  # errors in the tip deflection of the headline [m]
@@ -170,7 +171,7 @@ def main():
     body = '\n'.join('| ' + ' | '.join(map(str, row)) + ' |' for row in rows)
     sections.append(f"""## Large deflection, tip rotation {angle:.1f} deg
 
-A 2 m arm, 5 mm high, bent by the inertia of its 2 kg end effector (`benchmark/elastica.py`):
+A 2 m arm, 5 mm high, bent by the inertia of its 2 kg end effector (`test/oracles/elastica.py`):
 critically damped until it rests in the accelerating frame, against SciPy's boundary value solver
 for the same arm, which itself agrees with the closed form of the elastica where shear and
 the arm's mass do nothing.
@@ -190,10 +191,10 @@ the arm's mass do nothing.
         'generalized-alpha (both with the linear part solved for), DOP853 and Radau '
         'integrate the equations of `exact`; the first three are compiled as this package is, '
         'the last two call the compiled rate from SciPy. exudyn runs with the settings that were '
-        'fastest in `finite_elements.py`; its times exclude the assembly of the model, those of '
-        'this package the tables of a scene. Errors of the mesh and of the step have opposite '
-        'signs and can cancel: "lasting" is the cheapest case that no refinement makes worse '
-        'than the goal.\n\n' + '\n'.join(sections), encoding='utf-8')
+        'fastest in `test/oracles/finite_elements.py`; its times exclude the assembly of the '
+        'model, those of this package the tables of a scene. Errors of the mesh and of the step '
+        'have opposite signs and can cancel: "lasting" is the cheapest case that no refinement '
+        'makes worse than the goal.\n\n' + '\n'.join(sections), encoding='utf-8')
 
 
 if __name__ == '__main__':

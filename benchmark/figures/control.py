@@ -12,9 +12,9 @@ import matplotlib
 matplotlib.use('Agg')
 import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
-from references import ROOT  # noqa: E402
-from speed import table  # noqa: E402
 
+from benchmark import ROOT  # noqa: E402
+from benchmark.report import table  # noqa: E402
 import timo_sim  # noqa: E402
 
 sys.path.append(str(ROOT / 'example'))

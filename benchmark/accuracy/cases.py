@@ -6,11 +6,11 @@ import time
 from typing import Callable
 
 import exudyn
-import finite_elements
 import numpy as np
-import peers
-from references import read, ROOT, spin_up, TORQUE, world
 
+from benchmark import ROOT
+from oracles import finite_elements, peers
+from oracles.references import read, spin_up, TORQUE, world
 import timo_sim
 from timo_sim.physics import FORMULATIONS
 from timo_sim.simulation import Simulator

@@ -1,5 +1,5 @@
 """
-Everything that may go wrong around a node, done to it: `python benchmark/stress_node.py`.
+Everything that may go wrong around a node, done to it: `python -m benchmark.stress.node`.
 
 Real processes over real DDS. A fault is survived if the node goes on (or ended cleanly, with code
 0), answers a service, counted what it should, and left a log that can be read to its end.
@@ -17,18 +17,15 @@ import subprocess
 import sys
 import tempfile
 import time
-import uuid
 
 from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
-from node_speed import running
 import numpy as np
 from rclpy.serialization import deserialize_message
 
-ROOT = Path(__file__).resolve().parents[1]
-PROCESSES = Path(__file__).with_name('stress_processes.py')
-ENVIRONMENT = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-               'ROS_DOMAIN_ID': str(1 + uuid.uuid4().int % 90)}
+from benchmark import ROOT
+from benchmark.speed.node import ENVIRONMENT, running
+
 READY, END = 60.0, 60.0   # [s] patience with a busy machine
 MEMORY = 5e6              # [B] that a run may grow by after its start
 
@@ -96,8 +93,8 @@ class Node:
 
 def attack(name, *arguments, environment=ENVIRONMENT, **options):
     """Run an attacking process."""
-    return running([str(PROCESSES), name, *arguments], env=environment, stdout=subprocess.PIPE,
-                   **options)
+    return running(['-m', 'benchmark.stress.attackers', name, *arguments], env=environment,
+                   stdout=subprocess.PIPE, **options)
 
 
 def survived(node, number=signal.SIGTERM):

@@ -1,5 +1,5 @@
 """
-What the node costs, how evenly it ticks, how fast it starts: `python benchmark/node_speed.py`.
+What the node costs, how evenly it ticks, how fast it starts: `python -m benchmark.speed.node`.
 
 CPU is user and system time of a whole process, for each time step that it published. The peers of
 a comparison run in turns of a second or two, stopped in between, so that a busy machine is busy
@@ -22,14 +22,17 @@ import uuid
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-PROCESSES = Path(__file__).with_name('node_processes.py')
+from benchmark import ROOT
+
 RATES = ('joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
 START_UP, SETTLE = 4.0, 0.5   # [s]
 # Nobody else may listen; and a start reads the byte code that an earlier one wrote.
 DOMAIN = 1 + uuid.uuid4().int % 90
 ENVIRONMENT = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-               'ROS_DOMAIN_ID': str(DOMAIN)}
+               'ROS_DOMAIN_ID': str(DOMAIN),
+               # For `python -m benchmark...` in whatever folder.
+               'PYTHONPATH': os.pathsep.join([str(ROOT), *filter(None, [
+                   os.environ.get('PYTHONPATH')])])}
 ENVIRONMENT.pop('PYTHONDONTWRITEBYTECODE', None)
 
 
@@ -122,7 +125,8 @@ def _expect(process, word):
 def started(name, path, environment, *extra, **options):
     """Start one of the processes, and end it."""
     options = {'stdout': subprocess.DEVNULL, 'stderr': subprocess.STDOUT, **options}
-    return running([str(PROCESSES), name, str(path), *extra], env=environment, **options)
+    return running(['-m', 'benchmark.speed.node_processes', name, str(path), *extra],
+                   env=environment, **options)
 
 
 @contextmanager

@@ -1,10 +1,9 @@
-"""What a scene does not need, how it is left out, and what that saves: a table of `speed.py`."""
+"""What a scene does not need, how it is left out, and what that saves: a table of doc/speed.md."""
 
 import time
 
-from step_speed import PAPER, Prepared
-from timing import timed
-
+from benchmark.speed.step import PAPER, Prepared
+from benchmark.speed.timing import timed
 import timo_sim
 from timo_sim.accuracy import settle
 from timo_sim.simulation import Simulator

@@ -1,7 +1,7 @@
 """
 Search for a file that `timo_sim recover`, `info` or `Recording` does not survive.
 
-    python benchmark/fuzz_log.py
+    python -m benchmark.stress.fuzz
 
 Needs atheris (`pip install atheris`; Python 3.11). What follows on the command line goes to
 libFuzzer, for instance `-max_total_time=600`, which is the default; a file that it finds is left
@@ -21,7 +21,7 @@ import atheris
 import timo_sim.simulation  # noqa: F401  # numba cannot compile what atheris has changed
 
 with atheris.instrument_imports(include=['timo_sim.log', 'mcap']):
-    import hostile_logs
+    from oracles import hostile_logs
 
 LONGEST = 20000  # [B] of a file
 START = hostile_logs.hostile()['header only']

@@ -6,8 +6,8 @@ from tempfile import TemporaryDirectory
 import matplotlib
 from matplotlib.image import imread, imsave
 import numpy as np
-from references import ROOT
 
+from benchmark import ROOT
 import timo_sim
 from timo_sim.physics.formulation import LOADS, TORQUE
 from timo_sim.simulation import Simulator
@@ -248,8 +248,8 @@ def window():
 
 def main():
     """Draw all and write the page."""
-    text = ['# Gallery', '', 'Written by `make gallery` (benchmark/gallery.py), numbers included. '
-            'To look at a run of your own: `timo_sim view run.mcap`.']
+    text = ['# Gallery', '', 'Written by `make gallery` (benchmark/figures/gallery.py), '
+            'numbers included. To look at a run of your own: `timo_sim view run.mcap`.']
     for draw, title in ((paper, "The paper's run"), (spin_up, 'Spin-up'),
                         (resonance, 'Resonance'), (disturbance, 'A disturbance at the tip'),
                         (vibration_control, 'Vibration control')):

@@ -2,8 +2,9 @@
 
 import matplotlib
 import numpy as np
-from references import read, ROOT
 
+from benchmark import ROOT
+from oracles.references import read
 import timo_sim
 
 matplotlib.use('Agg')

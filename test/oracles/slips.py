@@ -2,8 +2,8 @@
 
 import numpy as np
 from numpy.polynomial import Legendre
-from references import ROOT
 
+from oracles.references import ROOT
 import timo_sim
 from timo_sim.physics.bodies import Beam, Manipulator, Section
 from timo_sim.physics.modes import UniformModes

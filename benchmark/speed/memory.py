@@ -1,4 +1,4 @@
-"""Memory of a long logged run: a row of `speed.py`, extrapolated from ten minutes of sim time."""
+"""Memory of a long logged run, from ten minutes of sim time: a row of doc/speed.md."""
 
 import re
 import subprocess
@@ -7,8 +7,9 @@ import tempfile
 import threading
 import time
 
-from node_speed import arguments, ENVIRONMENT
 import numpy as np
+
+from benchmark.speed.node import arguments, ENVIRONMENT
 
 DAY = 86400.0  # [s]
 LIMIT = 300.0  # [MB]

@@ -1,0 +1,1 @@
+"""Error against time and step: work-precision, stability, and the stored references."""

@@ -1,0 +1,1 @@
+"""Pictures and pages of doc/: the arm, the gallery, the control examples and the paper."""

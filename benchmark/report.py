@@ -1,0 +1,29 @@
+"""What written pages share: the machine they were measured on, and Markdown tables."""
+
+import os
+import platform
+
+import numba
+import numpy as np
+import scipy
+
+import timo_sim
+
+
+def machine():
+    """Return what a benchmark was measured on."""
+    try:
+        with open('/proc/cpuinfo', encoding='utf-8') as file:
+            model = next(line.split(':')[1].strip() for line in file if 'model name' in line)
+    except (OSError, StopIteration):
+        model = platform.processor()
+    return {'processor': model, 'cores': os.cpu_count(), 'machine': platform.machine(),
+            'python': platform.python_version(), 'numpy': np.__version__,
+            'scipy': scipy.__version__, 'numba': numba.__version__,
+            'timo_sim': timo_sim.__version__}
+
+
+def table(header, rows):
+    """Return a Markdown table."""
+    lines = [header, ['---'] * len(header), *rows]
+    return '\n'.join('| ' + ' | '.join(map(str, line)) + ' |' for line in lines)

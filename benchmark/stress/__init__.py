@@ -1,0 +1,1 @@
+"""Faults and extremes that numerics, node, logs and files must survive."""
