@@ -9,7 +9,7 @@ import exudyn
 import numpy as np
 
 from benchmark import ROOT
-from oracles import finite_elements, peers
+from oracles import finite_elements, floating_frame, peers
 from oracles.references import read, spin_up, TORQUE, world
 import timo_sim
 from timo_sim.physics import FORMULATIONS
@@ -181,7 +181,7 @@ def reduced_case(scene, modes, step):
     checked = scene.load()
 
     def run():
-        found = finite_elements.reduced(checked, modes, step, scene.duration,
+        found = floating_frame.simulate(checked, modes, step, scene.duration,
                                         round(scene.period / step))
         theta = found['theta_rad'][1:]
         carrier = np.column_stack([found['x_c_m'], found['y_c_m']])[1:]

@@ -191,7 +191,7 @@ the arm's mass do nothing.
         'generalized-alpha (both with the linear part solved for), DOP853 and Radau '
         'integrate the equations of `exact`; the first three are compiled as this package is, '
         'the last two call the compiled rate from SciPy. exudyn runs with the settings that were '
-        'fastest in `test/oracles/finite_elements.py`; its times exclude the assembly of the '
+        'fastest in `test/oracles/engine.py`; its times exclude the assembly of the '
         'model, those of this package the tables of a scene. Errors of the mesh and of the step '
         'have opposite signs and can cancel: "lasting" is the cheapest case that no refinement '
         'makes worse than the goal.\n\n' + '\n'.join(sections), encoding='utf-8')
