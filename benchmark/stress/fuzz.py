@@ -22,6 +22,7 @@ import timo_sim.simulation  # noqa: F401  # numba cannot compile what atheris ha
 
 with atheris.instrument_imports(include=['timo_sim.log', 'mcap']):
     from oracles import hostile_logs
+    from oracles.log_readers import outcome
 
 LONGEST = 20000  # [B] of a file
 START = hostile_logs.hostile()['header only']
@@ -60,7 +61,7 @@ def main():
         if data[0] & 1:
             content = START + content
         path.write_bytes(mended(content) if data[0] & 2 else content)
-        hostile_logs.outcome(path)
+        outcome(path)
 
     limits = ['-max_total_time=600', f'-max_len={LONGEST}', '-rss_limit_mb=1500', '-timeout=20',
               '-print_final_stats=1']

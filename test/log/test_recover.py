@@ -20,7 +20,8 @@ from std_srvs.srv import Trigger
 import yaml
 
 from oracles import hostile_logs
-from oracles.hostile_logs import contents, decoded, limited, outcome, payload, places
+from oracles.hostile_logs import payload, places
+from oracles.log_readers import contents, decoded, limited, outcome
 from timo_sim.cli import main
 from timo_sim.log import recorder as recorder_module
 from timo_sim.log.reader import LogError

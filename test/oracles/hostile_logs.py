@@ -1,27 +1,16 @@
-"""Logs as a crash, a bad disk or somebody with bad intentions leaves them, and who reads them."""
+"""Logs as a crash, a bad disk or somebody with bad intentions leaves them."""
 
-from collections import Counter
-import os
 import struct
-import subprocess
-import sys
 import zlib
 
 import lz4.frame
 from mcap.data_stream import RecordBuilder
-from mcap.reader import make_reader
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Chunk, DataEnd, Footer, Header, Message, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
-from mcap_ros2.decoder import DecoderFactory
-from rosbags.highlevel import AnyReader
 import zstandard
 
-from timo_sim.log.info import info
-from timo_sim.log.reader import LogError
 from timo_sim.log.recorder import Channel, Recorder
-from timo_sim.log.recording import Recording
-from timo_sim.log.recover import recover
 
 CHANNELS = [Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64'),
             Channel('/rare', 'std_msgs/msg/Float64'),
@@ -193,105 +182,3 @@ def hostile(large=False):
         files['messages of 22 bytes'] = start + written(
             chunk(raw(5, struct.pack('<HIQQ', 1, 0, 0, 0)) * (10000000 // 31), 'lz4'))
     return files
-
-
-def outcome(path):
-    """
-    Look at a log and recover it; check what came out.
-
-    Returns
-    -------
-    str
-        'complete', 'refused' or 'recovered'. Whatever else happens is an exception.
-
-    """
-    new = path.with_name('out.mcap')
-    for look in info, lambda file: Recording(file).topics:
-        try:
-            look(path)
-        except LogError as error:
-            if '\n' in str(error):
-                raise RuntimeError(f'a refusal is one line: {error}') from None
-    try:
-        text = recover(path, new)
-    except LogError as error:
-        if new.exists() or '\n' in str(error) or path.name not in str(error):
-            raise RuntimeError(f'a refusal is one line and writes nothing: {error}') from None
-        return 'refused'
-    if not new.exists():
-        return 'complete'
-    try:
-        said = f'{contents(new).total()} messages'
-        if said not in text or f'is complete: {said}' not in recover(new):
-            raise RuntimeError(f'{said} are there: {text}')
-    finally:
-        new.unlink()
-    return 'recovered'
-
-
-def contents(path):
-    """Return messages by topic, as mcap's own reader finds them."""
-    with open(path, 'rb') as stream:
-        reader = make_reader(stream, validate_crcs=True)
-        summary = reader.get_summary()
-        found = Counter(channel.topic for _, channel, _ in reader.iter_messages())
-        last = summary.statistics.message_end_time
-        latest = [entry.log_time for _, _, entry in reader.iter_messages(start_time=last)]
-    if found.total() != summary.statistics.message_count or any(
-            time != last for time in latest) or bool(latest) != bool(found):
-        raise RuntimeError(f'{path} has {found}, its summary says {summary.statistics}')
-    return found
-
-
-def decoded(path):
-    """Return a log's messages by topic, as mcap_ros2 and rosbags decode them, if they agree."""
-    with open(path, 'rb') as stream:
-        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        first = Counter(channel.topic for _, channel, _, _ in reader.iter_decoded_messages())
-    second = Counter()
-    with AnyReader([path]) as reader:
-        for connection, _, data in reader.messages():
-            reader.deserialize(data, connection.msgtype)
-            second[connection.topic] += 1
-    if first != second:
-        raise RuntimeError(f'{path}: mcap_ros2 finds {first}, rosbags {second}')
-    return first
-
-
-LIMITED = """
-import pathlib, re, resource, sys
-from oracles.hostile_logs import outcome
-resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)
-for path in map(pathlib.Path, sys.argv[2:]):
-    print(path.stem, outcome(path), sep=': ')
-# Not ru_maxrss, which begins with that of the process that started this one.
-print(int(re.search(r'VmHWM:\\s*(\\d+)', pathlib.Path('/proc/self/status').read_text())[1]) >> 10)
-"""
-
-
-def limited(paths, limit, timeout):
-    """
-    Recover logs in a process of bounded memory.
-
-    Parameters
-    ----------
-    paths : list of Path
-    limit : int
-        Of its address space [MB].
-    timeout : float
-        [s]
-
-    Returns
-    -------
-    dict, int
-        What `outcome` says, by name; largest resident memory [MB].
-
-    """
-    process = subprocess.run(
-        [sys.executable, '-c', LIMITED, str(limit), *map(str, paths)], timeout=timeout,
-        capture_output=True, text=True,
-        env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
-    if process.returncode:
-        raise RuntimeError(process.stdout + process.stderr)
-    *lines, memory = process.stdout.splitlines()
-    return dict(line.split(': ') for line in lines), int(memory)
