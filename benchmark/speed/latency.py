@@ -27,8 +27,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from benchmark.process import DOMAIN, ENVIRONMENT, running
 from benchmark.report import machine
-from benchmark.speed.node import DOMAIN, ENVIRONMENT, running, spread, started
+from benchmark.speed.node import spread
+from benchmark.speed.turns import started
 
 MODULE = 'benchmark.speed.latency'
 EXECUTORS = {'rclpy.spin': SingleThreadedExecutor, 'EventsExecutor': EventsExecutor}

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from benchmark.speed.node import arguments, ENVIRONMENT
+from benchmark.process import arguments, ENVIRONMENT
 
 DAY = 86400.0  # [s]
 LIMIT = 300.0  # [MB]

@@ -8,155 +8,18 @@ node_processes.py for who they are.
 """
 
 import argparse
-from contextlib import contextmanager, ExitStack
-import os
 from pathlib import Path
 import re
 import signal
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
-import uuid
 
 import numpy as np
 
-from benchmark import ROOT
-
-RATES = ('joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
-START_UP, SETTLE = 4.0, 0.5   # [s]
-# Nobody else may listen; and a start reads the byte code that an earlier one wrote.
-DOMAIN = 1 + uuid.uuid4().int % 90
-ENVIRONMENT = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-               'ROS_DOMAIN_ID': str(DOMAIN),
-               # For `python -m benchmark...` in whatever folder.
-               'PYTHONPATH': os.pathsep.join([str(ROOT), *filter(None, [
-                   os.environ.get('PYTHONPATH')])])}
-ENVIRONMENT.pop('PYTHONDONTWRITEBYTECODE', None)
-
-
-def arguments(rate=1000.0, **parameters):
-    """Return the command line of a node with all topics at one rate."""
-    values = {'record': False, 'publish_clock': True,
-              **{f'rate.{topic}': rate for topic in RATES}, **parameters}
-    given = [f'{name}:={str(value).lower() if isinstance(value, bool) else value}'
-             for name, value in values.items()]
-    return ['--ros-args', '--params-file', str(ROOT / 'config' / 'paper.yaml'),
-            *(word for value in given for word in ('-p', value))]
-
-
-def processor_time(pid):
-    """Return the CPU time of all threads of a process [s]."""
-    return 1e-9 * sum(int(path.read_text().split()[0])
-                      for path in Path(f'/proc/{pid}/task').glob('*/schedstat'))
-
-
-class Peer:
-    """
-    A process that is measured in turns, stopped in between; and its listener, if any.
-
-    Attributes
-    ----------
-    cpu : ndarray
-        CPU time for each step, in each turn [s]; known after `end`.
-    ticks : list of ndarray, shape (n, 3)
-        Begin and end of the ticks of each turn [s], and their steps; known after `end`.
-
-    """
-
-    def __init__(self, name, folder, domain, listened=True, extra=()):
-        environment = {**ENVIRONMENT, 'ROS_DOMAIN_ID': str(domain)}
-        self._path = Path(folder) / f'{domain}.npy'
-        self._turns, self.cpu, self.ticks = [], None, []
-        self._stack = ExitStack()
-        with ExitStack() as stack:
-            if listened:
-                listener = stack.enter_context(
-                    started('listener', '-', environment, stdout=subprocess.PIPE))
-                _expect(listener, 'listening')
-            self._process = stack.enter_context(
-                started(name, self._path, environment, *extra, cwd=folder))
-            if listened:
-                _expect(listener, 'hearing')
-            else:
-                time.sleep(START_UP)
-            self._stack = stack.pop_all()
-        self._process.send_signal(signal.SIGSTOP)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self._stack.close()
-
-    def turn(self, seconds):
-        """Let the process run, and measure."""
-        self._process.send_signal(signal.SIGCONT)
-        time.sleep(SETTLE)
-        begin, before = time.monotonic(), processor_time(self._process.pid)
-        time.sleep(seconds)
-        end, after = time.monotonic(), processor_time(self._process.pid)
-        self._process.send_signal(signal.SIGSTOP)
-        self._turns.append((begin, end, after - before))
-
-    def end(self):
-        """End the process and read when its ticks were."""
-        self._process.send_signal(signal.SIGCONT)
-        self._process.terminate()
-        if self._process.wait() != 0:
-            raise RuntimeError('a peer failed')
-        times = np.load(self._path)
-        self.ticks = [times[(times[:, 0] > begin) & (times[:, 1] < end)]
-                      for begin, end, _ in self._turns]
-        self.cpu = np.array([cpu / ticks[:, 2].sum()
-                             for (_, _, cpu), ticks in zip(self._turns, self.ticks)])
-
-
-def _expect(process, word):
-    lines = []
-    for line in process.stdout:  # the middleware may have something to say, too
-        lines.append(line.strip())
-        if lines[-1] == word:
-            return
-    raise RuntimeError('\n'.join(lines))
-
-
-def started(name, path, environment, *extra, **options):
-    """Start one of the processes, and end it."""
-    options = {'stdout': subprocess.DEVNULL, 'stderr': subprocess.STDOUT, **options}
-    return running(['-m', 'benchmark.speed.node_processes', name, str(path), *extra],
-                   env=environment, **options)
-
-
-@contextmanager
-def running(arguments, **options):
-    """Start a Python process, and end it, even if it is stopped."""
-    process = subprocess.Popen([sys.executable, *arguments], text=True, **options)
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.send_signal(signal.SIGCONT)
-            process.terminate()
-        if process.stdout is None or not process.stdout.closed:  # by whoever has read it all
-            process.communicate()
-        process.wait()
-
-
-def compare(turns, seconds, **peers):
-    """Run peers, each the arguments of a `Peer`, in turns; return them by name."""
-    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        running = {name: stack.enter_context(Peer(kind, folder, DOMAIN + number, listened, extra))
-                   for number, (name, (kind, listened, extra)) in enumerate(peers.items())}
-        order = list(running.values())
-        for _ in range(turns):
-            for peer in order:
-                peer.turn(seconds)
-            order.append(order.pop(0))
-        for peer in order:
-            peer.end()
-    return running
+from benchmark.process import arguments, ENVIRONMENT, RATES
+from benchmark.speed.turns import compare, START_UP, started
 
 
 def ratio(over, under):

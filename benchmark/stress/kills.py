@@ -12,7 +12,7 @@ import time
 from mcap.reader import make_reader
 
 from benchmark import ROOT
-from benchmark.speed.node import arguments, ENVIRONMENT
+from benchmark.process import arguments, ENVIRONMENT
 from benchmark.stress.tally import ensure, Tally
 from oracles.log_readers import decoded
 import timo_sim

@@ -14,95 +14,24 @@ import random
 import re
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
 import numpy as np
-from rclpy.serialization import deserialize_message
 
 from benchmark import ROOT
-from benchmark.speed.node import ENVIRONMENT, running
+from benchmark.process import ENVIRONMENT, running
+from benchmark.stress import refusals
+from benchmark.stress.node_process import Node, READY, survived
 
-READY, END = 60.0, 60.0   # [s] patience with a busy machine
 MEMORY = 5e6              # [B] that a run may grow by after its start
-
-
-class Node:
-    """A node in a process and a folder of its own."""
-
-    def __init__(self, folder, *arguments, environment=ENVIRONMENT, **parameters):
-        self.folder, self.log = Path(folder), Path(folder) / 'run.mcap'
-        self._output = open(self.folder / 'output.txt', 'w+', encoding='utf-8')
-        values = {'record_file': self.log.name, **parameters}
-        words = [word for name, value in values.items() for word in (
-            '-p', f'{name}:={str(value).lower() if isinstance(value, bool) else value}')]
-        self.process = subprocess.Popen(
-            [sys.executable, '-m', 'timo_sim.ros.sim_node', '--ros-args', *arguments, *words],
-            cwd=folder, env=environment, stdout=self._output, stderr=subprocess.STDOUT)
-
-    def output(self):
-        """Return what the node has said so far."""
-        self._output.flush()
-        return (self.folder / 'output.txt').read_text(errors='replace')
-
-    def ready(self):
-        """Wait until the log is there, or the end."""
-        end = time.monotonic() + READY
-        while 'logging to' not in self.output() and self.process.poll() is None:
-            if time.monotonic() > end:
-                raise TimeoutError(self.output())
-            time.sleep(0.05)
-        return self
-
-    def memory(self):
-        """Return the memory that the process has in use [B]."""
-        status = Path(f'/proc/{self.process.pid}/status').read_text()
-        return 1024 * int(re.search(r'VmRSS:\s+(\d+)', status)[1])
-
-    def handles_signals(self):
-        """Return whether the process has its handlers, or has ended."""
-        status = Path(f'/proc/{self.process.pid}/status').read_text()
-        caught = re.search(r'SigCgt:\s*(\w+)', status)[1]
-        return bool(int(caught, 16) >> signal.SIGTERM - 1 & 1) or self.process.poll() is not None
-
-    def end(self, number=signal.SIGTERM):
-        """End the node; return its exit code."""
-        if self.process.poll() is None:
-            self.process.send_signal(number)
-        try:
-            return self.process.wait(END)
-        finally:
-            if self.process.poll() is None:
-                self.process.kill()
-                self.process.wait()
-
-    def health(self):
-        """Return the counters of the last diagnostics in the log, and the messages' count."""
-        with open(self.log, 'rb') as stream:
-            counters, count = {}, 0
-            for _, channel, message in make_reader(stream).iter_messages():
-                count += 1
-                if channel.topic.endswith('/diagnostics'):
-                    status = deserialize_message(message.data, DiagnosticArray).status[0]
-                    counters = {pair.key: pair.value for pair in status.values}
-        return counters, count
 
 
 def attack(name, *arguments, environment=ENVIRONMENT, **options):
     """Run an attacking process."""
     return running(['-m', 'benchmark.stress.attackers', name, *arguments], env=environment,
                    stdout=subprocess.PIPE, **options)
-
-
-def survived(node, number=signal.SIGTERM):
-    """End a node that should be alive; return whether all is well, and its counters."""
-    alive = node.process.poll() is None
-    well = node.end(number) == 0 and alive and 'Traceback' not in node.output()
-    counters, count = node.health()
-    return well and count > 0, counters
 
 
 def attacked(what, seconds, attackers, killed=0, check=None, **parameters):
@@ -253,50 +182,6 @@ def soak_row(what, seconds, **parameters):
         f'; {growth / 1e6:+.1f} MB')
 
 
-FILES = {
-    'empty': (b'', 0), 'of other bytes': (b'timo_sim: {ros__parameters: {record_file: \xe9}}', 2),
-    'cut': (b'timo_sim: {ros__parameters: {arm: [', 2),
-    'with a NUL': (b'timo_sim: {ros__parameters: {arm.length: 1\0}}', 2),
-    'with an alias': (b'timo_sim: {ros__parameters: {arm.length: &a 1.0, arm.width: *a}}', 2),
-    'with a tag': (b'timo_sim: {ros__parameters: {arm.length: !!python/object/apply:os.system '
-                   b'[touch tag]}}', 2),
-    'nested a thousand deep': (b'timo_sim: {ros__parameters: {a: ' + 1000 * b'[' + b'}}', 2),
-    'with a list of 20000': (b'timo_sim: {ros__parameters: {arm.profile.width: ['
-                             + b'1.0, ' * 20000 + b'1.0]}}', 2),
-    'with a huge number': (b'timo_sim: {ros__parameters: {arm.length: 1.0e+400}}', 2),
-    'with a nonsense scene': (b'timo_sim: {ros__parameters: {arm.height: 1.0e+300}}', 2)}
-VALUES = (
-    'arm.length:=-1.0', 'arm.length:=.nan', 'arm.length:=[1, a]', 'arm.length:=1.0e+300',
-    'rate.joint_states:=1.0e+13', 'duration:=1.0e-13', 'duration:=1.0e+308',
-    'integrator.step:=1.0e-300', 'command_timeout:=.inf', 'model.modes:=99999999999999999999',
-    'initial.shaft:=1.0e+100', 'no.such:=1', 'record_file:=7', 'arm.length:={a: 1}', 'arm:=')
-
-
-def parameter_rows(quick):
-    """Parameters that must be refused in one line with code 2, in the process itself."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / 'scene.yaml'
-        good = 0
-        for content, expected in list(FILES.values())[::3 if quick else 1]:
-            path.write_bytes(content)
-            good += _ends_with(expected, folder, '--params-file', path.name)
-        yield ('parameter files ' + ', '.join(list(FILES)[::3 if quick else 1]),
-               len(list(FILES)[::3 if quick else 1]), good, 'a line, code 2; no tag is executed')
-        values = VALUES[::5 if quick else 1]
-        good = sum(_ends_with(2, folder, '-p', value) for value in values)
-        yield 'bad parameters on the command line', len(values), good, 'a line, code 2'
-
-
-def _ends_with(code, folder, *arguments):
-    result = subprocess.run(
-        [sys.executable, '-m', 'timo_sim.ros.sim_node', '--ros-args', '-p', 'duration:=0.01',
-         '-p', 'record:=false', *arguments], cwd=folder, env=ENVIRONMENT, capture_output=True,
-        text=True, timeout=READY)
-    lines = [line for line in result.stderr.splitlines() if line.startswith('timo_sim: ')]
-    return (result.returncode == code and len(lines) == (code == 2)
-            and 'Traceback' not in result.stderr and not (Path(folder) / 'tag').exists())
-
-
 def rows(quick=False, soak=60.0):
     """Do everything; yield tuples of what, how many tried, how many survived, and a remark."""
     yield from attack_rows(2.0 if quick else 20.0)
@@ -304,7 +189,7 @@ def rows(quick=False, soak=60.0):
     yield from namespace_rows(3 if quick else 10)
     yield signal_row(*((4, 1) if quick else (200, 10)))
     yield overload_row(2 if quick else 20)
-    yield from parameter_rows(quick)
+    yield from refusals.rows(quick)
     if not quick:
         yield soak_row('free run at 1 ms', soak, real_time_factor=0.0, record=True)
         yield soak_row('real time at 1 kHz, all topics logged', soak, **{

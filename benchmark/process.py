@@ -1,0 +1,44 @@
+"""Python processes and nodes as speed and stress start them: environment, arguments, end."""
+
+from contextlib import contextmanager
+import os
+import signal
+import subprocess
+import sys
+import uuid
+
+from benchmark import ROOT
+
+RATES = ('joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
+# Nobody else may listen; a start reads the byte code that an earlier one wrote; and
+# `python -m benchmark...` is found from whatever folder.
+DOMAIN = 1 + uuid.uuid4().int % 90
+ENVIRONMENT = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+               'ROS_DOMAIN_ID': str(DOMAIN), 'PYTHONPATH': os.pathsep.join(
+                   [str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])}
+ENVIRONMENT.pop('PYTHONDONTWRITEBYTECODE', None)
+
+
+def arguments(rate=1000.0, **parameters):
+    """Return the command line of a node with all topics at one rate."""
+    values = {'record': False, 'publish_clock': True,
+              **{f'rate.{topic}': rate for topic in RATES}, **parameters}
+    given = [f'{name}:={str(value).lower() if isinstance(value, bool) else value}'
+             for name, value in values.items()]
+    return ['--ros-args', '--params-file', str(ROOT / 'config' / 'paper.yaml'),
+            *(word for value in given for word in ('-p', value))]
+
+
+@contextmanager
+def running(arguments, **options):
+    """Start a Python process, and end it, even if it is stopped."""
+    process = subprocess.Popen([sys.executable, *arguments], text=True, **options)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGCONT)
+            process.terminate()
+        if process.stdout is None or not process.stdout.closed:  # by whoever has read it all
+            process.communicate()
+        process.wait()

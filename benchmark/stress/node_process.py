@@ -1,0 +1,85 @@
+"""The node under attack, in a process and a folder of its own, and whether it survived."""
+
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+from mcap.reader import make_reader
+from rclpy.serialization import deserialize_message
+
+from benchmark.process import ENVIRONMENT
+
+READY, END = 60.0, 60.0   # [s] patience with a busy machine
+
+
+class Node:
+    """A node in a process and a folder of its own."""
+
+    def __init__(self, folder, *arguments, environment=ENVIRONMENT, **parameters):
+        self.folder, self.log = Path(folder), Path(folder) / 'run.mcap'
+        self._output = open(self.folder / 'output.txt', 'w+', encoding='utf-8')
+        values = {'record_file': self.log.name, **parameters}
+        words = [word for name, value in values.items() for word in (
+            '-p', f'{name}:={str(value).lower() if isinstance(value, bool) else value}')]
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', 'timo_sim.ros.sim_node', '--ros-args', *arguments, *words],
+            cwd=folder, env=environment, stdout=self._output, stderr=subprocess.STDOUT)
+
+    def output(self):
+        """Return what the node has said so far."""
+        self._output.flush()
+        return (self.folder / 'output.txt').read_text(errors='replace')
+
+    def ready(self):
+        """Wait until the log is there, or the end."""
+        end = time.monotonic() + READY
+        while 'logging to' not in self.output() and self.process.poll() is None:
+            if time.monotonic() > end:
+                raise TimeoutError(self.output())
+            time.sleep(0.05)
+        return self
+
+    def memory(self):
+        """Return the memory that the process has in use [B]."""
+        status = Path(f'/proc/{self.process.pid}/status').read_text()
+        return 1024 * int(re.search(r'VmRSS:\s+(\d+)', status)[1])
+
+    def handles_signals(self):
+        """Return whether the process has its handlers, or has ended."""
+        status = Path(f'/proc/{self.process.pid}/status').read_text()
+        caught = re.search(r'SigCgt:\s*(\w+)', status)[1]
+        return bool(int(caught, 16) >> signal.SIGTERM - 1 & 1) or self.process.poll() is not None
+
+    def end(self, number=signal.SIGTERM):
+        """End the node; return its exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        try:
+            return self.process.wait(END)
+        finally:
+            if self.process.poll() is None:
+                self.process.kill()
+                self.process.wait()
+
+    def health(self):
+        """Return the counters of the last diagnostics in the log, and the messages' count."""
+        with open(self.log, 'rb') as stream:
+            counters, count = {}, 0
+            for _, channel, message in make_reader(stream).iter_messages():
+                count += 1
+                if channel.topic.endswith('/diagnostics'):
+                    status = deserialize_message(message.data, DiagnosticArray).status[0]
+                    counters = {pair.key: pair.value for pair in status.values}
+        return counters, count
+
+
+def survived(node, number=signal.SIGTERM):
+    """End a node that should be alive; return whether all is well, and its counters."""
+    alive = node.process.poll() is None
+    well = node.end(number) == 0 and alive and 'Traceback' not in node.output()
+    counters, count = node.health()
+    return well and count > 0, counters
