@@ -6,256 +6,16 @@ Every number is computed here, from this package and from the stored finite-elem
 
 import numpy as np
 
-import matplotlib
-matplotlib.use('Agg')
-import matplotlib.pyplot as plt  # noqa: E402
+from benchmark import ROOT
+from benchmark.figures.paper.errors import error_histories, errors_over_modes
+from benchmark.figures.paper.modes import frequencies, shapes
+from benchmark.figures.paper.motion import histories, wrong_axial
+from benchmark.figures.paper.style import FIGURES, MODES
+from benchmark.report import table
+from oracles import slips
+from oracles.references import LENGTH, read, simulate, station, STATIONS, STEP
 
-from benchmark import ROOT  # noqa: E402
-from oracles import slips  # noqa: E402
-from oracles.references import (  # noqa: E402
-    errors, LENGTH, motion_of, read, simulate, station, STATIONS, STEP)
-import timo_sim  # noqa: E402
-from timo_sim.physics import FORMULATIONS  # noqa: E402
-
-PAGE, FIGURES = ROOT / 'doc' / 'paper.md', ROOT / 'doc' / 'paper'
-MODES = 5
-PAPER_TABLE_2 = [(1.7869, 1.7875, 0.04), (9.0738, 9.0740, 0.00), (29.8108, 29.8107, 0.00),
-                 (74.9902, 74.9893, 0.00), (143.8872, 143.8841, 0.00)]
-NAMES = {'0': '0', 'l4': 'l/4', 'l2': 'l/2', '3l4': '3l/4', 'l': 'l'}
-# Okabe and Ito's colours, told apart by all readers.
-BLACK, ORANGE, BLUE, GREEN, RED = '#000000', '#E69F00', '#0072B2', '#009E73', '#D55E00'
-COLOURS = dict(zip(FORMULATIONS, (BLUE, ORANGE, GREEN, RED)))
-plt.rcParams.update({'font.size': 9, 'axes.grid': True, 'grid.alpha': 0.3, 'lines.linewidth': 1.2,
-                     'svg.fonttype': 'none', 'svg.hashsalt': 'timo_sim',
-                     'path.simplify_threshold': 1.0})
-
-
-def save(figure, number, text):
-    """Save a figure as PNG and SVG; return its Markdown."""
-    figure.tight_layout()
-    figure.savefig(FIGURES / f'fig{number}.png', dpi=110)
-    figure.savefig(FIGURES / f'fig{number}.svg', metadata={'Date': None})
-    plt.close(figure)
-    return f'![{text}](paper/fig{number}.png)\n\n*{text}* ([SVG](paper/fig{number}.svg))\n'
-
-
-def table(head, rows):
-    """Return a Markdown table."""
-    lines = [' | '.join(map(str, row)) for row in [head, ['---'] * len(head), *rows]]
-    return ''.join(f'| {line} |\n' for line in lines)
-
-
-def frequencies():
-    """Return Table 2 and its verdict."""
-    _, fem = read('modes')
-    model = timo_sim.load_scene({'model.modes': 6}).build()
-    ours = model.modes.omega / (2.0 * np.pi)
-    rows, off = [], []
-    for n, (printed, ansys, percent) in enumerate(PAPER_TABLE_2):
-        off.append([100.0 * abs(fem[column][n] / ours[n] - 1.0)
-                    for column in ('f_hz', 'f_extrapolated_hz')])
-        rows.append([n + 1, f'{printed:.4f}', f'{ours[n]:.4f}',
-                     'yes' if f'{ours[n]:.4f}' == f'{printed:.4f}' else 'NO', f'{ansys:.4f}',
-                     f'{fem["f_hz"][n]:.4f}', f'{fem["f_extrapolated_hz"][n]:.6f}',
-                     f'{ours[n]:.6f}', f'{percent:.2f}', f'{off[-1][0]:.4f}',
-                     f'{off[-1][1]:.0e}'])
-    cutoff = model.manipulator.arm.section.cutoff / (2.0 * np.pi)
-    text = table(['mode', 'paper, analytic Hz', 'ours', 'same digits', 'paper, 200 elements',
-                  'ours, 200 elements', 'ours, extrapolated', 'ours, closed form',
-                  'paper, error %', 'ours, error %, 200 elements', 'extrapolated'], rows)
-    text += (f'\nThe cut-off frequency is {cutoff:.1f} Hz; the paper reads 80 217 Hz, which is '
-             'within the digits of its Table 1. Its finite-element value for mode 1 is not that '
-             'of this arm. Our 200 elements are linear; their error grows as the square of the '
-             'wave number.\n')
-    mesh, limit = np.max(off, axis=0)
-    verdict = ('Table 2: largest error of the first five frequencies', '<= 0.04 %', '',
-               f'{limit:.0e} % against converged finite elements, {mesh:.4f} % against 200',
-               'agrees' if limit <= 0.04 else 'does not agree')
-    return text, verdict
-
-
-def shapes():
-    """Return Figs. 4 and 5 and the verdict."""
-    _, fem = read('modes')
-    modes = timo_sim.load_scene({'model.modes': 6}).build().modes
-    xi = np.linspace(0.0, LENGTH, 201)
-    text, largest = '', 0.0
-    for number, field, ours, unit in (('04', 'W', modes.deflection(xi), '1/sqrt(kg)'),
-                                      ('05', 'Phi', modes.rotation(xi), '1/(m sqrt(kg))')):
-        figure, axes = plt.subplots(2, 3, figsize=(9, 4.6), sharex=True)
-        for n, axis in enumerate(axes.flat):
-            theirs = np.array([fem[f'{field}_{i}'][n] for i in range(41)])
-            error = np.sqrt(np.mean((ours[::5, n] - theirs)**2))
-            largest = max(largest, error / np.abs(theirs).max())
-            axis.plot(xi, ours[:, n], color=BLUE, label='closed form')
-            axis.plot(xi[::10], theirs[::2], 'o', color=ORANGE, ms=3.5, mfc='none',
-                      label='200 elements')
-            axis.set_title(f'mode {n + 1}, RMSE {error:.1e}', fontsize=9)
-        axes[0, 0].legend(fontsize=8)
-        for axis in axes[1]:
-            axis.set_xlabel('xi [m]')
-        for axis in axes[:, 0]:
-            axis.set_ylabel(f'{field}_n [{unit}]')
-        text += save(figure, number, f'Fig. {int(number)}: mode shapes {field}_n, mass-normalised,'
-                     ' against finite elements; RMSE over the 41 stations') + '\n'
-    verdict = ('Figs. 4, 5: mode shapes', 'small RMSE', '',
-               f'RMSE {100 * largest:.3f} % of the peak at most',
-               'agrees' if largest < 1e-3 else 'does not agree')
-    return text, verdict
-
-
-def histories(t, runs, truth, fem):
-    """Return Figs. 6 to 10."""
-    text = ''
-    motions = {name: motion_of(run) for name, run in runs.items()}
-
-    def draw(axis, theirs, ours, title):
-        axis.plot(t, theirs, color=BLACK, lw=2.2, alpha=0.35, label='finite elements')
-        for (name, values), style in zip(ours.items(), ('-', '--')):
-            axis.plot(t, values, style, color=COLOURS[name], label=f'{name}, N = {MODES}')
-        axis.set_title(title, fontsize=9)
-
-    for number, label, pick in (
-            ('06', 'horizontal position [m]', lambda motion: motion[0][:, 0]),
-            ('07', 'vertical position [m]', lambda motion: motion[0][:, 1]),
-            ('08', 'angular position [deg]', lambda motion: np.degrees(motion[1]))):
-        figure, axes = plt.subplots(2, 3, figsize=(10, 4.8), sharex=True)
-        for axis, name in zip(axes.flat, STATIONS):
-            draw(axis, pick(truth[name]), {key: pick(motion[name])
-                                           for key, motion in motions.items()},
-                 f'xi = {NAMES[name]}')
-            axis.set_xlabel('t [s]')
-        axes[0, 2].tick_params(labelbottom=True)
-        axes[1, 2].axis('off')
-        axes[1, 2].legend(*axes[0, 0].get_legend_handles_labels(), loc='center', fontsize=9)
-        for axis in axes[:, 0]:
-            axis.set_ylabel(label)
-        text += save(figure, number, f'Fig. {int(number)}: {label} of five sections') + '\n'
-
-    inner = list(STATIONS)[1:]
-    for number, label, ours, theirs in (
-            ('09', 'transverse deflection [mm]',
-             lambda run, name: 1e3 * run.deflection(STATIONS[name] * LENGTH)[:, 1],
-             lambda name: 1e3 * fem[f'w_{name}_m']),
-            ('10', 'section rotation [deg]',
-             lambda run, name: np.degrees(run.rotation(STATIONS[name] * LENGTH)),
-             lambda name: np.degrees(fem[f'phi_{name}_rad']))):
-        figure, axes = plt.subplots(2, 2, figsize=(9, 4.8), sharex=True)
-        for axis, name in zip(axes.flat, inner):
-            draw(axis, theirs(name), {key: ours(run, name) for key, run in runs.items()},
-                 f'xi = {NAMES[name]}, peak {np.abs(theirs(name)).max():.2f}')
-        for axis in axes[1]:
-            axis.set_xlabel('t [s]')
-        for axis in axes[:, 0]:
-            axis.set_ylabel(label)
-        axes[0, 0].legend(fontsize=7)
-        text += save(figure, number, f'Fig. {int(number)}: {label} of four sections') + '\n'
-    return text
-
-
-def error_histories(t, runs, truth):
-    """Return Fig. 11 and its verdicts."""
-    figure, axes = plt.subplots(3, 2, figsize=(9, 6.5), sharex=True)
-    verdicts, rows = [], []
-    names = ('horizontal', 'vertical', 'angular')
-    found = {name: errors(motion_of(run), truth) for name, run in runs.items()}
-    for column, (formulation, error) in enumerate(found.items()):
-        for row, name in enumerate(names):
-            axis = axes[row, column]
-            for key, colour in zip(STATIONS, (BLACK, ORANGE, BLUE, GREEN, RED)):
-                axis.semilogy(t[1:], error[key][1:, row], color=colour, lw=0.8,
-                              label=f'xi = {NAMES[key]}')
-            axis.axhline((0.08, 0.15, 0.15)[row], color=BLACK, ls=':', lw=1)
-            axis.set_ylim(1e-7, 1)
-            axis.set_title(f'{name}, {formulation}', fontsize=9)
-    for axis in axes[2]:
-        axis.set_xlabel('t [s]')
-    for axis in axes[:, 0]:
-        axis.set_ylabel('error [%]')
-    axes[0, 1].legend(fontsize=7, ncol=3, loc='lower right')
-    text = save(figure, '11', f'Fig. 11: errors against finite elements, N = {MODES}, of newton '
-                '(left) and exact (right); dotted: the bound printed in the paper')
-    for row, (name, bound) in enumerate(zip(names, (0.08, 0.15, 0.15))):
-        largest = {formulation: {key: error[key][:, row].max() for key in STATIONS}
-                   for formulation, error in found.items()}
-        for formulation, each in largest.items():
-            rows.append([name, formulation,
-                         *(f'{each[key]:.4f}' if each[key] > 1e-3 else f'{each[key]:.1e}'
-                           for key in STATIONS)])
-        shown = {formulation: max(each.values()) for formulation, each in largest.items()}
-        over = [NAMES[key] for key in STATIONS if largest['newton'][key] > bound]
-        verdicts.append((f'Fig. 11: {name} position', f'< {bound:g} %',
-                         f'{shown["newton"]:.2f} %', f'{shown["exact"]:.1e} %',
-                         'exact: yes; newton: ' + (f'not at xi = {", ".join(over)}' if over
-                                                   else 'yes')))
-    text += '\n' + table(['position', 'formulation', *(f'xi = {NAMES[key]}, %' for key in
-                                                       STATIONS)], rows)
-    return text, verdicts
-
-
-def errors_over_modes(truth):
-    """Return Fig. 12 and its verdict."""
-    counts = range(1, 8)
-    found = {name: [{key: error.max(axis=0) for key, error in errors(
-        motion_of(simulate(name, count)), truth).items()} for count in counts]
-        for name in FORMULATIONS}
-    figure, axes = plt.subplots(3, 3, figsize=(9, 7), sharex=True, sharey=True)
-    for row, label in enumerate(('horizontal', 'vertical', 'angular')):
-        for axis, key in zip(axes[row], ('l4', 'l2', 'l')):
-            for (name, each), marker in zip(found.items(), 'os^v'):
-                axis.semilogy(counts, [error[key][row] for error in each], marker + '-', ms=4,
-                              color=COLOURS[name], label=name)
-            axis.axhline(3.0, color=BLACK, ls=':', lw=1)
-            axis.set_title(f'{label}, xi = {NAMES[key]}', fontsize=9)
-    for axis in axes[2]:
-        axis.set_xlabel('N')
-    for axis in axes[:, 0]:
-        axis.set_ylabel('largest error [%]')
-    axes[0, 0].legend(fontsize=7)
-    text = save(figure, '12', 'Fig. 12: largest error over 10 s against the number of modes; '
-                'dotted: 3 %') + '\n'
-    worst = {name: [max(error[key].max() for key in STATIONS) for error in each]
-             for name, each in found.items()}
-    text += table(['formulation, largest error % of any position at any section',
-                   *(f'N = {count}' for count in counts)],
-                  [[name, *(f'{value:.2g}' for value in values)]
-                   for name, values in worst.items()])
-    verdict = ('Fig. 12: all positions with three modes', '< 3 %', f'{worst["newton"][2]:.2f} %',
-               f'{worst["exact"][2]:.3f} %',
-               'agrees' if max(worst['newton'][2], worst['exact'][2]) < 3.0 else 'does not agree')
-    return text, verdict
-
-
-def wrong_axial(t, fem, newton):
-    """Return Fig. 13 and its verdict."""
-    run = simulate('newton_rigid_axial', MODES)
-    figure, axes = plt.subplots(2, 3, figsize=(10, 4.8), sharex=True)
-    panels = [
-        ('x_c [m]', lambda r: r.carrier[:, 0], fem['x_c_m']),
-        ('y_c [m]', lambda r: r.carrier[:, 1], fem['y_c_m']),
-        ('theta [deg]', lambda r: np.degrees(r.shaft), np.degrees(fem['theta_rad'])),
-        ('w(l) [mm]', lambda r: 1e3 * r.deflection(LENGTH)[:, 1], 1e3 * fem['w_l_m']),
-        ('phi(l) [deg]', lambda r: np.degrees(r.rotation(LENGTH)), np.degrees(fem['phi_l_rad'])),
-    ]
-    for axis, (label, pick, theirs) in zip(axes.flat, panels):
-        axis.plot(t, theirs, color=BLACK, lw=2.2, alpha=0.35, label='finite elements')
-        axis.plot(t, pick(newton), color=COLOURS['newton'], label='newton, (34)')
-        axis.plot(t, pick(run), '--', color=COLOURS['newton_rigid_axial'],
-                  label='newton_rigid_axial, (35)')
-        axis.set_ylabel(label)
-        axis.set_xlabel('t [s]')
-    axes[0, 2].tick_params(labelbottom=True)
-    axes[1, 2].axis('off')
-    axes[1, 2].legend(*axes[0, 0].get_legend_handles_labels(), loc='center')
-    text = save(figure, '13', 'Fig. 13: the wrong axial assumption (35)')
-    moved = np.abs(run.carrier - newton.carrier).max(axis=0)
-    kept = max(np.abs(run.shaft - newton.shaft).max(), np.abs(
-        run.deflection(LENGTH) - newton.deflection(LENGTH)).max())
-    verdict = ('Fig. 13: (35) moves the carrier, not the angles and deflections',
-               'significant error in x, y only',
-               f'{moved[0]:.2f} m in x, {moved[1]:.2f} m in y; {kept:.0e} in theta, w', '',
-               'agrees' if moved.min() > 0.1 and kept < 1e-9 else 'does not agree')
-    return text, verdict
+PAGE = ROOT / 'doc' / 'paper.md'
 
 
 def main():
@@ -303,6 +63,7 @@ how it normalises.
 ## Claims
 
 {claims}
+
 Where `newton` misses a bound, its own equations do: the foreshortening of the bent arm and the
 moment of the axial force are not in them, and the error stays when modes are added (Fig. 12).
 At the carrier, which moves by 0.4 m and 0.1 m only, that is a larger share than at the tip.
@@ -327,7 +88,8 @@ At the carrier, which moves by 0.4 m and 0.1 m only, that is a larger share than
 {figure_13}
 ## Slips in print
 
-{table(['where', 'printed', 'should be', 'check', 'as printed', 'corrected'], slips.rows())}""",
+{table(['where', 'printed', 'should be', 'check', 'as printed', 'corrected'], slips.rows())}
+""",
                     encoding='utf-8')
     print(claims)
     print(f'{PAGE.relative_to(ROOT)} and {len(list(FIGURES.glob("*.png")))} figures written')

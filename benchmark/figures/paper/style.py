@@ -1,0 +1,27 @@
+"""How the figures of the page look, and how they are saved."""
+
+import matplotlib
+import matplotlib.pyplot as plt
+
+from benchmark import ROOT
+from timo_sim.physics import FORMULATIONS
+
+FIGURES = ROOT / 'doc' / 'paper'
+MODES = 5
+NAMES = {'0': '0', 'l4': 'l/4', 'l2': 'l/2', '3l4': '3l/4', 'l': 'l'}
+# Okabe and Ito's colours, told apart by all readers.
+BLACK, ORANGE, BLUE, GREEN, RED = '#000000', '#E69F00', '#0072B2', '#009E73', '#D55E00'
+COLOURS = dict(zip(FORMULATIONS, (BLUE, ORANGE, GREEN, RED)))
+matplotlib.use('Agg')
+plt.rcParams.update({'font.size': 9, 'axes.grid': True, 'grid.alpha': 0.3, 'lines.linewidth': 1.2,
+                     'svg.fonttype': 'none', 'svg.hashsalt': 'timo_sim',
+                     'path.simplify_threshold': 1.0})
+
+
+def save(figure, number, text):
+    """Save a figure as PNG and SVG; return its Markdown."""
+    figure.tight_layout()
+    figure.savefig(FIGURES / f'fig{number}.png', dpi=110)
+    figure.savefig(FIGURES / f'fig{number}.svg', metadata={'Date': None})
+    plt.close(figure)
+    return f'![{text}](paper/fig{number}.png)\n\n*{text}* ([SVG](paper/fig{number}.svg))\n'
