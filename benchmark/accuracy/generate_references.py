@@ -6,12 +6,12 @@ Each is extrapolated in the mesh and in the step; its first line says how far to
 
 from itertools import product
 from pathlib import Path
-import sys
 
 import exudyn
 import numpy as np
 
 from benchmark import ROOT
+from benchmark.command import parser
 from oracles import finite_elements
 from oracles.references import spin_up, TORQUE
 from timo_sim import load_scene
@@ -123,8 +123,12 @@ def write(path, rows, columns, comment):
     print(f'{path}: {comment}', flush=True)
 
 
-def main(folder, *only):
+def main():
     """Write the files of these names, or all, to a folder."""
+    command = parser(__spec__, __doc__)
+    command.add_argument('folder', nargs='?', type=Path, default=ROOT / 'test' / 'data')
+    command.add_argument('only', nargs='*', metavar='name', help='modes, spin_up, torque, paper')
+    given = command.parse_args()
     paper = load_scene(ROOT / 'config' / 'paper.yaml')
     spin_up_scene = load_scene(ROOT / 'config' / 'spin_up.yaml', {'initial.shaft': 0.0})
     whole, tip = ('t', *RIGID, *INNER, *TIP), ('t', *RIGID, *TIP)
@@ -134,9 +138,9 @@ def main(folder, *only):
         'torque': lambda: reference(load_scene(TORQUE), 5.0, 0.01, tip, 104, 0.00025),
         'paper': lambda: reference(paper, 10.0, 0.01, whole, 52, 0.0005),
     }
-    for name in only or files:
-        write(folder / f'finite_elements_{name}.csv', *files[name]())
+    for name in given.only or files:
+        write(given.folder / f'finite_elements_{name}.csv', *files[name]())
 
 
 if __name__ == '__main__':
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / 'test' / 'data', *sys.argv[2:])
+    main()

@@ -13,7 +13,6 @@ import os
 for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
     os.environ[threads] = '1'
 
-import argparse  # noqa: E402
 from importlib.metadata import version  # noqa: E402
 import json  # noqa: E402
 import warnings  # noqa: E402
@@ -26,6 +25,7 @@ import numpy as np  # noqa: E402
 from benchmark import ROOT  # noqa: E402
 from benchmark.accuracy.cases import (  # noqa: E402
     cases_of, ENGINE, errors_of, of_reference, OWN, REDUCED, SCENES)
+from benchmark.command import parser  # noqa: E402
 from benchmark.report import machine  # noqa: E402
 from oracles import elastica  # noqa: E402
 import timo_sim  # noqa: E402
@@ -144,10 +144,9 @@ def plot(scene, cases, path):
 
 def main():
     """Measure, and write the page, the plots and the figures."""
-    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
-    parser.add_argument('--quick', action='store_true', help='less than two minutes')
-    parser.add_argument('--scene', choices=[scene.name for scene in SCENES], action='append')
-    arguments = parser.parse_args()
+    command = parser(__spec__, __doc__, 'less than two minutes')
+    command.add_argument('--scene', choices=[scene.name for scene in SCENES], action='append')
+    arguments = command.parse_args()
     folder = ROOT / 'run' / 'benchmark' if arguments.quick or arguments.scene else ROOT / 'doc'
     pictures = folder / 'benchmark'
     pictures.mkdir(parents=True, exist_ok=True)

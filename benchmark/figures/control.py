@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 
 from benchmark import ROOT  # noqa: E402
+from benchmark.command import parser  # noqa: E402
 from benchmark.report import table  # noqa: E402
 import timo_sim  # noqa: E402
 
@@ -120,6 +121,7 @@ def draw(records, path):
 
 def main():
     """Print the tables and draw the picture."""
+    parser(__spec__, __doc__).parse_args()
     scene = timo_sim.load_scene(slew.SCENE)
     rows, records = slews(scene)
     print(table(['', *PLANTS, 'peak torque'], rows))

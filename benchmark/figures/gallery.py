@@ -8,6 +8,7 @@ from matplotlib.image import imread, imsave
 import numpy as np
 
 from benchmark import ROOT
+from benchmark.command import parser
 import timo_sim
 from timo_sim.physics.formulation import LOADS, TORQUE
 from timo_sim.simulation import Simulator
@@ -248,6 +249,7 @@ def window():
 
 def main():
     """Draw all and write the page."""
+    parser(__spec__, __doc__).parse_args()
     text = ['# Gallery', '', 'Written by `make gallery` (benchmark/figures/gallery.py), '
             'numbers included. To look at a run of your own: `timo_sim view run.mcap`.']
     for draw, title in ((paper, "The paper's run"), (spin_up, 'Spin-up'),

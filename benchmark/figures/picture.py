@@ -4,6 +4,7 @@ import matplotlib
 import numpy as np
 
 from benchmark import ROOT
+from benchmark.command import parser
 from oracles.references import read
 import timo_sim
 
@@ -15,6 +16,7 @@ BLUE, ORANGE, GREY = '#0072B2', '#D55E00', '#999999'
 
 def main():
     """Simulate 10 s; draw the plane, the bent arm, and the tip beside the reference."""
+    parser(__spec__, __doc__).parse_args()
     import matplotlib.pyplot as plt
     plt.rcParams.update({'font.size': 13})
     scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml',

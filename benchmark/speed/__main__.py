@@ -9,9 +9,8 @@ import os
 for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
     os.environ[threads] = '1'
 
-import argparse  # noqa: E402
-
 from benchmark import ROOT  # noqa: E402
+from benchmark.command import parser  # noqa: E402
 from benchmark.report import machine, table  # noqa: E402
 from benchmark.speed import memory, node, skipping, step, sweep  # noqa: E402
 from benchmark.speed.timing import product  # noqa: E402
@@ -32,9 +31,7 @@ SECTIONS = [('Step and run', step), ('Memory', memory), ('Node', node), ('Sweep'
 
 def main():
     """Measure, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
-    parser.add_argument('--quick', action='store_true', help='a few minutes')
-    quick = parser.parse_args().quick
+    quick = parser(__spec__, __doc__, 'a few minutes').parse_args().quick
     folder = ROOT / 'run' / 'speed' if quick else ROOT / 'doc'
     (folder / 'speed').mkdir(parents=True, exist_ok=True)
     facts = {**machine(), 'calibrating product': f'{1e9 * product():.0f} ns'}

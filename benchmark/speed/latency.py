@@ -7,7 +7,6 @@ a controller answers each state of a node with `sync: wait`; in turns, as often 
 a node that only sends the next one. All are processes of their own, in Python, and share a clock.
 """
 
-import argparse
 from contextlib import ExitStack, suppress
 from importlib.metadata import version
 import os
@@ -27,6 +26,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from benchmark.command import parser
 from benchmark.process import DOMAIN, ENVIRONMENT, running
 from benchmark.report import machine
 from benchmark.speed.node import spread
@@ -218,9 +218,7 @@ def serve(kind, executor, *arguments):
 
 def main():
     """Measure and print Markdown tables."""
-    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
-    parser.add_argument('--quick', action='store_true')
-    quick = parser.parse_args().quick
+    quick = parser(__spec__, __doc__, 'a few samples').parse_args().quick
     os.environ.update(ENVIRONMENT)
     print('Measured on: ' + ', '.join(f'{name} {value}' for name, value in machine().items())
           + f', rclpy {version("rclpy")}, {rclpy.get_rmw_implementation_identifier()}.\n')

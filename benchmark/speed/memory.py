@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 
+from benchmark.command import parser
 from benchmark.process import arguments, ENVIRONMENT
 
 DAY = 86400.0  # [s]
@@ -55,4 +56,4 @@ def rows(quick=False):
 
 
 if __name__ == '__main__':
-    print(rows())
+    print(rows(parser(__spec__, __doc__, 'a minute of sim time').parse_args().quick))

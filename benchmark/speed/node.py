@@ -7,7 +7,6 @@ for all of them; what is shown is the median over the turns of the ratio within 
 node_processes.py for who they are.
 """
 
-import argparse
 from pathlib import Path
 import re
 import signal
@@ -18,6 +17,7 @@ import time
 
 import numpy as np
 
+from benchmark.command import parser
 from benchmark.process import arguments, ENVIRONMENT, RATES
 from benchmark.speed.turns import compare, START_UP, started
 
@@ -174,10 +174,9 @@ def rows(quick=False):
 
 def main():
     """Measure and print a Markdown table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--quick', action='store_true')
+    quick = parser(__spec__, __doc__, 'fewer and shorter turns').parse_args().quick
     print('| | target | measured | met | |\n|---|---|---|---|---|')
-    for row in rows(parser.parse_args().quick):
+    for row in rows(quick):
         print('| ' + ' | '.join(map(str, row)) + ' |', flush=True)
 
 

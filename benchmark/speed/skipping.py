@@ -2,6 +2,7 @@
 
 import time
 
+from benchmark.command import parser
 from benchmark.speed.step import PAPER, Prepared
 from benchmark.speed.timing import timed
 import timo_sim
@@ -72,5 +73,6 @@ def accuracy_row():
 
 
 if __name__ == '__main__':
+    parser(__spec__, __doc__).parse_args()
     for row in rows():
         print(' | '.join(row))

@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 
 from benchmark import ROOT  # noqa: E402
+from benchmark.command import parser  # noqa: E402
 from benchmark.speed.timing import timed  # noqa: E402
 from oracles.references import read  # noqa: E402
 import timo_sim  # noqa: E402
@@ -134,5 +135,6 @@ def curves(path, quick=False):
 
 
 if __name__ == '__main__':
+    parser(__spec__, __doc__).parse_args()
     for row in rows():
         print(*row, sep=' | ')

@@ -7,7 +7,6 @@ included. A compiled product of a 16 x 16 matrix and a vector, timed on as many 
 before and after, says what the machine gave; its peer is a plain loop over `simulate`.
 """
 
-import argparse
 import os
 from pathlib import Path
 import statistics
@@ -17,6 +16,7 @@ import time
 import numpy as np
 
 from benchmark import ROOT
+from benchmark.command import parser
 from benchmark.speed.timing import product
 import timo_sim
 from timo_sim.sweep.local import LocalExecutor
@@ -131,8 +131,7 @@ def rows(quick=False):
 
 
 if __name__ == '__main__':
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--quick', action='store_true')
+    quick = parser(__spec__, __doc__, f'{QUICK_COUNTS[-1]} runs').parse_args().quick
     print('| | target | measured | met | |\n|---|---|---|---|---|')
-    for row in rows(parser.parse_args().quick):
+    for row in rows(quick):
         print('| ' + ' | '.join(map(str, row)) + ' |')

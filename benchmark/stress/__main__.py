@@ -4,10 +4,10 @@ The torture bench: numerics, node, log and files. It writes doc/stress.md.
 `make stress` takes long, `--quick` does a part of each and writes to run/stress.md.
 """
 
-import argparse
 import time
 
 from benchmark import ROOT
+from benchmark.command import parser
 from benchmark.report import machine, table
 from benchmark.stress import log, node, numerics
 
@@ -38,9 +38,7 @@ unharmed, and what was written is readable, or is refused in one line.
 
 def main():
     """Run all of it and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
-    parser.add_argument('--quick', action='store_true', help='a few minutes')
-    quick = parser.parse_args().quick
+    quick = parser(__spec__, __doc__, 'a few minutes').parse_args().quick
     start = time.monotonic()
     parts = [
         table(['', 'tried', *numerics.VERDICTS, 'remark'], numerics.rows(quick)),

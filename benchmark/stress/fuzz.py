@@ -18,6 +18,7 @@ import zlib
 
 import atheris
 
+from benchmark.command import parser
 import timo_sim.simulation  # noqa: F401  # numba cannot compile what atheris has changed
 
 with atheris.instrument_imports(include=['timo_sim.log', 'mcap']):
@@ -45,6 +46,7 @@ def mended(data):
 
 def main():
     """Fuzz until the time is over or something is found."""
+    _, given = parser(__spec__, __doc__).parse_known_args()
     folder = Path(tempfile.mkdtemp(prefix='fuzz_log_'))
     corpus, path = folder / 'corpus', folder / 'log.mcap'
     corpus.mkdir()
@@ -65,7 +67,7 @@ def main():
 
     limits = ['-max_total_time=600', f'-max_len={LONGEST}', '-rss_limit_mb=1500', '-timeout=20',
               '-print_final_stats=1']
-    atheris.Setup([sys.argv[0], *limits, *sys.argv[1:], str(corpus)], one)
+    atheris.Setup([sys.argv[0], *limits, *given, str(corpus)], one)
     atheris.Fuzz()
 
 

@@ -6,7 +6,6 @@ written readable, or has been refused in one line. `--quick` tries a few of each
 and can be given, for what was found to be found again.
 """
 
-import argparse
 import os
 from pathlib import Path
 import random
@@ -14,6 +13,7 @@ import signal
 import sys
 import tempfile
 
+from benchmark.command import parser
 from benchmark.stress import files
 from benchmark.stress.disks import full_disks, places_that_are_none
 from benchmark.stress.kills import kills
@@ -119,10 +119,9 @@ def _made(folder):
 
 def main():
     """Print the table."""
-    parser = argparse.ArgumentParser(description='What a log survives.')
-    parser.add_argument('--quick', action='store_true')
-    parser.add_argument('--seed', type=int, default=random.SystemRandom().randrange(1 << 30))
-    given = parser.parse_args()
+    command = parser(__spec__, __doc__, 'a few of each')
+    command.add_argument('--seed', type=int, default=random.SystemRandom().randrange(1 << 30))
+    given = command.parse_args()
     print(f'timo_sim {timo_sim.__version__}, seed {given.seed}\n')
     print('| fault | tried | survived | remark |\n|---|---|---|---|')
     fallen = 0

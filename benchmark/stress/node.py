@@ -5,7 +5,6 @@ Real processes over real DDS. A fault is survived if the node goes on (or ended 
 0), answers a service, counted what it should, and left a log that can be read to its end.
 """
 
-import argparse
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 import os
@@ -21,6 +20,7 @@ from mcap.reader import make_reader
 import numpy as np
 
 from benchmark import ROOT
+from benchmark.command import parser
 from benchmark.process import ENVIRONMENT, running
 from benchmark.stress import refusals
 from benchmark.stress.node_process import Node, READY, survived
@@ -199,10 +199,9 @@ def rows(quick=False, soak=60.0):
 
 def main():
     """Do everything and print a Markdown table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--quick', action='store_true')
-    parser.add_argument('--soak', type=float, default=60.0, help='seconds of each of two soaks')
-    arguments = parser.parse_args()
+    command = parser(__spec__, __doc__, 'a part, briefly')
+    command.add_argument('--soak', type=float, default=60.0, help='seconds of each of two soaks')
+    arguments = command.parse_args()
     print('| fault | tried | survived | remark |\n|---|---|---|---|')
     for row in rows(arguments.quick, arguments.soak):
         print('| ' + ' | '.join(map(str, row)) + ' |', flush=True)

@@ -15,13 +15,13 @@ import os
 for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
     os.environ[threads] = '1'
 
-import argparse  # noqa: E402
 from collections import Counter  # noqa: E402
 import itertools  # noqa: E402
 import math  # noqa: E402
 
 import numpy as np  # noqa: E402
 
+from benchmark.command import parser  # noqa: E402
 import timo_sim  # noqa: E402
 from timo_sim.simulation import sampled_run  # noqa: E402
 
@@ -216,9 +216,7 @@ def long_rows(quick=False):
 
 def main():
     """Print both tables."""
-    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
-    parser.add_argument('--quick', action='store_true')
-    quick = parser.parse_args().quick
+    quick = parser(__spec__, __doc__, 'a tenth').parse_args().quick
     for row in itertools.chain(rows(quick), long_rows(quick)):
         print('| ' + ' | '.join(map(str, row)) + ' |', flush=True)
 

@@ -7,6 +7,7 @@ Every number is computed here, from this package and from the stored finite-elem
 import numpy as np
 
 from benchmark import ROOT
+from benchmark.command import parser
 from benchmark.figures.paper.errors import error_histories, errors_over_modes
 from benchmark.figures.paper.modes import frequencies, shapes
 from benchmark.figures.paper.motion import histories, wrong_axial
@@ -20,6 +21,7 @@ PAGE = ROOT / 'doc' / 'paper.md'
 
 def main():
     """Write the page and its figures."""
+    parser(__spec__, __doc__).parse_args()
     FIGURES.mkdir(exist_ok=True)
     comment, fem = read('paper')
     t = fem['t']
