@@ -1,5 +1,6 @@
 # Two commands do everything on a fresh machine: `make sim` and `make test`.
 # Both set up .venv with pinned versions; PYTHON=python3.12 chooses the interpreter.
+# CONTRIBUTING.md lists the targets.
 
 SHELL := /bin/bash
 .SHELLFLAGS := -o pipefail -c
@@ -20,10 +21,12 @@ unexport LD_LIBRARY_PATH
 endif
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
-INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --use-pep517 --constraint constraints.txt
+PIP := pip install --quiet --no-compile --disable-pip-version-check --use-pep517
+METADATA := pyproject.toml setup.py setup.cfg
 
-.PHONY: sim test graphics gallery picture paper benchmark benchmark-quick benchmark-speed benchmark-speed-quick \
-	benchmark-latency benchmark-control references stability stress stress-quick clean
+.PHONY: sim test test-lowest test-without-ros graphics gallery picture paper benchmark \
+	benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
+	references stability stress stress-quick clean
 
 sim: $(VENV)/.run
 	@mkdir -p $(dir $(RUN))
@@ -31,8 +34,20 @@ sim: $(VENV)/.run
 		-p duration:=10.0 -p record_file:=$(RUN) 2>&1 | sed 's/^\[[A-Z]*\] \[[0-9.]*\] //'
 	@echo "next: 'make picture' draws the arm; README.md shows how to command the node"
 
+PYTEST := -m pytest test --numprocesses 3 --dist loadfile
 test: $(VENV)/.test graphics
-	@$(BIN)/python -m pytest test --numprocesses 2 --dist loadfile
+	@$(BIN)/python $(PYTEST)
+
+# Options that leave out the test files that import one of the modules $(1) (a pattern of grep).
+without = $(addprefix --ignore=,$(shell grep -rlE '^ *(import|from) ($(1))\b' test --include='*.py'))
+
+# The lowest versions that pyproject.toml allows, on Python 3.12. rerun needs NumPy 2.
+test-lowest: .venv-lowest/.test
+	@.venv-lowest/bin/python $(PYTEST) $(call without,rerun|rerun_cli)
+
+# Python without ROS: 3.13, for which Jazzy has no wheels, among others.
+test-without-ros: .venv-without-ros/.test graphics
+	@PYTHONPATH=test .venv-without-ros/bin/python $(PYTEST) -p no:ros_process -p without_ros
 
 # Pictures of views, in the tests and in the gallery, are drawn without a screen by Mesa's driver.
 GRAPHICS := mesa-vulkan-drivers libvulkan1
@@ -43,7 +58,7 @@ graphics:
 		$$sudo apt-get -qq update && $$sudo apt-get -qq install -y --no-install-recommends \
 		$(GRAPHICS) >/dev/null; } || echo "pictures of views need: apt-get install $(GRAPHICS)"
 
-gallery: $(VENV)/.test graphics
+gallery: $(VENV)/.gallery graphics
 	@$(BIN)/python -m benchmark.figures.gallery
 
 picture: $(VENV)/.plot
@@ -83,24 +98,31 @@ stress-quick: $(VENV)/.benchmark
 	@$(BIN)/python -m benchmark.stress --quick
 
 clean:
-	rm -rf $(VENV) run build install log .pytest_cache .mypy_cache
+	rm -rf $(VENV) .venv-lowest .venv-without-ros run build install log .pytest_cache .mypy_cache \
+		*.egg-info
 
-$(VENV)/.made:
+# A virtual environment that git does not see.
+%/.made:
 	@test -n "$(PYTHON)" || { echo "timo_sim needs Python 3.11 or 3.12: apt-get install \
 	python3 python3-venv, or make PYTHON=..."; exit 1; }
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { echo "$(PYTHON) cannot make virtual \
 	environments: apt-get install python3-venv"; exit 1; }
-	@echo "setting up $(VENV) with $$($(PYTHON) --version), this takes a minute or two"
-	@rm -rf $(VENV) && $(PYTHON) -m venv $(VENV) && touch $@
+	@echo "setting up $* with $$($(PYTHON) --version), this takes a minute or two"
+	@rm -rf $* && $(PYTHON) -m venv $* && echo '*' > $*/.gitignore && touch $@
 
-$(VENV)/.run: $(VENV)/.made constraints.txt setup.py
-	@$(INSTALL) --editable '.[ros]' && touch $@
+# What each kind of target installs beside the package itself.
+$(VENV)/.run: EXTRAS := ros
+$(VENV)/.plot: EXTRAS := ros,plot
+$(VENV)/.gallery: EXTRAS := ros,plot,view
+$(VENV)/.benchmark: EXTRAS := ros,benchmark
+$(VENV)/.test: EXTRAS := ros,all,test
+$(VENV)/.run $(VENV)/.plot $(VENV)/.gallery $(VENV)/.benchmark $(VENV)/.test: \
+		constraints.txt $(METADATA) | $(VENV)/.made
+	@$(BIN)/$(PIP) --constraint constraints.txt --editable '.[$(EXTRAS)]' && touch $@
 
-$(VENV)/.test: $(VENV)/.run
-	@$(INSTALL) --editable '.[ros,test]' && touch $@
+.venv-lowest/.test: constraints-lowest.txt $(METADATA) | .venv-lowest/.made
+	@.venv-lowest/bin/$(PIP) --constraint constraints-lowest.txt \
+		--editable '.[ros,cluster,control,pandas,plot,sweep,test]' && touch $@
 
-$(VENV)/.plot: $(VENV)/.run
-	@$(INSTALL) --editable '.[ros,plot]' && touch $@
-
-$(VENV)/.benchmark: $(VENV)/.run
-	@$(INSTALL) --editable '.[ros,benchmark]' && touch $@
+.venv-without-ros/.test: constraints.txt $(METADATA) | .venv-without-ros/.made
+	@.venv-without-ros/bin/$(PIP) --constraint constraints.txt --editable '.[all,test]' && touch $@

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
 Carrier feed-forward: the carrier moves by 0.5 m across the arm, which should stay calm.
 
@@ -9,10 +17,9 @@ forward that a rigid arm would need. With those that bring the flexible arm to r
 that goes with them as the reference, next to nothing is left.
 """
 
-from lock_step import main
 from loop import PERIOD
 import numpy as np
-from slew import rest_to_rest, SCENE
+from slew import main, rest_to_rest, SCENE
 import timo_sim
 
 GOAL = 0.0, 0.5, 0.0                            # carrier x, y [m], shaft [rad]
@@ -30,7 +37,7 @@ class Follower:
 
     Parameters
     ----------
-    scene : timo_sim.scene.Scene
+    scene : timo_sim.Scene
         What the plan is made for.
     feed_forward : bool
         Whether the plan's forces are fed forward.
@@ -38,7 +45,7 @@ class Follower:
     """
 
     def __init__(self, scene, feed_forward=True):
-        model = timo_sim.linearize(scene).select(INPUTS, SEEN).discrete(PERIOD)
+        model = timo_sim.linearize(scene).select(INPUTS, SEEN).to_discrete(PERIOD)
         states, forces = rest_to_rest(model, {'carrier_y_m': GOAL[1]})
         self.path, self.forces = states @ model.C.T, forces * feed_forward
 

@@ -1,15 +1,20 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """A controller in lock step with the node: each state is answered by a command of its stamp."""
 
-from argparse import ArgumentParser
-
 from geometry_msgs.msg import Vector3Stamped
-from loop import in_a_loop, Seen
+from loop import Seen
 import numpy as np
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from slew import plot, score
 
 TOPICS = (  # in the order of Seen: type, name, what is taken of a message
     (JointState, '/timo_sim/encoder', lambda message: message.position[0]),
@@ -80,17 +85,3 @@ def with_the_node(controller):
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-
-
-def main(text, scene, controllers, **goal):
-    """Run what the command line asks for: a controller by name, with the node or in a loop."""
-    parser = ArgumentParser(description=text.strip().splitlines()[0])
-    parser.add_argument('controller', nargs='?', choices=controllers, default=[*controllers][-1])
-    parser.add_argument('--loop', action='store_true', help='without ROS, in a loop')
-    parser.add_argument('--plot', metavar='FILE', help='a picture of the run')
-    chosen = parser.parse_args()
-    controller = controllers[chosen.controller](scene)
-    record = in_a_loop(scene, controller) if chosen.loop else with_the_node(controller)
-    print(f'{chosen.controller}: {len(record)} states answered; {score(record, **goal)}')
-    if chosen.plot:
-        plot(record, chosen.controller, chosen.plot, **goal)

@@ -1,15 +1,19 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """A controller in a loop with the simulator, without ROS: what it sees is what the node shows."""
 
 from typing import NamedTuple
 
 import numpy as np
-
-from timo_sim.outputs import outputs, Snapshot
-from timo_sim.physics.formulation import FORCE_X, FORCE_Y, LOADS, TORQUE
-from timo_sim.simulation import Simulator
+import timo_sim
 
 PERIOD = 0.002  # of the controller: `sync_period` in slew.yaml [s]
-_INPUTS = {'carrier_x': FORCE_X, 'carrier_y': FORCE_Y, 'shaft': TORQUE}
 
 
 class Seen(NamedTuple):
@@ -25,13 +29,26 @@ class Seen(NamedTuple):
         return [t, *self.joints, *self.tip]
 
 
+def look(simulator):
+    """Return what there is to see of a simulator now."""
+    motion, sensors = simulator.motion, simulator.sensors
+    joints = (*motion.carrier, motion.shaft, *motion.carrier_velocity, motion.shaft_velocity)
+    return Seen(sensors.encoder, sensors.root_strain, (*joints, *simulator.effort),
+                simulator.deflection)
+
+
+def command(simulator, carrier_x=0.0, carrier_y=0.0, shaft=0.0):
+    """Hold efforts [N, N m] for a period."""
+    simulator.step(force=(carrier_x, carrier_y), torque=shaft, duration=PERIOD)
+
+
 def in_a_loop(scene, controller, duration=5.0):
     """
     Let a controller command the simulator.
 
     Parameters
     ----------
-    scene : timo_sim.scene.Scene
+    scene : timo_sim.Scene
     controller
         Has a method `effort(t, seen)`: the efforts by joint [N, N m] that answer what is seen at a
         time [s].
@@ -44,15 +61,10 @@ def in_a_loop(scene, controller, duration=5.0):
         A row for each period, see `Seen.row`.
 
     """
-    simulator, held, rows = Simulator(scene), np.zeros(LOADS), []
-    topics = {output.name: output.numbers for output in outputs(scene.values['model.modes'])}
+    simulator, held, rows = timo_sim.Simulator(scene), {}, []
     for _ in range(round(duration / PERIOD) + 1):
-        snapshot = Snapshot(simulator, simulator.load.tolist())
-        seen = Seen(*topics['~/encoder'](snapshot), *topics['~/root_strain'](snapshot),
-                    topics['joint_states'](snapshot), topics['~/tip_deflection'](snapshot))
-        t = snapshot.nanoseconds / 1e9
+        seen, t = look(simulator), simulator.nanoseconds / 1e9  # as in the stamps of the node
         rows.append(seen.row(t))
-        for joint, effort in controller.effort(t, seen).items():
-            held[_INPUTS[joint]] = effort
-        simulator.advance(round(PERIOD / scene.step), held.copy())
+        held |= controller.effort(t, seen)
+        command(simulator, **held)
     return np.array(rows)

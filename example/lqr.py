@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
 LQR with an observer: a planned slew, held to by feedback from encoder and strain gauge.
 
@@ -8,11 +16,10 @@ Plan, regulator and Kalman filter are of the linear model of the scene; the node
 nonlinear one, with noise and with limits on the torque.
 """
 
-from lock_step import main
 from loop import PERIOD
 import numpy as np
 from scipy.linalg import solve_discrete_are
-from slew import GOAL, rest_to_rest, SCENE
+from slew import GOAL, main, rest_to_rest, SCENE
 import timo_sim
 
 # What is as bad as a torque of 1 N m.
@@ -26,7 +33,7 @@ class LQR:
 
     Parameters
     ----------
-    scene : timo_sim.scene.Scene
+    scene : timo_sim.Scene
         With the noise of encoder and strain gauge, and the limit of the torque.
 
     """
@@ -34,7 +41,7 @@ class LQR:
     def __init__(self, scene):
         model = timo_sim.linearize(scene).select(['torque_N_m'])
         weighed = model.select(outputs=list(BAD)).C / [[bad] for bad in BAD.values()]
-        model = model.select(outputs=['shaft_rad', 'root_strain']).discrete(PERIOD)
+        model = model.select(outputs=['shaft_rad', 'root_strain']).to_discrete(PERIOD)
         self.a, self.b, self.c = a, b, c = model.A, model.B, model.C
         self.limit = scene.values['motor.torque_limit']
 

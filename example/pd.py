@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
 PD control of the shaft, from the encoder: the arm goes on vibrating after the slew.
 
@@ -8,9 +16,8 @@ The run has the same bits however busy the machine is, and ends with the node. `
 pd.mcap` shows it. `--loop` does the same without ROS.
 """
 
-from lock_step import main
 from loop import PERIOD
-from slew import GOAL, SCENE, smooth
+from slew import GOAL, main, SCENE, smooth
 import timo_sim
 
 STIFFNESS, DAMPING = 1000.0, 100.0  # [N m/rad], [N m s/rad]

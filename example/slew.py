@@ -1,14 +1,23 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
-What the examples share: the slew, the plan of a motion from rest to rest, score and picture.
+What the examples share: slew, plan of a motion from rest to rest, score, picture, command line.
 
 The arm turns by 45 degrees within 2 s, on a carrier with its brakes on; then all should be calm.
 """
 
+from argparse import ArgumentParser
 import math
 from pathlib import Path
 from typing import NamedTuple
 
-from loop import PERIOD
+from loop import in_a_loop, PERIOD
 import numpy as np
 
 SCENE = Path(__file__).with_name('slew.yaml')
@@ -34,8 +43,8 @@ def rest_to_rest(model, target, duration=DURATION):
 
     Parameters
     ----------
-    model : timo_sim.linear.LinearModel
-        `discrete(PERIOD)`.
+    model : timo_sim.LinearModel
+        `to_discrete(PERIOD)`.
     target : dict
         What is not 0 at the end, by name of the state.
     duration : float
@@ -112,3 +121,21 @@ def plot(record, title, file, goal=GOAL):
     panels[-1].axhline(1e3 * NEAR, color='grey', linestyle=':')
     panels[-1].set(yscale='log', xlabel='t [s]')
     figure.savefig(file)
+
+
+def main(text, scene, controllers, **goal):
+    """Run what the command line asks for: a controller by name, with the node or in a loop."""
+    parser = ArgumentParser(description=text.strip().splitlines()[0])
+    parser.add_argument('controller', nargs='?', choices=controllers, default=[*controllers][-1])
+    parser.add_argument('--loop', action='store_true', help='without ROS, in a loop')
+    parser.add_argument('--plot', metavar='FILE', help='a picture of the run')
+    chosen = parser.parse_args()
+    controller = controllers[chosen.controller](scene)
+    if chosen.loop:
+        record = in_a_loop(scene, controller)
+    else:
+        from lock_step import with_the_node  # needs ROS
+        record = with_the_node(controller)
+    print(f'{chosen.controller}: {len(record)} states answered; {score(record, **goal)}')
+    if chosen.plot:
+        plot(record, chosen.controller, chosen.plot, **goal)

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Fixtures: a real node in its own process and a real client, over DDS."""
 
 from pathlib import Path
@@ -90,7 +98,7 @@ class Process:
     def __init__(self, folder, *arguments, record=True, preexec_fn=None, **parameters):
         self.log = Path(folder) / 'run.mcap'
         values = {'record': record, 'record_file': str(self.log), **parameters}
-        command = [sys.executable, '-m', 'timo_sim.ros.sim_node', '--ros-args', *arguments]
+        command = [sys.executable, '-m', 'timo_sim.cli.sim_node', '--ros-args', *arguments]
         for name, value in values.items():
             shown = str(value).lower() if isinstance(value, bool) else value
             command += ['-p', f'{name}:={shown}']

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """`model.accuracy`: the stated tip error holds against finite elements, at the least cost."""
 
 import json
@@ -8,7 +16,7 @@ import pytest
 
 from oracles.references import read, spin_up as shaft_of_spin_up, TORQUE, world
 import timo_sim
-from timo_sim.accuracy import PERIOD, settle
+from timo_sim.simulation.resolution import choose_resolution, PERIOD
 
 SCENES = {'paper': 10.0, 'torque': 5.0, 'spin_up': 20.0}  # name, duration [s]
 
@@ -36,33 +44,35 @@ def tip_of_reference(name, length):
 @pytest.mark.parametrize('name', SCENES)
 @pytest.mark.parametrize('goal', [1e-3, 1e-4])
 def test_the_stated_error_holds(name, goal, source):
-    settled = settle(timo_sim.load_scene(source[name], {'model.accuracy': goal}), SCENES[name])
-    run = timo_sim.simulate(settled.scene, SCENES[name],
-                            every=round(PERIOD / settled.scene.step))
-    length = settled.scene.manipulator.arm.length
+    scene = timo_sim.load_scene(source[name], {'model.accuracy': goal})
+    choice = choose_resolution(scene, SCENES[name])
+    run = timo_sim.simulate(choice.scene, SCENES[name],
+                            sample_every=round(PERIOD / choice.scene.step))
+    length = choice.scene.manipulator.arm.length
     ours = np.stack([run.position(length),
-                     run.formulation.centre_line(run.q, run.formulation.at([length]))[:, 0]])
+                     run.model.centre_line(run.q, run.model.at([length]))[:, 0]])
     error = np.linalg.norm(ours - tip_of_reference(name, length), axis=2).max()
     assert error <= goal
     # The estimate is no guess either (it was within 6 %: the rest is the finite elements' and
     # that of twelve modes), nor is the choice much finer than it must be.
-    assert error == pytest.approx(settled.estimate, rel=0.15)
-    assert settled.scene.values['model.modes'] <= 5 and settled.scene.step >= 0.01
+    assert error == pytest.approx(choice.estimate, rel=0.15)
+    assert choice.scene.values['model.modes'] <= 5 and choice.scene.step >= 0.01
 
 
 def test_simulate_chooses_and_the_run_says_what(paper):
     run = timo_sim.simulate(timo_sim.load_scene(paper, {'model.accuracy': 1e-3}), 2.0)
     values = run.scene.values
     assert values['model.accuracy'] == 0.0
-    assert (values['model.modes'], values['integrator.step']) == (len(run.formulation.modes),
+    assert (values['model.modes'], values['integrator.step']) == (len(run.model.modes),
                                                                   run.t[1])
 
 
 def test_a_step_must_suit_jumps_and_the_caller(paper):
     jump = {'load.torque.piecewise.time': [0.011], 'load.torque.piecewise.value': [1.0]}
-    assert settle(timo_sim.load_scene({'model.accuracy': 1e-3, **jump}), 1.0).scene.step == 0.001
-    choice = settle(timo_sim.load_scene(paper, {'model.accuracy': 1e-3}), 1.0,
-                    lambda step: step <= 0.002)
+    choice = choose_resolution(timo_sim.load_scene({'model.accuracy': 1e-3, **jump}), 1.0)
+    assert choice.scene.step == 0.001
+    choice = choose_resolution(timo_sim.load_scene(paper, {'model.accuracy': 1e-3}), 1.0,
+                               lambda step: step <= 0.002)
     assert choice.scene.step == 0.002
 
 
@@ -74,7 +84,7 @@ def test_a_step_must_suit_jumps_and_the_caller(paper):
 ])
 def test_what_cannot_be_chosen_is_refused(values, message):
     with pytest.raises(timo_sim.ParameterError, match=message):
-        settle(timo_sim.load_scene({'model.accuracy': 1e-3, **values}), 1.0)
+        choose_resolution(timo_sim.load_scene({'model.accuracy': 1e-3, **values}), 1.0)
 
 
 def test_the_node_chooses_what_its_rates_allow_and_says_it(start, paper):

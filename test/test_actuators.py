@@ -1,13 +1,21 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Friction, limits and motor: closed forms, where the energy goes, and the same bits anyhow."""
 
 import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.actuators import Actuators
-from timo_sim.energy import work
-from timo_sim.physics.formulation import FORCE_X, LOADS, TORQUE, VOLTAGE
-from timo_sim.simulation import Simulator
+from timo_sim.physics.layout import FORCE_X, LOADS, TORQUE, VOLTAGE
+from timo_sim.simulation.actuators import Actuators
+from timo_sim.simulation.energy import work
+from timo_sim.simulation.simulator import Simulator
 
 RIGID = {'model.modes': 0, 'carrier.held': 'both', 'initial.shaft': 0.0}
 
@@ -15,12 +23,12 @@ RIGID = {'model.modes': 0, 'carrier.held': 'both', 'initial.shaft': 0.0}
 def commanded(scene, commands, last, every=1):
     """Run with commands, column and value by step; return motions and what acted then."""
     simulator, held = Simulator(scene), np.zeros(LOADS)
-    motions, loads = [simulator.motion()], [np.zeros(LOADS)]
+    motions, loads = [simulator.motion.values], [np.zeros(LOADS)]
     while simulator.steps < last:
         for column, value in commands.get(simulator.steps, ()):
             held[column] = value
         simulator.advance(every, held)
-        motions.append(simulator.motion())
+        motions.append(simulator.motion.values)
         loads.append(simulator.load.copy())
     return np.array(motions), np.array(loads)
 
@@ -50,7 +58,7 @@ def test_a_motor_reaches_the_speed_at_which_its_back_emf_is_the_voltage():
     """And on its way there with the time constant J R / (n k)^2."""
     scene = timo_sim.load_scene({
         **RIGID, 'motor.dc.resistance': 0.5, 'motor.dc.torque_constant': 0.06,
-        'motor.dc.gear': 50.0, 'motor.dc.voltage_limit': 24.0})
+        'motor.dc.gear_ratio': 50.0, 'motor.dc.voltage_limit': 24.0})
     motions, loads = commanded(scene, {0: [(VOLTAGE, 60.0)]}, 4000)
     speed, t = motions[:, 3 + 2], 0.001 * np.arange(4001)
     final, rate = 24.0 / (50.0 * 0.06), (50.0 * 0.06)**2 / 0.5 / shaft_inertia(scene)
@@ -124,9 +132,9 @@ def test_a_scene_may_change_on_the_way():
              'load.torque.piecewise.time': [0.0], 'load.torque.piecewise.value': [3.0]}
     simulator = Simulator(first)
     simulator.advance(200)
-    at = simulator.motion()
+    at = simulator.motion.values
     simulator.change(first.vary(later))
-    assert np.array_equal(simulator.motion(), at)
+    assert np.array_equal(simulator.motion.values, at)
     simulator.advance(300)
     q, rates = at[3:6], at[9:]
     again = timo_sim.simulate(first.vary({
@@ -134,6 +142,6 @@ def test_a_scene_may_change_on_the_way():
         'initial.carrier_x_velocity': at[6], 'initial.carrier_y_velocity': at[7],
         'initial.shaft_velocity': at[8], 'initial.modal_coordinates': q.tolist(),
         'initial.modal_rates': rates.tolist()}), 0.3)
-    assert np.abs(simulator.motion() - again.motion[-1]).max() < 1e-12
+    assert np.abs(simulator.motion.values - again.motion[-1]).max() < 1e-12
     simulator.reset()
-    assert np.array_equal(simulator.motion(), Simulator(first).motion())
+    assert np.array_equal(simulator.motion.values, Simulator(first).motion.values)

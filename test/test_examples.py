@@ -1,6 +1,15 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The examples in a loop with the simulator; `ros/test_sync.py` runs them with the node."""
 
 from pathlib import Path
+import subprocess
 import sys
 
 import numpy as np
@@ -8,11 +17,12 @@ import pytest
 
 import timo_sim
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / 'example'))
+EXAMPLE = Path(__file__).resolve().parents[1] / 'example'
+sys.path.append(str(EXAMPLE))
 
 LONG = 3.0  # of a run: until the score is known [s]
 IDEAL = {'sensor.encoder.noise': 0.0, 'sensor.encoder.resolution': 0.0,
-         'motor.torque_limit': 0.0, 'motor.torque_rate_limit': 0.0}
+         'motor.torque_limit': np.inf, 'motor.torque_rate_limit': np.inf}
 
 
 @pytest.fixture(scope='module')
@@ -25,7 +35,7 @@ def scene():
 def closed_loop(scene):
     """Return the poles of arm and PD, whose speed is a difference, by size, upper half [1/s]."""
     from pd import DAMPING, PERIOD, STIFFNESS
-    model = timo_sim.linearize(scene).select(['torque_N_m'], ['shaft_rad']).discrete(PERIOD)
+    model = timo_sim.linearize(scene).select(['torque_N_m'], ['shaft_rad']).to_discrete(PERIOD)
     before = DAMPING / PERIOD
     a = np.block([[model.A - (STIFFNESS + before) * model.B @ model.C, before * model.B],
                   [model.C, np.zeros((1, 1))]])
@@ -82,7 +92,7 @@ def test_the_plan_of_a_rigid_arm_is_the_motion_of_least_jerk(scene):
     """Later by half a period, for torques that are held; else what is left is of second order."""
     from slew import GOAL, PERIOD, rest_to_rest, smooth
     rigid = timo_sim.linearize(scene.vary({'model.modes': 0})).select(['torque_N_m'])
-    x, _ = rest_to_rest(rigid.discrete(PERIOD), {'shaft_rad': GOAL[2]})
+    x, _ = rest_to_rest(rigid.to_discrete(PERIOD), {'shaft_rad': GOAL[2]})
     part, rate = smooth(PERIOD * (np.arange(len(x)) - 0.5))
     # (PERIOD / DURATION)^2 is 1e-6.
     assert x == pytest.approx(GOAL[2] * np.column_stack([part, rate]), abs=1e-5)
@@ -91,7 +101,7 @@ def test_the_plan_of_a_rigid_arm_is_the_motion_of_least_jerk(scene):
 def test_a_plan_ends_at_rest(scene):
     """It is the model's motion, with all modes of the arm."""
     from slew import PERIOD, rest_to_rest
-    model = timo_sim.linearize(scene).select(['torque_N_m']).discrete(PERIOD)
+    model = timo_sim.linearize(scene).select(['torque_N_m']).to_discrete(PERIOD)
     x, u = rest_to_rest(model, {'shaft_rad': 1.0}, 1.0)
     assert x[1:] == pytest.approx(x[:-1] @ model.A.T + u[:-1] @ model.B.T, abs=1e-12)
     assert x[-1] == pytest.approx([1.0] + [0.0] * (len(model.states) - 1), abs=1e-11)
@@ -128,6 +138,19 @@ def test_the_flexible_feed_forward_of_the_carrier_leaves_next_to_nothing(scene):
     assert pd.residual > 2.0 * stiff.residual > 400.0 * ours.residual
     # Nothing is hidden: the carrier arrives in time, and the arm bends as before.
     assert ours.settled < 2.0 and stiff.peak == pytest.approx(ours.peak, rel=0.1)
+
+
+@pytest.mark.parametrize('name, said', [
+    ('pd', 'PD: 2501 states answered; tip within 1 mm'), ('lqr', 'LQR: 2501 '),
+    ('shaping', 'ZVD: 2501 '), ('carrier', 'flexible: 2501 ')])
+def test_an_example_needs_no_ros_in_a_loop(name, said):
+    code = ('import runpy, sys; '
+            'sys.modules.update(dict.fromkeys(["rclpy", "geometry_msgs", "sensor_msgs"])); '
+            'sys.argv = [sys.argv[1], "--loop"]; sys.path.insert(0, "."); '
+            'runpy.run_path(sys.argv[0], run_name="__main__")')
+    output = subprocess.run([sys.executable, '-c', code, f'{name}.py'], cwd=EXAMPLE, check=True,
+                            capture_output=True, text=True).stdout
+    assert output.startswith(said) and output.count('\n') == 1
 
 
 def test_score():

@@ -1,73 +1,108 @@
-"""Imports go one way: physics at the bottom, the node on top."""
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Imports point down: no circle among modules or folders, lazy imports included."""
 
 import ast
+from graphlib import TopologicalSorter
 from pathlib import Path
+import re
 import subprocess
 import sys
+
+import pytest
 
 import timo_sim
 
 PACKAGE = Path(timo_sim.__file__).parent
-# A module may import from its own layer and from those listed.
-BELOW = {
-    'physics': set(),
-    'actuators': {'physics', 'parameters'},
-    'energy': set(),
-    'cautions': {'step_control'},
-    'parameters': {'physics'},
-    'scene': {'physics', 'parameters', 'actuators'},
-    'commands': {'physics'},
-    'linear': {'physics', 'parameters'},
-    'outputs': {'physics', 'sensors'},
-    'sensors': set(),
-    'run': {'physics', 'scene', 'energy'},
-    'simulation': {'physics', 'parameters', 'scene', 'run', 'accuracy', 'actuators',
-                   'cautions', 'step_control'},
-    'step_control': {'physics'},
-    'accuracy': {'parameters', 'scene', 'simulation'},
-    'replay': {'physics', 'commands', 'outputs', 'parameters', 'scene', 'simulation', 'log',
-               'ros'},
-    'sweep': {'physics', 'parameters', 'scene', 'simulation', ''},
-    'track': {'physics', 'scene', 'energy'},
-    'view': {'track', 'scene'},
-    'cli': {'parameters', 'scene', 'linear', 'log', 'replay', 'sweep', 'track', 'view'},
-    'log': {'commands', 'outputs', 'parameters', 'scene', ''},
-    'ros': {'physics', 'commands', 'outputs', 'parameters', 'scene', 'simulation', 'accuracy',
-            'log', 'view', ''},
-}
-OUTSIDE_OF_PHYSICS = {'rclpy', 'yaml', 'mcap', 'rerun', 'logging', 'pathlib'}
+# From the ground up, as doc/design.md lists them: a folder may import from those before it.
+LAYERS = ['version', 'jit', 'physics', 'messages', 'scene', 'simulation', 'log', 'view', 'runs',
+          'replay', 'sweep', 'ros', 'cli', '__main__', '__init__']
+MODULES = {'.'.join(['timo_sim', *path.relative_to(PACKAGE).with_suffix('').parts])
+           .removesuffix('.__init__'): path for path in PACKAGE.rglob('*.py')}
+LICENCE = 8  # lines at the beginning of a file
+NAMED = re.compile(r'(timo_sim(?:\.\w+)+)(?::\w+)?')
 
 
-def imports(path):
-    """Return the modules that a file imports."""
-    found = set()
+def named_modules(path):
+    """Return the modules that a file imports anywhere, or names in a text to be imported."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
+            yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            found.add(node.module)
-    return found
+            assert not node.level, f'{path} has a relative import'
+            for alias in node.names:
+                inside = f'{node.module}.{alias.name}'
+                yield inside if inside in MODULES else node.module
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found = NAMED.fullmatch(node.value)
+            if found and found.group(1) in MODULES:
+                yield found.group(1)
+
+
+IMPORTS = {name: {module for module in named_modules(path) if module in MODULES} - {name}
+           for name, path in MODULES.items()}
+OUTSIDE = {name: {module.split('.')[0] for module in named_modules(path)} - {'timo_sim'}
+           for name, path in MODULES.items()}
 
 
 def layer(module):
-    """Return the layer of a module of ours: '' for the package itself."""
-    return module.split('.')[1] if '.' in module else ''
+    """Return the layer of a module."""
+    return module.split('.')[1] if '.' in module else '__init__'
 
 
-def test_arrows_point_down():
-    for path in PACKAGE.rglob('*.py'):
-        own = path.relative_to(PACKAGE).parts[0].removesuffix('.py')
-        if own == '__init__':
-            continue
-        ours = {layer(name) for name in imports(path) if name.startswith('timo_sim')}
-        assert ours <= BELOW[own] | {own}, f'{path} imports {ours - BELOW[own]}'
+def folder(module):
+    """Return the innermost folder of a module, of the root its own name."""
+    own = MODULES[module].parent.relative_to(PACKAGE).as_posix()
+    return module if own == '.' else own
 
 
-def test_physics_knows_no_files_ros_or_log():
-    for path in (PACKAGE / 'physics').glob('*.py'):
-        if path.name != 'compiled.py':  # keeps machine code on disk
-            foreign = {name.split('.')[0] for name in imports(path)} & OUTSIDE_OF_PHYSICS
-            assert not foreign, f'{path} imports {foreign}'
+def test_no_circle_among_modules():
+    [*TopologicalSorter(IMPORTS).static_order()]  # raises CycleError
+
+
+def test_no_circle_among_folders():
+    graph = {}
+    for name, modules in IMPORTS.items():
+        graph.setdefault(folder(name), set()).update(
+            folder(module) for module in modules if folder(module) != folder(name))
+    [*TopologicalSorter(graph).static_order()]
+
+
+@pytest.mark.parametrize('name', sorted(MODULES))
+def test_imports_point_down(name):
+    above = {module for module in IMPORTS[name]
+             if LAYERS.index(layer(module)) > LAYERS.index(layer(name))}
+    assert not above
+
+
+def test_a_sorter_that_is_given_a_circle_says_so():
+    with pytest.raises(ValueError, match='cycle'):
+        [*TopologicalSorter({'a': {'b'}, 'b': {'a'}}).static_order()]
+
+
+def test_who_knows_what():
+    """ROS is known to `ros` alone, files to few, numba to `jit`, the viewer to no node."""
+    def knowing(*packages):
+        return {layer(name) for name, modules in OUTSIDE.items() if modules & {*packages}}
+
+    assert knowing('rclpy', 'std_msgs', 'sensor_msgs', 'geometry_msgs') == {'ros'}
+    assert knowing('numba', 'llvmlite') == {'jit', 'log'}  # a log notes their versions
+    assert knowing('rerun') == {'view', 'cli'}
+    assert not any(modules & {'pathlib', 'yaml', 'mcap', 'os'} for name, modules in OUTSIDE.items()
+                   if layer(name) in ('physics', 'messages'))
+    assert not any(layer(module) == 'view' for name, modules in IMPORTS.items()
+                   for module in modules if layer(name) == 'ros')
+
+
+def test_modules_are_short():
+    lengths = {name: len(path.read_text().splitlines()) for name, path in MODULES.items()}
+    assert not {name: length for name, length in lengths.items() if length > 300 + LICENCE}
 
 
 def test_offline_use_needs_no_ros_and_the_package_itself_nothing_heavy():
@@ -83,4 +118,9 @@ def test_offline_use_needs_no_ros_and_the_package_itself_nothing_heavy():
 def test_the_command_line_imports_what_a_subcommand_needs_when_it_runs():
     code = ('import sys, timo_sim.cli; '
             'assert not {"numpy", "yaml", "tqdm", "pyarrow"} & set(sys.modules)')
+    subprocess.run([sys.executable, '-c', code], check=True)
+
+
+def test_parameters_need_no_numba():
+    code = ('import sys, timo_sim.scene.parameters; assert "numba" not in sys.modules')
     subprocess.run([sys.executable, '-c', code], check=True)

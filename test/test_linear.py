@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Linear models against closed forms, and against the nonlinear simulation nearby."""
 
 from click.testing import CliRunner
@@ -7,9 +15,9 @@ import scipy.linalg
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.physics.formulation import LOADS
-from timo_sim.physics.quadrature import Quadrature
-from timo_sim.simulation import Simulator
+from timo_sim.physics.arm.quadrature import Quadrature
+from timo_sim.physics.layout import LOADS
+from timo_sim.simulation.simulator import Simulator
 
 
 def straight(formulation, angle, free):
@@ -79,7 +87,7 @@ def test_a_step_of_the_simulation_is_the_discrete_model(name, step):
     """Small deviations and held commands, over one step: what is left is of second order."""
     scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': 3,
                                  'arm.damping_ratio': [0.02], 'integrator.step': step})
-    model = timo_sim.linearize(scene).discrete(step)
+    model = timo_sim.linearize(scene).to_discrete(step)
     rest = scene.initial_motion()
     random, small = np.random.default_rng(1), 1e-6
     for _ in range(3):
@@ -87,12 +95,12 @@ def test_a_step_of_the_simulation_is_the_discrete_model(name, step):
         ends = []
         for sign in (-1.0, 1.0):
             simulator = Simulator(scene)
-            simulator._state[:] = simulator.formulation.state(rest + sign * small * x)
+            simulator._state[:] = simulator.model.state(rest + sign * small * x)
             simulator._resting = False
             held = np.zeros(LOADS)
             held[[0, 1, 4, 5, 6, 9]] = sign * small * u
             simulator.advance(1, held)
-            ends.append(simulator.motion())
+            ends.append(simulator.motion.values)
         found = (ends[1] - ends[0]) / (2.0 * small)
         expected = model.A @ x + model.B @ u
         assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
@@ -107,7 +115,7 @@ def test_outputs_of_a_small_motion():
     run = timo_sim.simulate(scene, 0.4)
     model = timo_sim.linearize(scene.vary({'load.torque.piecewise.time': [],
                                            'load.torque.piecewise.value': []}))
-    discrete = model.select(['torque_N_m']).discrete(period)
+    discrete = model.select(['torque_N_m']).to_discrete(period)
     x, found = np.zeros(len(discrete.A)), []
     for _ in run.t:
         found.append(discrete.C @ x + discrete.D[:, 0] * torque)
@@ -163,7 +171,7 @@ def test_response_to_a_torque_is_the_sum_of_that_of_the_modes():
                                  'carrier.held': 'both'})
     model = timo_sim.linearize(scene).select(['torque_N_m'], ['shaft_rad'])
     frequency = np.geomspace(0.01, 100.0, 2001)
-    response = model.response(frequency)[:, 0, 0]
+    response = model.frequency_response(frequency)[:, 0, 0]
     squares, shapes = scipy.linalg.eigh(*reversed(straight(scene.build(), 0.0, range(2, 11))))
     squares[0] = 0.0  # of the shaft alone
     parts = shapes[0]**2 / (squares - (2.0 * np.pi * frequency[:, np.newaxis])**2)

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Scenes made of random names, values and YAML: a scene that runs, or one line that says why."""
 
 import math
@@ -7,7 +15,8 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.parameters import PARAMETERS, SCENE, short
+from timo_sim.scene.parameter import SCENE, short
+from timo_sim.scene.parameters import PARAMETERS
 
 # Time says nothing on a busy machine.
 fuzzed = settings(deadline=None, derandomize=True, max_examples=150,
@@ -157,7 +166,8 @@ def test_a_load_of_a_hundred_thousand_pieces_is_read(tmp_path):
     ({'real_time_factor': 1e300}, '<= 1e.06'), ({'command_timeout': 1e300}, '<= 2.147')])
 def test_numbers_that_would_round_to_none_or_overflow(value, words):
     from timo_sim.ros.parameters import steps_between_messages
-    from timo_sim.parameters import check, whole_ratio
+    from timo_sim.scene.parameter import whole_ratio
+    from timo_sim.scene.parameters import check
     with pytest.raises(timo_sim.ParameterError, match=words):
         values = {**{name: parameter.default for name, parameter in PARAMETERS.items()},
                   **check(value, 'test')}

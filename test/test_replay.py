@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Replays of bags and of changed scenes, against runs whose loads are known beforehand."""
 
 from click.testing import CliRunner
@@ -50,7 +58,7 @@ def test_a_bag_of_commands_gives_the_run_with_these_loads(bag, paper, tmp_path):
         'load.force_x.harmonic.amplitude': [], 'load.force_x.harmonic.frequency': [],
         'load.force_x.harmonic.phase': [], **SCENE})
     step, _, motion = recording.motion()
-    run = timo_sim.simulate(scene, 1.5, every=10)
+    run = timo_sim.simulate(scene, 1.5, sample_every=10)
     assert step.tolist() == list(range(0, 1501, 10))
     # The same loads, added in another order.
     assert np.abs(motion - run.motion).max() < 1e-12
@@ -63,13 +71,15 @@ def test_a_bag_needs_a_scene_and_a_log_does_not(bag):
 def log_of(path, scene, torques, last):
     """Write a log as the node would: joint states every 10 ms, by `simulate`; return it."""
     from timo_sim.log.notes import START, start_note
-    from timo_sim.parameters import PARAMETERS
-    from timo_sim.ros.topics import MESSAGES, Serializer
+    from timo_sim.messages.outputs import outputs
+    from timo_sim.messages.packing import Serializer
+    from timo_sim.scene.parameters import PARAMETERS
+    joints, = (output for output in outputs(0) if output.name == 'joint_states')
     values = {**{name: entry.default for name, entry in PARAMETERS.items()}, **scene.values}
-    recorder = Recorder(path, [Channel('/joint_states', 'sensor_msgs/msg/JointState'),
+    recorder = Recorder(path, [Channel('/joint_states', joints.type_name),
                                Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64')],
                         {START: start_note('/timo_sim', values, {}, scene)})
-    serialize = Serializer(MESSAGES['joint_states'][1], 9)
+    serialize = Serializer(joints.type_name, joints.template)
     run = timo_sim.simulate(scene.vary({
         'load.torque.piecewise.time': [1e-3 * step for step, _ in torques],
         'load.torque.piecewise.value': [value for _, value in torques]}), 1e-3 * last)
@@ -113,9 +123,9 @@ def test_what_if_says_how_far_when_and_in_what_unit(log, tmp_path, monkeypatch):
     assert 'new log: run_replay.mcap' in text
     scene = timo_sim.load_scene({
         'load.torque.piecewise.time': [0.1, 0.455], 'load.torque.piecewise.value': [1.0, -1.0]})
-    before = timo_sim.simulate(scene, 1.0, every=10)
+    before = timo_sim.simulate(scene, 1.0, sample_every=10)
     now = timo_sim.simulate(scene.vary({'model.modes': 5, 'end_effector.mass': 2.5}), 1.0,
-                            every=10)
+                            sample_every=10)
     distance = np.abs(now.shaft - before.shaft)
     row = next(line.split() for line in text.splitlines() if 'joint_states shaft_rad' in line)
     assert float(row[2]) == pytest.approx(distance.max(), rel=0.01)

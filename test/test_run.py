@@ -1,7 +1,16 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The public interface: shapes, units, what is read off a run, the progress bar."""
 
 import os
 import pty
+import re
 import subprocess
 import sys
 import termios
@@ -56,14 +65,14 @@ def test_work_of_the_loads_is_the_energy(paper):
 def test_projection_gives_back_a_mode():
     scene = timo_sim.load_scene({'model.modes': 3})
     modes = scene.build().modes
-    q = timo_sim.project(scene, lambda xi: 0.2 * modes.deflection(xi)[:, 1],
-                         lambda xi: 0.2 * modes.rotation(xi)[:, 1])
+    q = timo_sim.project_on_modes(scene, lambda xi: 0.2 * modes.deflection(xi)[:, 1],
+                                  lambda xi: 0.2 * modes.rotation(xi)[:, 1])
     assert q == pytest.approx([0.0, 0.2, 0.0], abs=1e-13)
 
 
 def test_every_nth_sample_is_that_of_the_full_run(paper):
     scene = timo_sim.load_scene(paper, {'integrator.step': 0.002})
-    full, thin = timo_sim.simulate(scene, 6.0), timo_sim.simulate(scene, 6.0, every=5)
+    full, thin = timo_sim.simulate(scene, 6.0), timo_sim.simulate(scene, 6.0, sample_every=5)
     assert np.array_equal(full.motion[::5], thin.motion)
     assert np.array_equal(full.t[::5], thin.t)
 
@@ -78,19 +87,21 @@ def test_duration_and_sampling_must_fit_the_step(paper):
     scene = timo_sim.load_scene(paper, {'integrator.step': 0.01})
     with pytest.raises(timo_sim.ParameterError, match='duration = 0.125.*the ratio is 12.5'):
         timo_sim.simulate(scene, 0.125)
-    with pytest.raises(timo_sim.ParameterError, match='every = 3 must divide.*10'):
-        timo_sim.simulate(scene, 0.1, every=3)
+    with pytest.raises(timo_sim.ParameterError, match='sample_every = 3 must divide.*10'):
+        timo_sim.simulate(scene, 0.1, sample_every=3)
 
 
 def test_xi_must_be_on_the_arm(paper):
     run = timo_sim.simulate(timo_sim.load_scene(paper), 0.01)
-    with pytest.raises(ValueError, match='xi must be between 0 and arm.length = 2.0 m, got 2.5'):
-        run.position(2.5)
+    for xi in (2.5, -0.1, np.nan, [0.0, 2.5]):
+        with pytest.raises(ValueError, match=re.escape(
+                f'xi must be between 0 and arm.length = 2.0 m, got {np.ravel(xi)[-1]}')):
+            run.position(xi)
 
 
 LONG_RUN = ('import timo_sim; scene = timo_sim.load_scene({"integrator.step": 1e-5, '
             '"model.modes": 0, "initial.shaft_velocity": 1.0}); '
-            'timo_sim.simulate(scene, SECONDS, every=1000)')
+            'timo_sim.simulate(scene, SECONDS, sample_every=1000)')
 
 
 def test_progress_bar_on_a_terminal_for_long_runs_only():

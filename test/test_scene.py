@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Scenes from files, dictionaries and overrides; what is refused, and in which words."""
 
 import math
@@ -5,8 +13,8 @@ import math
 import pytest
 
 import timo_sim
-from timo_sim.parameters import PARAMETERS
-from timo_sim.scene import read_parameter_file
+from timo_sim.scene.files import read_parameter_file
+from timo_sim.scene.parameters import PARAMETERS
 
 
 def test_paper_file_gives_the_defaults_and_the_papers_loads(paper):

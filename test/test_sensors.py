@@ -1,14 +1,23 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """What sensors measure, by closed forms and differences; what they show of it, by statistics."""
 
 import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.outputs import outputs, Snapshot
-from timo_sim.parameters import PARAMETERS
-from timo_sim.physics import FORMULATIONS
-from timo_sim.sensors import shown
-from timo_sim.simulation import Simulator
+from timo_sim.messages.outputs import outputs
+from timo_sim.messages.sensors import SENSORS
+from timo_sim.physics.equations import FORMULATIONS
+from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.simulation.sensors import reading
+from timo_sim.simulation.simulator import Simulator
 
 MOVING = {'initial.shaft_velocity': 2.0, 'initial.modal_rates': [2.0, 0.5, 0.1]}
 PERFECT = {name: parameter.default for name, parameter in PARAMETERS.items()}
@@ -17,7 +26,7 @@ STEPS = 20000
 
 def measured(simulator):
     """Return the numbers of the sensors' messages by topic."""
-    snapshot = Snapshot(simulator, simulator.load.tolist())
+    snapshot = simulator.snapshot()
     return {output.name: np.array(output.numbers(snapshot))
             for output in outputs(simulator.scene.values['model.modes']) if output.delay}
 
@@ -32,8 +41,8 @@ def test_acceleration_is_the_second_difference_of_the_tips_place(name, paper, sp
     simulator, ahead = (Simulator(scene) for _ in range(2))
     simulator.advance(8000)
     ahead.advance(8000 - 24)
-    formulation = simulator.formulation
-    place = formulation.world(ahead.advance(48, every=1), formulation.at([length]))[:, 0]
+    formulation, (motions, _) = simulator.model, ahead.advance(48, sample_every=1)
+    place = formulation.world(motions, formulation.at([length]))[:, 0]
     found = simulator.tip_acceleration()
 
     def error(weights, stride):
@@ -54,11 +63,11 @@ def test_acceleration_depends_on_the_load_at_once():
     scene = timo_sim.load_scene({**MOVING})
     simulator = Simulator(scene)
     simulator.advance(100)
-    formulation, force = simulator.formulation, np.array([3.0, -2.0])
-    state = formulation.state(simulator.motion())
+    force = np.array([3.0, -2.0])
+    state = simulator.model.state(simulator.motion.values)
     push = simulator.load.copy()
     push[5:7] = force
-    before, pushed, twice = (formulation.tip_acceleration(state, load) for load in (
+    before, pushed, twice = (simulator.integration.tip_acceleration(state, load) for load in (
         simulator.load, push, 2.0 * push))
     assert twice - before == pytest.approx(2.0 * (pushed - before), rel=1e-8)
     assert (pushed - before) @ force > 0.0
@@ -74,9 +83,9 @@ def test_imu_on_a_rigid_arm(formulation):
         'load.torque.piecewise.time': [0.0], 'load.torque.piecewise.value': [torque]})
     body, length = scene.manipulator, 2.0
     beam = body.arm.section.mass_per_length * length
-    total = body.base_mass + beam + body.tip_mass
-    centre = (0.5 * beam + body.tip_mass) * length / total
-    inertia = (body.shaft_inertia + body.tip_inertia + body.tip_mass * length**2
+    total = body.base_mass + beam + body.end_effector_mass
+    centre = (0.5 * beam + body.end_effector_mass) * length / total
+    inertia = (body.shaft_inertia + body.end_effector_inertia + body.end_effector_mass * length**2
                + beam * length**2 / 3.0
                + body.arm.section.inertia_per_length * length - total * centre**2)
     simulator = Simulator(scene)
@@ -86,7 +95,7 @@ def test_imu_on_a_rigid_arm(formulation):
         assert found['~/tip_imu'] == pytest.approx([
             -(length - centre) * speed**2, (length - centre) * torque / inertia, speed],
             rel=1e-9)
-        assert found['~/encoder'][0] == simulator.motion()[2]
+        assert found['~/encoder'][0] == simulator.motion.values[2]
         assert found['~/root_strain'][0] == 0.0
         simulator.advance(700)
 
@@ -96,10 +105,10 @@ def test_root_strain_is_that_of_the_moment_which_accelerates_the_arm():
     scene = timo_sim.load_scene({'model.formulation': 'newton', **MOVING})
     simulator = Simulator(scene)
     simulator.advance(300)
-    model, section = simulator.formulation, scene.manipulator.arm.section
+    model, section = simulator.model, scene.manipulator.arm.section
     inertia = (model.points.deflection @ (model.point_mass * model.points.xi)
                + model.points.rotation @ model.point_inertia)
-    moment = (model.modes.omega**2 * inertia) @ simulator.motion()[3:6]
+    moment = (model.modes.omega**2 * inertia) @ simulator.motion.values[3:6]
     found = measured(simulator)['~/root_strain'][0]
     assert abs(found) > 1e-4
     assert found == pytest.approx(0.5 * section.height * moment / section.bending_stiffness,
@@ -132,6 +141,12 @@ def test_strain_converges_to_statics_with_the_modes():
     shares = np.abs([missing(modes) for modes in (3, 6, 12, 24)])
     # 5e-3, 5e-4, 5e-5, 6e-6: order 3.
     assert np.all(shares[1:] < shares[:-1] / 8.0) and shares[-1] < 1e-5
+
+
+def shown(values, sensor, step, *quantities):
+    """Return what a sensor reads of quantities."""
+    number, = (place for place, entry in enumerate(SENSORS) if entry.name == sensor)
+    return reading(values, sensor, number, step, quantities)
 
 
 def test_a_perfect_sensor_shows_what_is():

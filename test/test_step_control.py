@@ -1,11 +1,21 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Errors of steps: estimated, kept below a tolerance by splitting, told when they are alarming."""
 
 import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.physics.formulation import LOADS, TORQUE
-from timo_sim.simulation import Simulator
+from timo_sim.physics.integrate import etdrk4
+from timo_sim.physics.layout import LOADS, TORQUE
+from timo_sim.simulation.load_table import LoadTable
+from timo_sim.simulation.simulator import Simulator
 
 FAST = {'initial.shaft_velocity': 20.0, 'initial.modal_rates': [5.0, 1.0, 0.0]}
 DURATION, PERIOD = 2.0, 0.02
@@ -13,7 +23,7 @@ DURATION, PERIOD = 2.0, 0.02
 
 def tip(simulator, motions):
     """Return where the tip is in the world, shape (n, 2) [m]."""
-    formulation = simulator.formulation
+    formulation = simulator.model
     return formulation.world(motions, formulation.at([2.0]))[:, 0]
 
 
@@ -21,7 +31,7 @@ def path(step, tolerance=0.0, **values):
     """Return simulator and path of the tip over 2 s, every 20 ms."""
     simulator = Simulator(timo_sim.load_scene({
         'integrator.step': step, 'integrator.tolerance': tolerance, **FAST, **values}))
-    motions = simulator.advance(round(DURATION / step), every=round(PERIOD / step))
+    motions, _ = simulator.advance(round(DURATION / step), sample_every=round(PERIOD / step))
     return simulator, tip(simulator, motions)
 
 
@@ -32,14 +42,15 @@ def test_the_error_follows_the_tolerance(formulation):
         for step in (0.02, 0.005):
             simulator, run = path(step, tolerance, **{'model.formulation': formulation})
             assert np.abs(run - exact).max() <= 10.0 * tolerance
-            assert (step < 0.02 or simulator.control.splits) and not simulator.control.coarse
-            assert 0.01 * tolerance < simulator.control.largest <= tolerance
+            integration = simulator.integration
+            assert (step < 0.02 or integration.splits) and not integration.unresolved
+            assert 0.01 * tolerance < integration.largest_error <= tolerance
 
 
 def test_with_a_tolerance_that_no_step_exceeds_the_halves_count():
     # Other machine code: the compiler may sum up in another order.
     (_, halves), (simulator, bound) = path(0.001), path(0.002, 1.0)
-    assert simulator.control.splits == 0
+    assert simulator.integration.splits == 0
     np.testing.assert_allclose(bound, halves, atol=1e-11)
 
 
@@ -49,14 +60,14 @@ def test_bits_depend_neither_on_how_steps_are_asked_for_nor_on_samples(every):
     pieces = Simulator(whole.scene)
     command = np.zeros(LOADS)
     command[TORQUE] = 30.0
-    motions = whole.advance(140, command, every)
+    motions, _ = whole.advance(140, command, every)
     pieces.advance(100)
-    found = [pieces.motion()]
+    found = [pieces.motion.values]
     for _ in range(140 // every):
         pieces.advance(every, command)
-        found.append(pieces.motion())
+        found.append(pieces.motion.values)
     assert np.array(found).tobytes() == motions.tobytes()
-    assert pieces.control.splits == whole.control.splits > 200
+    assert pieces.integration.splits == whole.integration.splits > 200
 
 
 def test_loads_are_those_of_the_parts():
@@ -74,9 +85,9 @@ def test_loads_are_those_of_the_parts():
 
 def test_what_is_too_coarse_in_the_smallest_parts_is_done_and_told():
     simulator, run = path(0.02, 1e-14)
-    assert simulator.control.coarse == simulator.control.splits == 100
+    assert simulator.integration.unresolved == simulator.integration.splits == 100
     assert np.abs(run - path(1e-4)[1]).max() < 1e-6
-    assert 'above integrator.tolerance = 1e-14 m when done in 64 parts' in simulator.caution
+    assert 'above integrator.tolerance = 1e-14 m when done in 64 parts' in simulator.warning
 
 
 def test_splitting_carries_over_what_diverges_in_whole_steps():
@@ -88,18 +99,19 @@ def test_splitting_carries_over_what_diverges_in_whole_steps():
 
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
-def test_the_look_ahead_is_the_error_of_the_next_step(formulation):
+def test_the_estimate_is_the_error_of_the_next_step(formulation):
     scene = timo_sim.load_scene({
         'integrator.step': 0.01, 'model.formulation': formulation, **FAST})
-    simulator = Simulator(scene)
+    simulator, table = Simulator(scene), LoadTable(scene)
+    model, integration = simulator.model, simulator.integration
     for _ in range(20):
         start = simulator._state.copy()
-        estimate, _ = simulator.control.look_ahead(start, simulator.scene_loads(1))
+        estimate, _ = integration.estimate_error(start, table.stages(simulator.steps, 1))
         fine = start.copy()
-        loads = simulator.control.loads(simulator.steps, 1, None, 5)
-        simulator.formulation.advance(simulator.control.propagator(5), fine, simulator.load, loads)
+        etdrk4.advance(model.packed, integration.propagator(5), fine, simulator.load,
+                       table.stages(simulator.steps, 1, 2**5), 0, np.empty((0, model.size)))
         simulator.advance(1)
-        error = np.abs(simulator.control._shift @ (simulator._state - fine)).sum()
+        error = np.abs(integration.shift @ (simulator._state - fine)).sum()
         assert estimate == pytest.approx(error, rel=0.3)
 
 
@@ -110,7 +122,7 @@ def test_a_run_of_wrong_steps_is_told_and_a_good_one_is_not():
         timo_sim.simulate(scene, 10.0)
     simulator = Simulator(timo_sim.load_scene({'integrator.step': 0.001, **wrong}))
     simulator.advance(10000)
-    assert simulator.caution is None and 0.0 < simulator.control.largest < 1e-5
+    assert simulator.warning is None and 0.0 < simulator.integration.largest_error < 1e-5
 
 
 def test_a_load_that_vibrates_within_a_step_is_told():
@@ -119,7 +131,7 @@ def test_a_load_that_vibrates_within_a_step_is_told():
     with pytest.warns(timo_sim.ModelWarning, match=(
             'load.force_y.harmonic.frequency = 30 Hz is too high for integrator.step = 0.01 s')):
         timo_sim.simulate(timo_sim.load_scene({'integrator.step': 0.01, **load}), 1.0)
-    assert Simulator(timo_sim.load_scene({'integrator.step': 0.005, **load})).caution is None
+    assert Simulator(timo_sim.load_scene({'integrator.step': 0.005, **load})).warning is None
 
 
 def test_divergence_says_what_when_and_what_to_do_and_keeps_the_state_before():
@@ -134,6 +146,6 @@ def test_divergence_says_what_when_and_what_to_do_and_keeps_the_state_before():
         block.advance(1000)
     assert str(first.value) == str(second.value)
     assert single.steps == block.steps > 0
-    assert single.motion().tobytes() == block.motion().tobytes()
-    reach, length = block.formulation.reach, 2.0
-    assert np.abs(block.motion()[3:6]) @ reach[3:] < 10.0 * length
+    assert single.motion.values.tobytes() == block.motion.values.tobytes()
+    reach, length = block.model.reach, 2.0
+    assert np.abs(block.motion.values[3:6]) @ reach[3:] < 10.0 * length

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Many runs: rows are those of `simulate`, failures are rows, whoever works and whatever dies."""
 
 import os
@@ -9,7 +17,7 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.sweep.chunk import Chunk, chunks_of, run_chunk, SUMMARY
+from timo_sim.sweep.jobs import Job, jobs_of, run_job, SUMMARY
 from timo_sim.sweep.local import LocalExecutor
 from timo_sim.sweep.many import outcomes
 
@@ -49,7 +57,7 @@ def test_rows_are_those_of_simulate_to_the_bit_for_one_worker_and_two(scene, pap
               for workers in (1, 2)]
     for table in tables:
         assert table['run'].tolist() == list(range(len(variations)))
-        assert not any(table['reason']) and not any(table['caution'])
+        assert not any(table['reason']) and not any(table['warning'])
         for row, variation in enumerate(variations):
             run = timo_sim.simulate(timo_sim.load_scene(scene.values, variation), 5.0)
             assert numbers(table, row) == expected(run), variation
@@ -63,7 +71,7 @@ def test_parameters_are_columns_with_the_scenes_value_where_a_run_does_not_set_t
         {'end_effector': {'mass': 1.0}}, {'load.torque.harmonic.amplitude': [3]},
         {'model.formulation': 'newton'}], 0.1, workers=1)
     assert list(table) == ['run', 'end_effector.mass', 'load.torque.harmonic.amplitude',
-                           'model.formulation', *NUMBERS, 'caution', 'reason']
+                           'model.formulation', *NUMBERS, 'warning', 'reason']
     assert table['end_effector.mass'].tolist() == [1.0, 2.0, 2.0]
     assert table['load.torque.harmonic.amplitude'].tolist() == [(5.0,), (3.0,), (5.0,)]
     assert table['model.formulation'].tolist() == ['exact', 'exact', 'newton']
@@ -100,7 +108,7 @@ def test_a_run_that_should_not_be_trusted_says_so(scene):
     table = timo_sim.simulate_many(scene, [fast, {}], 0.1, workers=1)
     with pytest.warns(timo_sim.ModelWarning) as caught:
         timo_sim.simulate(scene.vary(fast), 0.1)
-    assert table['caution'].tolist() == [str(caught[0].message), '']
+    assert table['warning'].tolist() == [str(caught[0].message), '']
 
 
 def test_what_does_not_fit_at_all_is_refused(scene):
@@ -110,27 +118,27 @@ def test_what_does_not_fit_at_all_is_refused(scene):
         timo_sim.simulate_many(scene, [{}], 0.125)
 
 
-def test_chunks_hold_every_run_once_and_are_neither_long_nor_few(scene):
+def test_jobs_hold_every_run_once_and_are_neither_long_nor_few(scene):
     for count in (1, 7, 33, 1000, 100_003):
         sizes, first = [], 0
-        for chunk in chunks_of(scene, 10.0, count, ({} for _ in range(count))):
-            assert chunk.first == first
-            first += len(chunk.variations)
-            sizes.append(len(chunk.variations))
+        for job in jobs_of(scene, 10.0, count, ({} for _ in range(count))):
+            assert job.first == first
+            first += len(job.variations)
+            sizes.append(len(job.variations))
         assert first == count and len(sizes) >= min(count, 16) and max(sizes) <= 100
-    long = next(chunks_of(scene, 10_000.0, 1000, [{}] * 1000))
+    long = next(jobs_of(scene, 10_000.0, 1000, [{}] * 1000))
     assert len(long.variations) == 1
 
 
-def test_no_more_chunks_are_made_than_keep_all_busy(scene):
+def test_no_more_jobs_are_made_than_keep_all_busy(scene):
     """Memory does not grow with the number of runs."""
     made = []
 
     class Executor:
         width = 2
 
-        def submit(self, function, chunk):
-            made.append(chunk)
+        def submit(self, function, job):
+            made.append(job)
             return self
 
         def result(self):
@@ -168,9 +176,9 @@ def test_a_killed_worker_process_loses_nothing(tmp_path, monkeypatch):
     assert not Path(f'/proc/{last}').exists()
 
 
-def test_a_chunk_needs_no_formulation_of_the_sender(scene):
+def test_a_job_needs_no_formulation_of_the_sender(scene):
     """What goes to a worker is small."""
-    chunk = Chunk(0, scene, 0.1, ({},))
-    assert len(pickle.dumps(chunk)) < 10_000
-    again = run_chunk(pickle.loads(pickle.dumps(chunk)))
-    assert np.array_equal(again.numbers, run_chunk(chunk).numbers)
+    job = Job(0, scene, 0.1, ({},))
+    assert len(pickle.dumps(job)) < 10_000
+    again = run_job(pickle.loads(pickle.dumps(job)))
+    assert np.array_equal(again.numbers, run_job(job).numbers)

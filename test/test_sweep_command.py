@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """`timo_sim sweep`: file in, Parquet out; refusals; killed and given again; on a Dask cluster."""
 
 import os
@@ -15,8 +23,8 @@ import pytest
 import yaml
 
 import timo_sim
-from timo_sim.sweep.chunk import chunks_of, run_chunk
 from timo_sim.sweep.cluster import cluster_executor
+from timo_sim.sweep.jobs import jobs_of, run_job
 from timo_sim.sweep.plan import read_plan
 from timo_sim.sweep.store import Store
 from timo_sim.sweep.table import table_of
@@ -196,7 +204,7 @@ def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
 
     # A part that is there is taken as it is: one of them says so in the result.
     known = parquet.read_table(parts[1])
-    column = known.schema.get_field_index('caution')
+    column = known.schema.get_field_index('warning')
     parquet.write_table(known.set_column(column, known.schema.field(column),
                                          [['seen'] * len(known)]), parts[1])
     parts[1].with_suffix('.sha256').unlink()
@@ -206,9 +214,9 @@ def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
 
     assert end(start(tmp_path, write(random=RANDOM, duration=10.0)))[0] == 0
     table, direct = rows(tmp_path / 'study.parquet'), many(path)
-    seen = [run for run, caution in zip(table['run'], table['caution']) if caution == 'seen']
+    seen = [run for run, warning in zip(table['run'], table['warning']) if warning == 'seen']
     assert seen == known['run'].to_pylist()
-    table['caution'] = direct['caution']
+    table['warning'] = direct['warning']
     assert table == direct
 
 
@@ -245,19 +253,19 @@ def _other_columns(part):
          'of other columns'])
 def test_a_part_that_is_not_whole_is_done_again(write, tmp_path, damage):
     plan = read_plan(write(random={**RANDOM, 'count': 2}))
-    chunks = [*chunks_of(plan.scene, plan.duration, plan.count, plan.variations())]
+    jobs = [*jobs_of(plan.scene, plan.duration, plan.count, plan.variations())]
     store = Store(tmp_path / 'study.parquet', plan)
-    for chunk in chunks:
-        store.add(chunk, table_of(chunk, plan.names, run_chunk(chunk)))
+    for job in jobs:
+        store.add(job, table_of(job, plan.names, run_job(job)))
     part, _ = sorted((tmp_path / 'study.parquet.parts').glob('*.parquet'))
     intact = part.read_bytes()
     damage(part)
     (part.parent / 'stranger.parquet').write_bytes(b'of nobody')
 
     again = Store(tmp_path / 'study.parquet', plan)
-    assert [again.has(chunk) for chunk in chunks] == [False, True]
+    assert [again.has(job) for job in jobs] == [False, True]
     part.write_bytes(intact)
-    assert again.has(chunks[0]) and again.finish() == 0
+    assert again.has(jobs[0]) and again.finish() == 0
     assert parquet.read_table(tmp_path / 'study.parquet')['run'].to_pylist() == [0, 1]
 
 

@@ -1,32 +1,63 @@
-"""
-timo_sim: a mobile manipulator with a flexible Timoshenko arm, simulated.
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
-The public names are imported when first used, so that `sim_node` can take care of signals before
-it loads NumPy, SciPy and numba.
+"""
+A planar mobile manipulator with a flexible Timoshenko arm, simulated.
+
+The public names are imported when they are first used, so that `sim_node` can take care of signals
+before it loads NumPy, SciPy and numba.
 """
 
 from importlib import import_module
+from typing import TYPE_CHECKING
 
-__version__ = '0.1.0'
+from timo_sim.version import __version__
 
-_HOMES = {
-    'DivergenceError': 'timo_sim.simulation',
-    'ModelWarning': 'timo_sim.simulation',
-    'ParameterError': 'timo_sim.parameters',
-    'Run': 'timo_sim.run',
-    'Scene': 'timo_sim.scene',
-    'linearize': 'timo_sim.linear',
-    'load_scene': 'timo_sim.scene',
-    'project': 'timo_sim.scene',
-    'settle': 'timo_sim.accuracy',
-    'simulate': 'timo_sim.simulation',
-    'simulate_many': 'timo_sim.sweep.many',
+if TYPE_CHECKING:
+    from timo_sim.runs.open_log import open_log
+    from timo_sim.runs.run import Run
+    from timo_sim.runs.simulate import simulate
+    from timo_sim.scene.parameter import ModelWarning, ParameterError
+    from timo_sim.scene.scene import load_scene, project_on_modes, Scene
+    from timo_sim.simulation.linear import LinearModel, linearize
+    from timo_sim.simulation.model_warnings import DivergenceError
+    from timo_sim.simulation.resolution import choose_resolution
+    from timo_sim.simulation.simulator import Simulator
+    from timo_sim.sweep.many import simulate_many
+
+_MODULES = {
+    'DivergenceError': 'simulation.model_warnings',
+    'LinearModel': 'simulation.linear',
+    'ModelWarning': 'scene.parameter',
+    'ParameterError': 'scene.parameter',
+    'Run': 'runs.run',
+    'Scene': 'scene.scene',
+    'Simulator': 'simulation.simulator',
+    'choose_resolution': 'simulation.resolution',
+    'linearize': 'simulation.linear',
+    'load_scene': 'scene.scene',
+    'open_log': 'runs.open_log',
+    'project_on_modes': 'scene.scene',
+    'simulate': 'runs.simulate',
+    'simulate_many': 'sweep.many',
 }
 
-__all__ = list(_HOMES)
+__all__ = [
+    'DivergenceError', 'LinearModel', 'ModelWarning', 'ParameterError', 'Run', 'Scene',
+    'Simulator', '__version__', 'choose_resolution', 'linearize', 'load_scene', 'open_log',
+    'project_on_modes', 'simulate', 'simulate_many']
 
 
 def __getattr__(name):
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    return getattr(import_module(_HOMES[name]), name)
+    return getattr(import_module(f'{__name__}.{_MODULES[name]}'), name)
+
+
+def __dir__():
+    return __all__

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """What `work_precision.py` measures: scenes with a reference, and methods with their settings."""
 
 from dataclasses import dataclass, field
@@ -12,8 +20,8 @@ from benchmark import ROOT
 from oracles import finite_elements, floating_frame, peers
 from oracles.references import read, spin_up, TORQUE, world
 import timo_sim
-from timo_sim.physics import FORMULATIONS
-from timo_sim.simulation import Simulator
+from timo_sim.physics.equations import FORMULATIONS
+from timo_sim.simulation.simulator import Simulator
 
 OWN = tuple(FORMULATIONS)
 ENGINE, REDUCED = 'exudyn, geometrically exact', 'exudyn, reduced floating frame'
@@ -114,11 +122,11 @@ def own_case(scene, formulation, modes, step):
         steps, every = round(scene.duration / step), round(period / step)
         start = time.process_time()
         try:
-            samples = simulator.advance(steps, every=every)[1:]
+            samples = simulator.advance(steps, sample_every=every)[0][1:]
         except timo_sim.DivergenceError:
             return None
         seconds = time.process_time() - start
-        return seconds, lambda: of_motions(simulator.formulation, scene, samples)
+        return seconds, lambda: of_motions(simulator.model, scene, samples)
     return Case(formulation, f'N = {modes}, h = {1e3 * step:g} ms', run, (modes, step))
 
 

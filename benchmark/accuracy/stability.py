@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
 How far the step carries: energy drift of a hard free scene over modes and step, `make stability`.
 
@@ -17,7 +25,7 @@ MODES, STEPS = (3, 5, 8, 12, 20), (0.010, 0.005, 0.002, 0.001, 0.0005, 0.0002)
 def drift(modes, step, speed, velocity):
     """Return the largest relative change of energy, infinite if the run diverges."""
     values = {'model.modes': modes, 'integrator.step': step, 'initial.shaft_velocity': speed}
-    rates = timo_sim.project(
+    rates = timo_sim.project_on_modes(
         timo_sim.load_scene(values),
         lambda xi: velocity * (1.5 * (xi / LENGTH)**2 - 0.5 * (xi / LENGTH)**3),
         lambda xi: velocity * (3.0 * (xi / LENGTH) - 1.5 * (xi / LENGTH)**2) / LENGTH)

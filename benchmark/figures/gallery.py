@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Five pictures and what is on them: `make gallery` writes doc/gallery.md and doc/gallery/."""
 
 from pathlib import Path
@@ -10,8 +18,6 @@ import numpy as np
 from benchmark import ROOT
 from benchmark.command import parser
 import timo_sim
-from timo_sim.physics.formulation import LOADS, TORQUE
-from timo_sim.simulation import Simulator
 
 matplotlib.use('Agg')
 # Okabe-Ito colours, told apart by everyone, and grey for what is drawn behind.
@@ -37,7 +43,7 @@ def sheet(title, ratio=1.0):
 def draw_arm(plane, run, sample, colour, alpha=1.0, label=None, body=True):
     """Draw carrier, bent arm and end effector of a sample."""
     length = run.scene.manipulator.arm.length
-    line = run.formulation.world(run.motion[[sample]], run.formulation.at(
+    line = run.model.world(run.motion[[sample]], run.model.at(
         np.linspace(0.0, length, 41)))[0]
     plane.plot(*line.T, color=colour, alpha=alpha, lw=3, label=label, solid_capstyle='round')
     plane.plot(*line[-1], 'o', color=colour, alpha=alpha, ms=11)
@@ -80,7 +86,7 @@ def paper():
 def spin_up():
     """Draw the arm that is spun up, and what centrifugal stiffening does."""
     scene = timo_sim.load_scene(ROOT / 'config/spin_up.yaml', FINE)
-    run = timo_sim.simulate(scene, 20.0, every=10)
+    run = timo_sim.simulate(scene, 20.0, sample_every=10)
     length = scene.manipulator.arm.length
     across = run.deflection(length)[:, 1]
     largest = int(np.abs(across).argmax())
@@ -181,19 +187,18 @@ def disturbance():
 
 def slew(scene, reference, inertia):
     """Step a simulator under PD and feed-forward on the shaft; return its run."""
-    simulator, held = Simulator(scene), np.zeros(LOADS)
+    simulator = timo_sim.Simulator(scene)
     proportional, derivative = 60.0, 20.0   # [N m/rad], [N m s/rad]
     t = np.arange(4001) * scene.step
     angle, speed, acceleration = (values(t) for values in reference)
-    motions = [simulator.motion()]
-    half = simulator.formulation.size // 2
+    motions = [simulator.motion]
     for k in range(len(t) - 1):
         motion = motions[-1]
-        held[TORQUE] = (inertia * acceleration[k] + proportional * (angle[k] - motion[2])
-                        + derivative * (speed[k] - motion[half + 2]))
-        simulator.advance(1, held)
-        motions.append(simulator.motion())
-    return timo_sim.Run(scene, simulator.formulation, t, np.array(motions), np.zeros_like(t))
+        torque = (inertia * acceleration[k] + proportional * (angle[k] - motion.shaft)
+                  + derivative * (speed[k] - motion.shaft_velocity))
+        motions.append(simulator.step(torque=torque))
+    return timo_sim.Run(scene, simulator.model, t,
+                        np.array([motion.values for motion in motions]), np.zeros_like(t))
 
 
 def vibration_control():
@@ -201,7 +206,7 @@ def vibration_control():
     scene = timo_sim.load_scene({**FINE, 'initial.shaft': 0.0, 'carrier.held': 'both'})
     body, arm = scene.manipulator, scene.manipulator.arm
     inertia = (body.shaft_inertia + arm.section.mass_per_length * LENGTH**3 / 3.0
-               + body.tip_mass * LENGTH**2 + body.tip_inertia)
+               + body.end_effector_mass * LENGTH**2 + body.end_effector_inertia)
     goal, duration = 0.25 * np.pi, 1.5
 
     def smooth(order):
@@ -236,7 +241,7 @@ def vibration_control():
 
 def window():
     """Draw what `timo_sim view` shows of the paper's run, for the README."""
-    from timo_sim.track import of_run
+    from timo_sim.view.motion_track import of_run
     from timo_sim.view.convert import write
     from timo_sim.view.viewer import picture
     run = timo_sim.simulate(timo_sim.load_scene(ROOT / 'config/paper.yaml'), 10.0)

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Draw the arm in the paper's scene: `make picture` writes doc/arm.png."""
 
 import matplotlib
@@ -21,7 +29,7 @@ def main():
     plt.rcParams.update({'font.size': 13})
     scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml',
                                 {'model.modes': 5, 'integrator.step': 0.005})
-    run = timo_sim.simulate(scene, 10.0, every=2)
+    run = timo_sim.simulate(scene, 10.0, sample_every=2)
     across = read('paper')[1]['w_l_m']
 
     figure, (plane, shape, time) = plt.subplots(

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
 How late a command shows, and how fast lock step goes: `make benchmark-latency`, two minutes.
 
@@ -180,7 +188,7 @@ def periods(server, domain, executor, seconds):
     """Return how many answers a second a controller gave to a server."""
     environment = {**ENVIRONMENT, 'ROS_DOMAIN_ID': str(domain)}
     with tempfile.TemporaryDirectory() as folder, running(
-            ['-m', 'timo_sim.ros.sim_node', *WAITS] if server == 'node'
+            ['-m', 'timo_sim.cli.sim_node', *WAITS] if server == 'node'
             else ['-m', MODULE, 'server', executor], env=environment, cwd=folder,
             stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT), running(
             ['-m', MODULE, 'controller', executor, str(seconds)], env=environment,

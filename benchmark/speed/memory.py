@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Memory of a long logged run, from ten minutes of sim time: a row of doc/speed.md."""
 
 import re
@@ -25,7 +33,7 @@ def resident(pid):
 def rows(quick=False):
     """Run freely with every step logged; return the row of the table."""
     duration = 60.0 if quick else 600.0
-    command = [sys.executable, '-m', 'timo_sim.ros.sim_node', *arguments(
+    command = [sys.executable, '-m', 'timo_sim.cli.sim_node', *arguments(
         record=True, record_file='run.mcap', real_time_factor=0.0, duration=duration)]
     seen = []
     with tempfile.TemporaryDirectory() as folder, subprocess.Popen(

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """What a scene does not need, how it is left out, and what that saves: a table of doc/speed.md."""
 
 import time
@@ -6,8 +14,8 @@ from benchmark.command import parser
 from benchmark.speed.step import PAPER, Prepared
 from benchmark.speed.timing import timed
 import timo_sim
-from timo_sim.accuracy import settle
-from timo_sim.simulation import Simulator
+from timo_sim.simulation.resolution import choose_resolution
+from timo_sim.simulation.simulator import Simulator
 
 STEPS = 1000
 LEAVING_OUT = [  # name, how, parameters
@@ -56,7 +64,7 @@ def rest_row():
 
 def accuracy_row():
     """Return the row of `model.accuracy`: the time of 10 s against 5 modes at 1 ms."""
-    lean = settle(timo_sim.load_scene(PAPER, {'model.accuracy': 1e-3})).scene
+    lean = choose_resolution(timo_sim.load_scene(PAPER, {'model.accuracy': 1e-3})).scene
     full = timo_sim.load_scene(PAPER, {'model.modes': 5})
     times = []
     for scene in (lean, full):

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Time of a step and of a run: rows of doc/speed.md, and cost against N, n_g and horizon."""
 
 import time
@@ -12,8 +20,10 @@ from benchmark.command import parser  # noqa: E402
 from benchmark.speed.timing import timed  # noqa: E402
 from oracles.references import read  # noqa: E402
 import timo_sim  # noqa: E402
-from timo_sim.physics import etdrk4, FORMULATIONS  # noqa: E402
-from timo_sim.physics.compiled import record  # noqa: E402
+from timo_sim.jit.constants import pack  # noqa: E402
+from timo_sim.physics.equations import formulation_class  # noqa: E402
+from timo_sim.physics.integrate import etdrk4  # noqa: E402
+from timo_sim.physics.integrate.propagator import propagator  # noqa: E402
 
 PAPER = ROOT / 'config' / 'paper.yaml'
 STEPS = 1000  # of 10 ms
@@ -30,18 +40,20 @@ class Prepared:
     """A formulation of a scene, compiled, and the loads of a run."""
 
     def __init__(self, scene, steps=STEPS, nodes=None):
-        kind = FORMULATIONS[scene.values['model.formulation']]
+        kind = formulation_class(scene.values['model.formulation'])
         self.model = kind(scene.manipulator, scene.values['model.modes'],
                           scene.values['arm.damping_ratio'] or 0.0, scene.constraints, nodes)
         self.steps = steps
         self._start = self.model.state(scene.initial_motion())
         self._loads = scene.load.stages(0, steps, scene.step)
-        self._propagator = record(etdrk4.propagator(self.model.linear, scene.step))
+        self._propagator = pack(propagator(self.model.linear, scene.step))
 
     def run(self, every=0):
         """Do the steps; return motions at the start and after each `every` of them."""
-        return self.model.advance(self._propagator, self._start.copy(), self._loads[0, 0],
-                                  self._loads, every)[1]
+        samples = np.empty((1 + len(self._loads) // every if every else 0, self.model.size))
+        etdrk4.advance(self.model.packed, self._propagator, self._start.copy(),
+                       self._loads[0, 0], self._loads, every, samples)
+        return samples
 
     def time_of_step(self, rounds=25):
         """Return the time of a step without samples."""
@@ -92,7 +104,7 @@ def exponent(x, y):
 def run_time(horizon):
     """Return the time of a run of the paper's scene with a sample every second [s]."""
     scene, start = paper(), time.perf_counter()
-    timo_sim.simulate(scene, horizon, every=100)
+    timo_sim.simulate(scene, horizon, sample_every=100)
     return time.perf_counter() - start
 
 

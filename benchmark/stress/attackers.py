@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
 The processes that attack a node; each runs until SIGTERM and prints what it counted.
 
@@ -36,7 +44,7 @@ TOPICS = {'joint_states': JointState, 'timo_sim/modal_state': JointState,
 HUGE = 'x' * 1000000
 BAD_NUMBERS = (math.nan, math.inf, -math.inf)
 PARAMETERS = ('rate.joint_states', 'rate.tip_pose', 'real_time_factor', 'catch_up_limit',
-              'command_timeout', 'step_count', 'arm.length', 'use_sim_time', 'no.such', '')
+              'command_timeout', 'steps_per_call', 'arm.length', 'use_sim_time', 'no.such', '')
 VALUES = (
     [ParameterValue(type=3, double_value=value) for value in (
         0.0, 1.0, 500.0, 1e13, 1e300, -1.0, 1e-300, *BAD_NUMBERS)]

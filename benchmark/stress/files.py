@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Faults that machine code on disk and the parts of a sweep must survive; see log.py."""
 
 import os
@@ -6,7 +14,7 @@ import sys
 
 from benchmark import ROOT
 from benchmark.stress.tally import ensure, small_disk, Tally
-from timo_sim.physics import compiled
+from timo_sim.jit import code_store
 
 
 def _tripled(number):
@@ -17,10 +25,10 @@ def machine_code(folder, count, generator):
     """Damage machine code on disk."""
     tally, shelf = Tally('machine code on disk flipped, cut, replaced'), folder / 'code'
     shelf.mkdir()
-    before, compiled.cache_directory = compiled.cache_directory, lambda: shelf
+    before, code_store.cache_directory = code_store.cache_directory, lambda: shelf
     try:
         for number in range(count):
-            function = compiled.entry_point(_tripled)
+            function = code_store.entry_point(_tripled)
             function(1.0)
             file, = shelf.glob('*.code')
             content = bytearray(file.read_bytes())
@@ -28,17 +36,17 @@ def machine_code(folder, count, generator):
             content[place] ^= 1 << generator.randrange(8)
             file.write_bytes([content, content[:place], os.urandom(place)][number % 3])
             with tally.trial(f'byte {place}, kind {number % 3}'):
-                again = compiled.entry_point(_tripled)
+                again = code_store.entry_point(_tripled)
                 ensure(again(2.0) == 6.0 and not sum(again._cache_hits.values()), 'it is used')
     finally:
-        compiled.cache_directory = before
+        code_store.cache_directory = before
     return tally.row('compiled again')
 
 
 RUN = """
 import os, pathlib, shutil, sys, timo_sim
-from timo_sim.physics.compiled import cache_directory
-folder = cache_directory()
+from timo_sim.jit.code_store import store_directory
+folder = store_directory()
 if sys.argv[1] == 'removed':
     shutil.rmtree(folder)
 elif sys.argv[1] == 'full':
@@ -80,16 +88,16 @@ def runs_without_a_cache(folder):
 
 def sweep_parts(folder, count, generator):
     """Damage the parts of a sweep."""
-    from timo_sim.sweep.chunk import chunks_of, run_chunk
+    from timo_sim.sweep.jobs import jobs_of, run_job
     from timo_sim.sweep.plan import read_plan
     from timo_sim.sweep.store import Store
     from timo_sim.sweep.table import table_of
     tally, plan = Tally('part of a sweep flipped, cut, replaced'), read_plan(
         ROOT / 'config' / 'sweep.yaml')
     store = Store(folder / 'sweep.parquet', plan)
-    chunk = next(chunks_of(plan.scene, plan.duration, plan.count, plan.variations()))
-    table = table_of(chunk, plan.names, run_chunk(chunk))
-    store.add(chunk, table)
+    job = next(jobs_of(plan.scene, plan.duration, plan.count, plan.variations()))
+    table = table_of(job, plan.names, run_job(job))
+    store.add(job, table)
     part, = (folder / 'sweep.parquet.parts').glob('*.parquet')
     intact, expected = part.read_bytes(), store._read(part)
     for number in range(count):
@@ -99,7 +107,7 @@ def sweep_parts(folder, count, generator):
         part.write_bytes([content, content[:place], os.urandom(place)][number % 3])
         with tally.trial(f'byte {place}, kind {number % 3}'):
             # What Parquet has no checksum for may be wrong in the file, but not in the table.
-            ensure(not store.has(chunk) or store._read(part).equals(expected), 'it is taken')
+            ensure(not store.has(job) or store._read(part).equals(expected), 'it is taken')
     return tally.row('done again')
 
 

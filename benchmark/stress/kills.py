@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Nodes killed at random moments: how much of what was published is in their logs."""
 
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +24,7 @@ from benchmark.process import arguments, ENVIRONMENT
 from benchmark.stress.tally import ensure, Tally
 from oracles.log_readers import decoded
 import timo_sim
-from timo_sim.log.reader import LogError
+from timo_sim.log.records import LogError
 from timo_sim.log.recover import recover
 
 NODES = 4              # that live at the same time
@@ -63,7 +71,7 @@ def kills(count, generator):
     def kill(number):
         name = f'n{number}'
         path, heard = Path(folder) / f'{name}.mcap', listen(name)
-        command = [sys.executable, '-m', 'timo_sim.ros.sim_node', *arguments(
+        command = [sys.executable, '-m', 'timo_sim.cli.sim_node', *arguments(
             rate=100.0, record=True, record_file=str(path)), '-r', f'__ns:=/{name}']
         with subprocess.Popen(command, env=ON_THE_WIRE, cwd=folder, stdout=subprocess.DEVNULL,
                               stderr=subprocess.DEVNULL) as process:

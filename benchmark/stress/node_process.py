@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The node under attack, in a process and a folder of its own, and whether it survived."""
 
 from pathlib import Path
@@ -26,7 +34,7 @@ class Node:
         words = [word for name, value in values.items() for word in (
             '-p', f'{name}:={str(value).lower() if isinstance(value, bool) else value}')]
         self.process = subprocess.Popen(
-            [sys.executable, '-m', 'timo_sim.ros.sim_node', '--ros-args', *arguments, *words],
+            [sys.executable, '-m', 'timo_sim.cli.sim_node', '--ros-args', *arguments, *words],
             cwd=folder, env=environment, stdout=self._output, stderr=subprocess.STDOUT)
 
     def output(self):

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
 Stress test of the numerics: scenes from the corners of what can be asked for.
 
@@ -23,7 +31,7 @@ import numpy as np  # noqa: E402
 
 from benchmark.command import parser  # noqa: E402
 import timo_sim  # noqa: E402
-from timo_sim.simulation import sampled_run  # noqa: E402
+from timo_sim.runs.simulate import sampled_run  # noqa: E402
 
 LENGTH = 2.0  # of the arm [m]
 ACCURATE, TOLERANCE = 1e-3 * LENGTH, 1e-6 * LENGTH  # [m]
@@ -140,9 +148,9 @@ def _friction(kind, mass):
 
 
 def tip(scene, steps, every):
-    """Return the path of the tip, shape (n, 2) [m], and the run's caution."""
-    run, caution = sampled_run(scene, steps, every)
-    return run.formulation.world(run.motion, run.formulation.at([LENGTH]))[:, 0], caution
+    """Return the path of the tip, shape (n, 2) [m], and the run's warning."""
+    run = sampled_run(scene, steps, every)
+    return run.position(LENGTH), run.warning
 
 
 def judge(cell):
@@ -161,15 +169,15 @@ def judge(cell):
     found = []
     for scene in fixed, scene_of(cell, step, TOLERANCE):
         try:
-            path, caution = tip(scene, steps, every)
+            path, warning = tip(scene, steps, every)
         except timo_sim.DivergenceError as error:
             found.append(('refused', math.nan, str(error)))
             continue
         error = math.inf if reference is None else np.abs(path - reference).max()
         # A reference with a warning cannot tell a wrong run from a right one.
-        verdict = ('accurate' if error <= ACCURATE else 'flagged' if caution or doubt else
+        verdict = ('accurate' if error <= ACCURATE else 'flagged' if warning or doubt else
                    'silent')
-        found.append((verdict, error, caution or ''))
+        found.append((verdict, error, warning or ''))
     return found
 
 

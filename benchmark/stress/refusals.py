@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Parameters that a node must refuse, from files and from the command line."""
 
 from pathlib import Path
@@ -44,7 +52,7 @@ def rows(quick):
 
 def _ends_with(code, folder, *arguments):
     result = subprocess.run(
-        [sys.executable, '-m', 'timo_sim.ros.sim_node', '--ros-args', '-p', 'duration:=0.01',
+        [sys.executable, '-m', 'timo_sim.cli.sim_node', '--ros-args', '-p', 'duration:=0.01',
          '-p', 'record:=false', *arguments], cwd=folder, env=ENVIRONMENT, capture_output=True,
         text=True, timeout=READY)
     lines = [line for line in result.stderr.splitlines() if line.startswith('timo_sim: ')]

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """What `timo_sim info` says, and tables and bags that others read."""
 
 import csv
@@ -18,6 +26,8 @@ import timo_sim
 from timo_sim.cli import main
 from timo_sim.log.index import Index
 from timo_sim.log.recorder import Channel, Recorder
+from timo_sim.messages.outputs import outputs
+from timo_sim.messages.packing import Serializer
 
 
 @pytest.fixture(scope='module')
@@ -34,7 +44,7 @@ def log(tmp_path_factory, paper):
 @pytest.fixture(scope='module')
 def run(paper):
     """Return the same run, every 10 ms."""
-    return timo_sim.simulate(timo_sim.load_scene(paper), 2.0, every=10)
+    return timo_sim.simulate(timo_sim.load_scene(paper), 2.0, sample_every=10)
 
 
 def call(*arguments, code=0):
@@ -59,11 +69,11 @@ def test_info_says_what_was_run(log, paper):
 
 
 def test_info_finds_gaps_and_reads_the_peak_where_nobody_noted_it(tmp_path):
-    topics = [Channel('/timo_sim/tip_deflection', 'geometry_msgs/msg/Vector3Stamped')]
+    output, = (output for output in outputs(0) if output.name == '~/tip_deflection')
+    topics = [Channel('/timo_sim/tip_deflection', output.type_name)]
     recorder = Recorder(tmp_path / 'run.mcap', topics, {
         'timo_sim': {'node': '/timo_sim', 'parameters': '{}', 'changed': '{}'}})
-    from timo_sim.ros.topics import MESSAGES, Serializer
-    serialize = Serializer(MESSAGES['~/tip_deflection'][1], 2)
+    serialize = Serializer(output.type_name, output.template)
     for step in [*range(0, 50), *range(80, 100)]:
         recorder.write(0, step, step * 1000000, serialize((0, step * 1000000), (0.0, -step)))
     recorder.close()

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The log, read back by other people's readers, and what happens when it cannot be written."""
 
 from collections import Counter
@@ -131,13 +139,13 @@ def test_the_scene_in_the_log_repeats_the_run(recorded):
     assert json.loads(record['initial_motion']) == scene.initial_motion().tolist()
     assert {'numpy', 'scipy', 'numba', 'python', 'timo_sim'} <= set(record)
     last = seen['/joint_states'][-1]
-    run = timo_sim.simulate(scene, key(last.header.stamp) * 1e-9, every=10)
+    run = timo_sim.simulate(scene, key(last.header.stamp) * 1e-9, sample_every=10)
     # Loads are summed in another order than command plus scene.
     assert np.abs(run.motion[-1, :3] - last.position).max() < 1e-13
 
 
 def test_a_reset_is_in_the_log(start, client):
-    node = start(start_paused=True, step_count=30)
+    node = start(start_paused=True, steps_per_call=30)
     step = client.service(Trigger, '/timo_sim/step')
     assert step().success and client.service(Trigger, '/timo_sim/reset')().success
     assert step().success

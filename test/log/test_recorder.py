@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The recorder by itself: chunks, checksums, index, metadata in between."""
 
 from mcap.reader import make_reader
@@ -43,7 +51,7 @@ def test_a_reader_that_seeks_finds_its_part(path):
     with open(path, 'rb') as stream:
         reader = make_reader(stream)
         part = [message.sequence for _, _, message in reader.iter_messages(
-            topics=['/b'], starting_at=1000000, ending_before=1500000)]
+            ['/b'], 1000000, 1500000)]
         summary = reader.get_summary()
     assert part == list(range(1000, 1500, 10))
     assert len(summary.chunk_indexes) >= STEPS * 135 // CHUNK_SIZE

@@ -1,5 +1,14 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Logs and bags as arrays: what other readers find, and files that lie."""
 
+import json
 import shutil
 
 from mcap.reader import make_reader
@@ -12,10 +21,12 @@ from rosbags.typesys import get_typestore, Stores
 
 from ros_process import Process
 import timo_sim
-from timo_sim.commands import COMMANDS
 from timo_sim.log.info import info
-from timo_sim.log.reader import LogError
+from timo_sim.log.notes import CHANGE, START
+from timo_sim.log.recorder import Channel, Recorder
 from timo_sim.log.recording import common, Recording
+from timo_sim.log.records import LogError
+from timo_sim.messages.commands import COMMANDS
 
 LIES = 150
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -34,6 +45,25 @@ def log(tmp_path_factory, paper):
 def numbers(message):
     """Return what the columns of a joint state say, by another reader."""
     return [*message.position, *message.velocity, *message.effort]
+
+
+def test_a_log_of_version_0_1_has_todays_names_and_limits(tmp_path):
+    """Two parameters had other names, and a limit of 0 meant that there was none."""
+    recorder = Recorder(tmp_path / 'old.mcap', [
+        Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64')], {START: {
+            'node': '/timo_sim', 'changed': '{}', 'parameters': json.dumps({
+                'motor.dc.resistance': 0.5, 'motor.dc.torque_constant': 0.06,
+                'motor.dc.gear': 3.0, 'motor.dc.voltage_limit': 0.0, 'motor.torque_limit': 0.0,
+                'carrier.force_limit': 100.0, 'step_count': 7})}})
+    recorder.note(CHANGE, {'step': '5', 'values': '{"carrier.force_limit": 0.0}'})
+    recorder.close()
+    recording = Recording(tmp_path / 'old.mcap')
+    found = recording.scene.values
+    assert found['motor.dc.gear_ratio'] == 3.0 and found['carrier.force_limit'] == 100.0
+    assert found['motor.torque_limit'] == found['motor.dc.voltage_limit'] == np.inf
+    assert recording.parameters['steps_per_call'] == 7
+    (step, _, values), = recording.changes
+    assert step == 5 and values == {'carrier.force_limit': np.inf}
 
 
 def test_series_are_what_another_reader_finds(log):
@@ -66,7 +96,7 @@ def test_motion_and_scene_are_those_of_the_run(log, paper):
     scene = timo_sim.load_scene(paper)
     assert recording.scene == scene
     step, ns, motion = recording.motion()
-    run = timo_sim.simulate(scene, 2.0, every=4)
+    run = timo_sim.simulate(scene, 2.0, sample_every=4)
     assert step.tolist() == list(range(0, 2001, 4)) and ns.tolist() == (step * 1000000).tolist()
     assert np.array_equal(motion, run.motion)
 

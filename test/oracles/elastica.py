@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
 A large deflection against the elastica: the arm bent by the inertia of its end effector.
 
@@ -98,7 +106,7 @@ def compare(modes, load, formulation='exact', step=0.005):
         'initial.shaft': np.pi / 2, 'model.modes': modes, 'model.formulation': formulation,
         'integrator.step': step}
     scene = timo_sim.load_scene(values)
-    section, tip_mass = scene.manipulator.arm.section, scene.manipulator.tip_mass
+    section, tip_mass = scene.manipulator.arm.section, scene.manipulator.end_effector_mass
     acceleration = load * section.bending_stiffness / LENGTH**2 / tip_mass
     run = timo_sim.simulate(timo_sim.load_scene(values, {
         'load.force_x.table.time': [0.0, RAMP],

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
 The manipulator by finite elements, with exudyn: references for the tests, peer of the benchmarks.
 
@@ -135,9 +143,9 @@ def _add_bodies(system, scene, nodes):
     body = scene.manipulator
     system.AddObject(items.ObjectRigidBody2D(
         mass=body.base_mass, inertia=body.shaft_inertia, nodeNumber=nodes[0]))
-    if body.tip_mass or body.tip_inertia:
+    if body.end_effector_mass or body.end_effector_inertia:
         system.AddObject(items.ObjectRigidBody2D(
-            mass=body.tip_mass, inertia=body.tip_inertia, nodeNumber=nodes[-1]))
+            mass=body.end_effector_mass, inertia=body.end_effector_inertia, nodeNumber=nodes[-1]))
 
 
 def _drive(system, root, drive):

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The manipulator by exudyn's modally reduced floating frame: a peer in the benchmarks."""
 
 import numpy as np
@@ -35,8 +43,8 @@ def simulate(scene, modes, step, duration, every, elements=200):
     mass = np.full(elements + 1, section.mass_per_length * arm.length / elements)
     mass[[0, -1]] /= 2.0
     inertia = mass * section.second_moment / section.area
-    mass[-1] += manipulator.tip_mass
-    inertia[-1] += manipulator.tip_inertia
+    mass[-1] += manipulator.end_effector_mass
+    inertia[-1] += manipulator.end_effector_inertia
     radius = np.sqrt(inertia / mass)
     position, shape = np.zeros((2, elements + 1, 3)), np.zeros((2, elements + 1, 3, modes))
     for row, side in enumerate((radius, -radius)):

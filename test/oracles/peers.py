@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Other integrators on the equations of this package: peers of its own step in the benchmarks."""
 
 import bisect
@@ -7,9 +15,10 @@ import numba
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from timo_sim.physics.etdrk4 import observe, rate
-from timo_sim.physics.formulation import ACCELERATION, ANGLE, LOADS, SPEED
-from timo_sim.physics.load import CHANNELS, Harmonic, Piecewise
+from timo_sim.physics.equations.functions import observe, rate
+from timo_sim.physics.integrate.steps import Steps
+from timo_sim.physics.layout import ACCELERATION, ANGLE, LOADS, SPEED
+from timo_sim.scene.loads import CHANNELS, Harmonic, Piecewise
 
 TOLERANCE, ITERATIONS = 1e-12, 50  # of the implicit methods, relative
 SPECTRAL_RADIUS = 0.9              # of generalized-alpha
@@ -147,6 +156,7 @@ def adaptive(method, model, start, load, jumps, times, tolerance):
         Motions after the first time.
 
     """
+    motion_of = Steps(model, times[1] - times[0]).motion  # whatever its step
     state, motions = model.state(start), []
     edges = [times[0], *(jump for jump in jumps if times[0] < jump < times[-1]), times[-1]]
     for begin, end in zip(edges, edges[1:]):
@@ -157,7 +167,7 @@ def adaptive(method, model, start, load, jumps, times, tolerance):
             np.append(inside[inside < end - 1e-9], end), rtol=tolerance, atol=1e-3 * tolerance)
         if not solution.success:
             raise ArithmeticError(solution.message)
-        motions += [model.observe(np.ascontiguousarray(y), load(t))
+        motions += [motion_of(np.ascontiguousarray(y), load(t))
                     for t, y in zip(inside, solution.y.T)]
         state = np.ascontiguousarray(solution.y[:, -1])
     return np.array(motions)

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The stored finite-element references, and the scenes that have no file of their own."""
 
 import csv
@@ -66,7 +74,7 @@ def simulate(formulation, modes, period=PERIOD):
     """Return the paper's run, sampled as the reference unless told otherwise."""
     scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml', {
         'model.formulation': formulation, 'model.modes': modes, 'integrator.step': STEP})
-    return timo_sim.simulate(scene, DURATION, every=round(period / STEP))
+    return timo_sim.simulate(scene, DURATION, sample_every=round(period / STEP))
 
 
 def motion_of(run):

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The slips in the text of the source paper, each with the check that proves its correction."""
 
 import numpy as np
@@ -5,8 +13,8 @@ from numpy.polynomial import Legendre
 
 from oracles.references import ROOT
 import timo_sim
-from timo_sim.physics.bodies import Beam, Manipulator, Section
-from timo_sim.physics.modes import UniformModes
+from timo_sim.physics.arm.bodies import Beam, Manipulator, Section
+from timo_sim.physics.arm.modes import UniformModes
 
 SECTION = Section(0.02, 0.02, 2710.0, 70.5e9, 27e9, 0.85)
 # A thick arm: 7 modes below its cut-off frequency, 14 between that and three times it.
@@ -74,7 +82,7 @@ def force_balance():
     scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml', {
         'model.formulation': 'newton', 'model.modes': 5, 'integrator.step': 0.005})
     run = timo_sim.simulate(scene, 10.0)
-    model, half, worst = run.formulation, run.motion.shape[1] // 2, np.zeros(2)
+    model, half, worst = run.model, run.motion.shape[1] // 2, np.zeros(2)
     loads = scene.load.stages(0, len(run.t), scene.step)[:, 0]
     mass, xi, shape = model.point_mass, model.points.xi, model.points.deflection
     for motion, load in zip(run.motion, loads):

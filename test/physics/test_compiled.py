@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The compiled side: arithmetic of its own, memory, sizes."""
 
 import math
@@ -12,10 +20,12 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.physics import compiled
-from timo_sim.physics.compiled import alone, entry_point, FASTMATH, size_mark
-from timo_sim.physics.sincos import sincos
-from timo_sim.simulation import Simulator
+from timo_sim.jit import code_store
+from timo_sim.jit.code_store import is_compiled, lock, size_mark
+from timo_sim.jit.decorators import entry_point, FASTMATH
+from timo_sim.physics.equations.sincos import sincos
+from timo_sim.simulation.load_table import LoadTable
+from timo_sim.simulation.simulator import Simulator
 
 
 @numba.njit(fastmath=FASTMATH)
@@ -47,13 +57,15 @@ def test_sine_of_what_is_not_finite_is_not_a_number():
 def test_a_step_allocates_nothing(paper, formulation):
     simulator = Simulator(timo_sim.load_scene(paper, {'model.formulation': formulation}))
     simulator.warm_up()
-    model, propagator = simulator.formulation, simulator.control.propagator()
+    table = LoadTable(simulator.scene)
     _nrt_python.memsys_enable_stats()
 
     def allocations(steps):
-        state, loads = model.state(simulator.motion()), simulator.scene_loads(steps)
+        state = simulator.model.state(simulator.motion.values)
+        loads = table.stages(0, steps)
         before = rtsys.get_allocation_stats()
-        model.advance(propagator, state, simulator.load, loads, 1)
+        simulator.integration.advance(
+            state, simulator.load, lambda *span: loads, 0, steps, sample_every=1)
         after = rtsys.get_allocation_stats()
         return after.alloc - before.alloc, after.mi_alloc - before.mi_alloc
 
@@ -82,15 +94,37 @@ def test_sizes_compiled_apart_live_together(tmp_path):
     assert all(outputs) and start(2, 0).communicate()[0] == ''.join(outputs)
 
 
+SPEEDS = """
+import sys, timo_sim
+scene = timo_sim.load_scene('paper', {
+    'model.formulation': 'newton', 'carrier.held': 'y', 'motor.shaft': 'driven',
+    'motor.drive': {'time': [0.0, 1.0], 'angle': [0.0, 1.0], 'speed': [0.0, 0.0],
+                    'acceleration': [0.0, 0.0]}})
+if sys.argv[1] == 'run':
+    print(timo_sim.simulate(scene, 1.5).motion.tobytes().hex())
+"""
+
+
+def test_bits_do_not_depend_on_what_was_compiled_before(tmp_path):
+    """The waves of the modes compiled in the same process, or loaded from disk: powers of both."""
+    def run(cache, what):
+        return subprocess.Popen([sys.executable, '-c', SPEEDS, what], stdout=subprocess.PIPE,
+                                text=True, env={**os.environ, 'NUMBA_CACHE_DIR': tmp_path / cache})
+
+    run('apart', 'build').communicate()
+    together, apart = run('together', 'run'), run('apart', 'run')
+    assert together.communicate()[0] == apart.communicate()[0] != ''
+
+
 def test_one_process_at_a_time_compiles():
     entered = threading.Event()
 
     def enter():
-        with alone('test.lock'):
+        with lock('test.lock'):
             entered.set()
 
     other = threading.Thread(target=enter)
-    with alone('test.lock'):
+    with lock('test.lock'):
         other.start()
         assert not entered.wait(0.2)
     other.join()
@@ -98,9 +132,9 @@ def test_one_process_at_a_time_compiles():
 
 
 @pytest.fixture
-def shelf(tmp_path, monkeypatch):
+def store(tmp_path, monkeypatch):
     """Keep machine code in a folder of the test's own; return the folder."""
-    monkeypatch.setattr(compiled, 'cache_directory', lambda: tmp_path)
+    monkeypatch.setattr(code_store, 'store_directory', lambda: tmp_path)
     return tmp_path
 
 
@@ -115,7 +149,7 @@ def compile_and_call():
     return sum(function._cache_hits.values()) == 1
 
 
-def test_code_is_loaded_from_disk(shelf):
+def test_code_is_loaded_from_disk(store):
     assert not compile_and_call()
     assert compile_and_call()
 
@@ -125,37 +159,41 @@ def test_code_is_loaded_from_disk(shelf):
     lambda content: bytes(len(content)), lambda content: content[::-1],
     lambda content: content[:5000] + bytes([content[5000] ^ 1]) + content[5001:]],
     ids=['empty', 'within the checksum', 'cut', 'zeros', 'garbage', 'one bit'])
-def test_damaged_code_is_compiled_again(shelf, damage):
+def test_damaged_code_is_compiled_again(store, damage):
     compile_and_call()
-    file, = shelf.glob('*.code')
+    file, = store.glob('*.code')
     file.write_bytes(damage(file.read_bytes()))
     assert not compile_and_call()
     assert compile_and_call()
 
 
-def test_code_that_cannot_be_read_is_compiled_and_one_that_cannot_be_written_warned_of(shelf):
+def test_code_that_cannot_be_read_is_compiled_and_one_that_cannot_be_written_warned_of(store):
     compile_and_call()
-    file, = shelf.glob('*.code')
+    file, = store.glob('*.code')
     file.unlink()
     file.mkdir()
     with pytest.warns(UserWarning, match='machine code is not kept'):
         assert not compile_and_call()
-    assert [*shelf.iterdir()] == [file]
+    assert [*store.iterdir()] == [file]
 
 
-def test_a_folder_of_code_that_disappears_does_no_harm(tmp_path, paper):
-    code = RUN_AND_REMOVE.format(str(paper))
+@pytest.mark.parametrize('then, kept', [('', True), ('store_directory().touch()', False)],
+                         ids=['made again', 'a file in its place'])
+def test_a_folder_of_code_that_disappears_does_no_harm(tmp_path, paper, then, kept):
+    code = RUN_AND_REMOVE.format(str(paper), then)
     run = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
                          env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)})
     assert run.returncode == 0, run.stderr
-    assert run.stdout == 'done\n' and 'machine code is not kept' in run.stderr
+    assert run.stdout == 'done\n' and ('machine code is not kept' in run.stderr) != kept
+    assert any(tmp_path.glob('*/*.code')) == kept
 
 
 RUN_AND_REMOVE = """
 import shutil, timo_sim
-from timo_sim.physics.compiled import cache_directory
+from timo_sim.jit.code_store import store_directory
 scene = timo_sim.load_scene('{}', {{'model.formulation': 'newton', 'model.modes': 1}})
-shutil.rmtree(cache_directory())
+shutil.rmtree(store_directory())
+{}
 timo_sim.simulate(scene, 0.1)
 print('done')
 """
@@ -164,6 +202,6 @@ print('done')
 def test_sizes_are_marked_once_compiled(paper):
     simulator = Simulator(timo_sim.load_scene(paper))
     simulator.warm_up()
-    assert simulator.is_compiled
-    assert size_mark(simulator.formulation.packed) != size_mark(
+    assert is_compiled(*simulator.integration.constants)
+    assert size_mark(simulator.model.packed) != size_mark(
         timo_sim.load_scene({'model.modes': 17}).build().packed)

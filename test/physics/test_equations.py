@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
 The formulations against their equations written out with velocities, by another integrator.
 
@@ -202,7 +210,7 @@ FEWER = ['free', 'x held', 'carrier held', 'shaft driven, x held', 'shaft locked
     for constraints in (CONSTRAINTS if formulation == 'exact' else FEWER)])
 def test_formulation_is_its_equations_written_out(formulation, constraints):
     scene = scene_of(formulation, constraints)
-    run = timo_sim.simulate(scene, DURATION, every=40)
+    run = timo_sim.simulate(scene, DURATION, sample_every=40)
     truth = solve(scene, EQUATIONS[formulation])
     # Shear is at work: it makes a good part of the tip's deflection.
     assert np.abs(run.deflection(2.0)[:, 1]).max() > 0.04

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The integrator: its matrices against closed forms, its order, its behaviour at jumps."""
 
 import numpy as np
@@ -5,13 +13,13 @@ import pytest
 from scipy.linalg import expm
 
 import timo_sim
-from timo_sim.physics import etdrk4
+from timo_sim.physics.integrate.propagator import propagator
 
 
 def test_matrices_of_an_oscillator_are_sines_and_cosines():
     omega, h = 30.0, 0.05
     linear = np.array([[0.0, 1.0], [-omega**2, 0.0]])
-    whole = etdrk4.propagator(linear, h).whole
+    whole = propagator(linear, h).whole
     c, s = np.cos(omega * h), np.sin(omega * h)
     assert np.allclose(whole, [[c, s / omega], [-omega * s, c]], rtol=1e-13, atol=1e-13)
 
@@ -20,7 +28,7 @@ def test_weights_integrate_a_cubic_exactly():
     """With a rate that is cubic in time alone, the step is Simpson's rule against exp(L t)."""
     linear = np.array([[0.0, 1.0], [-4.0, -0.3]])
     h = 0.2
-    p = etdrk4.propagator(linear, h)
+    p = propagator(linear, h)
     constant = np.array([0.3, 1.7])
     step = p.first @ constant + p.middle @ (2 * constant) + p.last @ constant
     exact = np.linalg.solve(linear, (expm(h * linear) - np.eye(2)) @ constant)
@@ -32,7 +40,7 @@ def test_stiff_and_slow_parts_keep_their_digits():
     omega = np.array([1.0, 1e3, 1e5])
     linear = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.diag(omega**2), np.zeros((3, 3))]])
     h = 0.01
-    whole = etdrk4.propagator(linear, h).whole
+    whole = propagator(linear, h).whole
     # Ten squarings of the exponential: round-off times the norm of h L, 1e3, times 25 (measured).
     assert np.diag(whole)[:3] == pytest.approx(np.cos(omega * h), abs=1e-11)
     assert np.linalg.det(whole) == pytest.approx(1.0, abs=4e-11)
@@ -50,7 +58,7 @@ def test_order_is_four(paper, formulation):
     def run(step):
         scene = timo_sim.load_scene(paper, {'integrator.step': step,
                                             'model.formulation': formulation})
-        return timo_sim.simulate(scene, 1.0, every=round(0.02 / step))
+        return timo_sim.simulate(scene, 1.0, sample_every=round(0.02 / step))
 
     truth = run(0.00025)
     errors = [max_error(run(step), truth) for step in (0.01, 0.005, 0.0025)]
@@ -65,7 +73,7 @@ def test_a_jump_on_a_step_boundary_costs_no_order(paper):
         scene = timo_sim.load_scene({
             'integrator.step': step, 'load.torque.piecewise.time': [0.1, 0.6],
             'load.torque.piecewise.value': [20.0, -20.0]})
-        return timo_sim.simulate(scene, 1.0, every=round(0.02 / step))
+        return timo_sim.simulate(scene, 1.0, sample_every=round(0.02 / step))
 
     truth = run(0.00025)
     errors = [max_error(run(step), truth) for step in (0.01, 0.005, 0.0025)]

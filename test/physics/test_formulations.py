@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The formulations against the finite-element reference, rigid bodies and conservation laws."""
 
 import numpy as np
@@ -5,8 +13,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import timo_sim
-from timo_sim.physics import FORMULATIONS
-from timo_sim.physics.formulation import LOADS
+from timo_sim.physics.equations import FORMULATIONS
+from timo_sim.physics.integrate.steps import Steps
+from timo_sim.physics.layout import LOADS
 
 ARM_LENGTH = 2.0
 # Those that account for every force on the carrier and the shaft, whatever the number of modes.
@@ -17,7 +26,7 @@ def errors(paper, reference, formulation, modes, step):
     """Return the largest errors over 10 s, every 10 ms: x_c, y_c, theta, w(l)."""
     scene = timo_sim.load_scene(paper, {
         'model.formulation': formulation, 'model.modes': modes, 'integrator.step': step})
-    run = timo_sim.simulate(scene, 10.0, every=round(0.01 / step))
+    run = timo_sim.simulate(scene, 10.0, sample_every=round(0.01 / step))
     assert np.allclose(run.t, reference['t'], atol=1e-12)
     return (np.abs(run.carrier[:, 0] - reference['x_c_m']).max(),
             np.abs(run.carrier[:, 1] - reference['y_c_m']).max(),
@@ -43,7 +52,7 @@ def test_newton_has_its_own_error(paper, reference):
 
 def test_inner_points_against_finite_elements(paper, reference):
     scene = timo_sim.load_scene(paper, {'model.modes': 5, 'integrator.step': 0.005})
-    run = timo_sim.simulate(scene, 10.0, every=2)
+    run = timo_sim.simulate(scene, 10.0, sample_every=2)
     for share, name in ((0.25, 'l4'), (0.5, 'l2'), (0.75, '3l4'), (1.0, 'l')):
         xi = share * ARM_LENGTH
         # Truncation after five modes: 1e-5 of the length of a wave of the sixth.
@@ -72,7 +81,7 @@ def test_free_free_frequencies_of_the_whole_system(formulation):
 def vibrating(formulation, **overrides):
     """Return a scene that starts with w_t = 1.5 z^2 - 0.5 z^3 m/s, z = xi/l, phi_t its slope."""
     values = {'model.formulation': formulation, 'model.modes': 3, **overrides}
-    rates = timo_sim.project(
+    rates = timo_sim.project_on_modes(
         timo_sim.load_scene(values),
         lambda xi: 1.5 * (xi / ARM_LENGTH)**2 - 0.5 * (xi / ARM_LENGTH)**3,
         lambda xi: (3.0 * (xi / ARM_LENGTH) - 1.5 * (xi / ARM_LENGTH)**2) / ARM_LENGTH)
@@ -119,10 +128,10 @@ def test_rigid_arm_is_a_rigid_body(formulation):
     run = timo_sim.simulate(scene, 2.0)
     body, section = scene.manipulator, scene.manipulator.arm.section
     rho_a = section.mass_per_length
-    mass = body.base_mass + rho_a * 2.0 + body.tip_mass
-    lever = rho_a * 2.0**2 / 2 + body.tip_mass * 2.0
-    inertia = (body.shaft_inertia + section.inertia_per_length * 2.0 + body.tip_inertia
-               + rho_a * 2.0**3 / 3 + body.tip_mass * 2.0**2 - lever**2 / mass)
+    mass = body.base_mass + rho_a * 2.0 + body.end_effector_mass
+    lever = rho_a * 2.0**2 / 2 + body.end_effector_mass * 2.0
+    inertia = (body.shaft_inertia + section.inertia_per_length * 2.0 + body.end_effector_inertia
+               + rho_a * 2.0**3 / 3 + body.end_effector_mass * 2.0**2 - lever**2 / mass)
 
     def rate(t, y):
         force, torque = 7.0 * np.sin(2 * np.pi * t), 3.0 * np.sin(4 * np.pi * t)
@@ -141,20 +150,21 @@ def test_rigid_arm_is_a_rigid_body(formulation):
 
 
 @pytest.mark.parametrize('formulation', FORMULATIONS)
-@pytest.mark.parametrize('modes', [0, 1, 5, 40])
+@pytest.mark.parametrize('modes', [0, 3, 40])
 def test_state_and_motion_are_inverse(formulation, modes):
     model = timo_sim.load_scene({'model.formulation': formulation, 'model.modes': modes}).build()
     rng = np.random.default_rng(1)
     motion = rng.normal(size=model.size)
     motion[3:3 + modes] *= 0.1 / (1 + np.arange(modes))**2
-    assert np.abs(model.observe(model.state(motion), np.zeros(LOADS)) - motion).max() < 1e-10
+    again = Steps(model, 0.001).motion(model.state(motion), np.zeros(LOADS))
+    assert np.abs(again - motion).max() < 1e-10
 
 
 @pytest.mark.parametrize('formulation', ALL_FORCES)
 def test_many_modes_stay_true(formulation, paper, reference):
     scene = timo_sim.load_scene(paper, {'model.modes': 40, 'model.formulation': formulation,
                                         'integrator.step': 0.005})
-    run = timo_sim.simulate(scene, 2.0, every=2)
+    run = timo_sim.simulate(scene, 2.0, sample_every=2)
     limit = 2e-6 if formulation == 'exact' else 2e-4
     error = np.abs(run.deflection(ARM_LENGTH)[:, 1] - reference['w_l_m'][:201])
     assert error.max() < limit
@@ -239,7 +249,7 @@ def test_fast_spin_with_large_vibration_stays_bounded(modes, step, limit):
 
 @pytest.mark.parametrize('formulation', ALL_FORCES)
 def test_an_arm_described_in_pieces_moves_as_the_uniform_arm(formulation, paper):
-    values = {'model.formulation': formulation, 'model.modes': 4, 'integrator.step': 0.005}
+    values = {'model.formulation': formulation, 'model.modes': 5, 'integrator.step': 0.005}
     whole = timo_sim.simulate(timo_sim.load_scene(paper, values), 2.0)
     split = timo_sim.simulate(timo_sim.load_scene(paper, {
         **values, 'arm.profile.position': [0.0, 0.6, 2.0],

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Coulomb friction against closed forms, other integrators, a locked shaft and conservation."""
 
 import math
@@ -8,12 +16,13 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import timo_sim
-from timo_sim import simulation
-from timo_sim.parameters import ParameterError
-from timo_sim.physics import FORMULATIONS, friction
-from timo_sim.physics.formulation import FORCE_X, FORCE_Y, LOADS, TORQUE
-from timo_sim.simulation import DivergenceError, Simulator
-from timo_sim.track import of_run
+from timo_sim.physics.equations import FORMULATIONS
+from timo_sim.physics.integrate import friction
+from timo_sim.physics.integrate.steps import Steps
+from timo_sim.physics.layout import FORCE_X, FORCE_Y, LOADS, TORQUE
+from timo_sim.scene.parameter import ParameterError
+from timo_sim.simulation.simulator import DivergenceError, Simulator
+from timo_sim.view.motion_track import of_run
 
 # The paper's manipulator with a rigid arm: mass of all, static moment and inertia about the shaft.
 DENSITY, LENGTH, AREA, SECOND_MOMENT = 2710.0, 2.0, 4e-4, 0.02**4 / 12.0
@@ -71,11 +80,11 @@ def test_a_sudden_stop_leaves_the_arm_the_right_vibration():
     locked = timo_sim.simulate(timo_sim.load_scene({
         'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': last[2],
         'initial.modal_coordinates': last[3:half], 'initial.modal_rates': last[half + 3:]}), 0.9,
-        every=10)
+        sample_every=10)
     steps, errors, angles = np.array([0.01, 0.005, 0.0025]), [], []
     for step in steps:
         run = timo_sim.simulate(timo_sim.load_scene({**values, 'integrator.step': step}), 1.0,
-                                every=round(0.01 / step))
+                                sample_every=round(0.01 / step))
         errors.append(np.abs(run.q[10:] - locked.q).max())
         angles.append(np.abs(run.shaft[10:] - last[2]).max())
     # 7e-4 and 2e-4 at 10 ms; evenly spread over its step, a stop misses the angle by 3e-3.
@@ -89,12 +98,12 @@ def test_loads_below_the_limits_move_nothing(formulation, modes):
     simulator = Simulator(timo_sim.load_scene({
         **ALL, 'model.modes': modes, 'model.formulation': formulation,
         'initial.carrier_x': 0.3}))
-    start, pushes = simulator.motion(), np.array([1.99, -1.5, 0.99])
-    motions = simulator.advance(10000, loaded(pushes), every=1)
+    start, pushes = simulator.motion.values, np.array([1.99, -1.5, 0.99])
+    motions, _ = simulator.advance(10000, loaded(pushes), sample_every=1)
     # To the last bit, but for the round-off of what is 0: 3e-17 and 2e-17 were measured.
     np.testing.assert_array_equal(motions[:, [0, 2]], np.tile(start[[0, 2]], (10001, 1)))
     np.testing.assert_allclose(motions, np.tile(start, (10001, 1)), rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(simulator.friction, -pushes, rtol=1e-11)
+    np.testing.assert_allclose(simulator.integration.friction, -pushes, rtol=1e-11)
 
 
 def stick_slip(torque, frequency, limit, times):
@@ -140,7 +149,7 @@ def test_turning_round_and_stick_slip_are_of_second_order(limit):
         run = timo_sim.simulate(timo_sim.load_scene({
             **STUCK, 'motor.coulomb_friction': limit, 'integrator.step': step,
             'load.torque.harmonic.amplitude': [3.0], 'load.torque.harmonic.frequency': [1.1]}),
-            3.0, every=round(0.02 / step))
+            3.0, sample_every=round(0.02 / step))
         errors.append(np.abs(run.shaft - run.shaft[0] - truth).max())
     # Where in its step an event falls is chance: errors are 0.03 to 0.31 h^2.
     assert np.all(errors < 0.6 * steps**2) and 1.7 < order(steps, errors) < 2.3
@@ -169,7 +178,7 @@ def test_shaft_and_carrier_at_once_against_another_integrator():
                    f'load.{load}.harmonic.frequency': [frequencies[k]]}
     for step in 0.02, 0.01, 0.005:
         run = timo_sim.simulate(timo_sim.load_scene(values, {'integrator.step': step}), 2.0,
-                                every=round(0.02 / step))
+                                sample_every=round(0.02 / step))
         # 1.3e-6, 7e-7 and 5e-7 m or rad; the reference is off by about 1e-7.
         assert np.abs(run.motion - truth)[:, :3].max() < 3e-6
 
@@ -185,11 +194,12 @@ def test_a_shaft_that_is_held_is_a_locked_one(formulation):
              'initial.carrier_y_velocity': last[half + 1], 'initial.shaft_velocity': 0.0,
              'initial.modal_rates': last[half + 3:]}
     locked = timo_sim.simulate(timo_sim.load_scene({
-        'model.formulation': formulation, **begin, 'motor.shaft': 'locked'}), 2.0, every=4)
+        'model.formulation': formulation, **begin, 'motor.shaft': 'locked'}), 2.0,
+        sample_every=4)
     steps, errors = [0.004, 0.002, 0.001], []
     for step in steps:
         held = timo_sim.simulate(slew.vary({**begin, 'integrator.step': step}), 2.0,
-                                 every=round(0.004 / step))
+                                 sample_every=round(0.004 / step))
         errors.append(np.abs(held.q - locked.q).max())
         # What 1e-9 of the limit as a slope does; 2.5e-11 was measured.
         assert np.abs(held.shaft_velocity).max() < 1e-10
@@ -203,12 +213,11 @@ def test_energy_and_heat_are_the_work_of_the_loads():
     steps, errors = [0.01, 0.005, 0.0025], []
     for step in steps:
         simulator = Simulator(timo_sim.load_scene({**LIVELY, 'integrator.step': step}))
-        heats = np.zeros(round(2.0 / step) + 1)
-        motions = simulator.advance(len(heats) - 1, loaded(PUSHES), 1, heats)
-        energy = simulator.formulation.energy(motions)
+        motions, heat = simulator.advance(round(2.0 / step), loaded(PUSHES), sample_every=1)
+        energy = simulator.model.energy(motions)
         work = (motions[:, :3] - motions[0, :3]) @ PUSHES
-        errors.append(np.abs(energy - energy[0] + heats - work).max())
-        assert heats[-1] == simulator.heat > 0.8
+        errors.append(np.abs(energy - energy[0] + heat - work).max())
+        assert heat[-1] == simulator.integration.heat > 0.8
     # The integrator's order, events or not; 2e-7 J of 1.7 J at 2.5 ms.
     assert errors[-1] < 1e-6 and order(steps, errors) > 3.8
 
@@ -216,10 +225,11 @@ def test_energy_and_heat_are_the_work_of_the_loads():
 def test_each_step_obeys_the_law():
     simulator = Simulator(timo_sim.load_scene({**LIVELY, 'integrator.step': 0.005}))
     limits, seen = simulator.scene.friction, np.zeros((3, 3), dtype=int)
-    after = simulator.motion()[6:9]
+    after = simulator.motion.values[6:9]
     for _ in range(800):
         simulator.advance(1, loaded(PUSHES))
-        before, after, r = after, simulator.motion()[6:9], simulator.friction
+        before, after = after, simulator.motion.values[6:9]
+        r = simulator.integration.friction
         # About to break away, joints may be left with 1e-7 rad/s.
         rests, came = np.abs(after) < 1e-6, np.abs(before) < 1e-6
         slides = (before * after > 0.0) & ~rests & ~came
@@ -232,15 +242,15 @@ def test_each_step_obeys_the_law():
 
 
 def test_bits_do_not_depend_on_how_steps_are_asked_for():
-    scene, whole = timo_sim.load_scene({**LIVELY, 'integrator.step': 0.005}), np.zeros(91)
+    scene = timo_sim.load_scene({**LIVELY, 'integrator.step': 0.005})
     pieces = Simulator(scene)
-    motions = Simulator(scene).advance(630, loaded(PUSHES), 7, whole)
-    found, heats = [pieces.motion()], [pieces.heat]
+    motions, whole = Simulator(scene).advance(630, loaded(PUSHES), 7)
+    found, heats = [pieces.motion.values], [pieces.integration.heat]
     for k in range(90):
         for count in (1, 4, 2) if k % 2 else (7,):
             pieces.advance(count, loaded(PUSHES))
-        found.append(pieces.motion())
-        heats.append(pieces.heat)
+        found.append(pieces.motion.values)
+        heats.append(pieces.integration.heat)
     assert np.array(found).tobytes() == motions.tobytes()
     assert np.array(heats).tobytes() == whole.tobytes()
 
@@ -258,14 +268,14 @@ def test_the_acceleration_of_the_tip_sees_friction():
     scene = timo_sim.load_scene({'model.modes': 0, 'motor.coulomb_friction': 5.0,
                                  'initial.shaft_velocity': 2.0})
     simulator, formulation = Simulator(scene), scene.build()
-    motions = simulator.advance(200, every=1)
+    motions, _ = simulator.advance(200, sample_every=1)
     found = simulator.tip_acceleration()
-    motions = np.vstack([motions[-2:], simulator.advance(1, every=1)[1:]])
+    motions = np.vstack([motions[-2:], simulator.advance(1, sample_every=1)[0][1:]])
     tip = formulation.world(motions, formulation.at([LENGTH]))[:, 0]
     second = (tip[0] - 2.0 * tip[1] + tip[2]) / scene.step**2
     # What the differences leave out, and their round-off; friction makes a tenth of it all.
     assert np.abs(found - second).max() < 1e-5
-    without = formulation.tip_acceleration(simulator._state, simulator.load)
+    without = Steps(formulation, scene.step).tip_acceleration(simulator._state, simulator.load)
     assert np.abs(without - found).max() > 0.5
 
 
@@ -273,17 +283,17 @@ def test_a_reset_and_a_run_that_diverges_leave_the_right_heat(monkeypatch):
     scene = timo_sim.load_scene(LIVELY)
     simulator, other = Simulator(scene), Simulator(scene)
     simulator.advance(100)
-    assert simulator.heat > 0.0 and simulator.friction.any()
+    assert simulator.integration.heat > 0.0 and simulator.integration.friction.any()
     simulator.reset()
-    assert simulator.heat == 0.0 and not simulator.friction.any()
-    monkeypatch.setattr(simulation, '_MOST_BENT', 0.06)
+    assert simulator.integration.heat == 0.0 and not simulator.integration.friction.any()
+    monkeypatch.setattr('timo_sim.simulation.simulator._MOST_BENT', 0.06)
     with pytest.raises(DivergenceError):
         simulator.advance(1000, loaded([0.0, 0.0, 200.0]))
     monkeypatch.undo()
     other.advance(simulator.steps - 100, loaded([0.0, 0.0, 200.0]))
-    assert other.steps > 20 and other.heat == simulator.heat
-    assert np.array_equal(other.friction, simulator.friction)
-    assert np.array_equal(other.motion(), simulator.motion())
+    assert other.steps > 20 and other.integration.heat == simulator.integration.heat
+    assert np.array_equal(other.integration.friction, simulator.integration.friction)
+    assert np.array_equal(other.motion.values, simulator.motion.values)
 
 
 LIGHT = {'motor.shaft_inertia': 0.01, 'motor.coulomb_friction': 30.0,
@@ -300,9 +310,9 @@ def test_a_step_that_cannot_hold_a_joint_is_warned_of(scene, step, warned):
     """A light shaft vibrates at 70 Hz, a thick arm above: of 10 ms a period is less than two."""
     simulator = Simulator(timo_sim.load_scene({**scene, 'integrator.step': step}))
     simulator.advance(round(5.0 / step))
-    length = simulator.scene.manipulator.arm.length
-    assert bool(simulator.caution) == warned == (simulator.astray > 3e-4 * length)
-    assert not warned or 'Coulomb friction stops or holds have gone' in simulator.caution
+    drift, length = simulator.integration.friction_drift, simulator.scene.manipulator.arm.length
+    assert bool(simulator.warning) == warned == (drift > 3e-4 * length)
+    assert not warned or 'Coulomb friction stops or holds have drifted' in simulator.warning
 
 
 def test_what_has_no_friction_does_not_ask_for_it(monkeypatch):

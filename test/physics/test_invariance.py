@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """What the equations may not depend on, for scenes that hypothesis thinks of."""
 
 import math
@@ -8,8 +16,9 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.physics.exact import Exact
-from timo_sim.simulation import Simulator
+from timo_sim.physics.equations.exact import Exact
+from timo_sim.physics.layout import LOADS, STAGES
+from timo_sim.simulation.simulator import Simulator
 
 # Each example is some runs of milliseconds; the same in each run of the tests.
 runs = settings(max_examples=25, deadline=None, derandomize=True)
@@ -49,7 +58,7 @@ def run(formulation, scene, **values):
         **{f'load.{channel}.harmonic.phase': [0.3] for channel in ('force_x', 'force_y')},
         'end_effector.mass': scene['tip mass'], 'end_effector.inertia': scene['tip inertia'],
         'arm.damping_ratio': [scene['damping']], **values}
-    return Simulator(timo_sim.load_scene(values)).advance(STEPS, every=STEPS // 10)
+    return Simulator(timo_sim.load_scene(values)).advance(STEPS, sample_every=STEPS // 10)[0]
 
 
 def same(found, expected, rounding=1e-9):
@@ -159,16 +168,17 @@ def test_time_can_be_turned_round(formulation, scene):
         'model.formulation': formulation, 'initial.shaft_velocity': scene['spin'],
         'initial.modal_coordinates': scene['bend'], 'end_effector.mass': scene['tip mass'],
         'initial.carrier_x_velocity': scene['velocity'][0]}))
-    start, reach = simulator.motion(), simulator.formulation.reach
+    start, reach = simulator.motion.values, simulator.model.reach
     errors = []
     for _ in range(2):
         for _ in range(10):
-            errors.append(simulator.control.look_ahead(simulator._state, np.zeros((1, 3, 8)))[0])
+            errors.append(simulator.integration.estimate_error(
+                simulator._state, np.zeros((1, STAGES, LOADS)))[0])
             simulator.advance(STEPS // 10)
-        motion = simulator.motion()
+        motion = simulator.motion.values
         motion[6:] *= -1.0
-        simulator._state[:] = simulator.formulation.state(motion)
-    off = np.abs(simulator.motion()[:6] - start[:6]) @ reach
+        simulator._state[:] = simulator.model.state(motion)
+    off = np.abs(simulator.motion.values[:6] - start[:6]) @ reach
     assert off <= 100.0 * max(max(errors), 1e-13)
 
 
@@ -178,9 +188,9 @@ def test_momenta_of_a_free_manipulator_are_kept_to_the_bit():
         'initial.carrier_x_velocity': 0.4, 'initial.carrier_y_velocity': -0.3,
         'initial.shaft_velocity': 1.5, 'initial.modal_rates': [2.0, 1.0, 0.0]}))
     before = simulator._state[6:9].copy()
-    motions = simulator.advance(60 * STEPS, every=STEPS)
+    motions, _ = simulator.advance(60 * STEPS, sample_every=STEPS)
     assert np.array_equal(simulator._state[6:9], before)
-    momentum = simulator.formulation.momentum(motions)
+    momentum = simulator.model.momentum(motions)
     assert np.abs(momentum / momentum[0] - 1.0).max() < 1e-12
-    energy = simulator.formulation.energy(motions)
+    energy = simulator.model.energy(motions)
     assert np.abs(energy / energy[0] - 1.0).max() < 1e-11

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Modes of the clamped arm against the paper's table, identities and independent counts."""
 
 import numpy as np
@@ -8,10 +16,10 @@ from scipy.linalg import eigh, expm
 from scipy.optimize import brentq
 
 from oracles.slips import THICK
-from timo_sim.physics.bodies import Beam, Manipulator, Section
-from timo_sim.physics.galerkin import frequencies, GalerkinModes
-from timo_sim.physics.modes import modes_of, UniformModes
-from timo_sim.physics.quadrature import Quadrature
+from timo_sim.physics.arm.bodies import Beam, Manipulator, Section
+from timo_sim.physics.arm.galerkin import frequencies, GalerkinModes
+from timo_sim.physics.arm.modes import modes_of, UniformModes
+from timo_sim.physics.arm.quadrature import Quadrature
 
 ARM = Section(0.02, 0.02, 2710.0, 70.5e9, 27e9, 0.85)
 LENGTH, TIP = 2.0, (2.0, 0.5)
@@ -242,8 +250,8 @@ def test_varying_section_against_shooting(jump):
                             -section.inertia_per_length * omega**2 * phi - force,
                             -section.mass_per_length * omega**2 * w]
                 y = solve_ivp(rate, (low, high), y, 'DOP853', rtol=1e-12, atol=1e-15).y[:, -1]
-            columns.append([y[3] - body.tip_mass * omega**2 * y[0],
-                            y[2] - body.tip_inertia * omega**2 * y[1]])
+            columns.append([y[3] - body.end_effector_mass * omega**2 * y[0],
+                            y[2] - body.end_effector_inertia * omega**2 * y[1]])
         return np.linalg.det(np.array(columns))
 
     omega = modes_of(body, 4).omega

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The claims of the paper, its slips, and what it leaves out, from stored references."""
 
 import numpy as np
@@ -86,7 +94,7 @@ def test_each_slip_fails_as_printed_and_holds_corrected():
 def test_torque_steps_against_finite_elements():
     _, fem = read('torque')
     run = timo_sim.simulate(timo_sim.load_scene(TORQUE, {
-        'model.modes': 5, 'integrator.step': 0.002}), 5.0, every=5)
+        'model.modes': 5, 'integrator.step': 0.002}), 5.0, sample_every=5)
     assert np.abs(run.shaft - fem['theta_rad']).max() < 5e-6
     assert np.abs(run.deflection(2.0)[:, 1] - fem['w_l_m']).max() < 1e-5
     assert np.abs(run.carrier[:, 0] - fem['x_c_m']).max() < 1e-6
@@ -94,7 +102,8 @@ def test_torque_steps_against_finite_elements():
 
 def test_spin_up_against_finite_elements(spin_up):
     _, fem = read('spin_up')
-    run = timo_sim.simulate(timo_sim.load_scene(spin_up, {'model.modes': 8}), 20.0, every=2)
+    scene = timo_sim.load_scene(spin_up, {'model.modes': 8})
+    run = timo_sim.simulate(scene, 20.0, sample_every=2)
     axial, across = run.deflection(10.0).T
     # The reference is extrapolated to an inextensible arm, by 1/9 of 8e-5 m; 8 modes.
     assert np.abs(across - fem['w_l_m']).max() < 1e-5

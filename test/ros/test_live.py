@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The plant changes while the node runs, and a motor takes voltages; the log knows it all."""
 
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
@@ -8,9 +16,9 @@ from std_srvs.srv import Trigger
 
 from timo_sim.log.info import info
 from timo_sim.log.recording import Recording
-from timo_sim.replay.command import replay
+from timo_sim.replay.replay import replay
 
-MOTOR = {'motor.dc.resistance': 0.5, 'motor.dc.torque_constant': 0.06, 'motor.dc.gear': 50.0}
+MOTOR = {'motor.dc.resistance': 0.5, 'motor.dc.torque_constant': 0.06, 'motor.dc.gear_ratio': 50.0}
 
 
 def test_loads_damping_and_limits_are_set_at_run_time(start, client):

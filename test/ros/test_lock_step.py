@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """A client steps the node over DDS and gets exactly the physics that `simulate` computes."""
 
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
@@ -57,7 +65,7 @@ class LockStep:
 
 
 def test_constant_force_gives_momentum_force_times_time(start, client):
-    node = start(start_paused=True, step_count=10)
+    node = start(start_paused=True, steps_per_call=10)
     stepper = LockStep(client)
     stepper.push(x=4.0, y=-1.0)
     for _ in range(50):
@@ -67,7 +75,7 @@ def test_constant_force_gives_momentum_force_times_time(start, client):
     scene = timo_sim.load_scene({
         'load.force_x.piecewise.time': [0.0], 'load.force_x.piecewise.value': [4.0],
         'load.force_y.piecewise.time': [0.0], 'load.force_y.piecewise.value': [-1.0]})
-    run = timo_sim.simulate(scene, 0.5, every=10)
+    run = timo_sim.simulate(scene, 0.5, sample_every=10)
     momentum = run.momentum()[:, :2]
     assert np.abs(momentum - np.outer(run.t, [4.0, -1.0])).max() < 1e-12
     # What the client saw is that run, to the last bit.
@@ -120,7 +128,7 @@ def test_paper_loads_from_a_client_give_the_finite_element_reference(start, clie
 
 
 def test_forces_in_the_arm_frame_turn_with_the_shaft(start, client):
-    node = start(start_paused=True, step_count=10, **{
+    node = start(start_paused=True, steps_per_call=10, **{
         'initial.shaft': 0.5, 'initial.shaft_velocity': 3.0, 'model.modes': 0})
     stepper = LockStep(client)
     stepper.push(x=2.0, y=1.0, frame='arm')
@@ -133,7 +141,7 @@ def test_forces_in_the_arm_frame_turn_with_the_shaft(start, client):
 
 
 def test_commands_are_logged_with_the_step_at_which_they_act(start, client):
-    node = start(start_paused=True, step_count=10)
+    node = start(start_paused=True, steps_per_call=10)
     stepper = LockStep(client)
     stepper.step()
     stepper.turn(1.5)

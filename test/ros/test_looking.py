@@ -1,8 +1,17 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """What a node shows while it runs: a stream to rerun, a marker for RViz; both only when wanted."""
 
 import ast
 import os
 from pathlib import Path
+import runpy
 import socket
 import subprocess
 import sys
@@ -16,10 +25,11 @@ from rerun.chunk import RrdReader
 from visualization_msgs.msg import Marker
 
 import timo_sim
-from timo_sim.commands import JOINTS
-from timo_sim.outputs import Snapshot, TRANSFORMS
-from timo_sim.physics.formulation import LOADS
-from timo_sim.simulation import Simulator
+from timo_sim.messages.commands import JOINTS
+from timo_sim.messages.outputs import TRANSFORMS
+from timo_sim.ros.optional import live
+from timo_sim.scene.parameter import ParameterError
+from timo_sim.simulation.simulator import Simulator
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -81,8 +91,14 @@ def test_a_live_address_that_is_none_is_refused(start):
     assert "rerun_live must be the address of a viewer of rerun, got '127.0.0.1'" in output
 
 
+def test_a_node_that_is_given_no_stream_refuses_an_address():
+    assert live(None, None, '', '/timo_sim') is None
+    with pytest.raises(ParameterError, match='^rerun_live = .*:9876.* needs the executable'):
+        live(None, None, 'rerun+http://127.0.0.1:9876/proxy', '/timo_sim')
+
+
 def test_nothing_of_it_is_imported_when_off():
-    code = ('import sys, timo_sim.ros.node; '
+    code = ('import sys, timo_sim.cli.sim_node, timo_sim.ros.process; '
             'assert not {"rerun", "visualization_msgs", "tf2_msgs", "timo_sim.view"} & '
             'set(sys.modules)')
     subprocess.run([sys.executable, '-c', code], check=True)
@@ -111,9 +127,8 @@ def test_the_frames_of_tf_lead_from_the_world_to_the_bent_tip(paper):
     scene = timo_sim.load_scene(paper)
     simulator = Simulator(scene)
     simulator.advance(1810)  # where the arm is bent most
-    x, y, *arm, along, across, tip_z, tip_w = TRANSFORMS.numbers(
-        Snapshot(simulator, [0.0] * LOADS))
-    run = timo_sim.simulate(scene, 1.81, every=1810)
+    x, y, *arm, along, across, tip_z, tip_w = TRANSFORMS.numbers(simulator.snapshot())
+    run = timo_sim.simulate(scene, 1.81, sample_every=1810)
     assert abs(across - run.deflection(2.0)[-1, 1]) < 1e-14 and abs(across) > 0.08
     assert np.allclose([x, y] + turn(*arm) @ [along, across], run.position(2.0)[-1], atol=1e-14)
     angle = run.shaft[-1] + run.rotation(2.0)[-1]
@@ -147,7 +162,7 @@ def test_the_urdf_has_the_joints_and_bodies_of_the_paper(paper):
     def mass(link):
         return float(links[link].find('inertial/mass').get('value'))
 
-    assert mass('carrier') == body.base_mass and mass('tip') == body.tip_mass
+    assert mass('carrier') == body.base_mass and mass('tip') == body.end_effector_mass
     assert mass('arm') == pytest.approx(section.mass_per_length * length, rel=1e-4)
     assert float(joints['tip'].find('origin').get('xyz').split()[0]) == length
     assert links['arm'].find('visual/geometry/box').get('size') == (
@@ -160,12 +175,16 @@ def test_the_urdf_has_the_joints_and_bodies_of_the_paper(paper):
     assert topics['joint_states_topic'] == '/joint_states'
 
 
-def test_launch_files_are_python_and_name_what_is_installed():
-    installed = (ROOT / 'setup.py').read_text()
+def test_launch_files_are_python_and_installed(monkeypatch):
+    installed = {}
+    monkeypatch.setattr('setuptools.setup',
+                        lambda **options: installed.update(options['data_files']))
+    monkeypatch.chdir(ROOT)
+    runpy.run_path('setup.py')
     for path in (ROOT / 'launch').glob('*.py'):
         names = {node.name for node in ast.parse(path.read_text()).body
                  if isinstance(node, ast.FunctionDef)}
         assert names == {'generate_launch_description'}
-        assert f"'launch/{path.name}'" in installed
+        assert f'launch/{path.name}' in installed['share/timo_sim/launch']
     for path in (ROOT / 'urdf').glob('timo_sim.*'):
-        assert f"'urdf/{path.name}'" in installed
+        assert f'urdf/{path.name}' in installed['share/timo_sim/urdf']

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The node over DDS: topics, services, commands that are refused or go stale, parameters."""
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -13,7 +21,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 import timo_sim
-from timo_sim.parameters import RATES
+from timo_sim.scene.parameters import RATES
 
 
 def seconds(stamp):
@@ -38,7 +46,7 @@ def test_topics_carry_the_physics(start, client, paper):
     assert node.end()[0] == 0
 
     last = seconds(joints[-1].header.stamp)
-    run = timo_sim.simulate(timo_sim.load_scene(paper), round(last, 2) + 1.0, every=10)
+    run = timo_sim.simulate(timo_sim.load_scene(paper), round(last, 2) + 1.0, sample_every=10)
 
     def at(message):
         return round(seconds(message.header.stamp) * 100)
@@ -84,7 +92,7 @@ def test_nodes_in_namespaces_do_not_meet(start, client):
 
 
 def test_pause_step_and_reset(start, client):
-    start(start_paused=True, step_count=10, record=False, **{'initial.shaft_velocity': 1.0})
+    start(start_paused=True, steps_per_call=10, record=False, **{'initial.shaft_velocity': 1.0})
     states = client.collect(JointState, '/joint_states')
     pause = client.service(SetBool, '/timo_sim/pause')
     reset = client.service(Trigger, '/timo_sim/reset')
@@ -166,7 +174,7 @@ def test_parameters_at_run_time(start, client):
     refused = set_one('rate.joint_states', 300.0)
     assert not refused.successful and 'the ratio is 3.33333' in refused.reason
     for name, value in (('command_timeout', -1.0), ('command_timeout', float('nan')),
-                        ('step_count', 0), ('real_time_factor', 'fast')):
+                        ('steps_per_call', 0), ('real_time_factor', 'fast')):
         assert not set_one(name, value).successful
     refused = set_one('arm.length', 3.0)
     assert not refused.successful and 'read-only' in refused.reason

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """A commanded, paused, reset run, replayed from its log by another process, to the last bit."""
 
 import signal
@@ -15,13 +23,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from timo_sim.commands import COMMANDS
 from timo_sim.log.recorder import Channel, Recorder
 from timo_sim.log.recording import Recording
 from timo_sim.log.recover import recover
-from timo_sim.replay.command import replay
-from timo_sim.replay.plan import segments_of
-from timo_sim.replay.run import Replay
+from timo_sim.messages.commands import COMMANDS
+from timo_sim.replay.replay import replay
+from timo_sim.replay.replayer import Replay
+from timo_sim.replay.segments import segments_of
 
 EVERY_STEP = ('joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
 SCENES = {
@@ -72,7 +80,7 @@ def drive_about(client):
 def test_every_step_of_a_commanded_run_is_the_same_to_the_last_bit(name, start, client, paper):
     values = SCENES[name]
     rate = 1.0 / values.get('integrator.step', 0.001)
-    node = start('--params-file', str(paper), command_timeout=0.02, step_count=7,
+    node = start('--params-file', str(paper), command_timeout=0.02, steps_per_call=7,
                  publish_clock=True, real_time_factor=0.5, **values,
                  **{f'rate.{topic}': rate for topic in EVERY_STEP})
     resets = drive_about(client)

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Sensors over DDS and in the log: delayed, noisy, and the same in a replay to the last bit."""
 
 from mcap.reader import make_reader
@@ -9,13 +17,14 @@ from std_srvs.srv import Trigger
 import timo_sim
 from timo_sim.log.export import table
 from timo_sim.log.recording import Recording
-from timo_sim.replay.command import replay
-from timo_sim.sensors import shown
+from timo_sim.replay.replay import replay
+from timo_sim.simulation.sensors import reading
 
 WRONG = {'sensor.seed': 7, 'sensor.encoder.noise': 1e-3, 'sensor.encoder.resolution': 1e-4,
          'sensor.root_strain.noise': 1e-6, 'sensor.gyro.bias': 0.01, 'sensor.gyro.noise': 2e-3,
          'sensor.tip_acceleration.noise': 0.05}
 LATE = {'sensor.encoder.delay': 0.005, 'sensor.tip_imu.delay': 0.003}
+ENCODER = 3  # among the sensors, whose random numbers depend on it
 MOVING = {'initial.shaft_velocity': 2.0, 'initial.modal_rates': [2.0, 0.5, 0.1]}
 
 
@@ -65,13 +74,13 @@ def test_a_delayed_message_comes_later_and_says_when_it_was_measured(start, clie
     advance(30)
     assert node.end()[0] == 0
 
-    # What is shown is what was, at the time of the header.
+    # What is read is what was, at the time of the header.
     truth = {step_of(state): state.position[2] for state in states}
     values = timo_sim.load_scene(WRONG).values
     for message in angles:
         assert message.name == ['shaft'] and not message.velocity and not message.effort
-        assert tuple(message.position) == shown(
-            values, 'encoder', step_of(message), truth[step_of(message)])
+        assert tuple(message.position) == reading(
+            values, 'encoder', ENCODER, step_of(message), (truth[step_of(message)],))
     assert motions[0].header.frame_id == 'tip' and motions[0].orientation_covariance[0] == -1.0
     assert motions[0].linear_acceleration.z == 9.80665
 

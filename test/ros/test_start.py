@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """What the start of the node imports, and what its first steps do."""
 
 import subprocess
@@ -14,7 +22,7 @@ import timo_sim
 def test_the_node_imports_only_what_it_needs(tmp_path):
     code = (
         'import sys; sys.modules["simulation_interfaces"] = None; '  # not installed
-        'from timo_sim.ros.sim_node import main; '
+        'from timo_sim.cli.sim_node import main; '
         'assert main(["--ros-args", "-p", "duration:=0.05", "-p", "record_file:=run.mcap"]) == 0; '
         'needless = {"rerun", "rclpy.action", "matplotlib", "tqdm", "pandas", "scipy.integrate", '
         '"scipy.interpolate", "scipy.signal", "scipy.stats"} & set(sys.modules); '
@@ -40,7 +48,7 @@ def test_each_topic_has_its_rate_in_one_run(start):
 
 
 def test_a_command_to_a_manipulator_at_rest_acts_at_its_step(start, client):
-    node = start(start_paused=True, step_count=20)
+    node = start(start_paused=True, steps_per_call=20)
     states = client.collect(JointState, '/joint_states')
     torque = client.command(Float64, '/timo_sim/motor_torque')
     step = client.service(Trigger, '/timo_sim/step')

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The node among processes that wish it ill: it stays, counts, answers; its log is readable."""
 
 from contextlib import contextmanager, ExitStack
@@ -124,7 +132,7 @@ def test_two_nodes_in_one_process(tmp_path):
 def test_what_is_refused_ends_with_one_line_and_code_2(tmp_path, arguments, words):
     (tmp_path / 'bad.yaml').write_text(
         'timo_sim: {ros__parameters: {arm.length: !!python/object/apply:os.system [touch tag]}}')
-    result = subprocess.run([sys.executable, '-m', 'timo_sim.ros.sim_node', '--ros-args',
+    result = subprocess.run([sys.executable, '-m', 'timo_sim.cli.sim_node', '--ros-args',
                              *arguments], cwd=tmp_path, capture_output=True, text=True)
     assert result.returncode == 2 and 'Traceback' not in result.stderr
     line, = [line for line in result.stderr.splitlines() if line.startswith('timo_sim: ')]

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The frames on /tf; conftest.py leaves this out where tf2_msgs is not installed."""
 
 import math
@@ -5,23 +13,39 @@ from pathlib import Path
 import xml.etree.ElementTree as ElementTree
 
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 import timo_sim
-from timo_sim.log.cdr import layout
-from timo_sim.outputs import TRANSFORMS
-from timo_sim.ros.topics import Serializer
-from timo_sim.ros.transforms import message
+from timo_sim.messages.cdr import layout
+from timo_sim.messages.outputs import TRANSFORMS
+from timo_sim.messages.packing import Serializer
 
 URDF = Path(__file__).resolve().parents[2] / 'urdf' / 'timo_sim.urdf'
+
+
+def frame(time, parent, child, x=0.0, y=0.0, z=0.0, w=1.0):
+    """Return one frame in another."""
+    return TransformStamped(
+        header=Header(stamp=time, frame_id=parent), child_frame_id=child,
+        transform=Transform(translation=Vector3(x=x, y=y), rotation=Quaternion(z=z, w=w)))
+
+
+def message(time, *numbers):
+    """Return the tree of frames as a user of rclpy would write it."""
+    return TFMessage(transforms=[
+        frame(time, 'world', 'carrier', *numbers[:2]),
+        frame(time, 'carrier', 'arm', 0.0, 0.0, *numbers[2:4]),
+        frame(time, 'arm', 'tip', *numbers[4:])])
 
 
 def test_packed_is_what_rclpy_serializes():
     numbers = np.random.default_rng(1).normal(size=len(TRANSFORMS.columns)).tolist()
     expected = message(Time(sec=3, nanosec=5), *numbers)
-    packed = Serializer(message, len(numbers))((3, 5), numbers)
+    packed = Serializer(TRANSFORMS.type_name, TRANSFORMS.template)((3, 5), numbers)
     assert deserialize_message(packed, TFMessage) == expected
     data = serialize_message(expected)
     meant = layout(TRANSFORMS.type_name, data).meant()

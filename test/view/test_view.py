@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """What a view shows is where physics says; as rerun itself reads and draws it."""
 
 import subprocess
@@ -16,10 +24,11 @@ from rosbags.typesys import get_typestore, Stores
 from ros_process import Process
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.energy import work
 from timo_sim.log.recording import Recording
-from timo_sim.track import of_recording, of_run, TrackError, unique_names
+from timo_sim.simulation.energy import work
 from timo_sim.view.convert import write
+from timo_sim.view.motion_track import of_recording, of_run
+from timo_sim.view.track import TrackError, unique_names
 from timo_sim.view.viewer import picture
 
 LENGTH, AT = 2.0, 1.782
@@ -29,7 +38,7 @@ ARM, TIP, GRID = (86, 180, 233), (213, 94, 0), (50, 50, 50)
 @pytest.fixture(scope='module')
 def run(paper):
     """Return 3 s of the paper's scene."""
-    return timo_sim.simulate(timo_sim.load_scene(paper), 3.0, every=2)
+    return timo_sim.simulate(timo_sim.load_scene(paper), 3.0, sample_every=2)
 
 
 @pytest.fixture(scope='module')

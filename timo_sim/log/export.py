@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """A log as a table, for pandas, MATLAB and the like, or as the folder that rosbag2 writes."""
 
 import csv
@@ -8,10 +16,10 @@ import shutil
 import numpy as np
 
 from timo_sim.log.index import Index
-from timo_sim.log.reader import LogError
+from timo_sim.log.records import LogError
 from timo_sim.log.recording import common, Recording
-from timo_sim.log.rosbag2 import information, shown, yaml_text
-from timo_sim.outputs import outputs, with_angles
+from timo_sim.log.rosbag2 import information, printable, yaml_text
+from timo_sim.messages.outputs import outputs, with_angles
 
 _ROWS = 10000  # of a CSV file that are text at once
 
@@ -45,18 +53,42 @@ def export(file, output, topic=None, node=None):
         If there is nothing to write, or `output` exists.
 
     """
-    output = Path(output)
-    if output.suffix not in ('.parquet', '.csv'):
-        raise LogError(f'{shown(output)} must end with .parquet or .csv')
-    if output.exists():
-        raise LogError(f'{shown(output)} exists: remove it or choose another --output')
-    recording = Recording(file, node)
-    columns, left = table(recording, topic)
-    (_parquet if output.suffix == '.parquet' else _csv)(columns, output)
-    text = f'{shown(output)}: {len(columns["time_s"])} rows, {len(columns)} columns'
+    output = _new_table(Path(output))
+    columns, left = table(Recording(file, node), topic)
+    write_table(columns, output)
+    text = f'{printable(output)}: {len(columns["time_s"])} rows, {len(columns)} columns'
     if left:
         text += '; messages at other times are left out, --topic writes them: ' + ', '.join(left)
     return text
+
+
+def write_table(columns, path):
+    """
+    Write columns by name to a new file, *.parquet or *.csv.
+
+    Raises
+    ------
+    LogError
+        If the file exists, or its name ends in another way.
+
+    """
+    (_parquet if _new_table(path).suffix == '.parquet' else _csv)(columns, path)
+
+
+def _new_table(path):
+    if path.suffix not in ('.parquet', '.csv'):
+        raise LogError(f'{printable(path)} must end with .parquet or .csv')
+    if path.exists():
+        raise LogError(f'{printable(path)} exists: remove it or choose another --output')
+    return path
+
+
+def named(topic, columns):
+    """Return the names that columns of a topic have in a table of several topics."""
+    if topic == 'joint_states':
+        return list(columns)
+    prefix = topic.removeprefix('~/') + '_'
+    return [column if column.startswith('mode_') else prefix + column for column in columns]
 
 
 def table(recording, topic=None):
@@ -91,9 +123,7 @@ def table(recording, topic=None):
         here, there = common(base.ns, series.ns)
         whole = np.full((len(base.ns), len(names)), np.nan)
         whole[here] = values[there]
-        prefix = name.removeprefix('~/') + '_'
-        columns.update((column if column.startswith('mode_') else prefix + column, numbers)
-                       for column, numbers in zip(names, whole.T))
+        columns.update(zip(named(name, names), whole.T))
         if names and len(series.ns[there]) < len(series.ns):
             left.append(name)
     return columns, left
@@ -148,7 +178,8 @@ def export_bag(file, output):
     try:
         folder.mkdir(parents=True)
     except FileExistsError:
-        raise LogError(f'{shown(folder)} exists: remove it or choose another --output') from None
+        raise LogError(
+            f'{printable(folder)} exists: remove it or choose another --output') from None
     new = folder / index.path.name
     try:
         os.link(index.path, new)  # the same file: a gigabyte takes no time, and no space
@@ -156,4 +187,4 @@ def export_bag(file, output):
         shutil.copyfile(index.path, new)
     (folder / 'metadata.yaml').write_text(
         yaml_text({'rosbag2_bagfile_information': content}))
-    return f'{shown(folder)}: {shown(new.name)} and metadata.yaml'
+    return f'{printable(folder)}: {printable(new.name)} and metadata.yaml'

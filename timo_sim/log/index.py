@@ -1,10 +1,18 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """What a complete log says of itself at its end, and its messages by their index."""
 
 from itertools import islice
 import os
 from pathlib import Path
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 import zlib
 
 from mcap.opcode import Opcode
@@ -12,18 +20,17 @@ from mcap.records import Channel, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 import numpy as np
 
-from timo_sim.log.reader import (
-    Broken, LARGEST_RECORD, LogError, open_log, parsed, uncompressed)
-from timo_sim.log.rosbag2 import shown
+from timo_sim.log.records import (
+    Broken, HEAD, LARGEST_RECORD, LogError, open_file, parsed, uncompressed)
+from timo_sim.log.rosbag2 import printable
 
-_HEAD = struct.Struct('<BQ')
 _FOOTER = struct.Struct('<BQQQI')      # opcode, length, where summary and its offsets are, CRC
 _LARGEST_SUMMARY = 512 * 1024 * 1024   # [B]; that of a month takes about this
 _CHUNK_INDEX = struct.Struct('<4QI')   # times, where the chunk is, its size, size of a map
 _OFFSET = struct.Struct('<HQ')         # an entry of that map
 
 
-class Chunk(NamedTuple):
+class IndexedChunk(NamedTuple):
     """Where a chunk is, and when its messages were logged."""
 
     start: int
@@ -59,7 +66,7 @@ class Index:
     schemas, channels : dict
         Records by number.
     statistics : Statistics
-    chunks : list of Chunk
+    chunks : list of IndexedChunk
         In the order of the file.
 
     Raises
@@ -71,11 +78,12 @@ class Index:
 
     def __init__(self, path):
         self.path = Path(path)
-        self.name = shown(self.path)
-        self.stream = open_log(self.path)
+        self.name = printable(self.path)
+        self.stream = open_file(self.path)
         self.size = os.fstat(self.stream.fileno()).st_size
         self.schemas, self.channels, self.chunks = {}, {}, []
-        self.statistics, self._metadata = None, []
+        self.statistics: Any = None
+        self._metadata = []
         try:
             self._read()
         except (Broken, struct.error, UnicodeDecodeError) as error:
@@ -171,11 +179,11 @@ class Index:
     def _parse(self, data):
         place = 0
         while place < len(data):
-            opcode, length = _HEAD.unpack_from(data, place)
-            content = data[place + _HEAD.size:place + _HEAD.size + length]
+            opcode, length = HEAD.unpack_from(data, place)
+            content = data[place + HEAD.size:place + HEAD.size + length]
             if len(content) < length:
                 raise Broken('a record ends outside of it')
-            place += _HEAD.size + length
+            place += HEAD.size + length
             if opcode == Opcode.CHUNK_INDEX:
                 self.chunks.append(_chunk(content))
             elif opcode == Opcode.METADATA_INDEX:
@@ -203,13 +211,13 @@ class Index:
 
     def _record(self, place, length, opcode):
         """Return the content of a record of which place and length are known."""
-        if not _HEAD.size <= length <= LARGEST_RECORD:
+        if not HEAD.size <= length <= LARGEST_RECORD:
             raise Broken(f'a record would have {length} bytes')
         self.stream.seek(place)
         data = self.stream.read(length)
-        if len(data) < length or _HEAD.unpack_from(data) != (opcode, length - _HEAD.size):
+        if len(data) < length or HEAD.unpack_from(data) != (opcode, length - HEAD.size):
             raise Broken(f'at byte {place} is no record of kind {int(opcode)}')
-        return data[_HEAD.size:]
+        return data[HEAD.size:]
 
     def _messages(self, chunk):
         entries = self._entries(chunk)
@@ -240,4 +248,4 @@ def _chunk(content):
         raise Broken('the index of chunks does not hold what it says')
     indexes = dict(_OFFSET.iter_unpack(content[_CHUNK_INDEX.size:_CHUNK_INDEX.size + size]))
     index_length, = struct.unpack_from('<Q', content, _CHUNK_INDEX.size + size)
-    return Chunk(start, end, place, length, index_length, indexes)
+    return IndexedChunk(start, end, place, length, index_length, indexes)

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """What a log is about, from its ends and its indexes: a gigabyte takes less than a second."""
 
 import json
@@ -11,7 +19,9 @@ from timo_sim.log.notes import made_with, read_notes
 _NANOSECONDS = 1000000000
 _MOST_TIMES = 500000  # messages whose times are looked at one by one
 _MOST_CHUNKS = 40      # that are read where no summary tells the peak
-_COUNTERS = ('refused_commands', 'stale_commands', 'overruns', 'dropped_time_s', 'coarse_steps')
+# The last is what version 0.1 wrote for the one before it.
+_COUNTERS = ('refused_commands', 'stale_commands', 'overruns', 'dropped_time_s',
+             'unresolved_steps', 'coarse_steps')
 
 
 def info(file):

@@ -1,12 +1,22 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """What a log says of a run besides its messages: metadata records `timo_sim` and others."""
 
 from importlib.metadata import version
 import json
+import math
 import platform
 from typing import NamedTuple
 
-import timo_sim
-from timo_sim.log.reader import LogError
+from timo_sim.log.records import LogError
+from timo_sim.scene.compatibility import current
+from timo_sim.version import __version__
 
 START, RESET, SUMMARY = 'timo_sim', 'timo_sim.reset', 'timo_sim.summary'
 CHANGE = 'timo_sim.change'
@@ -79,12 +89,18 @@ def _values(record, name):
         values = None
     if not isinstance(values, dict):
         raise LogError(f'{name} has a {record.name} whose values are no dictionary')
-    return values
+    return current(values)
 
 
 def change_note(step, values):
     """Return what a log says of parameters of the scene that are set while the node runs."""
-    return {'step': str(step), 'values': json.dumps(values)}
+    return {'step': str(step), 'values': _json(values)}
+
+
+def _json(values):
+    # JSON has no infinity, which a limit may be; a text is read as a number again.
+    return json.dumps({name: str(value) if value in (math.inf, -math.inf) else value
+                       for name, value in values.items()})
 
 
 def start_note(node, values, changed, scene):
@@ -107,7 +123,7 @@ def start_note(node, values, changed, scene):
 
     """
     return {
-        'node': node, 'parameters': json.dumps(values), 'changed': json.dumps(changed),
+        'node': node, 'parameters': _json(values), 'changed': _json(changed),
         'initial_motion': json.dumps(scene.initial_motion().tolist()), **_here()}
 
 
@@ -142,6 +158,6 @@ class Peak:
 def _here():
     from llvmlite.binding import get_host_cpu_name  # for which the steps are compiled
     return dict(zip(_GROUND, (
-        timo_sim.__version__, platform.python_version(),
+        __version__, platform.python_version(),
         *(version(package) for package in ('numpy', 'scipy', 'numba')),
         platform.machine(), get_host_cpu_name())))

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
 What is intact in an MCAP file, of which no length, number or checksum is believed.
 
@@ -6,29 +14,20 @@ what it says is left out; where even the length of a record cannot be true, read
 """
 
 from collections import Counter
-from io import BytesIO
-import stat
 import struct
 from typing import NamedTuple
 import zlib
 
-import lz4.frame
-from mcap.data_stream import ReadDataStream, RecordBuilder
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
-import zstandard
 
-from timo_sim.log.rosbag2 import shown
+from timo_sim.log.records import (
+    Broken, bytes_of, HEAD, LARGEST_RECORD, LogError, parsed, uncompressed)
 
-LARGEST_CHUNK = 64 * 1024 * 1024  # [B] uncompressed
-LARGEST_RECORD = LARGEST_CHUNK + 1024 * 1024
 # Of schemas, channels and metadata of one file [B]; an entry in a table costs something, too.
 _LARGEST_KEPT, _ENTRY = 64 * 1024 * 1024, 100
 
-_HEAD = struct.Struct('<BQ')            # opcode, length of the content
-_CHUNK_HEAD = struct.Struct('<QQQII')   # times, size, checksum, length of compression's name
 _MESSAGE_HEAD = struct.Struct('<H4xQ')  # channel, sequence number, log time
 _MESSAGE_HEAD_SIZE = 22
 _KEPT = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
@@ -40,14 +39,6 @@ _DERIVED = {Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX, Opcode.METADATA_INDEX,
 def _is_foreign(opcode):
     # Allowed, but not written by this package and not kept: attachments and private records.
     return opcode in (Opcode.ATTACHMENT, Opcode.ATTACHMENT_INDEX) or opcode >= 0x80
-
-
-class LogError(ValueError):
-    """A file that is not a log; the text says which and why."""
-
-
-class Broken(ValueError):
-    """A record that does not hold what it says."""
 
 
 class _End(ValueError):
@@ -133,15 +124,15 @@ class Reader:
         place = self._place
         if place == self._size:
             raise _End('it ends early')
-        head = self._stream.read(_HEAD.size)
-        if len(head) < _HEAD.size:
+        head = self._stream.read(HEAD.size)
+        if len(head) < HEAD.size:
             raise _End('it ends in the middle of a record')
-        opcode, length = _HEAD.unpack(head)
+        opcode, length = HEAD.unpack(head)
         if not opcode:
             raise _End('there are no more records')
-        if length > self._size - place - _HEAD.size:
+        if length > self._size - place - HEAD.size:
             raise _End('it ends in the middle of a record, or its length is wrong')
-        self._place += _HEAD.size + length
+        self._place += HEAD.size + length
         if length > LARGEST_RECORD:
             self._stream.seek(self._place)
             self._complain(f'a record of {length} bytes is larger than any should be', place)
@@ -160,7 +151,7 @@ class Reader:
             if opcode not in _DERIVED:
                 return
         if not _is_foreign(opcode):
-            self.kept += _HEAD.size + length
+            self.kept += HEAD.size + length
 
     def _contents(self, opcode, content, crc):
         if opcode == Opcode.CHUNK:
@@ -184,10 +175,10 @@ class Reader:
         """Yield what is in an uncompressed chunk."""
         place = 0
         while place < len(data):
-            if place + _HEAD.size > len(data):
+            if place + HEAD.size > len(data):
                 raise Broken('a chunk ends in the middle of a record')
-            opcode, length = _HEAD.unpack_from(data, place)
-            place += _HEAD.size
+            opcode, length = HEAD.unpack_from(data, place)
+            place += HEAD.size
             if length > len(data) - place:
                 raise Broken('a chunk ends in the middle of a record')
             if opcode == Opcode.MESSAGE:
@@ -212,7 +203,7 @@ class Reader:
         if not isinstance(record, Metadata) and self._is_known(record):
             return
         if not isinstance(record, Metadata) or record.name != 'rosbag2':  # which is made again
-            self._held += _ENTRY + len(_bytes_of(record))
+            self._held += _ENTRY + len(bytes_of(record))
         if self._held > _LARGEST_KEPT:
             raise _End(f'there are more than {_LARGEST_KEPT} bytes of schemas, channels and '
                        'metadata')
@@ -242,7 +233,7 @@ class Reader:
 
     def _end_summary(self, footer, content, crc):
         self._ended = True
-        crc = zlib.crc32(content[:-4], zlib.crc32(_HEAD.pack(Opcode.FOOTER, len(content)), crc))
+        crc = zlib.crc32(content[:-4], zlib.crc32(HEAD.pack(Opcode.FOOTER, len(content)), crc))
         if footer.summary_crc not in (0, crc):
             raise Broken('the checksum of the summary is wrong')
         if footer.summary_start != self._summary_start or self._expected is None:
@@ -257,65 +248,3 @@ class Reader:
             raise _End('after its end there is something else' if len(end) >= len(MCAP0_MAGIC)
                        else 'it ends early')
         self.kept += len(MCAP0_MAGIC)
-
-
-def open_log(path):
-    """Open what must be a file: a pipe would never end, a device might do something."""
-    try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise LogError(f'{shown(path)} is not a file')
-        return open(path, 'rb')
-    except (PermissionError, NotADirectoryError) as error:
-        raise LogError(f'{shown(path)}: {error.strerror}') from None
-
-
-def uncompressed(content):
-    """Return the data of a chunk if it is what the chunk says."""
-    try:
-        _, _, size, crc, length = _CHUNK_HEAD.unpack_from(content)
-        compression = content[_CHUNK_HEAD.size:_CHUNK_HEAD.size + length]
-        place = _CHUNK_HEAD.size + length
-        stored, = struct.unpack_from('<Q', content, place)
-        if stored != len(content) - place - 8:
-            raise Broken('a chunk has a wrong length')
-        if size > LARGEST_CHUNK:
-            raise Broken(f'a chunk claims to hold {size} bytes, more than {LARGEST_CHUNK}')
-        if compression not in _DECOMPRESS:
-            raise Broken(f'a chunk is compressed by {bytes(compression[:20])!r}')
-        # One byte more than it says, so that a chunk which holds more is found out.
-        data = _DECOMPRESS[compression](memoryview(content)[place + 8:], size + 1)
-    except (struct.error, RuntimeError, EOFError, zstandard.ZstdError) as error:
-        raise Broken(f'a chunk cannot be read: {error}') from None
-    if len(data) != size:
-        raise Broken(f'a chunk does not hold the {size} bytes that it says')
-    if crc and zlib.crc32(data) != crc:
-        raise Broken('the checksum of a chunk is wrong')
-    return data
-
-
-def _zstd(data, limit):
-    decompressor = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
-    return decompressor.stream_reader(data).read(limit)
-
-
-_DECOMPRESS = {
-    b'': lambda data, limit: data[:limit],
-    b'lz4': lambda data, limit: lz4.frame.LZ4FrameDecompressor().decompress(data, limit),
-    b'zstd': _zstd}
-
-
-def parsed(kind, content):
-    """Return a record if it says the same when it is written again."""
-    try:
-        record = kind.read(ReadDataStream(BytesIO(content)))
-        if _bytes_of(record)[_HEAD.size:] == content:
-            return record
-    except (McapError, struct.error, UnicodeDecodeError):
-        pass
-    raise Broken(f'a record of kind {kind.__name__.lower()} does not hold what it says')
-
-
-def _bytes_of(record):
-    builder = RecordBuilder()
-    record.write(builder)
-    return builder.end()

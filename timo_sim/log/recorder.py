@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """A recorder that writes MCAP from a thread of its own."""
 
 from collections import deque
@@ -10,8 +18,8 @@ import time
 from typing import NamedTuple
 
 from timo_sim.log.rosbag2 import add_rosbag2_metadata, channel_metadata
-from timo_sim.log.schema import schema_text, type_hash
 from timo_sim.log.writer import Chunk, Writer
+from timo_sim.messages.definitions import schema_text, TYPE_HASHES
 
 FLUSH_PERIOD = 0.5       # [s] of wall time; half of what a crash may cost
 CHUNK_SIZE = 512 * 1024  # [B] so that a day has few; none waits longer than `FLUSH_PERIOD`
@@ -61,7 +69,7 @@ class Recorder:
         self._queue = deque()  # full chunks, and metadata in between
         self._ready = threading.Event()
         self._closing = False
-        definitions = {name: (schema_text(name), type_hash(name))
+        definitions = {name: (schema_text(name), TYPE_HASHES[name])
                        for name in {channel.type_name for channel in channels}}
         self.path, self._file = create(Path(path))
         try:

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """A log as arrays: what the node published, and the commands that it obeyed."""
 
 from functools import cached_property
@@ -7,16 +15,18 @@ from pathlib import Path
 
 import numpy as np
 
-from timo_sim.commands import COMMANDS
-from timo_sim.log.cdr import CdrError, TYPES
 from timo_sim.log.index import Index
 from timo_sim.log.notes import read_notes
-from timo_sim.log.reader import LogError, Message, open_log, Reader
-from timo_sim.log.rosbag2 import shown
+from timo_sim.log.reader import Message, Reader
+from timo_sim.log.records import LogError, open_file
+from timo_sim.log.rosbag2 import printable
 from timo_sim.log.series import Collector, Series
-from timo_sim.outputs import outputs
-from timo_sim.parameters import ParameterError
-from timo_sim.scene import load_scene
+from timo_sim.messages.cdr import CdrError, TYPES
+from timo_sim.messages.commands import COMMANDS
+from timo_sim.messages.outputs import outputs
+from timo_sim.scene.compatibility import current
+from timo_sim.scene.parameter import ParameterError
+from timo_sim.scene.scene import load_scene
 
 _BLOCK = 1024 * 1024    # [B] of messages at once where there are no chunks
 _WRAP = 2**32           # steps after which a sequence number starts again
@@ -67,6 +77,14 @@ class Recording:
         self.facts, self.summary, resets, self.changes = read_notes(self.index)
         self.resets, self.reset_places = np.array(resets, dtype=np.int64).reshape(-1, 2).T
         self.name = node or self.facts.get('node') or self._find_node()
+
+    @cached_property
+    def parameters(self):
+        """What the log says of all parameters of the node, not checked, by present name."""
+        parameters = json.loads(self.facts['parameters'])
+        if not isinstance(parameters, dict):
+            raise ValueError('they are no dictionary')
+        return current(parameters)
 
     @cached_property
     def scene(self):
@@ -124,7 +142,7 @@ class Recording:
         step, ns : ndarray of int64, shape (n,)
             Where a reset was, a step may be there twice: before and after it.
         motion : ndarray, shape (n, 2 (3 + N))
-            See `physics.formulation`.
+            See `physics.layout`.
 
         Raises
         ------
@@ -172,10 +190,7 @@ class Recording:
 
     def _scene(self):
         try:
-            parameters = json.loads(self.facts['parameters'])
-            if not isinstance(parameters, dict):
-                raise ValueError('they are no dictionary')
-            return load_scene(parameters)
+            return load_scene(self.parameters)
         except (KeyError, ValueError, RecursionError, ParameterError) as error:
             reason = ' '.join(str(error).split())[:300]
             raise LogError(f'{self.index.name}: its scene cannot be built: {reason}') from None
@@ -203,7 +218,7 @@ class Recording:
             yield from self._blocks_without_index()
 
     def _blocks_without_index(self):
-        with open_log(self.path) as stream:
+        with open_file(self.path) as stream:
             reader = Reader(stream, self.index.size, self.index.name)
             data, offsets, place = bytearray(), {}, 0
             for record in reader.records():
@@ -265,7 +280,7 @@ def _single(path):
         return path
     files = sorted(path.glob('*.mcap'))
     if len(files) != 1:
-        raise LogError(f'{shown(path)} has {len(files)} files *.mcap: name one')
+        raise LogError(f'{printable(path)} has {len(files)} files *.mcap: name one')
     return files[0]
 
 
@@ -287,6 +302,6 @@ def common(first, second):
         _, place, count = np.unique(values, return_index=True, return_counts=True)
         left = np.repeat(place + count, count) - np.arange(len(values))  # 1 for the last
         keys.append(np.rec.fromarrays([values, left]))
-    _, one, other = np.intersect1d(*keys, assume_unique=True, return_indices=True)
+    _, one, other = np.intersect1d(keys[0], keys[1], assume_unique=True, return_indices=True)
     order = np.argsort(one)
     return one[order], other[order]

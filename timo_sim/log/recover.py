@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """A complete log from one that ends early or is damaged."""
 
 from collections import Counter
@@ -6,9 +14,10 @@ from pathlib import Path
 
 from mcap.records import Channel, Metadata, Schema
 
-from timo_sim.log.reader import LogError, Message, open_log, Reader
+from timo_sim.log.reader import Message, Reader
 from timo_sim.log.recorder import CHUNK_SIZE, create, sync
-from timo_sim.log.rosbag2 import add_rosbag2_metadata, shown
+from timo_sim.log.records import LogError, open_file
+from timo_sim.log.rosbag2 import add_rosbag2_metadata, printable
 from timo_sim.log.writer import Chunk, Writer
 
 
@@ -38,10 +47,10 @@ def recover(file, output=None):
 
     """
     path = Path(file)
-    with open_log(path) as stream:
+    with open_file(path) as stream:
         size = os.fstat(stream.fileno()).st_size
         # Read once before anything is written: most files are complete, and some are no logs.
-        reader = Reader(stream, size, shown(path))
+        reader = Reader(stream, size, printable(path))
         found, last = Counter(), 0
         for record in reader.records():
             found[type(record)] += 1
@@ -49,13 +58,13 @@ def recover(file, output=None):
                 last = max(last, record.time)
         contents = f'{found[Message]} messages until sim time {1e-9 * last:.3f} s'
         if reader.damage is None:
-            return f'{shown(path)} is complete: {contents}; nothing is written'
+            return f'{printable(path)} is complete: {contents}; nothing is written'
         if not found:
-            raise LogError(f'{shown(path)}: nothing in it is intact: {reader.damage}')
+            raise LogError(f'{printable(path)}: nothing in it is intact: {reader.damage}')
         stream.seek(0)
-        new = _write(Reader(stream, size, shown(path)), reader.profile, path, output)
-    return (f'{shown(path)}: {reader.damage}; {contents}, {size - reader.kept} bytes lost; '
-            f'complete in {shown(new)}')
+        new = _write(Reader(stream, size, printable(path)), reader.profile, path, output)
+    return (f'{printable(path)}: {reader.damage}; {contents}, {size - reader.kept} bytes lost; '
+            f'complete in {printable(new)}')
 
 
 def _write(reader, profile, path, output):
@@ -67,7 +76,7 @@ def _write(reader, profile, path, output):
             new, stream = Path(output), open(output, 'xb')
         except FileExistsError:
             raise LogError(
-                f'{shown(output)} exists: remove it or choose another --output') from None
+                f'{printable(output)} exists: remove it or choose another --output') from None
     try:
         with stream:
             _copy(reader, profile, stream, new.name)

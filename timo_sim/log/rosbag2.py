@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """What rosbag2 keeps in a log besides the messages: QoS, and its own metadata record."""
 
 from collections import Counter
@@ -26,8 +34,8 @@ def yaml_text(value):
 _QOS_TEXT = yaml_text([_QOS])
 
 
-def shown(path):
-    """Return a path as text that can be written anywhere: names are bytes on Linux."""
+def printable(path):
+    """Return a path as text that can be printed anywhere: on Linux file names are bytes."""
     return os.fsencode(path).decode(errors='replace')
 
 
@@ -89,5 +97,5 @@ def information(schemas, channels, counts, start, end, name):
     return {
         'version': 9, 'storage_identifier': 'mcap', **span,
         'topics_with_message_count': topics, 'compression_format': '', 'compression_mode': '',
-        'relative_file_paths': [shown(name)], 'files': [{'path': shown(name), **span}],
+        'relative_file_paths': [printable(name)], 'files': [{'path': printable(name), **span}],
         'custom_data': {}, 'ros_distro': 'jazzy'}

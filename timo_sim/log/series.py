@@ -1,12 +1,20 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The messages of a topic as numbers, gathered a chunk at a time without a loop over them."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from timo_sim.commands import COMMANDS, LARGEST, Refused
-from timo_sim.log.cdr import CdrError, layout
-from timo_sim.outputs import NANOSECONDS, outputs
+from timo_sim.messages.cdr import CdrError, layout
+from timo_sim.messages.commands import COMMANDS, LARGEST, Refused
+from timo_sim.messages.outputs import NANOSECONDS, outputs
 
 _HEAD = 31              # [B] of a message before its content: opcode, length and so on
 _HEAD_TYPE = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
@@ -33,7 +41,7 @@ class Series:
     log_ns : ndarray of int64, shape (n,)
         When a message was logged.
     values : ndarray, shape (n, k)
-        NaN for what a command does not speak for.
+        NaN for what a command does not set.
     refused : int
         Commands that are left out, because the node refuses them.
     place : ndarray of int64, shape (n,)
@@ -121,11 +129,7 @@ class Collector:
         by_name = {output.name: output for output in outputs(max(1, len(texts)))}
         output = by_name[self.name]
         self.columns, self._places = output.columns, output.places
-        expected = {'joint_states': ['carrier_x', 'carrier_y', 'shaft'],
-                    '~/modal_state': [f'mode_{n + 1}' for n in range(len(texts))],
-                    '~/root_strain': ['root_strain'], '~/encoder': ['shaft']}
-        if texts != expected.get(self.name, texts) or len(found.doubles) <= max(
-                self._places, default=-1):
+        if texts != output.texts[1:] or len(found.doubles) <= max(self._places, default=-1):
             raise CdrError(f'{", ".join(texts)[:80]} are not the joints of this node')
 
     def _numbers(self, found, which, rows):
@@ -144,7 +148,9 @@ class Collector:
         values = _doubles(rows, [found.doubles[place] for place in self._places])
         first = found.stamps[0]
         stamp = np.ascontiguousarray(rows[:, first:first + 8]).view('<i4')
-        return which, stamp[:, 0] * np.int64(NANOSECONDS) + stamp[:, 1], values, []
+        # As int64 before the product, which NumPy 1.26 would take in 32 bits.
+        ns = NANOSECONDS * stamp[:, 0].astype(np.int64) + stamp[:, 1]
+        return which, ns, values, []
 
     def arrays(self):
         """Return sequence numbers, log times, places, stamps (None for commands) and values."""

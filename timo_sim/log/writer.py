@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """MCAP files, chunk by chunk, with little to do for a message but to append it."""
 
 from collections import Counter, defaultdict
@@ -13,10 +21,10 @@ from mcap.records import (
 from mcap.records import Chunk as ChunkRecord
 from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 
+from timo_sim.log.records import bytes_of, HEAD
+
 # Opcode, length of what follows; channel, sequence number, log time and publish time.
 _MESSAGE = struct.Struct('<BQHIQQ')
-_HEAD = struct.Struct('<BQ')
-_OPCODE_AND_LENGTH = _HEAD.size
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
 
 
@@ -39,14 +47,14 @@ class Chunk:
     def add(self, channel, sequence, time, data):
         """Append a message."""
         self.index[channel] += time, len(self.data)
-        length = _MESSAGE.size - _OPCODE_AND_LENGTH + len(data)
+        length = _MESSAGE.size - HEAD.size + len(data)
         self.data += _MESSAGE.pack(_MESSAGE_OPCODE, length, channel, sequence, time, time)
         self.data += data
 
     def add_record(self, channel, time, content):
         """Append a message as it is in another file, without opcode and length."""
         self.index[channel] += time, len(self.data)
-        self.data += _HEAD.pack(_MESSAGE_OPCODE, len(content))
+        self.data += HEAD.pack(_MESSAGE_OPCODE, len(content))
         self.data += content
 
 
@@ -144,16 +152,16 @@ class Writer:
             schema_count=len(self.schemas))
         start, data, offsets = self._stream.tell(), b'', []
         for opcode, group in (
-                (Opcode.SCHEMA, _bytes_of(*self.schemas)),
-                (Opcode.CHANNEL, _bytes_of(*self.channels)),
-                (Opcode.STATISTICS, _bytes_of(statistics)),
+                (Opcode.SCHEMA, bytes_of(*self.schemas)),
+                (Opcode.CHANNEL, bytes_of(*self.channels)),
+                (Opcode.STATISTICS, bytes_of(statistics)),
                 (Opcode.CHUNK_INDEX, self._chunk_indexes.end()),
                 (Opcode.METADATA_INDEX, self._metadata_indexes.end())):
             offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + len(data),
                                          group_length=len(group)))
             data += group
         offsets_start = start + len(data)
-        data += _bytes_of(*offsets)
+        data += bytes_of(*offsets)
         # The checksum covers the footer up to the checksum itself.
         head = struct.pack('<BQQQ', Opcode.FOOTER, 20, start, offsets_start)
         self._stream.write(data)
@@ -162,15 +170,8 @@ class Writer:
         self._stream.write(MCAP0_MAGIC)
 
     def _write(self, record):
-        return self._put(_bytes_of(record))
+        return self._put(bytes_of(record))
 
     def _put(self, data):
         self._crc = zlib.crc32(data, self._crc)
         return self._stream.write(data)
-
-
-def _bytes_of(*records):
-    builder = RecordBuilder()
-    for record in records:
-        record.write(builder)
-    return builder.end()

@@ -1,14 +1,15 @@
-"""The physics: NumPy, SciPy and numba only; no files, no ROS."""
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
-from timo_sim.physics.exact import Exact
-from timo_sim.physics.newton import Newton
-from timo_sim.physics.newton_rigid_axial import NewtonRigidAxial
-from timo_sim.physics.newton_root_stress import NewtonRootStress
+"""
+The manipulator in equations: values in, values out.
 
-# A further formulation is one module and one line here.
-FORMULATIONS = {
-    'exact': Exact,
-    'newton': Newton,
-    'newton_root_stress': NewtonRootStress,
-    'newton_rigid_axial': NewtonRigidAxial,
-}
+It may import NumPy, SciPy and `jit`; it knows no files, no scenes and no ROS. `layout` says what
+arrays of loads and motions hold, `arm` has bodies and modes, `equations` the formulations,
+`integrate` the time step. The equations do not know the integrator.
+"""

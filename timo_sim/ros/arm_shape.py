@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The centre line as a marker for RViz, on ~/arm_shape; not logged."""
 
 from builtin_interfaces.msg import Time
@@ -19,7 +27,7 @@ class ArmShape(Outlet):
     Parameters
     ----------
     node : rclpy.node.Node
-    formulation : Formulation
+    model : Formulation
 
     Attributes
     ----------
@@ -31,16 +39,16 @@ class ArmShape(Outlet):
     logged = False
     name, rate = '~/arm_shape', 'rate.arm_shape'
 
-    def __init__(self, node, formulation):
-        super().__init__(node, self.name, Marker)
-        arm = formulation.manipulator.arm
-        self._formulation, self.every = formulation, 1
-        self._points = formulation.at(np.linspace(0.0, arm.length, _POINTS))
+    def __init__(self, node, model):
+        super().__init__(node, self.name, 'visualization_msgs/msg/Marker')
+        arm = model.manipulator.arm
+        self._model, self.every = model, 1
+        self._points = model.at(np.linspace(0.0, arm.length, _POINTS))
         self._thickness = float(np.max(arm.section.height))
 
     def publish(self, snapshot):
         """Send the shape of a snapshot."""
-        line = self._formulation.world(snapshot.motion[np.newaxis], self._points)[0]
+        line = self._model.world(snapshot.motion[np.newaxis], self._points)[0]
         sec, nanosec = snapshot.time
         self.send(serialize_message(Marker(
             header=Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id='world'),

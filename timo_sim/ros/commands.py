@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The subscriptions to commands: held from the first whole step after receipt until the next."""
 
 from geometry_msgs.msg import WrenchStamped
@@ -5,8 +13,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
-from timo_sim.commands import COMMANDS, INPUTS, LARGEST, Refused
 from timo_sim.log.recorder import Channel
+from timo_sim.messages.commands import COMMANDS, INPUTS, LARGEST, Refused
 
 QUEUE = 10  # commands that may wait on a topic
 
@@ -130,7 +138,7 @@ class Commands:
         for inlet in self._inlets:
             inlet.poll()
 
-    def apply(self, step, timeout_steps, held):
+    def apply(self, step, timeout_steps, commanded):
         """
         Let what was received act from this step on, and what is too old end.
 
@@ -139,8 +147,8 @@ class Commands:
         step : int
         timeout_steps : int
             Steps after which an input falls to zero; 0: never.
-        held : ndarray
-            The load in force, updated in place.
+        commanded : ndarray, shape (14,)
+            The load that is commanded, updated in place.
 
         Returns
         -------
@@ -153,7 +161,7 @@ class Commands:
             if inlet.pending is not None:
                 row, data, _ = inlet.pending
                 inlet.pending = None
-                for key in inlet.command.apply(row, held):
+                for key in inlet.command.apply(row, commanded):
                     self._obeyed[key] = inlet, step
                 started.append((index, data))
         if timeout_steps:
@@ -164,7 +172,7 @@ class Commands:
                     inlet.logger.warning(
                         f'no command for {timeout_steps} steps, the {key} input falls to zero',
                         throttle_duration_sec=5.0)
-                    held[list(INPUTS[key])] = 0.0
+                    commanded[list(INPUTS[key])] = 0.0
                     index = list(INPUTS).index(key)  # the topic of this input alone
                     started.append((index, serialize_message(self._inlets[index].type())))
         return started
@@ -174,9 +182,9 @@ class Commands:
         return [since + timeout_steps for _, since in self._obeyed.values()
                 ] if timeout_steps else []
 
-    def clear(self, held):
+    def clear(self, commanded):
         """Drop what is in force and what waits."""
-        held[:] = 0.0
+        commanded[:] = 0.0
         self._obeyed = {}
         for inlet in self._inlets:
             inlet.pending = None

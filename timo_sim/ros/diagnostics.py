@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The node's health, once per second of wall time, on /diagnostics."""
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -20,7 +28,7 @@ class Health:
     def __init__(self, node):
         self._name, self._before = node.removeprefix('/'), {}
 
-    def message(self, snapshot, counters, facts, errors, cautions=()):
+    def message(self, snapshot, counters, facts, errors, warnings=()):
         """
         Build the message.
 
@@ -33,7 +41,7 @@ class Health:
             Further values by name.
         errors : list of str
             What is wrong now, if anything.
-        cautions : list of str, optional
+        warnings : list of str, optional
             Why the results should not be trusted.
 
         Returns
@@ -44,7 +52,7 @@ class Health:
         grown = [name for name, count in counters.items() if count > self._before.get(name, 0)]
         self._before = dict(counters)
         status = DiagnosticStatus(name=f'{self._name}: simulation', hardware_id='timo_sim')
-        warnings = [*cautions, *(['more ' + ', '.join(grown)] if grown else [])]
+        warnings = [*warnings, *(['more ' + ', '.join(grown)] if grown else [])]
         if errors:
             status.level, status.message = DiagnosticStatus.ERROR, '; '.join(errors)
         elif warnings:

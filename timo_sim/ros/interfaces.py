@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The services and the action of simulation_interfaces, on the operations of ~/pause and so on."""
 
 from rclpy.action import ActionServer, CancelResponse
@@ -6,8 +14,8 @@ from simulation_interfaces.msg import Result, SimulationState, SimulatorFeatures
 from simulation_interfaces.srv import (
     GetSimulationState, GetSimulatorFeatures, ResetSimulation, SetSimulationState, StepSimulation)
 
-from timo_sim import __version__
 from timo_sim.ros.services import NotNow
+from timo_sim.version import __version__
 
 _CLOCK = 'the clock goes on at a reset'
 _FEATURES = [getattr(SimulatorFeatures, name) for name in (

@@ -1,37 +1,37 @@
-"""The node `timo_sim`: wiring of simulator, topics, services, clock, diagnostics and log."""
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The node `timo_sim`: wiring of loop, topics, services, diagnostics and log."""
 
 import math
 import threading
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray
-import numpy as np
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from timo_sim.log.notes import CHANGE, change_note, Peak, RESET, start_note
-from timo_sim.outputs import NANOSECONDS, outputs, Snapshot
-from timo_sim.parameters import changed, LATEST, PARAMETERS, SCENE, whole_ratio
-from timo_sim.physics.formulation import LOADS
+from timo_sim.messages.outputs import NANOSECONDS, outputs
 from timo_sim.ros import diagnostics
 from timo_sim.ros.commands import Commands
-from timo_sim.ros.gate import Gate
-from timo_sim.ros.optional import arm_shape, interfaces, live_feed, transforms
-from timo_sim.ros.pacing import Pace
+from timo_sim.ros.loop import Loop
+from timo_sim.ros.optional import arm_shape, interfaces, live, transforms
 from timo_sim.ros.parameters import (
-    declare_parameters, on_set, settled_scene, steps_between_messages)
+    declare_parameters, on_set, resolved_scene, steps_between_messages)
 from timo_sim.ros.run_log import RunLog
-from timo_sim.ros.services import NotNow, offer_services
-from timo_sim.ros.topics import LateOutlet, MESSAGES, MotionOutlet, Outlet
-from timo_sim.scene import scene_from
-from timo_sim.simulation import DivergenceError, Simulator
+from timo_sim.ros.services import offer_services
+from timo_sim.ros.topics import LateOutlet, MotionOutlet, Outlet
+from timo_sim.scene.parameter import LATEST, SCENE, whole_ratio
+from timo_sim.scene.parameters import changed, PARAMETERS
+from timo_sim.scene.scene import scene_from
+from timo_sim.simulation.simulator import Simulator
 
-# Steps of one compiled call at most, so that no other thread waits long for it.
-_BATCH = 500
-# How often a paused or sleeping loop looks at its flags [s].
-_PAUSED_POLL, _LONGEST_SLEEP = 0.01, 0.1
-# The same while a step waits for a command, and how often the first state is shown again [s].
-_COMMAND_POLL, _SHOWN_AGAIN = 1e-4, 0.2
+_LONGEST_SLEEP = 0.1  # [s] after which a sleeping node looks at its flags
 _TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees it jump'
 
 
@@ -45,6 +45,9 @@ class SimNode(Node):
     Parameters
     ----------
     stop : StopRequest
+    live_feed : function(Scene, str, str) -> object, optional
+        For a scene, the address of a viewer and the name of the node returns what streams to it:
+        its `offer(now, simulator, effort)` is called at each tick, its `close()` at the end.
     **options
         Of rclpy.node.Node, such as the namespace of one of several nodes in a process.
 
@@ -54,47 +57,34 @@ class SimNode(Node):
 
     """
 
-    def __init__(self, stop, **options):
+    def __init__(self, stop, live_feed=None, **options):
         super().__init__('timo_sim', **options)
         self._stop = stop
         self._lock = threading.Lock()
         self._values = declare_parameters(self)
         scene = scene_from(self._values)
         if scene.values['model.accuracy']:
-            scene = settled_scene(self, scene, self._values)
+            scene = resolved_scene(self, scene, self._values)
         self._step = scene.step
         steps_each = steps_between_messages(self._values, self._step)
-        self._end = whole_ratio('duration', self._values['duration'], 'integrator.step',
-                                self._step) or math.floor(LATEST / self._step)
+        end = whole_ratio('duration', self._values['duration'], 'integrator.step',
+                          self._step) or math.floor(LATEST / self._step)
 
         self._simulator = Simulator(scene)
-        if not self._simulator.is_compiled:
-            self.get_logger().info('compiling once, this takes some seconds')
-        self._simulator.warm_up()
-        self._held = np.zeros(LOADS)
-        self._applied = [0.0] * LOADS
-        self._paused = self._values['start_paused']
-        self._diverged = None
-        self._pace = Pace(self._step)
-        self._cautioned = None
+        self._simulator.warm_up(self.get_logger().info, messages=True)
+        self._warned = None
         self._log, self._peak = RunLog(self.get_logger()), Peak()
         self._foreign_clock, self.failed_calls = False, 0
-        self._shown = -math.inf
         self._health = diagnostics.Health(self.get_fully_qualified_name())
 
         self._commands = Commands(self, self._values['motor.dc.resistance'] > 0.0)
-        self._gate = Gate(self._sync_period(), self._values['sync_timeout'])
-        self._outlets = [self._outlet(output) for output in outputs(scene.values['model.modes'])
-                         if output.name != '/clock' or self._values['publish_clock']]
-        self._late = [outlet for outlet in self._outlets if isinstance(outlet, LateOutlet)]
-        if self._values['publish_arm_shape']:
-            self._outlets.append(arm_shape(self, self._simulator.formulation))
-        if self._values['publish_tf']:
-            self._outlets.append(transforms(self))
-        self._live = live_feed(scene, self._values['rerun_live'],
-                               self.get_fully_qualified_name())
-        self._health_outlet = Outlet(self, '/diagnostics', DiagnosticArray)
-        self._apply(self._values, steps_each)
+        self._outlets = self._made_outlets(scene)
+        self._loop = Loop(self._simulator, self._values, self._commands, self._outlets, self._log,
+                          self.get_logger(), end)
+        self._live = live(live_feed, scene, self._values['rerun_live'],
+                          self.get_fully_qualified_name())
+        self._health_outlet = Outlet(self, '/diagnostics', diagnostics.TYPE_NAME)
+        self._loop.configure(self._values, steps_each)
         on_set(self, self._values, self._on_parameters)
         offer_services(self)
         interfaces(self)
@@ -104,10 +94,18 @@ class SimNode(Node):
         """Those that an executor serves: all but the commands."""
         return (entry for entry in super().subscriptions if not entry.raw)
 
+    def _made_outlets(self, scene):
+        outlets = [self._outlet(output) for output in outputs(scene.values['model.modes'])
+                   if output.name != '/clock' or self._values['publish_clock']]
+        if self._values['publish_arm_shape']:
+            outlets.append(arm_shape(self, self._simulator.model))
+        if self._values['publish_tf']:
+            outlets.append(transforms(self))
+        return outlets
+
     def _outlet(self, output):
         delay = output.delay and round(self._values[output.delay] / self._step)
-        made = self, output, *MESSAGES[output.name]
-        outlet = LateOutlet(*made, delay) if delay else MotionOutlet(*made)
+        outlet = LateOutlet(self, output, delay) if delay else MotionOutlet(self, output)
         outlet.asks = not output.delay or self._values['record_sensors']
         return outlet
 
@@ -115,18 +113,18 @@ class SimNode(Node):
         """Open the log and show the initial state, before any callback can change it."""
         if self._values['record']:
             self._open_log()
-        self._look()
-        self._publish()
+        self._loop.look()
+        self._loop.publish()
         # Only now: rclpy's first line of a process takes a tenth of a second.
         if self._log.path:
             self.get_logger().info(f'logging to {self._log.path}')
 
     def run(self):
         """Advance sim time with wall time until asked to stop."""
-        started = time.monotonic()
-        self._pace.start(self._simulator.steps, started)
-        self._reported = started, self._simulator.steps
-        while not self._stop.set and self.context.ok() and self._simulator.steps < self._end:
+        started, loop = time.monotonic(), self._loop
+        loop.pace.start(self.steps, started)
+        self._reported = started, self.steps
+        while not self._stop.set and self.context.ok() and self.steps < loop.end:
             with self._lock:
                 wait = self._tick()
             # In slices, because a signal does not cut a sleep short.
@@ -140,133 +138,53 @@ class SimNode(Node):
             self._diagnose(now)
         self._commands.poll()
         if self._live is not None:
-            self._live.offer(now, self._simulator, lambda: self._snapshot().effort)
-        if self._paused:
-            return _PAUSED_POLL
-        free = self._pace.free
-        # The rest of what is due comes with the next tick, after whoever waits for the lock.
-        self._advance(1 if self._gate.waiting else _BATCH if free else min(
-            self._pace.due(self._simulator.steps, now), _BATCH))
-        if self._gate.waiting:
-            return _COMMAND_POLL
-        return 0.0 if free else self._pace.deadline(self._simulator.steps) - time.monotonic()
+            self._live.offer(now, self._simulator, lambda: self._loop.snapshot().effort)
+        return self._loop.tick(now, self._stop)
 
-    def _advance(self, count):
-        """Do steps; apply commands and publish on the way."""
-        simulator = self._simulator
-        goal = min(simulator.steps + count, self._end)
-        while simulator.steps < goal and not self._stop.set:
-            first = simulator.steps
-            if self._gate and self._waits(first):
-                return
-            self._apply_commands(first)
-            last = first + 1
-            if goal > last:
-                last = min(goal, first + _BATCH, self._next_event(first))
-            try:
-                simulator.advance(last - first, self._held)
-            except DivergenceError as error:
-                self._diverged, self._paused = str(error), True
-                self.get_logger().error(f'paused, {error}; ~/reset goes back to the start')
-                return
-            self._applied = simulator.load.tolist()
-            self._publish()
-
-    def _waits(self, step):
-        """Return whether a step waits for the controller's command."""
-        now, first = time.monotonic(), self._gate.first
-        closed = self._gate.closed(step, now,
-                                   self._commands.answers(self._simulator.nanoseconds))
-        if first and not closed:
-            self._pace.start(step, now)  # the run begins now
-        if closed and self._gate.first and now >= self._shown + _SHOWN_AGAIN:
-            # Until the controller is there, and has seen the state that it shall answer.
-            self._shown = now
-            self._look()
-            self._publish(everything=True)
-        return closed
-
-    def _sync_period(self):
-        if self._values['sync'] == 'free':
-            return 0
-        return whole_ratio('sync_period', self._values['sync_period'], 'integrator.step',
-                           self._step)
-
-    def _next_event(self, step):
-        # The next step at which something is published or a command may begin or fall to zero.
-        events = [step - step % outlet.every + outlet.every for outlet in self._outlets
-                  if outlet.wanted]
-        events += [outlet.arrival for outlet in self._late]
-        events += self._commands.end(self._timeout_steps)
-        return max(step + 1, min([*events, self._gate.following(step)]))
-
-    def _apply_commands(self, step):
-        if not self._gate.boundary(step):
-            return
-        for index, data in self._commands.apply(step, self._timeout_steps, self._held):
-            self._log.write(index, step, self._simulator.nanoseconds, data)
-
-    def _publish(self, everything=False):
-        """Send each message that is due at this step and wanted by somebody."""
-        step = self._simulator.steps
-        for outlet in self._late:
-            outlet.deliver(step, self._simulator.nanoseconds)
-        due = [outlet for outlet in self._outlets
-               if (everything or step % outlet.every == 0) and outlet.wanted]
-        if due:
-            snapshot = self._snapshot()
-            for outlet in due:
-                outlet.publish(snapshot)
-
-    def _look(self):
-        # A service may be served before the news of a subscriber that was there first.
-        for outlet in self._outlets:
-            outlet.look()
-
-    def _snapshot(self):
-        return Snapshot(self._simulator, self._applied)
+    # Diagnostics.
 
     def _diagnose(self, now):
         before, steps_before = self._reported
-        simulator = self._simulator
-        steps = simulator.steps
-        self._reported = now, steps
+        simulator, integration = self._simulator, self._simulator.integration
+        self._reported = now, simulator.steps
         self._log.look()
-        self._pass_on_caution()
+        self._pass_on_warning()
         self._look_for_clocks()
         if not self._health_outlet.wanted:
             return
-        snapshot = self._snapshot()
+        snapshot = self._loop.snapshot()
+        pace = (simulator.steps - steps_before) * self._step / (now - before)
         message = self._health.message(
             snapshot, self._counters(),
             facts={
-                'state': 'paused' if self._paused else 'running',
+                'state': 'paused' if self.paused else 'running',
                 'sim_time_s': snapshot.nanoseconds / NANOSECONDS,
-                'real_time_factor': f'{(steps - steps_before) * self._step / (now - before):.4f}',
+                'real_time_factor': f'{pace:.4f}',
                 'energy_J': snapshot.energy,
-                'step_error_m': f'{simulator.control.largest:.2g}',
-                'split_steps': simulator.control.splits,
+                'step_error_m': f'{integration.largest_error:.2g}',
+                'split_steps': integration.splits,
                 'log': self._log.path or 'off'},
-            errors=[error for error in (self._diverged, self._log.error) if error],
-            cautions=[text for text in (
-                simulator.caution, self._foreign_clock and _TWO_CLOCKS) if text])
+            errors=[error for error in (self._loop.diverged, self._log.error) if error],
+            warnings=[text for text in (
+                simulator.warning, self._foreign_clock and _TWO_CLOCKS) if text])
         self._health_outlet.send(serialize_message(message), snapshot.step, snapshot.nanoseconds)
 
     def _counters(self):
+        pace = self._loop.pace
         return {
-            'overruns': self._pace.overruns,
-            'dropped_time_s': self._pace.dropped_steps * self._step,
+            'overruns': pace.overruns,
+            'dropped_time_s': pace.dropped_steps * self._step,
             'refused_commands': self._commands.refused,
             'stale_commands': self._commands.stale,
             'failed_calls': self.failed_calls,
-            'missed_commands': self._gate.missed,
-            'coarse_steps': self._simulator.control.coarse}
+            'missed_commands': self._loop.gate.missed,
+            'unresolved_steps': self._simulator.integration.unresolved}
 
-    def _pass_on_caution(self):
-        if self._simulator.caution != self._cautioned:
-            self._cautioned = self._simulator.caution
-            if self._cautioned:
-                self.get_logger().warning(self._cautioned)
+    def _pass_on_warning(self):
+        if self._simulator.warning != self._warned:
+            self._warned = self._simulator.warning
+            if self._warned:
+                self.get_logger().warning(self._warned)
 
     def _look_for_clocks(self):
         before = self._foreign_clock
@@ -274,19 +192,12 @@ class SimNode(Node):
         if self._foreign_clock and not before:
             self.get_logger().warning(_TWO_CLOCKS)
 
-    # Parameters, called by the executor.
+    # Called by the executor.
 
     def survive(self, error):
         """Say that a callback failed, for example rclpy's at a request that makes no sense."""
         self.failed_calls += 1
         self.get_logger().error(f'a callback failed: {error!r}', throttle_duration_sec=5.0)
-
-    def _apply(self, values, steps_each):
-        for outlet in self._outlets:
-            outlet.every = steps_each[outlet.rate]
-        self._timeout_steps = math.ceil(values['command_timeout'] / self._step)
-        self._pace.set(values['real_time_factor'], values['catch_up_limit'],
-                       self._simulator.steps, time.monotonic())
 
     def _on_parameters(self, changed):
         values = {**self._values, **changed}
@@ -295,17 +206,15 @@ class SimNode(Node):
                     if PARAMETERS[name].scope == SCENE}
         scene = self._simulator.scene.vary(of_scene)
         with self._lock:
-            self._apply(values, steps_each)
+            self._loop.configure(values, steps_each)
             if of_scene:
                 self._simulator.change(scene)
-                self._log.note(CHANGE, change_note(self._simulator.steps, of_scene))
-
-    # Operations for the services, called by the executor.
+                self._log.note(CHANGE, change_note(self.steps, of_scene))
 
     @property
     def paused(self):
         """Whether time stands."""
-        return self._paused
+        return self._loop.paused
 
     @property
     def steps(self):
@@ -315,51 +224,26 @@ class SimNode(Node):
     def pause(self, paused):
         """Let time stand, or go on; return what it does; raise NotNow."""
         with self._lock:
-            if not paused:
-                self._refuse_diverged()
-            self._paused = paused
-            self._pace.start(self._simulator.steps, time.monotonic())
+            self._loop.pause(paused)
         return 'paused' if paused else 'running'
 
     def reset(self):
         """Go back to the initial state; return when, as text."""
         with self._lock:
-            self._look()
-            self._simulator.reset()
-            self._commands.clear(self._held)
-            self._gate.restart()
-            for outlet in self._late:
-                outlet.drop()
-            self._applied = [0.0] * LOADS
-            self._diverged = None
-            self._log.note(RESET, {'step': str(self._simulator.steps)})
-            self._publish(everything=True)
-            self._pace.start(self._simulator.steps, time.monotonic())
-            return f'reset at step {self._simulator.steps}'
+            self._loop.reset()
+            self._log.note(RESET, {'step': str(self.steps)})
+            self._loop.restart()
+            return f'reset at step {self.steps}'
 
     def step(self, count=None):
-        """Do so many steps while paused, or `step_count`; return until when; raise NotNow."""
+        """Do so many steps while paused, or `steps_per_call`; return until when; raise NotNow."""
         with self._lock:
-            self._refuse_diverged()
-            if not self._paused:
-                raise NotNow('a step needs a paused simulation')
-            self._look()
-            self._commands.poll()
-            goal = self._simulator.steps + (self._values['step_count'] if count is None else count)
-            self._advance(goal - self._simulator.steps)
-            reached = f'at step {self._simulator.steps}'
-            if self._simulator.steps < goal:
-                raise NotNow(self._diverged or reached + (
-                    ', which waits for a command' if self._gate.waiting else ''))
-        return reached
+            return self._loop.step(
+                self._values['steps_per_call'] if count is None else count, self._stop)
 
     def quit(self):
         """End the process, as SIGINT does."""
         self._stop.set = True
-
-    def _refuse_diverged(self):
-        if self._diverged:
-            raise NotNow(f'~/reset is needed first: {self._diverged}')
 
     # The log.
 
@@ -374,12 +258,12 @@ class SimNode(Node):
                 outlet.watch = self._peak.see
 
     def _close(self, wall_time):
-        self._pass_on_caution()
+        self._pass_on_warning()
         if self._live is not None:
             self._live.close()
-        sim_time = self._simulator.steps * self._step
-        report = (f'simulated {sim_time:.6g} s in {wall_time:.3f} s, {self._pace.overruns} '
-                  f'overruns, {self._pace.dropped_steps * self._step:.6g} s dropped')
+        pace = self._loop.pace
+        report = (f'simulated {self.steps * self._step:.6g} s in {wall_time:.3f} s, '
+                  f'{pace.overruns} overruns, {pace.dropped_steps * self._step:.6g} s dropped')
         self._log.close({**self._peak.note(), **{
             name: str(count) for name, count in self._counters().items()}})
         if self._log.path:

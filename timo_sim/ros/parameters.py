@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The node's parameters: declared, described, checked by the same rules as a YAML file."""
 
 import math
@@ -6,8 +14,9 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-from timo_sim.accuracy import settle
-from timo_sim.parameters import check, ParameterError, PARAMETERS, RATES, whole_ratio
+from timo_sim.scene.parameter import ParameterError, whole_ratio
+from timo_sim.scene.parameters import check, PARAMETERS, RATES
+from timo_sim.simulation.resolution import choose_resolution
 
 # Names that rclpy itself takes.
 _FOREIGN = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
@@ -82,7 +91,7 @@ def steps_between_messages(values, step):
             for rate in RATES if values.get(f'publish_{rate.removeprefix("rate.")}', True)}
 
 
-def settled_scene(node, scene, values):
+def resolved_scene(node, scene, values):
     """Return a scene with modes and step that its `model.accuracy` asks for; update values."""
     def suits(step):
         try:
@@ -94,10 +103,10 @@ def settled_scene(node, scene, values):
 
     logger = node.get_logger()
     logger.info('choosing modes and step for model.accuracy, compiling once for each new size')
-    settled = settle(scene, values['duration'], suits)
-    logger.info(f'model.accuracy = {scene.values["model.accuracy"]:g} m: {settled}')
-    values.update(settled.scene.values)
-    return settled.scene
+    chosen = choose_resolution(scene, values['duration'], suits)
+    logger.info(f'model.accuracy = {scene.values["model.accuracy"]:g} m: {chosen}')
+    values.update(chosen.scene.values)
+    return chosen.scene
 
 
 def _descriptor(parameter):
@@ -109,7 +118,8 @@ def _descriptor(parameter):
         dynamic_typing=isinstance(parameter.default, float))
     if isinstance(parameter.default, float) and parameter.low > -math.inf:
         descriptor.floating_point_range = [
-            FloatingPointRange(from_value=parameter.low, to_value=min(parameter.high, _LARGEST))]
+            FloatingPointRange(from_value=parameter.low, to_value=(
+                min(parameter.high, _LARGEST) if parameter.finite else math.inf))]
     elif type(parameter.default) is int:
         descriptor.integer_range = [
             IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=1)]

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The node's process: ROS started and ended around it, callbacks in a thread of their own."""
 
 import gc
@@ -9,11 +17,11 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
-from timo_sim.parameters import ParameterError
 from timo_sim.ros.middleware import use_profiles
 from timo_sim.ros.node import SimNode
+from timo_sim.scene.parameter import ParameterError
 
-try:  # with a client at 1 kHz it costs half: benchmark/node_speed.py
+try:  # with a client at 1 kHz it costs half: benchmark/speed/node.py
     from rclpy.experimental import EventsExecutor as Executor
 except ImportError:  # an older rclpy
     from rclpy.executors import SingleThreadedExecutor as Executor
@@ -30,7 +38,7 @@ def _refuse(error, code=2):
     return code
 
 
-def run(stop, args):
+def run(stop, args, live_feed=None):
     """
     Start ROS, run the node, end ROS.
 
@@ -39,6 +47,8 @@ def run(stop, args):
     stop : StopRequest
     args : list of str or None
         Command line; None: that of the process.
+    live_feed : function, optional
+        See `SimNode`.
 
     Returns
     -------
@@ -66,7 +76,7 @@ def run(stop, args):
     except (RuntimeError, UnicodeError) as error:  # what rcl cannot read: arguments or a file
         return _refuse(error)
     try:
-        node = SimNode(stop)
+        node = SimNode(stop, live_feed)
     except ParameterError as error:
         return _refuse(error)
     except RCLError as error:  # what the middleware does not do

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
 Worker processes of this machine.
 
@@ -63,11 +71,15 @@ class LocalExecutor:
             try:
                 child.stdin.write(call)
                 child.stdin.flush()
-                return pickle.load(child.stdout)
+                result, error = pickle.load(child.stdout)
             except (EOFError, BrokenPipeError, pickle.UnpicklingError):
                 self._own.child = None
                 if self._closing:
                     break
+                continue
+            if error is not None:
+                raise error
+            return result
         raise ConnectionError(f'worker processes ended {_ATTEMPTS} times over the same runs, the '
                               f'last with code {child.wait()}')
 
@@ -91,5 +103,10 @@ def serve():
                 function, arguments = pickle.load(sys.stdin.buffer)
             except EOFError:
                 return
-            pickle.dump(function(*arguments), answers)
+            result, error = None, None
+            try:
+                result = function(*arguments)
+            except Exception as raised:  # and raised again where the call was made
+                error = raised
+            pickle.dump((result, error), answers)
             answers.flush()

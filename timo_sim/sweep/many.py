@@ -1,13 +1,28 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Many runs of one scene: `simulate_many`."""
 
 from collections import deque
+from collections.abc import Iterable, Mapping
+from typing import Any
 
-from timo_sim.parameters import ParameterError, whole_ratio
-from timo_sim.sweep.chunk import chunks_of, run_chunk
+import numpy as np
+
+from timo_sim.scene.parameter import ParameterError, whole_ratio
+from timo_sim.scene.scene import Scene
+from timo_sim.sweep.jobs import jobs_of, run_job
 from timo_sim.sweep.table import joined, table_of, varied
 
 
-def simulate_many(scene, variations, duration, workers=None, scheduler=None):
+def simulate_many(scene: Scene, variations: Iterable[Mapping[str, Any]], duration: float,
+                  workers: int | None = None,
+                  scheduler: str | None = None) -> dict[str, np.ndarray]:
     """
     Simulate variations of a scene on all cores, or on a Dask cluster, and keep a summary of each.
 
@@ -33,8 +48,9 @@ def simulate_many(scene, variations, duration, workers=None, scheduler=None):
         Columns by name, one row for each run: `run`, its number from 0; each varied parameter
         (NaN or None for a value that breaks its rule); `peak_deflection`, `peak_time`,
         `rms_deflection`, `final_deflection`, `peak_rotation`, `final_carrier_x`,
-        `final_carrier_y`, `final_shaft`, see `timo_sim.sweep.chunk.SUMMARY` (NaN for a run that
-        failed); `caution`, that of `ModelWarning` or ''; `reason`, why the run failed, or ''.
+        `final_carrier_y`, `final_shaft`, see `timo_sim.sweep.jobs.SUMMARY` (NaN for a run that
+        failed); `warning`, the text of its ModelWarning
+        or ''; `reason`, why the run failed, or ''.
 
     Raises
     ------
@@ -43,16 +59,24 @@ def simulate_many(scene, variations, duration, workers=None, scheduler=None):
     ConnectionError
         If the scheduler cannot be reached, or workers end time and again.
 
+    Examples
+    --------
+    >>> import timo_sim
+    >>> variations = [{'end_effector.mass': mass} for mass in (1.0, 2.0)]
+    >>> table = timo_sim.simulate_many(timo_sim.load_scene('paper'), variations, duration=1.0)
+    >>> table['peak_deflection'].shape
+    (2,)
+
     """
     variations = list(variations)
     if not variations:
         raise ParameterError('variations must have at least one element, got none')
     whole_ratio('duration', duration, 'integrator.step', scene.step)
     names = varied(variations)
-    chunks = chunks_of(scene, duration, len(variations), variations)
+    jobs = jobs_of(scene, duration, len(variations), variations)
     with executor_of(workers, scheduler) as executor:
-        return joined([table_of(chunk, names, outcome)
-                       for chunk, outcome in outcomes(executor, chunks)])
+        return joined([table_of(job, names, outcome)
+                       for job, outcome in outcomes(executor, jobs)])
 
 
 def executor_of(workers=None, scheduler=None):
@@ -64,15 +88,15 @@ def executor_of(workers=None, scheduler=None):
     return cluster_executor(scheduler)
 
 
-def outcomes(executor, chunks):
+def outcomes(executor, jobs):
     """
-    Yield each chunk with its outcome, in their order.
+    Yield each job with its outcome, in their order.
 
-    No more chunks are made than keep all workers busy, so that memory stays bounded.
+    No more jobs are made than keep all workers busy, so that memory stays bounded.
     """
     pending = deque()
-    for chunk in chunks:
-        pending.append((chunk, executor.submit(run_chunk, chunk)))
+    for job in jobs:
+        pending.append((job, executor.submit(run_job, job)))
         if len(pending) > 3 * executor.width:
             first, future = pending.popleft()
             yield first, future.result()

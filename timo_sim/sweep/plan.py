@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The file of a sweep: a scene, how long, and what varies."""
 
 from dataclasses import dataclass
@@ -5,13 +13,16 @@ import hashlib
 import itertools
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 
-from timo_sim import __version__
-from timo_sim.parameters import check, ParameterError, PARAMETERS, SCENE, whole_ratio
-from timo_sim.scene import flatten, load_scene, Scene
+from timo_sim.scene.files import flatten
+from timo_sim.scene.parameter import ParameterError, SCENE, whole_ratio
+from timo_sim.scene.parameters import check, PARAMETERS
+from timo_sim.scene.scene import load_scene, Scene
+from timo_sim.version import __version__
 
 _KINDS = ('runs', 'grid', 'random')
 _ENTRIES = ('scene', 'parameters', 'duration', *_KINDS)
@@ -43,7 +54,7 @@ class Plan:
     names: list
     count: int
     kind: str
-    given: object
+    given: Any
 
     def variations(self):
         """Yield the overrides of each run, the same ones each time."""
@@ -104,7 +115,8 @@ def _plan(content, folder):
     whole_ratio('duration', duration, 'integrator.step', scene.step)
     kind = kinds[0]
     read = {'runs': _runs, 'grid': _grid, 'random': _random}[kind]
-    return Plan(scene, duration, *read(content[kind]), kind=kind, given=content[kind])
+    names, count = read(content[kind])
+    return Plan(scene, duration, names, count, kind, content[kind])
 
 
 def _runs(given):

@@ -1,8 +1,16 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """
-The result of a sweep on disk: Parquet, one part for each chunk until all are there.
+The result of a sweep on disk: Parquet, one part for each job until all are there.
 
 A part appears under its name only when it is whole. A sweep that was killed goes on with the parts
-that are missing; each chunk is in the result once.
+that are missing; each job is in the result once.
 """
 
 import hashlib
@@ -13,8 +21,9 @@ import numpy as np
 import pyarrow
 from pyarrow import compute, parquet
 
-from timo_sim.parameters import ParameterError, PARAMETERS
-from timo_sim.sweep.chunk import SUMMARY
+from timo_sim.scene.parameter import ParameterError
+from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.sweep.jobs import SUMMARY
 
 _TYPES = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(),
           str: pyarrow.string(), tuple: pyarrow.list_(pyarrow.float64())}
@@ -52,9 +61,9 @@ class Store:
                                  '--output')
         _write_whole(mark, lambda path: path.write_text(plan.fingerprint))
 
-    def has(self, chunk):
-        """Return whether the part of a chunk is there, and whole."""
-        path = self._part(chunk.first)
+    def has(self, job):
+        """Return whether the part of a job is there, and whole."""
+        path = self._part(job.first)
         try:
             checksum = _checksum_of(path)
             if checksum.exists() and checksum.read_bytes() != _digest(path):
@@ -63,14 +72,14 @@ class Store:
         except (OSError, ValueError, pyarrow.ArrowException):
             return False
         whole = part.schema == self._schema and part['run'].to_pylist() == [
-            *range(chunk.first, chunk.first + len(chunk.variations))]
+            *range(job.first, job.first + len(job.variations))]
         if whole:
             self._found.append(path)
         return whole
 
-    def add(self, chunk, table):
-        """Write the part of a chunk."""
-        part, path = pyarrow.table(table, schema=self._schema), self._part(chunk.first)
+    def add(self, job, table):
+        """Write the part of a job."""
+        part, path = pyarrow.table(table, schema=self._schema), self._part(job.first)
         _write_whole(path, lambda path: parquet.write_table(part, path, write_page_checksum=True))
         # Parquet has none for what it says about its columns.
         _write_whole(_checksum_of(path), lambda file: file.write_bytes(_digest(path)))
@@ -139,7 +148,7 @@ def _schema(plan):
                              parameter.meaning))
     fields += [_field(column.name, pyarrow.float64(), column.unit, column.meaning)
                for column in SUMMARY]
-    fields += [_field('caution', pyarrow.string(), '', 'why not to trust the run, or empty'),
+    fields += [_field('warning', pyarrow.string(), '', 'why not to trust the run, or empty'),
                _field('reason', pyarrow.string(), '', 'why the run failed, or empty')]
     return pyarrow.schema(fields, {'duration': f'{plan.duration!r} s',
                                    'scene': repr(plan.scene.values)})

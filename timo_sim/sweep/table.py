@@ -1,10 +1,19 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The table of a sweep: one row for each run, columns by name."""
 
 import numpy as np
 
-from timo_sim.parameters import ParameterError, PARAMETERS, SCENE
-from timo_sim.scene import flatten
-from timo_sim.sweep.chunk import SUMMARY
+from timo_sim.scene.files import flatten
+from timo_sim.scene.parameter import ParameterError, SCENE
+from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.sweep.jobs import SUMMARY
 
 
 def varied(variations):
@@ -14,13 +23,13 @@ def varied(variations):
             if name in PARAMETERS and PARAMETERS[name].scope == SCENE]
 
 
-def table_of(chunk, names, outcome):
+def table_of(job, names, outcome):
     """
-    Return the rows of a chunk.
+    Return the rows of a job.
 
     Parameters
     ----------
-    chunk : Chunk
+    job : Job
     names : list of str
         Parameters that have a column.
     outcome : Outcome
@@ -28,16 +37,16 @@ def table_of(chunk, names, outcome):
     Returns
     -------
     dict of ndarray
-        `run`, the parameters, the numbers of `SUMMARY`, `caution` and `reason`.
+        `run`, the parameters, the numbers of `SUMMARY`, `warning` and `reason`.
 
     """
-    table = {'run': chunk.first + np.arange(len(chunk.variations))}
-    flat = [flatten(variation) for variation in chunk.variations]
+    table = {'run': job.first + np.arange(len(job.variations))}
+    flat = [flatten(variation) for variation in job.variations]
     for name in names:
-        table[name] = _cells(PARAMETERS[name], [values.get(name, chunk.scene.values[name])
+        table[name] = _cells(PARAMETERS[name], [values.get(name, job.scene.values[name])
                                                 for values in flat])
     table.update((column.name, outcome.numbers[:, k]) for k, column in enumerate(SUMMARY))
-    return {**table, 'caution': np.array(outcome.cautions, dtype=object),
+    return {**table, 'warning': np.array(outcome.warnings, dtype=object),
             'reason': np.array(outcome.reasons, dtype=object)}
 
 
@@ -60,5 +69,5 @@ def _cells(parameter, values):
 
 
 def joined(tables):
-    """Return one table of those of all chunks, in their order."""
+    """Return one table of those of all jobs, in their order."""
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}

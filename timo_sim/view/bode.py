@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Bode diagram and pole map of a linear model, as a picture."""
 
 import matplotlib
@@ -25,8 +33,8 @@ def draw(model, path):
     poles = model.poles()
     vibrating = np.abs(poles[np.abs(poles) > 1.0]) / (2.0 * np.pi)
     ends = (0.1, 100.0) if not len(vibrating) else (0.1 * vibrating[0], 3.0 * vibrating[-1])
-    frequency = np.geomspace(*ends, _FREQUENCIES)
-    response = model.response(frequency)
+    frequency = np.geomspace(ends[0], ends[1], _FREQUENCIES)
+    response = model.frequency_response(frequency)
 
     figure, axes = plt.subplot_mosaic([['size', 'poles'], ['phase', 'poles']], figsize=(12, 6),
                                       width_ratios=[2, 1], layout='constrained')

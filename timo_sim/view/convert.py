@@ -1,4 +1,14 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Tracks to a rerun file."""
+
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -8,8 +18,10 @@ from timo_sim.view.entities import (
 from timo_sim.view.panels import blueprint, Panel
 
 BLOCK = 65536  # samples, or frames, that are sent at once
-_DIFFERENCES = {'difference': ('tip_deflection', 0), 'shaft_difference': ('shaft', 0),
-                'carrier_difference': ('carrier', slice(None))}
+# Panel of differences: the trace that they are of, and its columns.
+_DIFFERENCES: dict[str, tuple[str, Any]] = {
+    'difference': ('tip_deflection', 0), 'shaft_difference': ('shaft', 0),
+    'carrier_difference': ('carrier', slice(None))}
 
 
 def write(tracks, path, fps=30.0, report=lambda done: None, at=None):

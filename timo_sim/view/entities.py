@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """What is drawn: entities of the plane and curves of the panels, in rerun's columns."""
 
 import numpy as np
@@ -73,7 +81,8 @@ def log_looks(stream, path, body, run, runs):
                 colors=own, draw_order=5.0,
                 radii=line if line > 0.004 * body.length else rr.Radius.ui_points(2.0)),
             'end_effector': rr.Points2D.from_fields(
-                colors=COLOURS[5] if runs == 1 else own, radii=0.5 * body.tip, draw_order=6.0),
+                colors=COLOURS[5] if runs == 1 else own, radii=0.5 * body.end_effector,
+                draw_order=6.0),
             'force': rr.Arrows2D.from_fields(
                 colors=FORCE, radii=rr.Radius.ui_points(2.0), draw_order=7.0),
             'torque': rr.LineStrips2D.from_fields(

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Samples of a running simulation to a process that streams them to a viewer."""
 
 from importlib.util import find_spec
@@ -46,8 +54,9 @@ class Feed:
         self._process = subprocess.Popen(
             [sys.executable, '-m', 'timo_sim.view.live', url, name, json.dumps(scene.values)],
             stdin=subprocess.PIPE, start_new_session=True)
-        self._pipe = self._process.stdin.fileno()
-        os.set_blocking(self._pipe, False)
+        assert self._process.stdin is not None
+        self._stream = self._process.stdin
+        os.set_blocking(self._stream.fileno(), False)
         self._due = 0.0
 
     def offer(self, now, simulator, effort):
@@ -67,14 +76,14 @@ class Feed:
             return
         self._due = now + PERIOD
         try:  # a pipe takes as few bytes as these whole, or not at all
-            os.write(self._pipe, np.concatenate(
-                [[simulator.nanoseconds], simulator.motion(), effort()]).tobytes())
+            os.write(self._stream.fileno(), np.concatenate(
+                [[simulator.nanoseconds], simulator.motion.values, effort()]).tobytes())
         except (BlockingIOError, BrokenPipeError):
             pass
 
     def close(self):
         """End the stream; what is on its way has two seconds."""
-        self._process.stdin.close()
+        self._stream.close()
         try:
             self._process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:

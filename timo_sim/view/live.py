@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """The process that streams what `view.feed` sends it to a viewer of rerun."""
 
 from collections import deque
@@ -9,10 +17,10 @@ import threading
 import numpy as np
 import rerun as rr
 
-from timo_sim.scene import load_scene
-from timo_sim.track import body_of, of_motion
+from timo_sim.scene.scene import load_scene
 from timo_sim.view.entities import (
     ABOUT, log_curves, log_frame_of_plane, log_looks, PLANE, send_curves, send_poses, TRAIL)
+from timo_sim.view.motion_track import body_of, of_motion
 from timo_sim.view.panels import blueprint, Panel
 
 _PERIOD = 1.0 / 30.0  # [s] of what is sent at once

@@ -1,3 +1,11 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
 """Figs. 11 and 12: errors against finite elements, over time and over the number of modes."""
 
 import matplotlib.pyplot as plt
@@ -6,7 +14,7 @@ from benchmark.figures.paper.style import (
     BLACK, BLUE, COLOURS, GREEN, MODES, NAMES, ORANGE, RED, save)
 from benchmark.report import table
 from oracles.references import errors, motion_of, simulate, STATIONS
-from timo_sim.physics import FORMULATIONS
+from timo_sim.physics.equations import FORMULATIONS
 
 
 def error_histories(t, runs, truth):

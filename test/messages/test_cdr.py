@@ -1,0 +1,159 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""CDR is that of rclpy, and layouts name every byte of it that means something."""
+
+import math
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import get_typestore, Stores
+from ros_messages import installed, message_class, random_message
+
+from timo_sim.messages.cdr import CdrError, Layout, layout, pack, TYPES
+from timo_sim.messages.definitions import DEFINITIONS
+
+INSTALLED = sorted(filter(installed, TYPES))
+POSE = {'translation': {'x': 1.0, 'y': 2.0, 'z': 3.0}, 'rotation': {'z': 0.6, 'w': 0.8}}
+
+
+@pytest.mark.parametrize('type_name', INSTALLED)
+def test_packed_is_what_rclpy_serializes(type_name):
+    random = np.random.default_rng(1)
+    for _ in range(50):
+        message, values = random_message(type_name, random)
+        packed, expected = pack(type_name, values), serialize_message(message)
+        found = layout(type_name, packed)
+        assert found == layout(type_name, expected)
+        meant = found.meant()
+        assert [packed[place] for place in meant] == [expected[place] for place in meant]
+        assert len(set(meant)) == len(meant)
+        # Padding is zero, of at most 7 bytes in a row; rclpy may add some at the end.
+        assert not any(packed[place] for place in set(range(len(packed))) - set(meant))
+        assert np.diff(sorted(meant)).max() <= 8
+        assert found.size == len(packed) == max(meant) + 1 <= len(expected)
+        assert deserialize_message(packed, message_class(type_name)) == message
+
+
+@pytest.mark.parametrize('type_name', INSTALLED)
+def test_missing_fields_have_the_defaults_of_ros(type_name):
+    message_type = message_class(type_name)
+    assert deserialize_message(pack(type_name, {}), message_type) == message_type()
+
+
+def test_transforms_are_what_rosbags_serializes():
+    """Also where tf2_msgs is not installed."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = {name.rpartition('/')[2]: store.types[name] for name in store.types}
+    header = types['Header'](types['Time'](5, 7), 'arm')
+    transform = types['Transform'](types['Vector3'](1.0, 2.0, 3.0),
+                                   types['Quaternion'](0.0, 0.0, 0.6, 0.8))
+    message = types['TFMessage'](
+        [types['TransformStamped'](header, child, transform) for child in ('tip', 'carrier')])
+    packed = pack('tf2_msgs/msg/TFMessage', {'transforms': [
+        {'header': {'stamp': {'sec': 5, 'nanosec': 7}, 'frame_id': 'arm'},
+         'child_frame_id': child, 'transform': POSE} for child in ('tip', 'carrier')]})
+    assert packed == store.serialize_cdr(message, 'tf2_msgs/msg/TFMessage')
+    found = layout('tf2_msgs/msg/TFMessage', packed)
+    assert found.texts == ['arm', 'tip', 'arm', 'carrier']
+    assert found.lists == [14] and len(found.stamps) == 2
+    assert found.size == len(packed)
+
+
+def test_an_unknown_field_and_a_wrong_length_are_refused():
+    with pytest.raises(CdrError, match='^std_msgs/msg/Header has no field frame, id$'):
+        pack('sensor_msgs/msg/JointState', {'header': {'id': 'arm', 'frame': ''}})
+    with pytest.raises(CdrError, match='^orientation_covariance of sensor_msgs/msg/Imu must have '
+                                       '9 elements, got 1$'):
+        pack('sensor_msgs/msg/Imu', {'orientation_covariance': [-1.0]})
+
+
+@pytest.mark.parametrize('type_name, values, lists, texts', [
+    ('sensor_msgs/msg/JointState', {'name': ['a', 'b'], 'effort': [1.0, 2.0]}, [0, 0, 2],
+     ['', 'a', 'b']),
+    ('sensor_msgs/msg/Imu', {'header': {'frame_id': 'tip'}}, [37], ['tip']),
+    ('geometry_msgs/msg/PoseStamped', {}, [7], ['']),
+    ('geometry_msgs/msg/WrenchStamped', {}, [6], ['']),
+    ('geometry_msgs/msg/Vector3Stamped', {}, [3], ['']),
+    ('std_msgs/msg/Float64', {}, [1], []),
+    ('std_msgs/msg/Float64MultiArray', {'layout': {'dim': [{'label': 'row'}]}, 'data': [1.0]},
+     [1], ['row']),
+    ('rosgraph_msgs/msg/Clock', {}, [], []),
+    ('tf2_msgs/msg/TFMessage', {}, [], []),
+], ids=lambda value: value if isinstance(value, str) else '')
+def test_numbers_come_in_lists(type_name, values, lists, texts):
+    found = layout(type_name, pack(type_name, values))
+    assert (found.lists, found.texts) == (lists, texts)
+    assert len(found.doubles) == sum(lists)
+
+
+def test_a_sequence_is_a_list_of_its_own_between_single_numbers(monkeypatch):
+    monkeypatch.setitem(DEFINITIONS, 'a/msg/Mixed', (
+        'float64 before', 'float64[] several', 'byte level', 'float64 after', 'float64[2] pair'))
+    data = pack('a/msg/Mixed', {'several': [1.0, 2.0], 'level': 3, 'pair': [4.0, 5.0]})
+    found = layout('a/msg/Mixed', data)
+    assert found.lists == [1, 2, 3]
+    assert found.doubles == [4, 20, 28, 44, 52, 60]
+    assert found.fixed == [0, 1, *range(12, 16), 36]
+
+
+def test_layout_of_a_message_counted_by_hand():
+    data = pack('sensor_msgs/msg/JointState', {
+        'header': {'stamp': {'sec': 1, 'nanosec': 2}, 'frame_id': 'w'}, 'position': [3.0]})
+    # Encoding 0, stamp 4, length of the frame 12, frame 16, how many names 20 and positions 24,
+    # a position, aligned to eight from byte 4 on, 28, how many velocities 36 and efforts 40.
+    assert layout('sensor_msgs/msg/JointState', data) == Layout(
+        44, [4], [28], [1, 0, 0], ['w'], [0, 1, *range(12, 18), *range(20, 28), *range(36, 44)])
+    assert struct.unpack_from('<iI', data, 4) == (1, 2)
+    assert struct.unpack_from('<d', data, 28) == (3.0,)
+
+
+def test_numbers_are_split_into_their_lists():
+    found = Layout(0, [], [], [2, 0, 1], [], [])
+    assert found.split([1.0, 2.0, 3.0]) == [[1.0, 2.0], [], [3.0]]
+
+
+@pytest.mark.parametrize('type_name', sorted(TYPES))
+def test_a_message_that_ends_too_early_is_refused(type_name):
+    data = pack(type_name, {})
+    for size in range(2, len(data)):
+        with pytest.raises(CdrError, match='^it is too short$'):
+            layout(type_name, data[:size])
+    assert layout(type_name, data + bytes(3)).size == len(data)
+
+
+def test_a_length_that_is_a_lie_ends_with_the_message():
+    data = bytearray(pack('sensor_msgs/msg/JointState', {}))
+    data[-4:] = b'\xff\xff\xff\xff'
+    with pytest.raises(CdrError, match='^it is too short$'):
+        layout('sensor_msgs/msg/JointState', data)
+
+
+def test_another_encoding_is_refused():
+    big_endian = b'\x00\x00\x00\x00' + struct.pack('>d', math.pi)
+    with pytest.raises(CdrError) as caught:
+        layout('std_msgs/msg/Float64', big_endian)
+    assert str(caught.value) == r"its encoding is b'\x00\x00', not b'\x00\x01'"
+
+
+def test_neither_ros_nor_numpy_is_imported():
+    code = ('import sys, timo_sim.messages.cdr, timo_sim.messages.definitions, '
+            'timo_sim.messages.packing; assert not {"rclpy", "numpy"} & set(sys.modules)')
+    subprocess.run([sys.executable, '-c', code], check=True)
+
+
+def test_topics_are_written_without_ros():
+    code = ('import sys; from timo_sim.messages.outputs import outputs; '
+            'from timo_sim.messages.packing import Serializer; '
+            '[Serializer(output.type_name, output.template) for output in outputs(2)]; '
+            'assert not {"rclpy", "rosbags", "mcap"} & set(sys.modules)')
+    subprocess.run([sys.executable, '-c', code], check=True)

@@ -1,0 +1,249 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The public names: what a user sees, types, and is told."""
+
+import doctest
+import importlib
+import inspect
+import pydoc
+import warnings
+
+import numpy as np
+import pytest
+
+import timo_sim
+
+NAMES = [name for name in timo_sim.__all__ if not name.startswith('__')]
+FUNCTIONS = [name for name in NAMES if inspect.isfunction(getattr(timo_sim, name))]
+CLASSES = ['LinearModel', 'Run', 'Scene', 'Simulator']
+
+
+@pytest.fixture(scope='module')
+def scene():
+    """Return the paper's scene, by its name."""
+    return timo_sim.load_scene('paper')
+
+
+@pytest.fixture(scope='module')
+def run(scene):
+    """Return a second of it."""
+    return timo_sim.simulate(scene, 1.0)
+
+
+def test_names_are_visible():
+    assert dir(timo_sim) == sorted(timo_sim.__all__)
+    text = pydoc.plain(pydoc.render_doc(timo_sim))
+    assert all(name in text for name in NAMES)
+
+
+def test_public_functions_are_annotated():
+    assert len(FUNCTIONS) == 7
+    for name in FUNCTIONS:
+        signature = inspect.signature(getattr(timo_sim, name))
+        assert signature.return_annotation is not signature.empty, name
+        assert all(parameter.annotation is not parameter.empty
+                   for parameter in signature.parameters.values()), name
+
+
+@pytest.mark.parametrize('name', [name for name in NAMES if name in FUNCTIONS + CLASSES])
+def test_examples_in_docstrings(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    thing = getattr(timo_sim, name)
+    module = importlib.import_module(thing.__module__)
+    tests = [test for test in doctest.DocTestFinder(recurse=False).find(
+        thing, name, module, globs=vars(module)) if test.examples]
+    assert tests, f'{name} has no example'
+    runner = doctest.DocTestRunner()
+    for test in tests:
+        assert runner.run(test).failed == 0
+
+
+@pytest.mark.parametrize('name', CLASSES)
+def test_summaries_are_short_and_html_in_a_notebook(name, scene, run):
+    thing = {'Scene': scene, 'Run': run, 'Simulator': timo_sim.Simulator(scene),
+             'LinearModel': timo_sim.linearize(timo_sim.load_scene({}))}[name]
+    assert repr(thing).startswith(f'<{name}') and len(repr(thing)) < 600
+    if name != 'Simulator':
+        assert thing._repr_html_().startswith('<table>')
+
+
+def test_arrays_of_points(run):
+    xi = np.array([0.0, 0.7, 2.0])
+    for method in (run.position, run.deflection, run.rotation):
+        many = method(xi)
+        for k, point in enumerate(xi):
+            # Products of matrices with one and several columns round in other ways.
+            assert np.abs(many[:, k] - method(point)).max() < 1e-14
+
+
+def test_a_simulator_does_what_simulate_does(scene, run):
+    simulator = timo_sim.Simulator(scene)
+    for _ in range(10):
+        motion = simulator.step(duration=0.1)
+    assert np.array_equal(motion.values, run.motion[-1]) and simulator.t == 1.0
+    assert np.array_equal(motion.q, run.q[-1]) and motion.shaft == run.shaft[-1]
+    assert simulator.sensors.encoder == run.shaft[-1]
+    with pytest.raises(AttributeError, match='no sensor .*root_strain'):
+        simulator.sensors.rootstrain
+    simulator.reset()
+    assert np.array_equal(simulator.motion.values, run.motion[0])
+
+
+@pytest.mark.parametrize('commands, words', [
+    ({'torque': np.nan}, 'torque must be a finite number, got nan'),
+    ({'force': 1.0}, 'force must be two finite numbers, got 1.0'),
+    ({'tip_force': (1.0, 2.0, 3.0)}, 'tip_force must be two finite numbers'),
+    ({'torque': 'full'}, "torque must be a finite number, got 'full'"),
+    ({'voltage': 5.0}, 'voltage = 5 V needs a DC motor'),
+    ({'duration': 0.0015}, 'duration = 0.0015 must be a whole multiple')])
+def test_commands_that_are_refused_change_nothing(scene, commands, words):
+    simulator = timo_sim.Simulator(scene)
+    with pytest.raises(timo_sim.ParameterError, match=words):
+        simulator.step(**commands)
+    assert simulator.steps == 0
+    other = timo_sim.Simulator(scene)
+    assert np.array_equal(simulator.step(torque=1.0).values, other.step(torque=1.0).values)
+
+
+def test_sensors_are_those_of_their_step(scene):
+    simulator = timo_sim.Simulator(scene.vary({'motor.coulomb_friction': 1.0}))
+    simulator.step(torque=20.0, duration=0.1)
+    kept, now = simulator.sensors, simulator.sensors.tip_acceleration
+    simulator.step(torque=-20.0, duration=0.1)
+    assert np.array_equal(kept.tip_acceleration, now)
+    assert not np.array_equal(simulator.sensors.tip_acceleration, now)
+
+
+@pytest.mark.parametrize('name, value', [
+    ('motor.coulomb_friction', 1.0), ('model.modes', 20), ('integrator.step', 0.002)])
+def test_what_cannot_change_while_a_simulation_runs(scene, name, value):
+    simulator = timo_sim.Simulator(scene)
+    with pytest.raises(timo_sim.ParameterError, match=f'{name} = {value} cannot be set while'):
+        simulator.change(scene.vary({name: value}))
+    simulator.step()
+
+
+def test_a_command_is_momentum(scene):
+    """Without loads of its own: force times time in either axis, to round-off."""
+    simulator = timo_sim.Simulator(timo_sim.load_scene({}))
+    for _ in range(50):
+        simulator.step(torque=2.0, force=(1.0, -2.0), tip_force=(0.5, 0.0), duration=0.02)
+    momentum = simulator.model.momentum(simulator.motion.values[np.newaxis])[0]
+    assert np.abs(momentum[:2] - [1.5, -2.0]).max() < 1e-12
+
+
+def test_a_scene_at_a_state_goes_on_from_there():
+    """The second half of a motion without loads is that of a scene that begins in the middle."""
+    scene = timo_sim.load_scene({'initial.shaft_velocity': 2.0,
+                                 'initial.modal_coordinates': [0.05, 0.0, 0.0]})
+    whole = timo_sim.simulate(scene, 1.0)
+    second = timo_sim.simulate(scene.at(whole, 0.5), 0.5)
+    # Momenta are made of rates and back: round-off, which half a second does not amplify much.
+    assert np.abs(second.motion - whole.motion[500:]).max() < 1e-11
+    with pytest.raises(timo_sim.ParameterError, match='nearest is 0.5'):
+        scene.at(whole, 0.50002)
+
+
+def test_a_run_is_saved_and_opened(run, tmp_path):
+    path = run.save(tmp_path / 'run.mcap')
+    assert run.save(tmp_path / 'run.mcap') == tmp_path / 'run_1.mcap'
+    again = timo_sim.open_log(path)
+    assert again.motion.tobytes() == run.motion.tobytes()
+    assert again.t == pytest.approx(run.t, abs=1e-9) and again.scene == run.scene
+    assert np.array_equal(again.effort[1:], run.effort[1:])
+    frame = run.to_pandas()
+    assert np.array_equal(frame['shaft_rad'], run.shaft) and frame.index.name == 'time_s'
+    assert run.save(tmp_path / 'run.parquet').exists()
+
+
+def test_effort_is_the_load_at_the_samples(run):
+    expected = 5.0 * np.sin(2.0 * np.pi * np.outer(run.t, [2.0, 3.0, 4.0]))
+    assert np.abs(run.effort - expected).max() < 1e-12
+
+
+def test_a_run_says_what_there_is_to_say(run):
+    assert 'no warnings' in run.message and run.warning is None
+    assert run.stats['steps'] == 1000 and run.stats['largest_step_error_m'] < 1e-9
+    with pytest.warns(timo_sim.ModelWarning, match='too high for integrator.step') as caught:
+        fast = timo_sim.simulate(timo_sim.load_scene(
+            {'load.torque.harmonic.amplitude': [1.0], 'load.torque.harmonic.frequency': [300.0]}),
+            0.1)
+    assert fast.message == str(caught[0].message)
+
+
+def test_a_divergent_run_is_there_until_it_diverges():
+    scene = timo_sim.load_scene({'integrator.step': 0.01, 'initial.shaft_velocity': 100.0,
+                                 'initial.modal_rates': [10.0, 0.0, 0.0]})
+    with pytest.raises(timo_sim.DivergenceError, match='after t = ') as caught:
+        timo_sim.simulate(scene, 100.0, sample_every=2)
+    run = caught.value.run
+    assert len(run.t) == len(run.motion) > 0 and np.isfinite(run.motion).all()
+    assert run.t[-1] < 100.0
+
+
+@pytest.mark.parametrize('given, words', [
+    ({'arm.lenght': 2.0}, 'did you mean arm.length'),
+    ({'motor.dc.gear': 2.0}, 'did you mean motor.dc.gear_ratio'),
+    ({'load': {'torqe': {'harmonic': {'phase': [0.0]}}}}, 'did you mean load.torque.harmonic'),
+    ({'motor.torque_limit': 0.0}, 'must be a number > 0 N m, .inf for no limit, got 0.0')])
+def test_misspelt_names_and_old_values(given, words):
+    with pytest.raises(timo_sim.ParameterError, match=words):
+        timo_sim.load_scene(given)
+
+
+def test_names_of_scenes():
+    assert timo_sim.load_scene('spin_up').values['motor.shaft'] == 'driven'
+    with pytest.raises(FileNotFoundError, match='paper, spin_up; did you mean paper'):
+        timo_sim.load_scene('papr')
+
+
+@pytest.mark.parametrize('given, words', [
+    ({'arm.young_modulus': 70.5}, '70.5 Pa is that of no solid'),
+    ({'arm.shear_modulus': 100e9}, 'above arm.young_modulus'),
+    ({'arm.density': 2.71}, 'arm.density = 2.71'),
+    ({'initial.shaft': 45.0}, '45 rad is more than a turn; in degrees it would be 0.7854 rad'),
+    ({'arm.length': 0.03}, 'less than 3 times arm.height')])
+def test_implausible_values_are_one_warning(given, words):
+    with pytest.warns(timo_sim.ModelWarning, match=words) as caught:
+        timo_sim.load_scene(given)
+    assert len(caught) == 1
+
+
+def test_plausible_values_are_none():
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        for name in ('paper', 'spin_up'):
+            timo_sim.load_scene(name)
+
+
+def test_a_model_for_python_control():
+    model = timo_sim.linearize(timo_sim.load_scene({'arm.damping_ratio': [0.01]}))
+    ours = model.select(['torque_N_m'], ['shaft_rad', 'tip_transverse_m'])
+    theirs = ours.to_control()
+    assert theirs.input_labels == ['torque_N_m'] and theirs.isctime()
+    frequency = np.geomspace(0.3, 20.0, 50)
+    response = theirs(2j * np.pi * frequency, squeeze=False)
+    scale = np.abs(response).max(axis=2)[:, 0]
+    error = np.abs(np.moveaxis(response, 2, 0) - ours.frequency_response(frequency))
+    assert (error.max(axis=0)[:, 0] < 1e-9 * scale).all()
+
+
+def test_a_discrete_model_knows_its_period():
+    """Poles are those of continuous time up to half the sampling rate; the response is of z."""
+    model = timo_sim.linearize(timo_sim.load_scene({'arm.damping_ratio': [0.01]})).select(
+        ['torque_N_m'], ['tip_transverse_m'])
+    sampled = model.to_discrete(0.002)
+    assert sampled.dt == 0.002 and sampled.to_control().dt == 0.002
+    assert sampled.frequencies() == pytest.approx(model.frequencies(), rel=1e-6)
+    # A zero-order hold delays by half a period: 1e-3 s of phase at low frequencies.
+    frequency = np.array([0.5, 1.0])
+    ratio = (sampled.frequency_response(frequency) / model.frequency_response(frequency))[:, 0, 0]
+    assert np.angle(ratio) == pytest.approx(-2.0 * np.pi * frequency * 0.001, rel=1e-2)
+    with pytest.raises(timo_sim.ParameterError, match='discrete time already'):
+        sampled.to_discrete(0.001)

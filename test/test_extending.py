@@ -1,0 +1,93 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The worked example of doc/design.md, added to a copy of the package: a topic, a sensor, ..."""
+
+import os
+from pathlib import Path
+import re
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+TOPIC, SENSOR, FORMULATION, LINE = re.findall(
+    r'```python\n(.*?)```',
+    (ROOT / 'doc/design.md').read_text().split('## Add something')[1].split('\n## ')[0], re.S)
+
+RUN = """
+import timo_sim
+scene = timo_sim.load_scene('paper', {
+    'model.formulation': 'newton_small_speed', 'model.modes': 1, 'rate.carrier_velocity': 500.0,
+    'sensor.tachometer.noise': 0.0, 'sensor.tachometer.bias': 0.5})
+run = timo_sim.simulate(scene, 1.0, 2)
+simulator = timo_sim.Simulator(scene)
+simulator.step(torque=1.0)
+print(simulator.sensors.tachometer - simulator.motion.shaft_velocity)
+velocity = run.columns()['carrier_velocity_y_m_per_s']
+print(abs(velocity - run.carrier_velocity[:, 1]).max(), abs(velocity).max())
+newton = timo_sim.simulate(scene.vary({'model.formulation': 'newton'}), 1.0, 2)
+print(newton.q[-1, 0], run.q[-1, 0])
+"""
+
+
+def insert(path, before, text):
+    """Put text before the last occurrence of a line."""
+    head, line, tail = path.read_text().rpartition(before)
+    assert line
+    path.write_text(head + text + line + tail)
+
+
+@pytest.fixture(scope='module')
+def extended(tmp_path_factory):
+    """Return a folder with the package, its scenes and what the page adds."""
+    folder = tmp_path_factory.mktemp('extended')
+    for name in ('timo_sim', 'config'):
+        shutil.copytree(ROOT / name, folder / name,
+                        ignore=shutil.ignore_patterns('__pycache__'))
+    package = folder / 'timo_sim'
+    insert(package / 'messages/outputs.py', '    ]\n\n\n# Frames', TOPIC)
+    insert(package / 'messages/sensors.py', ')\n', SENSOR)
+    (package / 'physics/equations/newton_small_speed.py').write_text(FORMULATION)
+    insert(package / 'physics/equations/__init__.py', '}\n', LINE)
+    return folder
+
+
+def python(folder, *arguments):
+    """Run Python on the extended package; return what it prints."""
+    environment = {name: value for name, value in os.environ.items()
+                   if name not in ('_ROS_WHEELS_BOOTSTRAP_COMPLETE', 'LD_LIBRARY_PATH')}
+    result = subprocess.run(
+        [sys.executable, *arguments], cwd=folder, capture_output=True, text=True,
+        env={**environment, 'PYTHONPATH': str(folder)})
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def test_in_python(extended):
+    bias, error, size, newton, ours = map(float, python(extended, '-c', RUN).split())
+    assert bias == pytest.approx(0.5, abs=1e-12)
+    assert error == 0.0 and size > 0.01
+    # The terms left out are theta'^2 of some 0.5 rad/s beside omega^2 of 20 and more: 1 % at most.
+    assert ours == pytest.approx(newton, rel=0.01) and ours != newton
+
+
+def test_in_the_node_its_log_and_a_table(extended):
+    python(extended, '-m', 'timo_sim.cli.sim_node', '--ros-args', '--params-file',
+           'config/paper.yaml', '-p', 'duration:=0.5', '-p', 'record_file:=run.mcap', '-p',
+           'model.modes:=1', '-p', 'model.formulation:=newton_small_speed', '-p',
+           'real_time_factor:=0.0')
+    told = python(extended, '-m', 'timo_sim', 'replay', 'run.mcap')
+    assert 'numbers are the same to the last bit' in told
+    python(extended, '-m', 'timo_sim', 'export', 'run.mcap', '-o', 'run.csv')
+    table = np.genfromtxt(extended / 'run.csv', delimiter=',', names=True)
+    assert np.array_equal(table['carrier_velocity_x_m_per_s'], table['carrier_x_velocity_m_per_s'])
+    assert np.abs(table['carrier_velocity_x_m_per_s']).max() > 0.001

@@ -1,0 +1,129 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What pyproject.toml, package.xml and the lists of versions say, beside what is imported."""
+
+import ast
+from importlib.util import find_spec
+from pathlib import Path
+import re
+import sys
+import tomllib
+
+from catkin_pkg.package import parse_package
+from packaging.requirements import Requirement
+import pytest
+import timo_sim
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / 'pyproject.toml').read_text())['project']
+EXTRAS = PROJECT['optional-dependencies']
+PACKAGE = parse_package(str(ROOT / 'package.xml'))
+ROSDEP = yaml.safe_load((ROOT / 'test/data/rosdep_keys.yaml').read_text())
+RUN_KEYS = {depend.name for depend in PACKAGE.exec_depends}
+
+# Distributions whose module has another name.
+DISTRIBUTIONS = {'llvmlite': 'numba', 'rerun': 'rerun-sdk', 'rerun_cli': 'rerun-sdk',
+                 'yaml': 'pyyaml'}
+# ROS packages that the node uses where they are installed, as README.md says.
+OPTIONAL_ROS = {'simulation_interfaces'}
+
+
+def requirements(lines):
+    """Return the requirements by lower-case name, without extras of timo_sim itself."""
+    parsed = [Requirement(line) for line in lines]
+    return {each.name.lower(): each for each in parsed if each.name != 'timo_sim'}
+
+
+def listed(name):
+    """Return the lines of a file of requirements that are no comments."""
+    lines = (ROOT / name).read_text().splitlines()
+    return [line for line in lines if line and not line.startswith('#')]
+
+
+def imported(folder):
+    """Return {third-party module: a file that imports it}, imports in functions included."""
+    found = {}
+    for path in sorted((ROOT / folder).rglob('*.py')):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                names = [node.module]
+            elif (isinstance(node, ast.Call) and 'import' in ast.unparse(node.func)
+                  and node.args and isinstance(node.args[0], ast.Constant)):
+                names = [node.args[0].value]
+            for name in names:
+                found.setdefault(name.split('.')[0], path.relative_to(ROOT))
+    return {name: path for name, path in found.items()
+            if name not in sys.stdlib_module_names and name != 'timo_sim'}
+
+
+def test_package_xml():
+    PACKAGE.validate()
+    assert PACKAGE.get_build_type() == 'ament_python'
+    assert PACKAGE.name == PROJECT['name']
+    assert PACKAGE.licenses == ['Apache-2.0']
+
+
+def test_one_version():
+    assert PACKAGE.version == timo_sim.__version__
+    assert f'## {timo_sim.__version__}' in (ROOT / 'CHANGELOG.md').read_text()
+    assert 'version' in PROJECT['dynamic']
+
+
+def test_two_console_scripts_that_exist():
+    assert sorted(PROJECT['scripts']) == ['sim_node', 'timo_sim']
+    for target in PROJECT['scripts'].values():
+        assert find_spec(target.split(':')[0]) is not None, target
+
+
+@pytest.mark.parametrize('key', sorted({
+    depend.name for kind in ('build', 'build_export', 'buildtool', 'exec', 'test')
+    for depend in getattr(PACKAGE, f'{kind}_depends')}))
+def test_rosdep_installs_it_with_apt(key):
+    assert ROSDEP['apt'].get(key) or ROSDEP['jazzy'].get(key), (
+        f'{key} in package.xml: test/data/rosdep_keys.yaml has neither an apt rule nor a package')
+
+
+def test_what_is_imported_is_declared():
+    declared = {*requirements(PROJECT['dependencies'])}
+    for extra in re.findall(r'\w+', EXTRAS['all'][0].partition('[')[2]):
+        declared |= {*requirements(EXTRAS[extra])}
+    ros = (RUN_KEYS & {*ROSDEP['jazzy']}) | OPTIONAL_ROS
+    modules = imported('timo_sim') | imported('launch')
+    assert modules.keys() >= {'numpy', 'rclpy', 'launch'}
+    undeclared = {module: str(path) for module, path in modules.items()
+                  if module not in ros and DISTRIBUTIONS.get(module, module) not in declared}
+    assert not undeclared
+
+
+def test_package_xml_and_the_pip_list_make_up_the_dependencies():
+    keys = {key.removeprefix('python3-') for key in RUN_KEYS & {*ROSDEP['apt']}}
+    from_apt = {DISTRIBUTIONS.get(key, key) for key in keys}
+    without_key = listed('requirements-pip.txt')
+    assert {*without_key} <= {*PROJECT['dependencies']}
+    assert from_apt.isdisjoint(requirements(without_key))
+    assert from_apt | {*requirements(without_key)} == {*requirements(PROJECT['dependencies'])}
+    assert {*requirements(without_key)} <= {*ROSDEP['none']}
+    assert 'requirements-pip.txt' in (ROOT / 'README.md').read_text()
+
+
+def test_every_version_that_is_asked_for_is_pinned_and_allowed():
+    optional = [line for extra in ('cluster', 'control', 'pandas', 'plot', 'sweep')
+                for line in EXTRAS[extra]]
+    lowest = requirements(listed('constraints-lowest.txt'))
+    pinned = requirements(listed('constraints.txt'))
+    bounded = requirements(PROJECT['dependencies'] + optional)
+    assert {*lowest} == {*bounded}
+    for name, requirement in bounded.items():
+        for constraints in (lowest, pinned):
+            version = str(constraints[name].specifier).removeprefix('==')
+            assert requirement.specifier.contains(version), (name, version)

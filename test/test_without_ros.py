@@ -1,0 +1,94 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The command line and the examples in a Python that has no ROS."""
+
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import pytest
+
+from timo_sim.log.recording import Recording
+
+ROOT = Path(__file__).resolve().parents[1]
+# Is imported by Python itself at its start, and lets no package of ROS be found.
+NO_ROS = """
+import re, sys
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        if re.match(r'rclpy|rosidl|ament_index_python|std_srvs|\\w+_(msgs|interfaces)', name):
+            raise ModuleNotFoundError(f'No module named {name!r}', name=name)
+sys.meta_path.insert(0, NoRos())
+"""
+
+
+@pytest.fixture
+def python(tmp_path):
+    """Run Python without ROS in a folder of its own; return what it prints."""
+    (tmp_path / 'sitecustomize.py').write_text(NO_ROS)
+    environment = {name: value for name, value in os.environ.items()
+                   if name not in ('AMENT_PREFIX_PATH', 'LD_LIBRARY_PATH')}
+
+    def run(*arguments, code=0):
+        result = subprocess.run(
+            [sys.executable, *arguments], cwd=tmp_path, capture_output=True, text=True,
+            env={**environment, 'PYTHONPATH': f'{tmp_path}{os.pathsep}{ROOT}'})
+        assert result.returncode == code, result.stderr
+        return result.stdout + result.stderr
+    return run
+
+
+def test_there_is_no_ros(python):
+    assert 'No module named' in python('-c', 'import rclpy', code=1)
+
+
+def test_simulate_draws_logs_and_tabulates(python, tmp_path):
+    told = python('-m', 'timo_sim', 'simulate', 'paper', '--duration', '1', '--png', 'paper.png',
+                  '-o', 'paper.mcap', '--set', 'arm.length=1.9', '--rate', '200')
+    assert '201 samples until t = 1 s, no warnings' in told
+    assert (tmp_path / 'paper.png').read_bytes().startswith(b'\x89PNG')
+    recording = Recording(tmp_path / 'paper.mcap')
+    assert recording.scene.values['arm.length'] == 1.9 and len(recording.motion()[1]) == 201
+
+    assert 'numbers are the same to the last bit' in python(
+        '-m', 'timo_sim', 'replay', 'paper.mcap')
+    told = python('-m', 'timo_sim', 'replay', 'paper.mcap', '--set', 'end_effector.mass=3')
+    assert 'new log: paper_replay.mcap' in told
+    assert 'rows' in python('-m', 'timo_sim', 'export', 'paper_replay.mcap', '-o', 'out.csv')
+    assert 'sim time  0 to 1 s' in python('-m', 'timo_sim', 'info', 'paper_replay.mcap')
+    python('-m', 'timo_sim', 'simulate', 'paper', '--duration', '0.1', '-o', 'run.parquet')
+    assert (tmp_path / 'run.parquet').exists()
+
+
+def test_what_simulate_refuses(python):
+    assert 'did you mean paper?' in python('-m', 'timo_sim', 'simulate', 'papr', code=2)
+    assert 'did you mean model.modes?' in python(
+        '-m', 'timo_sim', 'simulate', 'paper', '--set', 'model.mode=2', code=2)
+    assert 'must end with .parquet or .csv' in python(
+        '-m', 'timo_sim', 'simulate', 'paper', '--duration', '0.1', '-o', 'run.txt', code=2)
+
+
+def test_a_divergent_run_is_written_and_has_code_1(python, tmp_path):
+    (tmp_path / 'scene.yaml').write_text('/**:\n  ros__parameters: ' + json.dumps({
+        'integrator.step': 0.01, 'initial.shaft_velocity': 100.0,
+        'initial.modal_rates': [10.0, 0.0, 0.0]}))
+    told = python('-m', 'timo_sim', 'simulate', 'scene.yaml', '--duration', '100', '-o',
+                  'run.csv', code=1)
+    assert 'the state diverges' in told and (tmp_path / 'run.csv').exists()
+
+
+@pytest.mark.parametrize('arguments, words, code', [
+    (['duration:=1.0'], "'duration:=1.0' stands outside of --ros-args", 2),
+    (['--ros-args', '-p', 'duration:=1.0', '--', 'x'], "'x' stands outside", 2),
+    (['--help'], 'usage: sim_node', 0),
+    (['--ros-args', '-p', 'duration:=1.0'], 'sim_node needs ROS 2', 1)])
+def test_arguments_of_the_node(python, arguments, words, code):
+    assert words in python('-m', 'timo_sim.cli.sim_node', *arguments, code=code)

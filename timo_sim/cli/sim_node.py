@@ -1,0 +1,81 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The executable `sim_node`: nothing heavy is imported before signals are taken care of."""
+
+import sys
+
+from timo_sim.ros.signals import StopRequest
+
+_HELP = """usage: sim_node [--help] [--ros-args ...]
+
+The ROS 2 node timo_sim. Parameters are set by --ros-args:
+
+  sim_node --ros-args --params-file my_scene.yaml -p duration:=10.0 -p record_file:=run.mcap
+
+`ros2 param describe` and the file config/paper.yaml say what each parameter means."""
+
+
+def main(args=None):
+    """
+    Run the node until SIGINT, SIGTERM or the end of its duration.
+
+    Parameters
+    ----------
+    args : list of str, optional
+        Command line; by default that of the process.
+
+    Returns
+    -------
+    int
+        Exit code: 0 for a good end, 1 without ROS or if the middleware refuses, 2 for a parameter
+        or an argument that breaks its rule.
+
+    """
+    stop = StopRequest()
+    given = _outside_ros_args(sys.argv[1:] if args is None else args)
+    if given in (['-h'], ['--help']):
+        print(_HELP)
+        return 0
+    if given:
+        print(f'timo_sim: {given[0]!r} stands outside of --ros-args: try sim_node --ros-args '
+              '-p duration:=10.0, or sim_node --help', file=sys.stderr)
+        return 2
+    try:
+        from timo_sim.ros.process import run
+        return run(stop, args, _live_feed)
+    except ModuleNotFoundError as error:
+        if error.name != 'rclpy':
+            raise
+        print('timo_sim: sim_node needs ROS 2: source an installed one, or pip install '
+              'timo_sim[ros]; timo_sim simulate needs none', file=sys.stderr)
+        return 1
+    finally:
+        stop.finished()
+
+
+def _outside_ros_args(arguments):
+    # What stands before --ros-args, or after the -- that ends it.
+    outside, inside = [], False
+    for argument in arguments:
+        if argument == '--ros-args':
+            inside = True
+        elif inside and argument == '--':
+            inside = False
+        elif not inside:
+            outside.append(argument)
+    return outside
+
+
+def _live_feed(scene, url, name):
+    from timo_sim.view.feed import Feed
+    return Feed(scene, url, name)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,71 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Constants and local arrays of compiled functions, with shapes that the compiler knows."""
+
+import functools
+import math
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+import numpy as np
+
+
+@functools.cache
+def _layout(fields):
+    # One dtype object per layout: numba keeps each that it has seen.
+    return np.dtype(list(fields))
+
+
+def pack(fields):
+    """
+    Return a NamedTuple of numbers and arrays as one block of memory with known shapes.
+
+    Returns
+    -------
+    numpy.void
+        A NumPy record; names and shapes of its fields are part of its type.
+
+    """
+    values = {name: np.asarray(value) for name, value in fields._asdict().items()}
+    packed = np.zeros((), _layout(tuple((name, value.dtype.str, value.shape)
+                                        for name, value in values.items())))
+    for name, value in values.items():
+        packed[name] = value
+    return packed[()]
+
+
+@intrinsic
+def local(_, like):
+    """
+    Return an array that lives as long as the call of the compiled function that asks for it.
+
+    Parameters
+    ----------
+    like : tuple of arrays
+        Of packed constants; the new array is as long along each axis as one of them along its
+        first. It is not initialised.
+
+    """
+    shape = tuple(array.shape[0] for array in like)
+    kind = types.Array(types.float64, len(shape), 'C')
+
+    def generate(context, builder, signature, arguments):
+        size = ir.Constant(ir.IntType(64), max(1, math.prod(shape)))
+        data = cgutils.alloca_once(builder, ir.DoubleType(), size=size)
+        data.align = 32  # of the widest registers
+        array = context.make_array(kind)(context, builder)
+        number = functools.partial(context.get_constant, types.intp)
+        context.populate_array(
+            array, data=data, shape=[number(length) for length in shape],
+            strides=[number(8 * math.prod(shape[axis + 1:])) for axis in range(len(shape))],
+            itemsize=number(8), meminfo=None)
+        return array._getvalue()
+
+    return kind(like), generate

@@ -1,0 +1,86 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Decorators for compiled functions: NaN-safe fast math, machine code on disk, bodies by type.
+
+Loops of a reduced model are short. They become fast where the compiler knows their ends and that
+no two arrays overlap, see `constants`. One machine code for each size of a model follows.
+"""
+
+import inspect
+
+import numba
+from numba.extending import overload
+
+from timo_sim.jit.code_store import CodeStore, store_directory
+from timo_sim.jit.corrections import compile_powers, correct_names
+
+correct_names()
+
+# Sums may be reordered and fused, which vectorises the short loops; NaN and Inf keep their
+# meaning, so that a diverged state is still seen ('fast' would assume them away).
+FASTMATH = {'reassoc', 'contract', 'nsz'}
+# A division by zero gives Inf or NaN, too, and raises nothing.
+_OPTIONS = {'fastmath': FASTMATH, 'error_model': 'numpy'}
+
+
+def entry_point(function):
+    """Compile a function of a module that Python calls, and keep its machine code on disk."""
+    compiled = numba.njit(**_OPTIONS)(function)
+    if store_directory() is not None:
+        compiled._cache = CodeStore(function)
+    else:
+        compile_powers()
+    return compiled
+
+
+def inner(function):
+    """Compile a function that only compiled functions call; it becomes part of its callers."""
+    return numba.njit(**_OPTIONS, forceinline=True, no_cpython_wrapper=True)(function)
+
+
+def strict(function):
+    """Compile a function that only compiled functions call, without any fast math."""
+    # The option is given, not left out: an option that is left out is inherited from the function
+    # that calls first.
+    return numba.njit(**{**_OPTIONS, 'fastmath': False}, forceinline=True,
+                      no_cpython_wrapper=True)(function)
+
+
+def inlined(function):
+    """Compile a function whose text takes the place of its calls in compiled functions."""
+    # As `inner` it would be slower: LLVM finds out too late that its arrays do not overlap.
+    return numba.njit(**_OPTIONS, inline='always')(function)
+
+
+def dispatch(declaration):
+    """
+    Declare a function whose body is chosen, at compile time, by the fields of its first argument.
+
+    A compiled function that takes other compiled functions as arguments cannot be kept on disk;
+    one that calls a declared function can. `@declared.of(Fields)` above a body adds it for the
+    packed constants of a NamedTuple.
+    """
+    bodies = {}
+
+    def of(fields):
+        def add(body):
+            bodies[frozenset(fields._fields)] = body
+            return body
+        return add
+
+    def choose(*types):
+        return bodies.get(frozenset(getattr(types[0], 'fields', ())))
+
+    setattr(choose, '__signature__', inspect.signature(declaration))
+    # The body becomes part of its callers: code that is linked may be compiled, and so rounded,
+    # apart from them in the process that compiles and not in one that loads from disk.
+    overload(declaration, jit_options={**_OPTIONS, 'forceinline': True})(choose)
+    declaration.of = of
+    return declaration

@@ -1,0 +1,98 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""MCAP records and chunks that are checked before they are believed, and errors about them."""
+
+from io import BytesIO
+import stat
+import struct
+import zlib
+
+import lz4.frame
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import McapError
+import zstandard
+
+from timo_sim.log.rosbag2 import printable
+
+LARGEST_CHUNK = 64 * 1024 * 1024  # [B] uncompressed
+LARGEST_RECORD = LARGEST_CHUNK + 1024 * 1024
+HEAD = struct.Struct('<BQ')             # opcode, length of the content
+_CHUNK_HEAD = struct.Struct('<QQQII')   # times, size, checksum, length of compression's name
+
+
+class LogError(ValueError):
+    """A file that is not a log; the text says which and why."""
+
+
+class Broken(ValueError):
+    """A record that does not hold what it says."""
+
+
+def open_file(path):
+    """Open a regular file; a pipe would never end, and a device might act on it."""
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise LogError(f'{printable(path)} is not a file')
+        return open(path, 'rb')
+    except (PermissionError, NotADirectoryError) as error:
+        raise LogError(f'{printable(path)}: {error.strerror}') from None
+
+
+def uncompressed(content):
+    """Return the data of a chunk if it is what the chunk says."""
+    try:
+        _, _, size, crc, length = _CHUNK_HEAD.unpack_from(content)
+        compression = content[_CHUNK_HEAD.size:_CHUNK_HEAD.size + length]
+        place = _CHUNK_HEAD.size + length
+        stored, = struct.unpack_from('<Q', content, place)
+        if stored != len(content) - place - 8:
+            raise Broken('a chunk has a wrong length')
+        if size > LARGEST_CHUNK:
+            raise Broken(f'a chunk claims to hold {size} bytes, more than {LARGEST_CHUNK}')
+        if compression not in _DECOMPRESS:
+            raise Broken(f'a chunk is compressed by {bytes(compression[:20])!r}')
+        # One byte more than it says, so that a chunk which holds more is found out.
+        data = _DECOMPRESS[compression](memoryview(content)[place + 8:], size + 1)
+    except (struct.error, RuntimeError, EOFError, zstandard.ZstdError) as error:
+        raise Broken(f'a chunk cannot be read: {error}') from None
+    if len(data) != size:
+        raise Broken(f'a chunk does not hold the {size} bytes that it says')
+    if crc and zlib.crc32(data) != crc:
+        raise Broken('the checksum of a chunk is wrong')
+    return data
+
+
+def _zstd(data, limit):
+    decompressor = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
+    return decompressor.stream_reader(data).read(limit)
+
+
+_DECOMPRESS = {
+    b'': lambda data, limit: data[:limit],
+    b'lz4': lambda data, limit: lz4.frame.LZ4FrameDecompressor().decompress(data, limit),
+    b'zstd': _zstd}
+
+
+def parsed(kind, content):
+    """Return a record if it says the same when it is written again."""
+    try:
+        record = kind.read(ReadDataStream(BytesIO(content)))
+        if bytes_of(record)[HEAD.size:] == content:
+            return record
+    except (McapError, struct.error, UnicodeDecodeError):
+        pass
+    raise Broken(f'a record of kind {kind.__name__.lower()} does not hold what it says')
+
+
+def bytes_of(*records):
+    """Return MCAP records as they are in a file."""
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return builder.end()

@@ -1,0 +1,225 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Serialised messages (CDR): write one, and find where numbers and texts are in one."""
+
+from functools import cache
+import struct
+from typing import NamedTuple
+
+from timo_sim.messages.definitions import DEFINITIONS, fields
+
+TYPES = frozenset(DEFINITIONS)
+_START = 4                     # of what is aligned, after the encoding
+_LITTLE_ENDIAN = b'\x00\x01'   # plain CDR
+_NUMBERS = {'byte': 'B', 'int32': 'i', 'uint32': 'I', 'float64': 'd'}  # codes of `struct`
+
+
+class CdrError(ValueError):
+    """A message that is not what its type says; the text says why."""
+
+
+class Layout(NamedTuple):
+    """
+    Where things are in a message, bytes from its beginning.
+
+    Messages of the same size and the same bytes at `fixed`, which are encoding, texts, integers
+    and lengths of lists, have the same layout.
+    """
+
+    size: int            # without the padding that some writers add
+    stamps: list         # of the seconds of each time, nanoseconds follow
+    doubles: list        # of each float64
+    lists: list          # how many float64 are in each sequence, or in single fields in a row
+    texts: list          # values
+    fixed: list
+
+    def split(self, numbers):
+        """Return numbers as the lists in which they are."""
+        parts, place = [], 0
+        for length in self.lists:
+            parts.append(numbers[place:place + length])
+            place += length
+        return parts
+
+    def meant(self):
+        """Return the places of all bytes that mean something; the others are padding."""
+        return [*self.fixed, *(place + byte for place in (*self.stamps, *self.doubles)
+                               for byte in range(8))]
+
+
+def layout(type_name, data):
+    """
+    Return the layout of a message.
+
+    Parameters
+    ----------
+    type_name : str
+        One of TYPES.
+    data : bytes-like
+        CDR.
+
+    Returns
+    -------
+    Layout
+
+    Raises
+    ------
+    CdrError
+        If the message ends too early or is encoded in another way.
+
+    """
+    walk = _Walk(data)
+    walk.follow(_steps(type_name))
+    return walk.found._replace(size=walk.place)
+
+
+def pack(type_name, values):
+    """
+    Serialise a message.
+
+    Parameters
+    ----------
+    type_name : str
+        One of TYPES.
+    values : dict
+        Values by name of field: numbers, str, dict for messages, lists for arrays. A field that
+        is missing has its default, which is zero or empty unless the definition says otherwise
+        (w of a quaternion is 1).
+
+    Returns
+    -------
+    bytes
+        Little-endian CDR, padding is zero.
+
+    Raises
+    ------
+    CdrError
+        If a field is unknown or an array of fixed length has another one.
+
+    Examples
+    --------
+    >>> pack('std_msgs/msg/Float64', {'data': 1.0}).hex()
+    '00010000000000000000f03f'
+
+    """
+    data = bytearray(_LITTLE_ENDIAN + bytes(_START - len(_LITTLE_ENDIAN)))
+    _append(data, type_name, values)
+    return bytes(data)
+
+
+def _append(data, type_name, value):
+    if type_name == 'string':
+        text = value.encode() + b'\0'
+        _append(data, 'uint32', len(text))
+        data += text
+    elif type_name in _NUMBERS:
+        code = '<' + _NUMBERS[type_name]
+        data += bytes((_START - len(data)) % struct.calcsize(code)) + struct.pack(code, value)
+    else:
+        unknown = value.keys() - {field.name for field in fields(type_name)}
+        if unknown:
+            raise CdrError(f'{type_name} has no field {", ".join(sorted(unknown))}')
+        for field in fields(type_name):
+            _append_field(data, type_name, field, value.get(field.name, field.default))
+
+
+def _append_field(data, type_name, field, value):
+    if field.length is None:
+        _append(data, field.type_name, value)
+        return
+    if field.length == 0:
+        _append(data, 'uint32', len(value))
+    elif field.length != len(value):
+        raise CdrError(f'{field.name} of {type_name} must have {field.length} elements, got '
+                       f'{len(value)}')
+    for element in value:
+        _append(data, field.type_name, element)
+
+
+class _Walk:
+    def __init__(self, data):
+        self._data, self.place = data, _START
+        self._in_a_row = False  # whether the last list consists of single numbers
+        self.found = Layout(0, [], [], [], [], [0, 1])
+        if bytes(data[:2]) != _LITTLE_ENDIAN:
+            raise CdrError(f'its encoding is {bytes(data[:2])!r}, not {_LITTLE_ENDIAN!r}')
+
+    def follow(self, steps):
+        for method, *arguments in steps:
+            method(self, *arguments)
+
+    def _pass(self, size, alignment):
+        begin = self.place + (_START - self.place) % alignment
+        self.place = begin + size
+        if self.place > len(self._data):
+            raise CdrError('it is too short')
+        return begin
+
+    def integer(self, size):
+        begin = self._pass(size, size)
+        self.found.fixed.extend(range(begin, begin + size))
+        return begin
+
+    def _count(self):
+        return struct.unpack_from('<I', self._data, self.integer(4))[0]
+
+    def stamp(self):
+        self.found.stamps.append(self._pass(8, 4))
+
+    def string(self):
+        size = self._count()
+        begin = self._pass(size, 1)
+        self.found.fixed.extend(range(begin, begin + size))
+        text = bytes(self._data[begin:begin + size])
+        self.found.texts.append(text.removesuffix(b'\0').decode(errors='replace'))
+
+    def double(self):
+        if not self._in_a_row:
+            self._in_a_row = True
+            self.found.lists.append(0)
+        self._add_double()
+
+    def doubles(self):
+        self._in_a_row = False
+        self.found.lists.append(0)
+        for _ in range(self._count()):
+            self._add_double()
+
+    def _add_double(self):
+        self.found.lists[-1] += 1
+        self.found.doubles.append(self._pass(8, 8))
+
+    def sequence(self, steps):
+        for _ in range(self._count()):
+            self.follow(steps)
+
+
+@cache
+def _steps(type_name):
+    """Return methods of _Walk, with arguments, that pass a value; messages inside are inlined."""
+    if type_name == 'builtin_interfaces/msg/Time':
+        return ((_Walk.stamp,),)
+    if type_name == 'float64':
+        return ((_Walk.double,),)
+    if type_name == 'string':
+        return ((_Walk.string,),)
+    if type_name in _NUMBERS:
+        return ((_Walk.integer, struct.calcsize('<' + _NUMBERS[type_name])),)
+    found = []
+    for field in fields(type_name):
+        element = _steps(field.type_name)
+        if field.length is None:
+            found.extend(element)
+        elif field.length:
+            found.extend(field.length * element)
+        elif field.type_name == 'float64':
+            found.append((_Walk.doubles,))
+        else:
+            found.append((_Walk.sequence, element))
+    return tuple(found)

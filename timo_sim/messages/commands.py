@@ -1,0 +1,145 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What a command means: the inputs that it sets, and when it is refused."""
+
+import math
+from typing import Callable, NamedTuple
+
+import numpy as np
+
+from timo_sim.physics.layout import (
+    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE, VOLTAGE)
+
+# Columns of the load, and their names with units, by input. Each input follows the latest message
+# that set it; of messages that begin to act in the same step, the later entry of COMMANDS wins.
+INPUTS = {
+    'carrier': {FORCE_X: 'force_x_N', FORCE_Y: 'force_y_N', FORCE_I: 'force_along_arm_N',
+                FORCE_II: 'force_across_arm_N'},
+    'shaft': {TORQUE: 'torque_N_m', VOLTAGE: 'voltage_V'},
+    'tip': {TIP_X: 'tip_force_x_N', TIP_Y: 'tip_force_y_N', TIP_I: 'tip_force_along_arm_N',
+            TIP_II: 'tip_force_across_arm_N', TIP_TORQUE: 'tip_torque_N_m'},
+}
+JOINTS = 'carrier_x', 'carrier_y', 'shaft'
+LARGEST = 65536  # [B] of a command; ordinary ones have some hundreds
+
+
+class Refused(ValueError):
+    """A command that is not applied; the text says why."""
+
+
+def _finite(numbers):
+    if not all(map(math.isfinite, numbers)):
+        raise Refused('every component must be finite')
+
+
+def _force(texts, numbers):
+    _finite(numbers)
+    frame, (x, y) = texts[0], numbers[:2]
+    if frame in ('', 'world'):
+        return x, y, 0.0, 0.0
+    if frame == 'arm':
+        return 0.0, 0.0, x, y
+    raise Refused(f"frame_id must be empty, 'world' or 'arm', got {frame[:40]!r}")
+
+
+def _carrier_wrench(texts, lists):
+    return {'carrier': _force(texts, lists[0])}
+
+
+def _scalar(lists):
+    if not math.isfinite(lists[0][0]):
+        raise Refused(f'data must be finite, got {lists[0][0]}')
+    return lists[0][0]
+
+
+def _motor_torque(texts, lists):
+    return {'shaft': (_scalar(lists), 0.0)}
+
+
+def _motor_voltage(texts, lists):
+    return {'shaft': (0.0, _scalar(lists))}
+
+
+def _tip_wrench(texts, lists):
+    return {'tip': (*_force(texts, lists[0]), lists[0][5])}
+
+
+def _joint_command(texts, lists):
+    names, efforts = texts[1:], lists[-1]
+    unknown = [name for name in names if name not in JOINTS]
+    if unknown or len(set(names)) < len(names) or not names:
+        raise Refused(f'name must hold some of {", ".join(JOINTS)}, once each, got '
+                      f'{", ".join(names)[:80]!r}')
+    if len(efforts) != len(names):
+        raise Refused(f'effort must have one element for each of {len(names)} names, got '
+                      f'{len(efforts)}')
+    _finite(efforts)
+    given = dict(zip(names, efforts))
+    found: dict[str, tuple] = {}
+    if given.keys() - {'shaft'}:
+        found['carrier'] = given.get('carrier_x', 0.0), given.get('carrier_y', 0.0), 0.0, 0.0
+    if 'shaft' in given:
+        found['shaft'] = given['shaft'], 0.0
+    return found
+
+
+def _commands(texts, lists):
+    if len(lists[0]) != len(JOINTS):
+        raise Refused(f'data must have {len(JOINTS)} elements, for {", ".join(JOINTS)}, got '
+                      f'{len(lists[0])}')
+    return _joint_command(['', *JOINTS], lists)
+
+
+class Command(NamedTuple):
+    """
+    A command topic.
+
+    `load` takes the texts and the lists of numbers of a message, and returns what it says by
+    input; it raises Refused.
+    """
+
+    name: str
+    type_name: str
+    load: Callable[[list, list], dict]
+    inputs: tuple
+
+    @property
+    def columns(self):
+        """Columns of the load that it may set."""
+        return [column for key in self.inputs for column in INPUTS[key]]
+
+    @property
+    def names(self):
+        """Names of these columns, with units."""
+        return tuple(name for key in self.inputs for name in INPUTS[key].values())
+
+    def row(self, texts, lists):
+        """Return values for its columns, NaN for what it does not set, or raise Refused."""
+        found = self.load(texts, lists)
+        return np.concatenate([found.get(key, [math.nan] * len(INPUTS[key]))
+                               for key in self.inputs])
+
+    def apply(self, row, commanded):
+        """Let a row act on a load in place; return the inputs that it sets."""
+        given = np.flatnonzero(~np.isnan(row))
+        columns = np.array(self.columns)[given]
+        commanded[columns] = row[given]
+        return {key for key in self.inputs if next(iter(INPUTS[key])) in columns}
+
+
+# One topic for each input first, of those the messages that let an input fall to zero.
+COMMANDS = [
+    Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped', _carrier_wrench, ('carrier',)),
+    Command('~/motor_torque', 'std_msgs/msg/Float64', _motor_torque, ('shaft',)),
+    Command('~/tip_wrench', 'geometry_msgs/msg/WrenchStamped', _tip_wrench, ('tip',)),
+    Command('~/joint_command', 'sensor_msgs/msg/JointState', _joint_command,
+            ('carrier', 'shaft')),
+    Command('~/commands', 'std_msgs/msg/Float64MultiArray', _commands, ('carrier', 'shaft')),
+    Command('~/motor_voltage', 'std_msgs/msg/Float64', _motor_voltage, ('shaft',)),
+]

@@ -1,0 +1,197 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The topics that carry the motion: one entry of `outputs` says everything about a topic."""
+
+import math
+from typing import Callable, NamedTuple
+
+import numpy as np
+
+from timo_sim.messages.packing import columns, form, Number
+from timo_sim.physics.layout import place
+
+NANOSECONDS = 1000000000
+_GRAVITY = 9.80665  # [m/s2]
+
+
+def _joints(snapshot):
+    return *snapshot.joint_positions, *snapshot.joint_velocities, *snapshot.effort
+
+
+def _tip_deflection(snapshot):
+    along, across, _ = snapshot.tip
+    return along - snapshot.length, across
+
+
+def _tip_pose(snapshot):
+    x, y, theta = snapshot.joint_positions
+    along, across, rotation = snapshot.tip
+    half = 0.5 * (theta + rotation)
+    return *place(x, y, theta, along, across), math.sin(half), math.cos(half)
+
+
+def _carrier_pose(snapshot):
+    return *snapshot.joint_positions[:2], 0.0, 1.0
+
+
+def _readings(*sensors):
+    return lambda snapshot: [axis for name in sensors for axis in snapshot.sensor(name)]
+
+
+def _transforms(snapshot):
+    x, y, theta = snapshot.joint_positions
+    along, across, rotation = snapshot.tip
+    return (x, y, math.sin(0.5 * theta), math.cos(0.5 * theta),
+            along, across, math.sin(0.5 * rotation), math.cos(0.5 * rotation))
+
+
+class Output(NamedTuple):
+    """
+    A topic that carries the motion.
+
+    Attributes
+    ----------
+    name : str
+        As a node is given it: '~/encoder' is below the node's own name, '/clock' is not.
+    type_name : str
+        Of its messages.
+    numbers : function(simulation.snapshot.Snapshot) -> tuple of float
+        Reads what a message holds, in the order of `columns`.
+    template : dict
+        The message, with a Number in place of each of these; header stamps are filled in.
+    delay : str or None
+        Of a sensor, the parameter with the time from measurement to message.
+
+    """
+
+    name: str
+    type_name: str
+    numbers: Callable
+    template: dict
+    delay: str | None = None
+
+    @property
+    def rate(self):
+        """The parameter with the rate."""
+        return f'rate.{self.name.strip("~/")}'
+
+    @property
+    def columns(self):
+        """Names of the numbers, with units."""
+        return columns(self.template)
+
+    @property
+    def places(self):
+        """Which of the float64 of a message the numbers are."""
+        return form(self.type_name, self.template).places
+
+    @property
+    def texts(self):
+        """Texts of a message: the frame of the header, names of joints, ..."""
+        return form(self.type_name, self.template).layout.texts
+
+
+def _numbers(*names):
+    return [Number(name) for name in names]
+
+
+def _frame(name):
+    return {'frame_id': name}
+
+
+def _xy(x, y):
+    return {'x': Number(x), 'y': Number(y)}
+
+
+def _turn(z, w):
+    return {'z': Number(z), 'w': Number(w)}  # a quaternion
+
+
+_POSE = {
+    'header': _frame('world'),
+    'pose': {'position': _xy('x_m', 'y_m'),
+             'orientation': _turn('orientation_z', 'orientation_w')},
+}
+
+
+def outputs(modes):
+    """Return the topics that carry the motion of an arm with so many modes, a list of Output."""
+    names = [f'mode_{n + 1}' for n in range(modes)]
+    modal = [Output('~/modal_state', 'sensor_msgs/msg/JointState',
+                    lambda snapshot: snapshot.modal_state, {
+                        'name': names,
+                        'position': _numbers(*(f'{name}_m_sqrt_kg' for name in names)),
+                        'velocity': _numbers(*(f'{name}_rate_m_sqrt_kg_per_s'
+                                               for name in names))})]
+    return [
+        Output('joint_states', 'sensor_msgs/msg/JointState', _joints, {
+            'name': ['carrier_x', 'carrier_y', 'shaft'],
+            'position': _numbers('carrier_x_m', 'carrier_y_m', 'shaft_rad'),
+            'velocity': _numbers('carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
+                                 'shaft_velocity_rad_per_s'),
+            'effort': _numbers('carrier_x_force_N', 'carrier_y_force_N', 'shaft_torque_N_m')}),
+        *(modal if modes else []),
+        Output('~/tip_deflection', 'geometry_msgs/msg/Vector3Stamped', _tip_deflection, {
+            'header': _frame('arm'), 'vector': _xy('axial_m', 'transverse_m')}),
+        Output('~/tip_pose', 'geometry_msgs/msg/PoseStamped', _tip_pose, _POSE),
+        Output('~/carrier_pose', 'geometry_msgs/msg/PoseStamped', _carrier_pose, _POSE),
+        Output('/clock', 'rosgraph_msgs/msg/Clock', lambda snapshot: (), {}),
+        Output('~/root_strain', 'sensor_msgs/msg/JointState', _readings('root_strain'), {
+            'name': ['root_strain'], 'position': _numbers('outer_fibre')},
+            delay='sensor.root_strain.delay'),
+        Output('~/tip_imu', 'sensor_msgs/msg/Imu', _readings('tip_acceleration', 'gyro'), {
+            'header': _frame('tip'),
+            'orientation_covariance': [-1.0] + 8 * [0.0],  # REP-145: there is no orientation
+            # The plane of motion is horizontal; a sensor at rest shows what holds it up.
+            'linear_acceleration': {**_xy('acceleration_x_m_per_s2', 'acceleration_y_m_per_s2'),
+                                    'z': _GRAVITY},
+            'angular_velocity': {'z': Number('turning_rad_per_s')}},
+            delay='sensor.tip_imu.delay'),
+        Output('~/encoder', 'sensor_msgs/msg/JointState', _readings('encoder'), {
+            'name': ['shaft'], 'position': _numbers('shaft_rad')},
+            delay='sensor.encoder.delay'),
+    ]
+
+
+# Frames: carrier in world, arm (which turns with the shaft) on it, tip in the arm frame. They are
+# neither logged nor replayed, because they follow from the motion above.
+TRANSFORMS = Output('/tf', 'tf2_msgs/msg/TFMessage', _transforms, {'transforms': [
+    {'header': _frame('world'), 'child_frame_id': 'carrier',
+     'transform': {'translation': _xy('carrier_x_m', 'carrier_y_m')}},
+    {'header': _frame('carrier'), 'child_frame_id': 'arm',
+     'transform': {'rotation': _turn('arm_orientation_z', 'arm_orientation_w')}},
+    {'header': _frame('arm'), 'child_frame_id': 'tip',
+     'transform': {'translation': _xy('tip_x_m', 'tip_y_m'),
+                   'rotation': _turn('tip_orientation_z', 'tip_orientation_w')}},
+]})
+
+
+def with_angles(columns, values):
+    """
+    Return columns and values with an angle instead of the two numbers of an orientation.
+
+    Parameters
+    ----------
+    columns : tuple of str
+    values : ndarray, shape (n, k)
+
+    Returns
+    -------
+    tuple of str, ndarray, shape (n, k - 1) or (n, k)
+        The angle, `rotation_rad`, is not wrapped.
+
+    """
+    if 'orientation_z' not in columns:
+        return columns, values
+    z, w = (values[:, columns.index(name)] for name in ('orientation_z', 'orientation_w'))
+    # Half the angle is written, so that it comes back after two turns.
+    angle = np.unwrap(2.0 * np.arctan2(z, w), period=4.0 * math.pi)
+    kept = [place for place, name in enumerate(columns) if not name.startswith('orientation_')]
+    return ((*(columns[place] for place in kept), 'rotation_rad'),
+            np.column_stack([values[:, kept], angle]))

@@ -1,0 +1,205 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The bodies of the manipulator and the constants that the equations take from them."""
+
+from dataclasses import dataclass, fields
+import math
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Section:
+    """
+    A rectangular cross-section of the arm, or arrays of them.
+
+    Source: paper, section 2.1 and Table 1.
+
+    Attributes
+    ----------
+    width : float or ndarray
+        Section size normal to the plane of motion [m].
+    height : float or ndarray
+        Section size in the plane of motion, the direction of bending [m].
+    density : float or ndarray
+        [kg/m3]
+    young_modulus, shear_modulus : float or ndarray
+        [Pa]
+    shear_correction : float
+        Shear correction factor kappa, paper eq. (37) for a rectangle.
+
+    """
+
+    width: float
+    height: float
+    density: float
+    young_modulus: float
+    shear_modulus: float
+    shear_correction: float
+
+    @property
+    def area(self):
+        """Section area A [m2]."""
+        return self.width * self.height
+
+    @property
+    def second_moment(self):
+        """Second moment of the section about its neutral axis, I [m4]."""
+        return self.width * self.height**3 / 12.0
+
+    @property
+    def mass_per_length(self):
+        """Mass per length rho A [kg/m]."""
+        return self.density * self.area
+
+    @property
+    def inertia_per_length(self):
+        """Rotary inertia per length rho I [kg m]."""
+        return self.density * self.second_moment
+
+    @property
+    def bending_stiffness(self):
+        """Bending stiffness E I [N m2]."""
+        return self.young_modulus * self.second_moment
+
+    @property
+    def shear_stiffness(self):
+        """Shear stiffness kappa G A [N]."""
+        return self.shear_correction * self.shear_modulus * self.area
+
+    @property
+    def cutoff(self):
+        """Angular frequency above which the second spectrum begins, omega_0 [rad/s]."""
+        return math.sqrt(self.shear_stiffness / self.inertia_per_length)
+
+
+@dataclass(frozen=True)
+class Beam:
+    """
+    A Timoshenko beam of rectangular section: the arm.
+
+    Attributes
+    ----------
+    length : float
+        [m]
+    section : Section
+        Of floats: the arm is uniform. Of tuples: its values at `positions`, linear between.
+    positions : tuple of float
+        Distances from the root, ascending from 0 to `length`; one twice is a jump [m]. Empty for
+        a uniform arm.
+
+    """
+
+    length: float
+    section: Section
+    positions: tuple = ()
+
+    @property
+    def uniform(self):
+        """Whether the section is the same all along the arm."""
+        return not self.positions
+
+    @property
+    def breaks(self):
+        """Ends of the spans on which the section is smooth, from 0 to the length [m]."""
+        if self.uniform:
+            return np.array([0.0, self.length])
+        return np.unique([0.0, *self.positions, self.length])
+
+    def at(self, xi):
+        """Return the sections at distances xi from the root, inside the spans, shape (p,) [m]."""
+        if self.uniform:
+            return self.section
+        values: dict[str, Any] = {
+            field.name: getattr(self.section, field.name) for field in fields(Section)}
+        for name, value in values.items():
+            if np.ndim(value):
+                values[name] = np.interp(xi, self.positions, value)
+        return Section(**values)
+
+
+@dataclass(frozen=True)
+class Manipulator:
+    """
+    Rigid carrier, motor, elastic arm and end effector.
+
+    Source: paper, section 3.1 and Table 1.
+
+    Attributes
+    ----------
+    arm : Beam
+    carrier_mass, motor_mass : float
+        m_c, m_m [kg]; the motor's rotor is on the carrier, so both masses only translate.
+    shaft_inertia : float
+        J_m [kg m2]
+    end_effector_mass, end_effector_inertia : float
+        Mass m_e [kg] and moment of inertia J_e [kg m2] of the end effector, at the arm's tip.
+    carrier_friction, shaft_friction : float
+        Viscous friction of the carrier along either axis, c_c [N s/m], and of the shaft, c_s
+        [N m s/rad].
+
+    """
+
+    arm: Beam
+    carrier_mass: float
+    motor_mass: float
+    shaft_inertia: float
+    end_effector_mass: float
+    end_effector_inertia: float
+    carrier_friction: float = 0.0
+    shaft_friction: float = 0.0
+
+    @property
+    def base_mass(self):
+        """Mass at the root of the arm, m_c + m_m [kg]."""
+        return self.carrier_mass + self.motor_mass
+
+    def inertia(self, quadrature):
+        """
+        Return M(xi) and J(xi) of the paper's Remark 1 as weights of an integral.
+
+        Parameters
+        ----------
+        quadrature : Quadrature
+            On the arm, p nodes.
+
+        Returns
+        -------
+        mass, inertia : ndarray, shape (p + 1,)
+            At the nodes and, the end effector's, at the tip [kg], [kg m2].
+
+        """
+        section, weights = self.arm.at(quadrature.nodes), quadrature.weights
+        return (np.append(weights * section.mass_per_length, self.end_effector_mass),
+                np.append(weights * section.inertia_per_length, self.end_effector_inertia))
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """
+    Degrees of freedom that are removed from the state; no stiff springs are used.
+
+    Attributes
+    ----------
+    carrier : tuple
+        Position at which the carrier is held, x and y in world axes [m]; None: it is free to move
+        along that axis.
+    driven : bool
+        Whether the shaft follows an angle that is given in the load, instead of a torque.
+
+    """
+
+    carrier: tuple = (None, None)
+    driven: bool = False
+
+    @property
+    def free_axes(self):
+        """Axes along which the carrier moves, of 0 (x) and 1 (y)."""
+        return [axis for axis in range(2) if self.carrier[axis] is None]

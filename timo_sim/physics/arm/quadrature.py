@@ -1,0 +1,130 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Gauss-Legendre nodes along the arm, and the integral of what is known there from the root."""
+
+import functools
+
+import numpy as np
+from numpy.polynomial import legendre
+
+_FEWEST = 4  # nodes in a span, however short
+
+
+def legendre_values(x, count):
+    """
+    Evaluate Legendre polynomials and their integrals from -1.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Points in [-1, 1].
+    count : int
+        Number of polynomials, degrees 0 to count - 1.
+
+    Returns
+    -------
+    values, integrals : ndarray, shape (n, count)
+
+    """
+    values = legendre.legvander(x, count)
+    integrals = np.empty((len(x), count))
+    integrals[:, :1] = x[:, np.newaxis] + 1.0
+    degree = np.arange(1, count)
+    integrals[:, 1:] = (values[:, 2:] - values[:, :-2]) / (2 * degree + 1)
+    return values[:, :count], integrals
+
+
+@functools.lru_cache(maxsize=64)
+def _rule(count):
+    # Nodes, weights, and the matrix from nodal values to Legendre coefficients, in [-1, 1].
+    x, weights = legendre.leggauss(count)
+    values, _ = legendre_values(x, count)
+    to_coefficients = (np.arange(count) + 0.5)[:, np.newaxis] * values.T * weights
+    for constant in (x, weights, to_coefficients):
+        constant.flags.writeable = False
+    return x, weights, to_coefficients
+
+
+@functools.lru_cache(maxsize=64)
+def _integrals(spans, xi):
+    # Of `Quadrature.integrate_to`; kept, since arms that differ in what they carry share it.
+    rows = []
+    for start, stop, count in spans:
+        # Left of the span this is nothing, right of it the whole span.
+        x = np.clip(2.0 * (np.array(xi) - start) / (stop - start) - 1.0, -1.0, 1.0)
+        rows.append(0.5 * (stop - start) * legendre_values(x, count)[1] @ _rule(count)[2])
+    matrix = np.hstack(rows)
+    matrix.flags.writeable = False
+    return matrix
+
+
+class Quadrature:
+    """
+    Gauss-Legendre quadrature on the spans of an arm.
+
+    A function with its values at the nodes stands for the polynomial through them in each span.
+
+    Parameters
+    ----------
+    breaks : ndarray, shape (spans + 1,)
+        Ends of the spans, ascending from 0 [m].
+    count : int
+        Number of nodes, shared out by length; a short span has a few at least.
+    extra : int
+        Further nodes in each span.
+
+    Attributes
+    ----------
+    nodes, weights : ndarray, shape (n,)
+        [m]
+    points : ndarray, shape (n + 1,)
+        The nodes and the tip [m].
+
+    """
+
+    def __init__(self, breaks, count, extra=0):
+        shares = np.diff(breaks) / breaks[-1]
+        # 1e-9: a share that is whole but for its rounding.
+        counts = np.maximum(np.ceil(count * shares - 1e-9).astype(int), _FEWEST) + extra
+        ends = np.asarray(breaks, dtype=float).tolist()
+        self._spans = tuple(zip(ends, ends[1:], counts.tolist()))
+        self.nodes = np.concatenate([start + 0.5 * (stop - start) * (_rule(n)[0] + 1.0)
+                                     for start, stop, n in self._spans])
+        self.weights = np.concatenate([0.5 * (stop - start) * _rule(n)[1]
+                                       for start, stop, n in self._spans])
+        self.points = np.append(self.nodes, breaks[-1])
+
+    def integrate_to(self, xi):
+        """
+        Return the rows that integrate nodal values from 0 to each of the given points.
+
+        Parameters
+        ----------
+        xi : array_like, shape (p,)
+            [m]
+
+        Returns
+        -------
+        ndarray, shape (p, n)
+            [m]
+
+        """
+        return _integrals(self._spans, tuple(np.asarray(xi, dtype=float).tolist()))
+
+    def interpolate_to(self, xi):
+        """Return the rows that interpolate nodal values at the given points, shape (p, n)."""
+        xi = np.asarray(xi, dtype=float)
+        rows, past = [], np.zeros(len(xi), dtype=bool)
+        for start, stop, count in self._spans:
+            x = 2.0 * (xi - start) / (stop - start) - 1.0
+            here = (x <= 1.0) & ~past if stop < self.points[-1] else ~past
+            values, _ = legendre_values(np.where(here, x, 0.0), count)
+            rows.append(here[:, np.newaxis] * values @ _rule(count)[2])
+            past |= here
+        return np.hstack(rows)

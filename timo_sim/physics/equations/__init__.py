@@ -1,0 +1,31 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+The formulations of the equations of motion, one module each.
+
+They may import `jit`, `physics.arm` and `physics.layout`. A formulation is a subclass of
+`base.Formulation` with compiled functions that are tied to its constants, see `functions`.
+"""
+
+from importlib import import_module
+
+# Name of each formulation, and where it is. The modules are imported when they are needed: names
+# alone cost nothing.
+FORMULATIONS = {
+    'exact': 'timo_sim.physics.equations.exact:Exact',
+    'newton': 'timo_sim.physics.equations.newton:Newton',
+    'newton_root_stress': 'timo_sim.physics.equations.newton_root_stress:NewtonRootStress',
+    'newton_rigid_axial': 'timo_sim.physics.equations.newton_rigid_axial:NewtonRigidAxial',
+}
+
+
+def formulation_class(name):
+    """Return the class of a formulation, a subclass of `base.Formulation`."""
+    module, _, attribute = FORMULATIONS[name].partition(':')
+    return getattr(import_module(module), attribute)

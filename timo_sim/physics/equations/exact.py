@@ -1,0 +1,124 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+The `exact` formulation: geometrically exact kinematics on assumed strain modes.
+
+Numbers (T..) are those of doc/theory.md, section 6.
+
+Section rotation and shear strain are expanded in the modes and the arm is inextensible. With the
+shaft angle as coordinate q_0 (`Phi_0 = 1`, `Gamma_0 = 0`) and `Gamma_n = W_n' - Phi_n`,
+
+    phi = sum Phi_i q_i     gamma = sum Gamma_i q_i     i = 0..N                (T19)
+
+are the rotation in world axes and the shear strain of a section. The slope (a, b) of the centre
+line in world axes and its derivative with respect to q_i follow without approximation:
+
+    a = cos phi - gamma sin phi     C1_i = -b Phi_i - sin(phi) Gamma_i          (T20)
+    b = sin phi + gamma cos phi     C2_i =  a Phi_i + cos(phi) Gamma_i          (T21)
+
+The equations are Hamilton's. With the mass centre (X, Y) in place of the carrier, translation
+separates; what is left are the coordinates q_i and their momenta p_i = M_ij q_j', with
+`M_ij = Xi_ij + C1_i K C1_j + C2_i K C2_j` (T23):
+
+    X'   = P_x / m_t         P_x' = F_x          (the same in y)                (T24)
+    q_i' = (M^-1 p)_i        p_i' = dT/dq_i - omega_i^2 q_i - 2 zeta_i omega_i q_i' + Q_i  (T25)
+
+where Q holds the shaft torque and the forces on carrier and tip as seen from the mass centre, and
+the torque on the tip, `Phi_i(l)` of it; F is the sum of both forces (T30). Viscous friction of
+the carrier is a force on it, that of the shaft stands for `2 zeta_0 omega_0` (T32). The
+momenta of a free manipulator, P and p_0 (spin about the mass centre), are constant by
+construction. Nodal values act through two constant arrays: `d = D^T m`, and for either
+axis a kernel, `K = D^T diag(m) D - d d^T / m_t` of the masses about their centre.
+
+A carrier held along an axis takes the mass centre's place there: its coordinate and momentum are
+struck out, and the kernel is the one about the root, without `d d^T / m_t` (T27). With one axis
+held the kernels differ, and T depends on the shaft angle too. Of a driven shaft q_0 and q_0' are
+given: p_0 is struck out, and the other momenta keep their share `M_i0 q_0'` (T28); its
+acceleration is not needed.
+"""
+
+import numpy as np
+
+from timo_sim.physics.equations.base import Formulation
+from timo_sim.physics.equations.exact_functions import Tables
+
+
+class Exact(Formulation):
+    """The `exact` formulation, see the module's text."""
+
+    def build(self):
+        """Return the tables and the linear part, that of the straight arm."""
+        modes, nodes = self.modes, self.quadrature.nodes
+        to_points = self.points.integral.T
+        lever = to_points.T @ self.point_mass / self.mass
+        about_root = to_points.T @ (self.point_mass[:, np.newaxis] * to_points)
+        about_centre = about_root - self.mass * np.outer(lever, lever)
+        kernel = np.stack([about_centre if axis in self.axes else about_root for axis in range(2)])
+
+        rotation = np.column_stack([np.ones_like(nodes), modes.rotation(nodes)])
+        shear = np.column_stack([np.zeros_like(nodes), modes.shear(nodes)])
+        at_points = np.column_stack([np.ones_like(self.points.xi), self.points.rotation.T])
+        rotary = at_points.T @ (self.point_inertia[:, np.newaxis] * at_points)
+        rotary[0, 0] += self.manipulator.shaft_inertia
+
+        # Straight arm: C along the arm is 0, across it Phi + Gamma; along which axis it lies is
+        # not known, so the mean kernel stands for both.
+        slope, free = rotation + shear, slice(self.first, None)
+        inverse = np.linalg.inv((rotary + slope.T @ kernel.mean(axis=0) @ slope)[free, free])
+        stiffness = np.append(0.0, modes.omega**2)
+        damping = np.append(self.manipulator.shaft_friction, 2.0 * self.damping * modes.omega)
+
+        axes, half = len(self.axes), len(self.axes) + len(inverse)
+        linear = np.zeros((2 * half, 2 * half))
+        linear[:axes, half:half + axes] = np.eye(axes) / self.mass
+        linear[axes:half, half + axes:] = inverse
+        linear[half + axes:, axes:half] = -np.diag(stiffness[free])
+        linear[half + axes:, half + axes:] = -damping[free, np.newaxis] * inverse
+        if axes != 1:
+            kernel = kernel[:1]
+        return Tables(self.mass, kernel, lever, rotation.T, shear.T, rotary, inverse, damping,
+                      self.manipulator.carrier_friction, self.axes, self.anchor,
+                      self.points.integral[:, -1], at_points[-1]), linear
+
+    def state(self, motion):
+        """Return the state that belongs to a motion."""
+        half, table = self.size // 2, self.tables
+        coordinates, speed = motion[2:half], motion[half + 2:]
+        cosine, sine, a, b = self._slopes(coordinates)
+        slope = np.stack([-b * table.rotation - sine * table.shear,
+                          a * table.rotation + cosine * table.shear])
+        matrix = table.rotary + np.sum(slope @ table.kernel @ slope.transpose(0, 2, 1), axis=0)
+        centre = motion[:2] + np.array([a, b]) @ table.lever
+        momentum = table.mass * (motion[half:half + 2] + speed @ slope @ table.lever)
+        return np.concatenate([centre[self.axes], coordinates[self.first:],
+                               momentum[self.axes], (matrix @ speed)[self.first:]])
+
+    def centre_line(self, q, points):
+        """Return the integral of the slopes from the root."""
+        _, _, a, b = self._slopes(self._relative(q))
+        return np.stack([a @ points.integral, b @ points.integral], axis=-1)
+
+    def centre_line_rate(self, q, qdot, points):
+        """Return the integral of the slopes' rates."""
+        cosine, sine, a, b = self._slopes(self._relative(q))
+        turning = self._relative(qdot) @ self.tables.rotation
+        shearing = self._relative(qdot) @ self.tables.shear
+        return np.stack([(-b * turning - sine * shearing) @ points.integral,
+                         (a * turning + cosine * shearing) @ points.integral], axis=-1)
+
+    @staticmethod
+    def _relative(q):
+        # Coordinates as seen from the shaft.
+        return np.column_stack([np.zeros(len(q)), q])
+
+    def _slopes(self, coordinates):
+        # Cosine and sine of phi, and a, b, at the nodes, shape (..., n_g) each.
+        phi, gamma = coordinates @ self.tables.rotation, coordinates @ self.tables.shear
+        cosine, sine = np.cos(phi), np.sin(phi)
+        return cosine, sine, cosine - gamma * sine, sine + gamma * cosine

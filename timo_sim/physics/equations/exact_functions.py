@@ -1,0 +1,267 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Constants and compiled functions of the `exact` formulation.
+
+Numbers (T..) are those of doc/theory.md, section 6; the text of `exact` has the equations.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from timo_sim.jit.constants import local
+from timo_sim.jit.decorators import inlined, inner
+from timo_sim.physics.equations import functions
+from timo_sim.physics.equations.sincos import sincos
+from timo_sim.physics.layout import (
+    ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, SPEED, TIP_I, TIP_II, TIP_TORQUE,
+    TIP_X, TIP_Y, TORQUE)
+
+
+class Tables(NamedTuple):
+    """Constants of the compiled functions; N modes, n_g quadrature nodes, n free q_i."""
+
+    mass: float            # m_t
+    kernel: np.ndarray     # K for x and for y, (2, n_g, n_g), or for both, (1, n_g, n_g)
+    lever: np.ndarray      # d / m_t, (n_g,)
+    rotation: np.ndarray   # Phi_i at the nodes, (1 + N, n_g)
+    shear: np.ndarray      # Gamma_i at the nodes, (1 + N, n_g)
+    rotary: np.ndarray     # Xi_ij = int J Phi_i Phi_j, the shaft's J_m included, (1 + N, 1 + N)
+    straight: np.ndarray   # M^-1 of the straight arm, (n, n)
+    damping: np.ndarray    # c_s, then 2 zeta_i omega_i, (1 + N,)
+    drag: float            # c_c
+    axes: np.ndarray       # along which the carrier is free
+    anchor: np.ndarray     # where it is held, (2,)
+    reach: np.ndarray      # from nodal values to their integral over the arm, (n_g,)
+    turn: np.ndarray       # Phi_i at the tip, (1 + N,)
+
+
+@inner
+def _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2):
+    """Set q, cosine and sine of phi, a, b (T20), C1 and C2 (T21)."""
+    rotation, shear = tables.rotation, tables.shear
+    count, nodes = rotation.shape
+    first = count - len(tables.straight)
+    coordinate[0] = load[ANGLE]
+    for i in range(first, count):
+        coordinate[i] = state[len(tables.axes) + i - first]
+    for j in range(nodes):
+        phi = 0.0
+        gamma = 0.0
+        for i in range(count):
+            phi += coordinate[i] * rotation[i, j]
+            gamma += coordinate[i] * shear[i, j]
+        sine[j], cosine[j] = sincos(phi)
+        a[j] = cosine[j] - gamma * sine[j]
+        b[j] = sine[j] + gamma * cosine[j]
+    for i in range(count):
+        for j in range(nodes):
+            c1[i, j] = -b[j] * rotation[i, j] - sine[j] * shear[i, j]
+            c2[i, j] = a[j] * rotation[i, j] + cosine[j] * shear[i, j]
+
+
+@inner
+def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed):
+    """Set the images K C1, K C2 and q', the solution of M q' = p (T23), (T28)."""
+    kernel, rotary = tables.kernel, tables.rotary
+    count, nodes = c1.shape
+    first = count - len(tables.straight)
+    for i in range(count):
+        for j in range(nodes):
+            total_1 = 0.0
+            total_2 = 0.0
+            for k in range(nodes):
+                # K is symmetric. Read down a column, this loop is unrolled and that over j becomes
+                # vector code; where it is too long for that, it becomes vector code itself.
+                row, column = (k, j) if nodes <= 16 else (j, k)
+                total_1 += c1[i, k] * kernel[0, row, column]
+                total_2 += c2[i, k] * kernel[len(kernel) - 1, row, column]
+            image_1[i, j] = total_1
+            image_2[i, j] = total_2
+    mass = local((rotary, rotary))
+    for i in range(first, count):
+        for j in range(i + 1):
+            total = rotary[i, j]
+            for k in range(nodes):
+                total += image_1[i, k] * c1[j, k] + image_2[i, k] * c2[j, k]
+            mass[i, j] = total
+
+    # M = L D L^T, column by column, and L^-1 p.
+    momenta = len(state) - count
+    speed[0] = load[SPEED]
+    for i in range(first, count):
+        speed[i] = state[momenta + i]
+        for j in range(first):
+            speed[i] -= mass[i, j] * speed[j]
+    factor, inverse = local((rotary,)), local((rotary,))
+    for k in range(first, count):
+        inverse[k] = 1.0 / mass[k, k]
+        for i in range(k + 1, count):
+            factor[i] = mass[i, k] * inverse[k]
+            speed[i] -= factor[i] * speed[k]
+        for i in range(k + 1, count):
+            for j in range(k + 1, i + 1):
+                mass[i, j] -= factor[i] * mass[j, k]
+        for i in range(k + 1, count):
+            mass[i, k] = factor[i]
+    for i in range(first, count):
+        speed[i] *= inverse[i]
+    for k in range(count - 1, first - 1, -1):
+        for i in range(first, k):
+            speed[i] -= mass[k, i] * speed[k]
+
+
+@inner
+def _carrier_rate(tables, state, k, slope_rates, speed):
+    """Return the carrier's speed along its k-th free axis, with C1 or C2 of that axis."""
+    rate = state[len(state) // 2 + k] / tables.mass
+    for j in range(len(tables.lever)):
+        for i in range(len(speed)):
+            rate -= tables.lever[j] * slope_rates[i, j] * speed[i]
+    return rate
+
+
+@inlined
+def _translate(tables, state, load, angle, c1, c2, speed, out):
+    """Write the rates of the mass centre; return forces x, y on all, and on the tip."""
+    axes, half = tables.axes, len(state) // 2
+    push_x, push_y = 0.0, 0.0
+    turned_y, turned_x = sincos(angle)
+    tip_x = load[TIP_X] + turned_x * load[TIP_I] - turned_y * load[TIP_II]
+    tip_y = load[TIP_Y] + turned_y * load[TIP_I] + turned_x * load[TIP_II]
+    for k in range(len(axes)):
+        if axes[k] == 0:
+            push_x = load[FORCE_X] + turned_x * load[FORCE_I] - turned_y * load[FORCE_II] + tip_x
+            if tables.drag != 0.0:
+                push_x -= tables.drag * _carrier_rate(tables, state, k, c1, speed)
+        else:
+            push_y = load[FORCE_Y] + turned_y * load[FORCE_I] + turned_x * load[FORCE_II] + tip_y
+            if tables.drag != 0.0:
+                push_y -= tables.drag * _carrier_rate(tables, state, k, c2, speed)
+        out[k] = 0.0  # X' = P / m_t is in the linear part
+        out[half + k] = push_x if axes[k] == 0 else push_y
+    return push_x, push_y, tip_x, tip_y
+
+
+@inlined
+def _set_moments(tables, load, forces, cosine, sine, a, b, image_1, image_2, speed, script_a,
+                 script_b):
+    """
+    Set A_j and B_j of (T26); return the moment of torque and forces about the shaft.
+
+    dT/dq_i = sum_j Phi_ij A_j + Gamma_ij B_j, from (g1, g2) = K (a', b') and the rates of phi and
+    gamma. The forces do their work on C1, C2: the same sum.
+    """
+    lever, reach, rotation, shear = tables.lever, tables.reach, tables.rotation, tables.shear
+    push_x, push_y, tip_x, tip_y = forces
+    moment = load[TORQUE]
+    for j in range(len(lever)):
+        g1 = 0.0
+        g2 = 0.0
+        turning = 0.0
+        shearing = 0.0
+        for i in range(len(speed)):
+            g1 += speed[i] * image_1[i, j]
+            g2 += speed[i] * image_2[i, j]
+            turning += speed[i] * rotation[i, j]
+            shearing += speed[i] * shear[i, j]
+        along = cosine[j] * g1 + sine[j] * g2
+        work_x = lever[j] * push_x - reach[j] * tip_x
+        work_y = lever[j] * push_y - reach[j] * tip_y
+        script_a[j] = work_x * b[j] - work_y * a[j]
+        script_b[j] = work_x * sine[j] - work_y * cosine[j] - turning * along
+        moment += script_a[j]
+        script_a[j] -= turning * (a[j] * g1 + b[j] * g2) + shearing * along
+    return moment
+
+
+@functions.rate.of(Tables)
+def _rate(tables, state, load, out):
+    """Write what the linear part leaves of the state's rate."""
+    rotation, shear, lever = tables.rotation, tables.shear, tables.lever
+    count, nodes = rotation.shape
+    first = count - len(tables.straight)
+    coordinate, speed = local((rotation,)), local((rotation,))
+    cosine, sine, a, b = local((lever,)), local((lever,)), local((lever,)), local((lever,))
+    c1, c2 = local((rotation, lever)), local((rotation, lever))
+    image_1, image_2 = local((rotation, lever)), local((rotation, lever))
+    _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2)
+    _set_speed(tables, state, load, c1, c2, image_1, image_2, speed)
+    momenta, half = len(state) - count, len(state) // 2
+    coordinates = momenta - half
+
+    # q': what the mass matrix of the straight arm does not account for.
+    for i in range(first, count):
+        total = speed[i]
+        for j in range(first, count):
+            total -= tables.straight[i - first, j - first] * state[momenta + j]
+        out[coordinates + i] = total
+
+    forces = _translate(tables, state, load, coordinate[0], c1, c2, speed, out)
+    script_a, script_b = local((lever,)), local((lever,))
+    moment = _set_moments(tables, load, forces, cosine, sine, a, b, image_1, image_2, speed,
+                          script_a, script_b)
+    for i in range(first, count):
+        # Unless one axis is held, T does not depend on the shaft angle: left out, not summed to
+        # round-off.
+        total = moment
+        if i or len(tables.axes) == 1:
+            total = 0.0 if i else load[TORQUE]
+            for j in range(nodes):
+                total += rotation[i, j] * script_a[j] + shear[i, j] * script_b[j]
+        total += tables.turn[i] * load[TIP_TORQUE]
+        out[momenta + i] = total - tables.damping[i] * out[coordinates + i]
+
+
+@functions.observe.of(Tables)
+def _observe(tables, state, load, out):
+    """Write the motion of a state."""
+    rotation, lever = tables.rotation, tables.lever
+    count, nodes = rotation.shape
+    coordinate, speed = local((rotation,)), local((rotation,))
+    cosine, sine, a, b = local((lever,)), local((lever,)), local((lever,)), local((lever,))
+    c1, c2 = local((rotation, lever)), local((rotation, lever))
+    image_1, image_2 = local((rotation, lever)), local((rotation, lever))
+    _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2)
+    _set_speed(tables, state, load, c1, c2, image_1, image_2, speed)
+    half = len(out) // 2
+    for i in range(count):
+        out[2 + i] = coordinate[i]
+        out[half + 2 + i] = speed[i]
+    for axis in range(2):
+        out[axis] = tables.anchor[axis]
+        out[half + axis] = 0.0
+    for k in range(len(tables.axes)):
+        axis = tables.axes[k]
+        slope, derivative = (a, c1) if axis == 0 else (b, c2)
+        out[axis] = state[k]
+        for j in range(nodes):
+            out[axis] -= lever[j] * slope[j]
+        out[half + axis] = _carrier_rate(tables, state, k, derivative, speed)
+
+
+@functions.tip.of(Tables)
+def _tip(tables, motion, out):
+    """Write where the tip is: the slopes' integral, as seen from the shaft."""
+    rotation, shear, reach = tables.rotation, tables.shear, tables.reach
+    count, nodes = rotation.shape
+    for k in range(3):
+        out[k] = 0.0
+    for j in range(nodes):
+        phi = 0.0
+        gamma = 0.0
+        for i in range(1, count):
+            phi += motion[2 + i] * rotation[i, j]
+            gamma += motion[2 + i] * shear[i, j]
+        sine, cosine = sincos(phi)
+        out[0] += (cosine - gamma * sine) * reach[j]
+        out[1] += (sine + gamma * cosine) * reach[j]
+    for i in range(1, count):
+        out[2] += motion[2 + i] * tables.turn[i]

@@ -1,0 +1,66 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+The compiled functions of a formulation, declared; each formulation ties its own to its constants.
+
+An integrator calls `rate` and `observe` by these names; numba chooses the body by the type of the
+constants, `rate.of(Tables)`.
+"""
+
+from timo_sim.jit.decorators import dispatch, entry_point
+
+
+@dispatch
+def rate(tables, state, load, out):
+    """
+    Write the nonlinear part n(y, load) of a formulation, the load included.
+
+    Parameters
+    ----------
+    tables : packed constants
+        The formulation's.
+    state, out : ndarray, shape (m,)
+    load : ndarray, shape (14,)
+        Columns as in `layout`.
+
+    """
+
+
+@dispatch
+def observe(tables, state, load, out):
+    """Write the motion (see `base.Formulation`) that belongs to a state and a load."""
+
+
+@dispatch
+def tip(tables, motion, out):
+    """
+    Write where the tip of a motion's arm is.
+
+    Parameters
+    ----------
+    tables : packed constants
+        The formulation's.
+    motion : ndarray
+        See `base.Formulation`.
+    out : ndarray, shape (3,)
+        Along axes I and II from the root [m], rotation relative to the shaft [rad].
+
+    """
+
+
+@entry_point
+def rate_once(tables, state, load, out):
+    """Call `rate` from Python."""
+    rate(tables, state, load, out)
+
+
+@entry_point
+def tip_once(tables, motion, out):
+    """Call `tip` from Python."""
+    tip(tables, motion, out)

@@ -1,0 +1,154 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+The `newton` formulation: the paper's equations, projected on the modes.
+
+Numbers (T..) are those of doc/theory.md, section 3; plain ones are the paper's.
+
+Deflection and rotation are expanded, `w = sum W_n q_n`, `phi = sum Phi_n q_n` (36); a point of the
+centre line is at (xi, w) in the turning axes, so its acceleration is (26), (27). With M(xi), J(xi)
+of Remark 1 and
+
+    a_n = int M W_n     b_n = int (M xi W_n + J Phi_n)     c_n = int M xi W_n
+    G_nl = int M W_n W_l     s = int M xi     J_0 = J_m + int (M xi^2 + J)     m_a = int M
+
+(28), (29) projected on the modes and (33) are, with `alpha` and `beta` the carrier's acceleration
+along axes I and II, and the modal stress `r_n = omega_n^2 q_n + 2 zeta_n omega_n q_n'`,
+
+    J_0 theta'' + b.q'' + s beta = tau + theta'^2 c.q                    (T14)
+    q_n'' + b_n theta'' + a_n beta = theta'^2 (G q)_n - r_n              (T10)
+
+and the reactions of the root on the carrier, in (31), (32), are integrals over the arm:
+
+    P(0) = -m_a alpha + theta'' a.q + 2 theta' a.q' + theta'^2 s         (T11)
+    V(0) = -m_a beta - s theta'' - a.q'' + theta'^2 a.q                  (T12)
+
+A force (F_1, F_2) and a torque T on the tip add `l F_2 - w(l) F_1 + T` to the first row,
+`W_n(l) F_2 + Phi_n(l) T` to the others, F_1 to P(0) and F_2 to V(0) (T31).
+
+The formulations derived from this one change rows of these tables, see `Laws`. The first two rows
+have a constant matrix A for z = (theta'', q''). It is inverted once and leaves `z = z_0 - v beta`;
+beta follows from (31), (32), of which the rows of the axes along which the carrier is held are
+left out. Of a driven shaft theta'' is given, and its row is left out too. The state is the motion,
+without what is held or driven.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from timo_sim.physics.equations.base import Formulation
+from timo_sim.physics.equations.newton_functions import Tables
+
+
+class Laws(NamedTuple):
+    """
+    Coefficients of the equations of motion, i, j = 0..N with the shaft first, n = 1..N.
+
+    A_ij z_j + c_i beta = tau_i + theta'^2 S_in q_n - R_in r_n
+    V(0) = -m_V beta - h_i z_i + theta'^2 U_n q_n + Y_n r_n
+    P(0) = -m_a alpha + theta'' e.q + 2 theta' e.q' + theta'^2 s
+    """
+
+    matrix: np.ndarray          # A, (1 + N, 1 + N)
+    column: np.ndarray          # c, (1 + N,)
+    softening: np.ndarray       # S, (1 + N, N)
+    stress: np.ndarray          # R, (1 + N, N)
+    shear_mass: float           # m_V
+    shear_row: np.ndarray       # h, (1 + N,)
+    shear_softening: np.ndarray  # U, (N,)
+    shear_stress: np.ndarray    # Y, (N,)
+    axial: np.ndarray           # e, (N,)
+    tip_share: float = 1.0      # of a load on the tip that shaft and V(0) see besides the modes
+
+
+class Newton(Formulation):
+    """The `newton` formulation, see the module's text."""
+
+    @staticmethod
+    def node_count(count):
+        """Return the number of quadrature nodes: only the tables need them, so they are many."""
+        return 4 * count + 40
+
+    @property
+    def lever(self):
+        """Static moment of the arm about its root, s [kg m]."""
+        return self.point_mass @ self.points.xi
+
+    @property
+    def moment(self):
+        """Modal static moments a_n, shape (N,)."""
+        return self.points.deflection @ self.point_mass
+
+    @property
+    def gram(self):
+        """Mass matrix of the deflection alone, G_nl, shape (N, N)."""
+        return (self.points.deflection * self.point_mass) @ self.points.deflection.T
+
+    def laws(self):
+        """Return the coefficients of the equations of motion."""
+        xi, mass, count = self.points.xi, self.point_mass, len(self.modes)
+        about_root = self.points.deflection @ (mass * xi)
+        matrix = np.eye(1 + count)
+        matrix[0, 0] = (self.manipulator.shaft_inertia + mass @ xi**2 + self.point_inertia.sum())
+        matrix[0, 1:] = matrix[1:, 0] = about_root + self.points.rotation @ self.point_inertia
+        column = np.append(self.lever, self.moment)
+        return Laws(matrix, column, np.vstack([about_root, self.gram]),
+                    np.vstack([np.zeros(count), np.eye(count)]), self.arm_mass, column,
+                    self.moment, np.zeros(count), self.moment)
+
+    def build(self):
+        """Return the tables and the linear part; set the speed limit."""
+        if len(self.modes):
+            # (T16): theta'^2 w acts as a negative stiffness, and the tension that would counter
+            # it is not in the equations.
+            weak = self.gram / np.outer(self.modes.omega, self.modes.omega)
+            self.speed_limit = 1.0 / np.sqrt(np.linalg.eigvalsh(weak)[-1])
+        laws, base_mass = self.laws(), self.manipulator.base_mass
+        stiffness, damping = self.modes.omega**2, 2.0 * self.damping * self.modes.omega
+        free, axes = slice(self.first, None), len(self.axes)
+        inverse = np.linalg.inv(laws.matrix[free, free])
+        response, per_stress = np.zeros_like(laws.column), np.zeros_like(laws.stress)
+        response[free] = inverse @ laws.column[free]
+        per_stress[free] = -inverse @ laws.stress[free]
+        across = laws.shear_mass - laws.shear_row @ response
+        reaction = laws.shear_stress - laws.shear_row @ per_stress
+        # With one axis held, beta per stress depends on the shaft angle.
+        in_linear = 1.0 / (base_mass + across) if axes == 2 else 0.0
+
+        half, modal = axes + len(inverse), axes + len(inverse) - len(stiffness)
+        rate = (per_stress - in_linear * np.outer(response, reaction))[free]
+        linear = np.zeros((2 * half, 2 * half))
+        linear[:half, half:] = np.eye(half)
+        linear[half + axes:, modal:half] = rate * stiffness
+        linear[half + axes:, half + modal:] = rate * damping
+        tables = Tables(
+            base_mass, self.arm_mass, self.lever, inverse, laws.matrix[:, 0], response,
+            across, per_stress[0], reaction, in_linear, laws.softening, laws.shear_row,
+            laws.shear_softening, laws.axial, stiffness, damping,
+            np.array([self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
+            self.axes, self.anchor, self.manipulator.arm.length, laws.tip_share,
+            self.points.deflection[:, -1], self.points.rotation[:, -1])
+        return tables, linear
+
+    def state(self, motion):
+        """Return the state that belongs to a motion."""
+        half = self.size // 2
+        free = np.concatenate([self.axes, np.arange(2 + self.first, half)])
+        return np.concatenate([motion[free], motion[half + free]])
+
+    def centre_line(self, q, points):
+        """Return the points (xi, w)."""
+        across = q @ points.deflection
+        return np.stack([np.broadcast_to(points.xi, across.shape), across], axis=-1)
+
+    def centre_line_rate(self, q, qdot, points):
+        """Return the rates (0, w')."""
+        across = qdot @ points.deflection
+        return np.stack([np.zeros_like(across), across], axis=-1)

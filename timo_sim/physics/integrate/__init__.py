@@ -1,0 +1,42 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+From a state to later ones: the time step ETDRK4, its error, Coulomb friction.
+
+It may import `jit`, `physics.layout` and `physics.equations`, of which it knows the declared
+functions and `Formulation`.
+"""
+
+from timo_sim.physics.integrate.friction import FrictionSteps
+from timo_sim.physics.integrate.split import SplitSteps
+from timo_sim.physics.integrate.steps import Steps
+
+
+def steps_of(model, step, tolerance=0.0, friction=None):
+    """
+    Return the time steps of a model.
+
+    Parameters
+    ----------
+    model : Formulation
+    step : float
+        [s]
+    tolerance : float
+        Largest estimated error of a step [m]; 0: none is split.
+    friction : ndarray, shape (3,), optional
+        Largest Coulomb friction of carrier x, y [N] and shaft [N m].
+
+    Returns
+    -------
+    Steps
+
+    """
+    if friction is not None and friction.any():
+        return FrictionSteps(model, step, friction)
+    return SplitSteps(model, step, tolerance) if tolerance else Steps(model, step)

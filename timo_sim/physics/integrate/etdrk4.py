@@ -1,0 +1,204 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Fourth-order exponential time differencing, ETDRK4.
+
+For `y' = L y + n(y, t)`, with the stiff constant part L propagated exactly. Source: Cox and
+Matthews, J. Comput. Phys. 176 (2002) 430-455, eqs. (26)-(29); doc/theory.md (T29).
+"""
+
+import numpy as np
+
+from timo_sim.jit.constants import local
+from timo_sim.jit.decorators import entry_point, inlined, inner, strict
+from timo_sim.physics.equations.functions import observe, rate
+
+
+@inner
+def copy(vector, out):
+    for i in range(len(vector)):
+        out[i] = vector[i]
+
+
+@inner
+def _multiply(matrix, vector, out):
+    for i in range(matrix.shape[0]):
+        total = 0.0
+        for j in range(matrix.shape[1]):
+            total += matrix[i, j] * vector[j]
+        out[i] = total
+
+
+@inner
+def _multiply_add(matrix, vector, out):
+    for i in range(matrix.shape[0]):
+        total = 0.0
+        for j in range(matrix.shape[1]):
+            total += matrix[i, j] * vector[j]
+        out[i] += total
+
+
+@strict
+def is_finite(vector):
+    for i in range(len(vector)):
+        if not np.isfinite(vector[i]):
+            return False
+    return True
+
+
+@inlined
+def one_step(tables, propagator, now, start, middle, end, half, following, combined,
+             rate_0, rate_a, rate_b, rate_c, stage):
+    """Write the state one step after `now`, and the rates of the four stages."""
+    rate(tables, now, start, rate_0)
+    _multiply(propagator.half, now, half)
+    copy(half, stage)
+    _multiply_add(propagator.half_weight, rate_0, stage)
+
+    rate(tables, stage, middle, rate_a)
+    _multiply(propagator.half, stage, following)
+    copy(half, stage)
+    _multiply_add(propagator.half_weight, rate_a, stage)
+
+    rate(tables, stage, middle, rate_b)
+    for i in range(len(propagator.half)):
+        combined[i] = 2.0 * rate_b[i] - rate_0[i]
+    _multiply_add(propagator.half_weight, combined, following)
+
+    rate(tables, following, end, rate_c)
+    for i in range(len(propagator.half)):
+        combined[i] = rate_a[i] + rate_b[i]
+    _multiply(propagator.whole, now, stage)
+    _multiply_add(propagator.first, rate_0, stage)
+    _multiply_add(propagator.middle, combined, stage)
+    _multiply_add(propagator.last, rate_c, stage)
+
+
+@entry_point
+def advance(tables, propagator, state, load, loads, sample_every, samples):
+    """
+    Integrate over a run of equal steps.
+
+    Parameters
+    ----------
+    tables : packed constants
+        The formulation's constants; their names select the formulation.
+    propagator : packed constants
+        The matrices of the step.
+    state : ndarray, shape (m,)
+        Advanced in place.
+    load : ndarray, shape (14,)
+        Load at the start, for the first sample.
+    loads : ndarray, shape (steps, 3, 14)
+        Load of each step at its start, middle and end, as the step itself sees it: a jump on the
+        boundary between two steps appears on the right side in either.
+    sample_every : int
+        Steps between samples; 0: none are taken.
+    samples : ndarray, shape (1 + steps // sample_every, 2 (3 + N))
+        Receives the motion at the start and after sample_every, 2 sample_every, ...
+
+    Returns
+    -------
+    int
+        Steps done; fewer than given if the state is no longer finite.
+
+    """
+    size = propagator.whole
+    now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
+    combined = local((size,))
+    rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
+    copy(state, now)
+    for k in range(len(loads) + 1):
+        # The only place from which motions come: others would be rounded in another way.
+        if sample_every and k % sample_every == 0:
+            observe(tables, now, load, samples[k // sample_every])
+        if k == len(loads):
+            break
+        start, middle, end = loads[k, 0], loads[k, 1], loads[k, 2]
+        one_step(tables, propagator, now, start, middle, end, half, following, combined, rate_0,
+                 rate_a, rate_b, rate_c, stage)
+        if not is_finite(stage):
+            copy(now, state)
+            return k
+        copy(stage, now)
+        load = end
+    copy(now, state)
+    return len(loads)
+
+
+@entry_point
+def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, first,
+                   sample_every, samples, errors):
+    """
+    Integrate as `advance`, until a step and its two halves differ by more than a tolerance.
+
+    It is the halves that count; their error is about 1/15 of the difference.
+
+    Parameters
+    ----------
+    whole, halves : packed constants
+        The matrices of the step, and of one half as long.
+    shift : ndarray, shape (m, m)
+        Turns the difference of the states into errors, of which the sizes are summed up.
+    tolerance : float
+    loads : ndarray, shape (2 steps, 3, 14)
+        Of the halves.
+    first : int
+        Steps that are done.
+    errors : ndarray, shape (2,)
+        Receives the largest error of a step that was done, and that of the one that was not.
+
+    Returns
+    -------
+    int
+        Steps done, the first ones included.
+
+    """
+    size = whole.whole
+    now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
+    combined = local((size,))
+    rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
+    begin, coarse, difference = local((size,)), local((size,)), local((size,))
+    copy(state, now)
+    steps = len(loads) // 2
+    done = first
+    for k in range(first, steps + 1):
+        if sample_every and k % sample_every == 0:
+            observe(tables, now, load, samples[k // sample_every])
+        if k == steps:
+            break
+        copy(now, begin)
+        for part in range(3):  # the whole, then the halves
+            if part == 0:
+                matrices = whole
+                start, middle, end = loads[2 * k, 0], loads[2 * k, 2], loads[2 * k + 1, 2]
+            else:
+                matrices, i = halves, 2 * k + part - 1
+                start, middle, end = loads[i, 0], loads[i, 1], loads[i, 2]
+            one_step(tables, matrices, begin, start, middle, end, half, following, combined,
+                     rate_0, rate_a, rate_b, rate_c, stage)
+            if part == 0:
+                copy(stage, coarse)
+            else:
+                copy(stage, begin)
+        for i in range(len(size)):
+            coarse[i] -= stage[i]
+        _multiply(shift, coarse, difference)
+        error = 0.0
+        for i in range(len(size)):
+            error += abs(difference[i])
+        if not (error <= tolerance and is_finite(stage)):
+            errors[1] = error
+            break
+        errors[0] = max(errors[0], error)
+        copy(stage, now)
+        load = end
+        done += 1
+    copy(now, state)
+    return done

@@ -1,0 +1,112 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What arrays of loads and motions hold, and rotations of the plane."""
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+# Columns of a load: forces on the carrier in world axes and in the shaft's axes [N], torque on the
+# shaft [N m]; forces on the tip likewise [N], torque on the end effector [N m]; angle, speed and
+# acceleration of a driven shaft [rad], [rad/s], [rad/s2]; voltage at a DC motor [V], of which the
+# equations know only its torque.
+(FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE, TIP_X, TIP_Y, TIP_I, TIP_II, TIP_TORQUE,
+ ANGLE, SPEED, ACCELERATION, VOLTAGE) = range(14)
+LOADS = 14
+STAGES = 3  # a step evaluates its load at its start, middle and end
+
+
+class MotionFields:
+    """
+    The parts of a motion by name; a class that has `values` takes these properties from here.
+
+    `values` is one motion or many, shape (..., 2 (3 + N)):
+    `[x_c, y_c, theta, q_1..q_N, d/dt of each]`.
+    """
+
+    values: np.ndarray
+
+    @property
+    def _half(self):
+        return self.values.shape[-1] // 2
+
+    @property
+    def carrier(self):
+        """Carrier position in world axes, shape (..., 2) [m]."""
+        return self.values[..., :2]
+
+    @property
+    def shaft(self):
+        """Shaft angle, not wrapped, shape (...,) [rad]."""
+        return self.values[..., 2]
+
+    @property
+    def q(self):
+        """Modal coordinates, shape (..., N) [m sqrt(kg)]."""
+        return self.values[..., 3:self._half]
+
+    @property
+    def carrier_velocity(self):
+        """Carrier velocity in world axes, shape (..., 2) [m/s]."""
+        return self.values[..., self._half:self._half + 2]
+
+    @property
+    def shaft_velocity(self):
+        """Shaft speed, shape (...,) [rad/s]."""
+        return self.values[..., self._half + 2]
+
+    @property
+    def qdot(self):
+        """Modal rates, shape (..., N) [m sqrt(kg)/s]."""
+        return self.values[..., self._half + 3:]
+
+
+@dataclass(frozen=True)
+class Motion(MotionFields):
+    """
+    A motion, or many, with names for its parts.
+
+    Attributes
+    ----------
+    values : ndarray, shape (..., 2 (3 + N))
+        Carrier x and y in world axes [m], shaft angle [rad], modal coordinates [m sqrt(kg)], then
+        the rate of each.
+
+    """
+
+    values: np.ndarray
+
+
+def rotate(theta, x, y):
+    """
+    Return a vector of the plane turned by an angle.
+
+    Parameters
+    ----------
+    theta : float or ndarray
+        [rad]
+    x, y : float or ndarray
+        Components, as along and across the shaft.
+
+    Returns
+    -------
+    x, y : float or ndarray
+        As in world axes.
+
+    """
+    library = math if isinstance(theta, float) else np
+    cosine, sine = library.cos(theta), library.sin(theta)
+    return cosine * x - sine * y, sine * x + cosine * y
+
+
+def place(origin_x, origin_y, theta, x, y):
+    """Return the world position of a point x, y of axes turned by theta about an origin [m]."""
+    cosine, sine = math.cos(theta), math.sin(theta)
+    return origin_x + cosine * x - sine * y, origin_y + sine * x + cosine * y

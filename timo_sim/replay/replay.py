@@ -1,0 +1,134 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A log or a bag replayed, compared and reported: the work of `timo_sim replay`."""
+
+from pathlib import Path
+import time
+
+from tqdm import tqdm
+
+from timo_sim.log.new_log import NewLog
+from timo_sim.log.notes import other_ground
+from timo_sim.log.recording import Recording
+from timo_sim.replay.comparison import compare
+from timo_sim.replay.replayer import Replay
+from timo_sim.replay.segments import segments_of
+from timo_sim.scene.files import read_parameter_file
+from timo_sim.scene.parameter import ParameterError
+from timo_sim.scene.parameters import check, PARAMETERS
+from timo_sim.scene.scene import scene_from
+from timo_sim.simulation.resolution import resolved
+
+
+def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration=None, node=None,
+           show=print):
+    """
+    Replay a log or a bag, compare, and say what was found.
+
+    Parameters
+    ----------
+    file : str or Path
+    changes : dict, optional
+        Values by dotted name that differ from those of the recorded scene.
+    output : str or Path, optional
+        New log; by default none for an unchanged scene, else one beside the working directory's
+        other files, named after `file` with `_replay`.
+    scene_file : str or Path, optional
+        Parameter file instead of the scene in the log; needed for a plain bag.
+    start, duration : float, optional
+        See `segments_of`.
+    node : str, optional
+        See `Recording`.
+    show : function(str)
+        Receives lines.
+
+    Returns
+    -------
+    bool
+        Whether the run came to its end and, where nothing was changed, is the same to the last
+        bit.
+
+    """
+    recording = Recording(file, node)
+    values = _values(recording, scene_file, changes or {})
+    scene = scene_from(values)
+    same = recording.facts and scene == recording.scene
+    if scene.values['model.accuracy']:
+        scene, _ = resolved(scene, duration or 0.0)
+    values.update(scene.values)
+    segments = segments_of(recording, scene, values, start, duration)
+    log = None
+    if output or not same:
+        path = output or Path(recording.path.stem + '_replay.mcap')
+        log = NewLog(path, scene, values, recording.name, replay_of=recording.index.name)
+    again = Replay(scene, segments, log)
+    begun = time.monotonic()
+    try:
+        with tqdm(total=segments[-1].last, unit='step', unit_scale=True, delay=1.0, disable=None,
+                  leave=False) as bar:
+            again.run(bar.update)
+    finally:
+        if log:
+            log.close()
+    _tell(show, recording, segments, again, time.monotonic() - begun)
+    columns = {name: series.columns for name, series in recording.topics.items()}
+    count, other, found = compare(segments, scene, columns)
+    if same and not other:
+        show(f'all {count} logged numbers are the same to the last bit')
+    elif found:
+        if same:
+            show(f'{other} of {count} logged numbers differ')
+        elif scene.values['model.formulation'] != recording.scene.values['model.formulation']:
+            # Modes of one are not those of the other.
+            found = [row for row in found if not row.name.startswith('modal_state')]
+        _show_table(show, found)
+    ground = other_ground(recording.facts)
+    if ground:
+        show(f'logged with {ground}: last bits may differ')
+    if log:
+        show(f'new log: {log.path}')
+    if again.diverged:
+        show(again.diverged)
+    return not (again.diverged or same and other)
+
+
+def _values(recording, scene_file, changes):
+    if scene_file is not None:
+        given, source = read_parameter_file(scene_file), str(scene_file)
+    elif recording.facts:
+        # The scene has been checked by now; the node's own values are in the same place.
+        given, source = {**recording.parameters, **recording.scene.values}, recording.index.name
+    else:
+        raise ParameterError(f'{recording.index.name} is a plain bag, which says nothing of the '
+                             'scene: give it by --scene')
+    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+    values.update(check(given, source))
+    values.update(check(changes, '--set'))
+    return values
+
+
+def _tell(show, recording, segments, again, seconds):
+    simulator = again.simulator
+    commands = sum(len(segment.commands) for segment in segments)
+    sim_time = simulator.steps * simulator.scene.step
+    show(f'{recording.index.name}: {commands} commands and {len(segments) - 1} resets in '
+         f'{sim_time:.6g} s of sim time, replayed in {seconds:.2f} s')
+    refused = sum(series.refused for series in recording.topics.values())
+    if refused:
+        show(f'{refused} commands are left out, because the node refuses them')
+
+
+def _show_table(show, found):
+    different = [row for row in found if row.largest or row.largest != row.largest]
+    width = max([len(row.name) for row in different], default=10)
+    show(f'{"difference":<{width}}  {"largest":>9}  {"at":>10}  {"rms":>9}')
+    for row in different:
+        show(f'{row.name:<{width}}  {row.largest:9.2e}  {row.time:8.4g} s  {row.rms:9.2e}')
+    if len(different) < len(found):
+        show(f'{len(found) - len(different)} other quantities are the same')

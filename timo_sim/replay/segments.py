@@ -1,0 +1,200 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What a recording says was done: commands and resets by the step at which they acted."""
+
+from dataclasses import dataclass, field
+import math
+
+import numpy as np
+
+from timo_sim.messages.commands import COMMANDS
+from timo_sim.messages.outputs import outputs
+from timo_sim.scene.parameter import ParameterError, whole_ratio
+
+_ROUNDING = 1e-9
+
+
+class ReplayError(ValueError):
+    """A log that cannot be replayed; the text says why, and what would help."""
+
+
+@dataclass
+class Segment:
+    """
+    What happened from the start, or a reset, to the next reset, or the end.
+
+    Attributes
+    ----------
+    first, last : int
+        Steps.
+    commands : list of tuple
+        Step, index in COMMANDS, what it sets, message; ascending.
+    changes : list of tuple
+        Step and values by name of the scene's parameters; ascending.
+    samples : dict of ndarray
+        Steps of the messages of each topic, by short name; ascending.
+    logged : dict of ndarray
+        Their numbers, shape (n, k), where the log has the topic.
+    replayed : dict of ndarray
+        The same of the replay.
+    done : dict of int
+        How many samples the replay has come to.
+
+    """
+
+    first: int
+    last: int
+    commands: list
+    changes: list
+    samples: dict
+    logged: dict
+    replayed: dict = field(default_factory=dict)
+    done: dict = field(default_factory=dict)
+
+
+def segments_of(recording, scene, values, start=0.0, duration=None):
+    """
+    Return what a recording says was done, in steps of a scene.
+
+    Parameters
+    ----------
+    recording : Recording
+    scene : Scene
+        Which may have another time step: a command acts from the first whole step on.
+    values : dict
+        The node's parameters, for the rates of topics that are not in the recording.
+    start : float, optional
+        Sim time of the first message of a bag that says nothing of sim time [s].
+    duration : float, optional
+        Sim time of the end [s]; by default that of the last message.
+
+    Returns
+    -------
+    list of Segment
+
+    Raises
+    ------
+    ReplayError
+        If there is nothing to replay.
+    ParameterError
+        If the time step does not meet the times of the logged messages.
+
+    """
+    found = dict(recording.topics)
+    known = {output.name: output for output in outputs(scene.values['model.modes'])}
+    commands = [(number, found[command.name]) for number, command in enumerate(COMMANDS)
+                if command.name in found]
+    motions = {name: series for name, series in found.items() if name in known and len(series.ns)}
+    if not any(len(series.ns) for series in found.values()):
+        raise ReplayError(f'{recording.index.name} has no messages of {recording.name}')
+    shift = _shift(recording, [series for _, series in commands], motions, start)
+
+    def steps(series, meet):
+        if recording.facts:
+            exact = series.step * (recording.scene.step / scene.step)
+        else:
+            exact = 1e-9 * (series.ns + shift) / scene.step
+        return _whole(exact, meet, scene.step, series.topic)
+
+    # Of a plain bag only the commands count: when they began to act, it does not say exactly.
+    own = motions if recording.facts else {}
+    places = [0, *recording.reset_places.tolist(), math.inf]
+    acting = [(number, series, steps(series, False)) for number, series in commands]
+    published = {name: steps(series, True) for name, series in own.items()}
+    came = _late(known, recording.scene, scene.step) if own else {}
+    last = _last(acting, {name: at + came[name] for name, at in published.items()}, motions, shift,
+                 scene, duration)
+    ends = [*_steps_of(recording.resets, recording, scene).tolist(), last]
+    unasked = {'/clock', *(name for name, output in known.items()
+                           if output.delay and not values.get('record_sensors'))}
+    # What is under way at the end, or at a reset, does not arrive.
+    late = _late(known, scene, scene.step)
+    result = []
+    for number, end in enumerate(ends):
+        first = ends[number - 1] if number else 0
+        end = min(end, last)
+        if end < first:
+            break
+        here, there = places[number], places[number + 1]
+        inside = [(int(at[k]), kind, series.values[k], series.data[k])
+                  for kind, series, at in acting for k in np.flatnonzero(
+                      (series.place >= here) & (series.place < there))]
+        changes = [(int(_steps_of(step, recording, scene)), values)
+                   for step, place, values in recording.changes if here <= place < there]
+        until = {name: end - steps for name, steps in late.items()}
+        samples, logged = _logged_samples(own, published, until, here, there)
+        for name in known.keys() - samples.keys() - unasked:
+            if 'joint_states' in samples:  # of a scene with modes where the log's had none
+                at = samples['joint_states']
+                samples[name] = at[at <= until[name]]
+            elif not own:
+                samples[name] = _by_rate(known[name].rate, values, scene.step, until[name])
+        result.append(Segment(first, end, sorted(inside, key=lambda entry: entry[:2]), changes,
+                              samples, logged))
+    return result
+
+
+def _logged_samples(own, published, until, here, there):
+    """Return steps and numbers of messages between two places that arrive in time, by topic."""
+    samples, logged = {}, {}
+    for name, at in published.items():
+        which = (own[name].place >= here) & (own[name].place < there) & (at <= until[name])
+        samples[name], logged[name] = at[which], own[name].values[which]
+    return samples, logged
+
+
+def _steps_of(steps, recording, scene):
+    # Steps of a recording in those of a scene; a plain bag has none.
+    ratio = recording.scene.step / scene.step if recording.facts else 1.0
+    return np.ceil(np.asarray(steps) * ratio - _ROUNDING).astype(int)
+
+
+def _late(known, scene, step):
+    """Return how many whole steps the messages of each topic come after their measurement."""
+    return {name: math.floor(scene.values[output.delay] / step + 1e-6) if output.delay else 0
+            for name, output in known.items()}
+
+
+def _by_rate(rate, values, step, end):
+    every = whole_ratio('1/integrator.step', 1.0 / step, rate, values[rate])
+    return np.arange(0, end + 1, every)
+
+
+def _shift(recording, commands, motions, start):
+    """Return what makes sim time of the stamps of a bag [ns]."""
+    if recording.facts or motions:
+        return 0
+    return round(1e9 * start) - min(int(series.ns[0]) for series in commands if len(series.ns))
+
+
+def _whole(exact, meet, step, topic):
+    """Return whole steps for these times in steps."""
+    whole = np.ceil(exact - _ROUNDING * np.maximum(1.0, np.abs(exact))).astype(np.int64)
+    missed = np.abs(whole - exact) > 1e-6
+    if meet and missed.any():
+        raise ParameterError(
+            f'integrator.step = {step:g} s does not meet the times of {topic}, such as '
+            f'{exact[np.argmax(missed)] * step:.9g} s: take a whole fraction')
+    return np.maximum(whole, 0)
+
+
+def _last(acting, published, motions, shift, scene, duration):
+    ends = [at.max(initial=0) for at in published.values()]
+    if not published:
+        ends += [at.max(initial=0) for _, _, at in acting]
+        ends += [math.floor(1e-9 * (series.ns.max(initial=0) + shift) / scene.step)
+                 for series in motions.values()]
+    end = int(max(ends))
+    if duration is None:
+        return end
+    wanted = whole_ratio('duration', duration, 'integrator.step', scene.step)
+    if published and wanted > end:
+        raise ReplayError(f'duration = {duration:g} s is beyond the end of the log, '
+                          f'{end * scene.step:.9g} s')
+    return wanted

@@ -1,0 +1,208 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The loop of a node: steps in time with the wall clock, commands and messages on the way."""
+
+import math
+import time
+
+import numpy as np
+
+from timo_sim.physics.layout import LOADS
+from timo_sim.ros.gate import Gate
+from timo_sim.ros.pacing import Pace
+from timo_sim.ros.services import NotNow
+from timo_sim.ros.topics import LateOutlet
+from timo_sim.scene.parameter import whole_ratio
+from timo_sim.simulation.model_warnings import DivergenceError
+
+# Steps of one compiled call at most, so that no other thread waits long for it.
+_BATCH = 500
+# How often a paused loop looks at its flags [s].
+_PAUSED_POLL = 0.01
+# The same while a step waits for a command, and how often the first state is shown again [s].
+_COMMAND_POLL, _SHOWN_AGAIN = 1e-4, 0.2
+
+
+class Loop:
+    """
+    Advances a simulator; who calls its methods holds the node's lock.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    values : dict
+        Parameters of the node.
+    commands : Commands
+    outlets : list of Outlet
+        Of what is published at steps.
+    log : RunLog
+    logger
+        Of rclpy.
+    end : int
+        Step at which the run ends.
+
+    Attributes
+    ----------
+    simulator : Simulator
+    pace : Pace
+    gate : Gate
+    paused : bool
+    diverged : str or None
+        Why the simulation is paused for good, until a reset.
+
+    """
+
+    def __init__(self, simulator, values, commands, outlets, log, logger, end):
+        self.simulator, self.end = simulator, end
+        self.pace, self.gate = Pace(simulator.scene.step), Gate(
+            self._sync_period(values), values['sync_timeout'])
+        self.paused, self.diverged = values['start_paused'], None
+        self._commands, self._log, self._logger = commands, log, logger
+        self._outlets = outlets
+        self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
+        self._commanded, self._applied = np.zeros(LOADS), [0.0] * LOADS
+        self._shown_at = -math.inf  # wall time at which the first state was last shown
+
+    def _sync_period(self, values):
+        if values['sync'] == 'free':
+            return 0
+        return whole_ratio('sync_period', values['sync_period'], 'integrator.step',
+                           self.simulator.scene.step)
+
+    def configure(self, values, steps_each):
+        """Take what can be set while the node runs; steps between messages by name of rate."""
+        for outlet in self._outlets:
+            outlet.every = steps_each[outlet.rate]
+        self._timeout_steps = math.ceil(values['command_timeout'] / self.simulator.scene.step)
+        self.pace.set(values['real_time_factor'], values['catch_up_limit'],
+                      self.simulator.steps, time.monotonic())
+
+    def tick(self, now, stop):
+        """Do what is due at a wall time [s]; return how long nothing will be [s]."""
+        if self.paused:
+            return _PAUSED_POLL
+        free = self.pace.free
+        # The rest of what is due comes with the next tick, after whoever waits for the lock.
+        self._advance(1 if self.gate.waiting else _BATCH if free else min(
+            self.pace.due(self.simulator.steps, now), _BATCH), stop)
+        if self.gate.waiting:
+            return _COMMAND_POLL
+        return 0.0 if free else self.pace.deadline(self.simulator.steps) - time.monotonic()
+
+    def _advance(self, count, stop):
+        """Do steps; apply commands and publish on the way."""
+        simulator = self.simulator
+        goal = min(simulator.steps + count, self.end)
+        while simulator.steps < goal and not stop.set:
+            first = simulator.steps
+            if self.gate and self._waits(first):
+                return
+            self._apply_commands(first)
+            last = first + 1
+            if goal > last:
+                last = min(goal, first + _BATCH, self._next_event(first))
+            try:
+                simulator.advance(last - first, self._commanded)
+            except DivergenceError as error:
+                self.diverged, self.paused = str(error), True
+                self._logger.error(f'paused, {error}; ~/reset goes back to the start')
+                return
+            self._applied = simulator.load.tolist()
+            self.publish()
+
+    def _waits(self, step):
+        """Return whether a step waits for the controller's command."""
+        now, first = time.monotonic(), self.gate.first
+        closed = self.gate.closed(step, now, self._commands.answers(self.simulator.nanoseconds))
+        if first and not closed:
+            self.pace.start(step, now)  # the run begins now
+        if closed and self.gate.first and now >= self._shown_at + _SHOWN_AGAIN:
+            # Until the controller is there, and has seen the state that it shall answer.
+            self._shown_at = now
+            self.look()
+            self.publish(everything=True)
+        return closed
+
+    def _next_event(self, step):
+        # The next step at which something is published or a command may begin or fall to zero.
+        events = [step - step % outlet.every + outlet.every for outlet in self._outlets
+                  if outlet.wanted]
+        events += [outlet.arrival for outlet in self._late]
+        events += self._commands.end(self._timeout_steps)
+        return max(step + 1, min([*events, self.gate.following(step)]))
+
+    def _apply_commands(self, step):
+        if not self.gate.boundary(step):
+            return
+        for index, data in self._commands.apply(step, self._timeout_steps, self._commanded):
+            self._log.write(index, step, self.simulator.nanoseconds, data)
+
+    def publish(self, everything=False):
+        """Send each message that is due at this step and wanted by somebody."""
+        step = self.simulator.steps
+        for outlet in self._late:
+            outlet.deliver(step, self.simulator.nanoseconds)
+        due = [outlet for outlet in self._outlets
+               if (everything or step % outlet.every == 0) and outlet.wanted]
+        if due:
+            snapshot = self.snapshot()
+            for outlet in due:
+                outlet.publish(snapshot)
+
+    def look(self):
+        """Find out who subscribes: a service may be served before the news of a subscriber."""
+        for outlet in self._outlets:
+            outlet.look()
+
+    def snapshot(self):
+        """Return what messages need of the motion now."""
+        return self.simulator.snapshot(self._applied)
+
+    # Operations for the services.
+
+    def pause(self, paused):
+        """Let time stand, or go on; raise NotNow."""
+        if not paused:
+            self._refuse_diverged()
+        self.paused = paused
+        self.pace.start(self.simulator.steps, time.monotonic())
+
+    def reset(self):
+        """Go back to the initial state, and show it."""
+        self.look()
+        self.simulator.reset()
+        self._commands.clear(self._commanded)
+        self.gate.restart()
+        for outlet in self._late:
+            outlet.drop()
+        self._applied, self.diverged = [0.0] * LOADS, None
+
+    def restart(self):
+        """Publish the state after a reset, and go on from now."""
+        self.publish(everything=True)
+        self.pace.start(self.simulator.steps, time.monotonic())
+
+    def step(self, count, stop):
+        """Do so many steps while paused; return until when, as text; raise NotNow."""
+        self._refuse_diverged()
+        if not self.paused:
+            raise NotNow('a step needs a paused simulation')
+        self.look()
+        self._commands.poll()
+        goal = self.simulator.steps + count
+        self._advance(count, stop)
+        reached = f'at step {self.simulator.steps}'
+        if self.simulator.steps < goal:
+            raise NotNow(self.diverged or reached + (
+                ', which waits for a command' if self.gate.waiting else ''))
+        return reached
+
+    def _refuse_diverged(self):
+        if self.diverged:
+            raise NotNow(f'~/reset is needed first: {self.diverged}')

@@ -1,0 +1,240 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A run: motions at sampled times, and what is read off them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+
+from timo_sim.physics.equations.base import Formulation
+from timo_sim.physics.layout import FORCE_X, FORCE_Y, MotionFields, TORQUE
+from timo_sim.scene.scene import Scene
+from timo_sim.scene.summary import html_table
+from timo_sim.simulation.energy import integral
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    import pandas
+
+_BLOCK = 1024  # steps whose loads are worked out at once
+
+
+@dataclass(frozen=True, repr=False)
+class Run(MotionFields):
+    """
+    A run of n samples with N modes, simulated or read from a log.
+
+    Attributes
+    ----------
+    scene : Scene
+    model : Formulation
+    t : ndarray, shape (n,)
+        Sim time [s].
+    values : ndarray, shape (n, 2 (3 + N))
+        The motion, see `physics.layout`; `carrier`, `shaft`, `q` and their rates are parts of it.
+    friction_heat : ndarray, shape (n,)
+        What Coulomb friction has made of the work of the loads since the start [J]; NaN where a
+        log does not say it.
+    warning : str or None
+        Why the run should not be trusted, and what to do.
+    stats : dict
+        Steps, wall time, largest estimated error of a step, steps that were split, ...
+    recording : Recording or None
+        Of a log: all its topics, commands included.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> run = timo_sim.simulate(timo_sim.load_scene('paper'), 1.0)
+    >>> run.t.shape, run.carrier.shape, run.q.shape, run.position([1.0, 2.0]).shape
+    ((1001,), (1001, 2), (1001, 3), (1001, 2, 2))
+
+    """
+
+    scene: Scene
+    model: Formulation
+    t: np.ndarray
+    values: np.ndarray
+    friction_heat: np.ndarray
+    warning: str | None = None
+    stats: dict = field(default_factory=dict)
+    recording: Any = None
+
+    @property
+    def motion(self) -> np.ndarray:
+        """The same as `values`."""
+        return self.values
+
+    @property
+    def message(self) -> str:
+        """What there is to say of the run: its warning, or that there is none."""
+        return self.warning or f'{len(self.t)} samples until t = {self.t[-1]:.6g} s, no warnings'
+
+    def __repr__(self) -> str:
+        return f'<Run: {self.message}; {self.scene!r}>'
+
+    def _repr_html_(self) -> str:
+        peak = np.abs(self.deflection(self.scene.manipulator.arm.length)[:, 1]).max()
+        return html_table('Run', {
+            'message': self.message, 'largest tip deflection': f'{peak:.6g} m', **{
+                name: f'{value:.3g}' for name, value in self.stats.items()
+                if isinstance(value, (int, float))}, 'scene': repr(self.scene)})
+
+    def position(self, xi) -> np.ndarray:
+        """
+        Return positions of points of the centre line in world axes.
+
+        Parameters
+        ----------
+        xi : float or array_like, shape (p,)
+            Distance from the root along the undeformed arm, 0 to its length [m].
+
+        Returns
+        -------
+        ndarray, shape (n, 2) or (n, p, 2)
+            [m]
+
+        """
+        return self._pick(xi, self.model.world(self.motion, self._at(xi)))
+
+    def deflection(self, xi) -> np.ndarray:
+        """
+        Return the axial and transverse deflection of points in the arm frame.
+
+        Parameters
+        ----------
+        xi : float or array_like, shape (p,)
+            As for `position` [m].
+
+        Returns
+        -------
+        ndarray, shape (n, 2) or (n, p, 2)
+            [m]
+
+        """
+        points = self._at(xi)
+        straight = np.column_stack([points.xi, np.zeros_like(points.xi)])
+        return self._pick(xi, self.model.centre_line(self.q, points) - straight)
+
+    def rotation(self, xi) -> np.ndarray:
+        """
+        Return the rotation of sections relative to the shaft.
+
+        Parameters
+        ----------
+        xi : float or array_like, shape (p,)
+            As for `position` [m].
+
+        Returns
+        -------
+        ndarray, shape (n,) or (n, p)
+            [rad]
+
+        """
+        return self._pick(xi, self.model.section_rotation(self.q, self._at(xi)))
+
+    def energy(self) -> np.ndarray:
+        """Return kinetic plus strain energy, shape (n,) [J]."""
+        return self.model.energy(self.motion)
+
+    def dissipated(self) -> np.ndarray:
+        """Return what viscous friction and modal damping have taken so far, shape (n,) [J]."""
+        taken = integral(np.rint(self.t * 1e9), self.model.dissipation(self.motion))
+        return np.append(0.0, np.cumsum(taken))
+
+    def momentum(self) -> np.ndarray:
+        """
+        Return the momentum of the whole manipulator.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Linear momentum in world x and y [kg m/s], angular momentum about the world's origin
+            [kg m2/s].
+
+        """
+        return self.model.momentum(self.motion)
+
+    @cached_property
+    def effort(self) -> np.ndarray:
+        """
+        What acts on the joints, shape (n, 3).
+
+        Forces on the carrier in world axes [N] and torque on the shaft [N m] at the end of the
+        last step; at the first sample at the beginning of the first step.
+        """
+        if self.recording is not None:
+            joints = self.recording.read('joint_states')['joint_states']
+            return joints.values[np.searchsorted(joints.ns, np.rint(self.t * 1e9)), 6:9]
+        load, step = self.scene.load, self.scene.step
+        columns, effort = [FORCE_X, FORCE_Y, TORQUE], np.empty((len(self.t), 3))
+        first, last = np.rint(self.t[[0, -1]] / step).astype(int)
+        every = (last - first) // max(len(self.t) - 1, 1) or 1
+        for k in range(0, len(self.t), _BLOCK):
+            count = min(_BLOCK, len(self.t) - k)
+            table = load.stages(first + k * every - 1, (count - 1) * every + 1, step)
+            effort[k:k + count] = table[::every, -1, columns]
+        effort[0] = load.stages(first, 1, step)[0, 0, columns]
+        return effort
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return what the node would publish, as columns with units in their names, (n,) each."""
+        from timo_sim.runs.save import columns_of
+        return columns_of(self)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return `columns` as a pandas.DataFrame with the time as index."""
+        import pandas
+        return pandas.DataFrame(self.columns()).set_index('time_s')
+
+    def save(self, path: str | Path) -> Path:
+        """
+        Write the run to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            *.mcap: a log, as the node writes it, which `timo_sim.open_log` reads; *.parquet or
+            *.csv: a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended.
+
+        Returns
+        -------
+        Path
+            The file that was written.
+
+        """
+        from timo_sim.runs.save import save
+        return save(self, Path(path))
+
+    def plot(self) -> Figure:
+        """Draw the tip, carrier and shaft over time and the arm in the plane; needs matplotlib."""
+        from timo_sim.view.plot import plot
+        return plot(self)
+
+    def view(self, web: bool = False) -> None:
+        """Show the run in rerun until its window, or the browser, is closed; needs rerun-sdk."""
+        from timo_sim.view.motion_track import of_run
+        from timo_sim.view.show import show_tracks
+        show_tracks([lambda: of_run(self)], web=web)
+
+    def _at(self, xi):
+        length, xi = self.scene.manipulator.arm.length, np.atleast_1d(np.asarray(xi, dtype=float))
+        outside = xi[~((0.0 <= xi) & (xi <= length))]
+        if len(outside):
+            raise ValueError(f'xi must be between 0 and arm.length = {length} m, got {outside[0]}')
+        return self.model.at(xi)
+
+    @staticmethod
+    def _pick(xi, values):
+        return values[:, 0] if np.ndim(xi) == 0 else values

@@ -1,0 +1,130 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A whole run of a scene: `simulate`."""
+
+import sys
+import time
+import warnings
+
+import numpy as np
+from tqdm import tqdm
+
+from timo_sim.runs.run import Run
+from timo_sim.scene.parameter import ModelWarning, ParameterError
+from timo_sim.scene.scene import Scene
+from timo_sim.simulation.resolution import resolved
+from timo_sim.simulation.model_warnings import DivergenceError
+from timo_sim.simulation.simulator import Simulator
+
+
+def simulate(scene: Scene, duration: float, sample_every: int = 1) -> Run:
+    """
+    Simulate a scene under its own loads.
+
+    On a terminal, a progress bar appears when the run takes more than a second.
+
+    Parameters
+    ----------
+    scene : Scene
+        With `model.accuracy`, modes and step are chosen first, see `choose_resolution`.
+    duration : float
+        [s], a whole multiple of the time step.
+    sample_every : int
+        Steps between samples; divides the number of steps.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    ParameterError
+        If the duration does not fit the step, or `sample_every` the number of steps.
+    DivergenceError
+        If the state stops being that of an arm, or finite; `error.run` is the run so far.
+
+    Warns
+    -----
+    ModelWarning
+        If the shaft becomes too fast for a formulation without centrifugal stiffening, or steps
+        are too long for what happens or for a harmonic load.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> run = timo_sim.simulate(timo_sim.load_scene('paper'), duration=1.0)
+    >>> run.deflection(2.0).shape
+    (1001, 2)
+
+    """
+    scene, steps = resolved(scene, duration)
+    if sample_every < 1 or steps % sample_every:
+        raise ParameterError(
+            f'sample_every = {sample_every} must divide the number of steps, {steps}')
+    with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
+              leave=False) as bar:
+        run = sampled_run(scene, steps, sample_every, bar.update, _tell)
+    if run.warning:
+        warnings.warn(run.warning, ModelWarning, stacklevel=2)
+    return run
+
+
+def _tell(text):
+    print(f'timo_sim: {text}', file=sys.stderr, flush=True)
+
+
+def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=None):
+    """
+    Do what `simulate` does with a resolved scene, without bar and warning.
+
+    Parameters
+    ----------
+    scene : Scene
+    steps, sample_every : int
+    report : function(int)
+        Receives how many further steps are done.
+    tell : function(str), optional
+        See `Simulator.warm_up`.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    DivergenceError
+
+    """
+    simulator = Simulator(scene)
+    simulator.warm_up(tell)
+    motion = np.empty((steps // sample_every + 1, simulator.model.size))
+    motion[0], heat = simulator.motion.values, np.zeros(len(motion))
+    begun = time.monotonic()
+
+    def run(count):
+        samples = slice(count // sample_every + 1)
+        return Run(scene, simulator.model, np.arange(samples.stop) * sample_every * scene.step,
+                   motion[samples], heat[samples], simulator.warning, {
+                       'steps': simulator.steps, 'wall_time_s': time.monotonic() - begun,
+                       'largest_step_error_m': simulator.integration.largest_error,
+                       'split_steps': simulator.integration.splits,
+                       'unresolved_steps': simulator.integration.unresolved,
+                       'friction_drift_m': simulator.integration.friction_drift})
+
+    while simulator.steps < steps:
+        first = simulator.steps
+        count = min(max(1, simulator.check_spacing // sample_every) * sample_every, steps - first)
+        samples = slice(first // sample_every, (first + count) // sample_every + 1)
+        try:
+            motion[samples], heat[samples] = simulator.advance(count, sample_every=sample_every)
+        except DivergenceError as error:
+            error.run = run(first)
+            raise
+        report(count)
+    return run(steps)

@@ -1,0 +1,159 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""From checked values to the parts of a scene: bodies, constraints, loads."""
+
+from bisect import bisect_left
+from dataclasses import fields
+
+import numpy as np
+
+from timo_sim.physics.arm.bodies import Beam, Constraints, Manipulator, Section
+from timo_sim.scene.loads import CHANNELS, Drive, Harmonic, Load, Piecewise, Table
+from timo_sim.scene.parameter import ParameterError, short, whole_ratio
+
+
+def manipulator_of(values):
+    """Return the bodies of a scene's values."""
+    return Manipulator(
+        _arm(values), values['carrier.mass'], values['motor.mass'], values['motor.shaft_inertia'],
+        values['end_effector.mass'], values['end_effector.inertia'],
+        values['carrier.viscous_friction'],
+        values['motor.viscous_friction'] + motor_constants(values)[1])
+
+
+def load_of(values):
+    """Return the loads of a scene's values, and the drive of its shaft."""
+    step = values['integrator.step']
+    return Load({channel: tuple(_terms(f'load.{channel}', values, step)) for channel in CHANNELS},
+                _drive(values))
+
+
+def motor_constants(values):
+    """
+    Return what a DC motor without inductance makes of a voltage V at its terminals.
+
+    `n k/R V - (n k)^2/R theta'` is its torque on the shaft: torque constant k, resistance R, gear
+    ratio n; the second term is the back-EMF's.
+
+    Parameters
+    ----------
+    values : dict
+        The scene's, by name.
+
+    Returns
+    -------
+    gain, drag : float
+        [N m/V], [N m s/rad]; 0 without a motor.
+
+    """
+    resistance, constant = values['motor.dc.resistance'], values['motor.dc.torque_constant']
+    if not resistance:
+        return 0.0, 0.0
+    if not constant:
+        raise ParameterError('motor.dc.torque_constant must be > 0 N m/A with motor.dc.resistance '
+                             f'= {resistance:g} ohm, got {constant}')
+    at_shaft = values['motor.dc.gear_ratio'] * constant
+    return at_shaft / resistance, at_shaft**2 / resistance
+
+
+def constraints_of(values):
+    """Return the constraints of a scene's values."""
+    held, shaft, carrier = values['carrier.held'], values['motor.shaft'], [None, None]
+    still = {'initial.shaft_velocity': f'motor.shaft = {shaft}'} if shaft == 'locked' else {}
+    for axis, name in enumerate('xy'):
+        if held in (name, 'both'):
+            carrier[axis] = values[f'initial.carrier_{name}']
+            still[f'initial.carrier_{name}_velocity'] = f'carrier.held = {held}'
+    for name, reason in still.items():
+        if values[name] != 0.0:
+            raise ParameterError(f'{name} must be 0 with {reason}, got {values[name]}')
+    if held == 'both' and shaft != 'free' and values['model.modes'] == 0:
+        raise ParameterError(f'nothing can move: carrier.held = both, motor.shaft = {shaft}, '
+                             'model.modes = 0')
+    return Constraints(tuple(carrier), shaft != 'free')
+
+
+def check_counts(values):
+    """Raise ParameterError if a list has not as many elements as there are modes."""
+    modes = values['model.modes']
+    if values['model.accuracy'] > 0.0:
+        modes = 0  # to be chosen: what has an element for each mode cannot be given
+    for name, allowed in (('arm.damping_ratio', (0, 1, modes)),
+                          ('initial.modal_coordinates', (0, modes)),
+                          ('initial.modal_rates', (0, modes))):
+        if len(values[name]) not in allowed:
+            expected = ' or '.join(str(count) for count in sorted(set(allowed)))
+            cause = 'a stated model.accuracy' if values['model.accuracy'] else (
+                f'model.modes = {modes}')
+            raise ParameterError(f'{name} must have {expected} elements for {cause}, got '
+                                 f'{len(values[name])}')
+
+
+def _arm(values):
+    names = [field.name for field in fields(Section)]
+    section = {name: values[f'arm.{name}'] for name in names}
+    length, positions = values['arm.length'], values['arm.profile.position']
+    profiles = {name: values[f'arm.profile.{name}'] for name in names
+                if values.get(f'arm.profile.{name}')}
+    if not positions and not profiles:
+        return Beam(length, Section(**section))
+    if len(positions) < 2 or positions[0] != 0.0 or positions[-1] != length or not np.all(
+            np.less_equal(positions[:-1], positions[1:])):
+        raise ParameterError('arm.profile.position must ascend from 0 to arm.length = '
+                             f'{length:g} m, got {short(list(positions))}')
+    _same_length({f'arm.profile.{name}': values for name, values in
+                  {'position': positions, **profiles}.items()})
+    return Beam(length, Section(**{**section, **profiles}), positions)
+
+
+def _drive(values):
+    names = [f'motor.drive.{name}' for name in ('time', 'angle', 'speed', 'acceleration')]
+    points = _same_length({name: values[name] for name in names})
+    shaft, time, acceleration = values['motor.shaft'], points[0], points[3]
+    if (shaft == 'driven') != bool(time):
+        raise ParameterError(f'motor.drive must be given with motor.shaft = driven, and only '
+                             f'then; got {len(time)} points with motor.shaft = {shaft}')
+    if shaft == 'locked':
+        return Drive((0.0,), (values['initial.shaft'],), (0.0,), (0.0,))
+    if not time:
+        return None
+    if time[0] != 0.0 or not np.all(np.less(time[:-1], time[1:])):
+        raise ParameterError(f'motor.drive.time must ascend from 0, got {short(list(time))}')
+    if acceleration[-1] != 0.0:
+        raise ParameterError('motor.drive.acceleration must end with 0, since the shaft goes on '
+                             f'at the last speed; got {acceleration[-1]}')
+    return Drive(*points)
+
+
+def _terms(prefix, values, step):
+    amplitude = values[f'{prefix}.harmonic.amplitude']
+    phase = values[f'{prefix}.harmonic.phase'] or (0.0,) * len(amplitude)
+    yield from map(Harmonic, *_same_length({
+        f'{prefix}.harmonic.amplitude': amplitude,
+        f'{prefix}.harmonic.frequency': values[f'{prefix}.harmonic.frequency'],
+        f'{prefix}.harmonic.phase': phase}))
+    for kind, term, ordered in (('piecewise', Piecewise, np.less),
+                                ('table', Table, np.less_equal)):
+        names = f'{prefix}.{kind}.time', f'{prefix}.{kind}.value'
+        time, value = _same_length({name: values[name] for name in names})
+        if not time:
+            continue
+        if not np.all(ordered(time[:-1], time[1:])):
+            raise ParameterError(f'{names[0]} must ascend, got {short(list(time))}')
+        for jump in term(time, value).jumps():
+            place = bisect_left(time, jump)
+            whole_ratio(f'{names[0]}[{place}]', jump, 'integrator.step', step)
+        yield term(time, value)
+
+
+def _same_length(lists):
+    if len({len(values) for values in lists.values()}) > 1:
+        lengths = ', '.join(f'{name}: {len(values)}' for name, values in lists.items())
+        raise ParameterError(f'these must have the same length, got {lengths}')
+    return tuple(lists.values())

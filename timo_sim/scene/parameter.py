@@ -1,0 +1,168 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A parameter: its type, unit, meaning and rule, and errors that name all of them."""
+
+from dataclasses import dataclass
+import difflib
+import math
+import reprlib
+
+import numpy as np
+
+SCENE, NODE = 'scene', 'node'
+LATEST = 2**31 - 1  # [s] that a stamp of ROS can hold, 68 years; it counts in nanoseconds
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel, _SHORT.maxlist, _SHORT.maxtuple, _SHORT.maxother = 2, 8, 8, 60
+_SHORT.maxstring = 60
+
+
+class ParameterError(ValueError):
+    """A parameter that breaks its rule; the text names parameter, value and rule."""
+
+
+class ModelWarning(UserWarning):
+    """A scene or a run for which the model may not hold; the text says why, and what to do."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """
+    A parameter and its rule.
+
+    Attributes
+    ----------
+    name : str
+        Dotted name.
+    default : bool, int, float, str or tuple of float
+        Its type is the parameter's type.
+    unit, meaning : str
+    low, high : float
+        Range of the value, or of each element.
+    open_low : bool
+        Whether `low` itself is excluded.
+    choices : tuple of str
+    scope : str
+        SCENE: part of the physics. NODE: the node's own.
+    runtime : bool
+        Whether the node lets it be set while it runs.
+    finite : bool
+        Whether infinity is refused.
+
+    """
+
+    name: str
+    default: object
+    unit: str
+    meaning: str
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+    choices: tuple = ()
+    scope: str = SCENE
+    runtime: bool = False
+    finite: bool = True
+
+    @property
+    def rule(self):
+        """What a value must be, in words."""
+        kind = {bool: 'true or false', int: 'a whole number',
+                float: 'a finite number' if self.finite else 'a number',
+                str: 'a text', tuple: 'a list of finite numbers'}[type(self.default)]
+        if self.choices:
+            return 'one of ' + ', '.join(self.choices)
+        bounds = []
+        if self.low > -math.inf:
+            bounds.append(f'{">" if self.open_low else ">="} {self.low:g}')
+        if self.high < math.inf:
+            bounds.append(f'<= {self.high:g}')
+        unit = f' {self.unit}' if bounds and self.unit else ''
+        none = '' if self.finite else ', .inf for no limit'
+        return ' '.join([kind, ' and '.join(bounds)]).strip() + unit + none
+
+    def check(self, value):
+        """
+        Return the value as the parameter's type.
+
+        A whole number is accepted for a float, and so is a text like '70.5e9', which is how YAML
+        1.1 reads a number without a sign in the exponent.
+
+        Raises
+        ------
+        ParameterError
+            If the value breaks the rule.
+
+        """
+        try:
+            if isinstance(self.default, tuple):
+                if value is None:  # what ROS makes of an empty list
+                    return ()
+                if isinstance(value, (str, bytes, dict, set)) or not hasattr(value, '__iter__'):
+                    raise ValueError
+                return tuple(self._checked_number(element) for element in value)
+            if isinstance(self.default, float):
+                return self._checked_number(value)
+            if isinstance(value, np.generic):
+                value = value.item()
+            if type(value) is not type(self.default):
+                raise ValueError
+            if self.choices and value not in self.choices:
+                raise ValueError
+            if isinstance(value, str) and '\0' in value:
+                raise ValueError
+            if isinstance(value, int) and not self.low <= value <= self.high:
+                raise ValueError
+            return value
+        except (ValueError, TypeError, OverflowError):
+            raise ParameterError(
+                f'{self.name} must be {self.rule}, got {short(value)}') from None
+
+    def _checked_number(self, value):
+        if isinstance(value, (bool, np.bool_)):
+            raise ValueError
+        number = float(value)
+        above = number > self.low if self.open_low else number >= self.low
+        if not (above and number <= self.high) or self.finite and not math.isfinite(number):
+            raise ValueError
+        return number
+
+
+def short(value, show=_SHORT.repr):
+    """Return a value as one line of text that cannot be long, whatever the value."""
+    try:
+        shown = show(value)
+    except ValueError:  # a whole number of thousands of digits
+        shown = f'a huge {type(value).__name__}'
+    shown = ''.join(sign if sign.isprintable() else ' ' for sign in shown)
+    return shown if len(shown) <= 60 else shown[:57] + '...'
+
+
+def did_you_mean(name, names):
+    """Return '; did you mean X?' for the name that is most like the given one, or ''."""
+    close = difflib.get_close_matches(str(name), names, n=1)
+    return f'; did you mean {close[0]}?' if close else ''
+
+
+def whole_ratio(name, value, unit_name, unit):
+    """
+    Return how many times `unit` fits into `value`, a whole number.
+
+    Raises
+    ------
+    ParameterError
+        If it is not whole to 1e-9 relative (ten thousand times the rounding of the decimals);
+        the message holds the ratio.
+
+    """
+    ratio = value / unit
+    count = round(ratio) if math.isfinite(ratio) else 0
+    if abs(ratio - count) > 1e-9 * ratio or not math.isfinite(ratio):
+        raise ParameterError(f'{name} = {value:.12g} must be a whole multiple of '
+                             f'{unit_name} = {unit:.12g}, the ratio is {ratio:.12g}')
+    return count

@@ -1,0 +1,255 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+The parameters: name, default, unit, meaning and rule of each, once for YAML, Python and ROS.
+
+The defaults are the paper's manipulator (its Tables 1 and 3) at rest, without loads.
+"""
+
+import math
+
+from timo_sim.messages.outputs import outputs, TRANSFORMS
+from timo_sim.messages.sensors import SENSORS
+from timo_sim.physics.equations import FORMULATIONS
+from timo_sim.scene.parameter import (
+    did_you_mean, LATEST, NODE, Parameter, ParameterError, short)
+
+
+def _positive(name, default, unit, meaning, **more):
+    return Parameter(name, default, unit, meaning, low=0.0, open_low=True, **more)
+
+
+def _not_negative(name, default, unit, meaning, **more):
+    return Parameter(name, default, unit, meaning, low=0.0, **more)
+
+
+def _limit(name, unit, meaning):
+    return Parameter(name, math.inf, unit, f'{meaning}; .inf: no limit', low=0.0, open_low=True,
+                     finite=False, runtime=True)
+
+
+def _load(channel, unit, meaning):
+    prefix = f'load.{channel}'
+    return [
+        Parameter(f'{prefix}.harmonic.amplitude', (), unit,
+                  f'{meaning}: amplitudes of its terms amplitude sin(2 pi frequency t + phase)',
+                  runtime=True),
+        Parameter(f'{prefix}.harmonic.frequency', (), 'Hz', 'frequencies of the same terms',
+                  low=0.0, runtime=True),
+        Parameter(f'{prefix}.harmonic.phase', (), 'rad', 'phases of the same terms; none: all 0',
+                  runtime=True),
+        Parameter(f'{prefix}.piecewise.time', (), 's',
+                  f'{meaning}: times at which it jumps to a new constant value', low=0.0,
+                  runtime=True),
+        Parameter(f'{prefix}.piecewise.value', (), unit, 'value from each of these times on',
+                  runtime=True),
+        Parameter(f'{prefix}.table.time', (), 's',
+                  f'{meaning}: times of points joined by straight lines; a time twice is a jump',
+                  low=0.0, runtime=True),
+        Parameter(f'{prefix}.table.value', (), unit, 'values at these points', runtime=True),
+    ]
+
+
+def _profile(name, unit):
+    return _positive(f'arm.profile.{name}', (), unit,
+                     f'values of arm.{name} at these positions, instead of that one')
+
+
+def _rate(name, topic, default):
+    return _positive(name, default, 'Hz', f'messages per second of sim time on {topic}',
+                     scope=NODE, runtime=True)
+
+
+def _sensor(name, unit, meaning):
+    prefix = f'sensor.{name}'
+    return [
+        _not_negative(f'{prefix}.noise', 0.0, unit, 'standard deviation of the noise in '
+                      + meaning, high=_MAX_SENSOR_ERROR, runtime=True),
+        Parameter(f'{prefix}.bias', 0.0, unit, f'what is added to {meaning}',
+                  low=-_MAX_SENSOR_ERROR, high=_MAX_SENSOR_ERROR, runtime=True),
+        _not_negative(f'{prefix}.resolution', 0.0, unit, f'{meaning} is rounded to multiples of '
+                      'this; 0: not rounded', high=_MAX_SENSOR_ERROR, runtime=True)]
+
+
+def _delay(name, topic):
+    return _not_negative(name, 0.0, 's', f'sim time from a measurement to its message on {topic}, '
+                         'a whole multiple of integrator.step', high=1000.0)
+
+
+_MAX_SENSOR_ERROR = 1e9  # keeps sensor arithmetic finite
+_MAX_ANGLE = 1e6         # [rad] up to which sine and cosine are accurate
+_OUTPUTS = outputs(1)
+
+_ALL = [
+    _positive('arm.length', 2.0, 'm', 'length of the arm'),
+    _positive('arm.width', 0.02, 'm', 'section size normal to the plane of motion'),
+    _positive('arm.height', 0.02, 'm', 'section size in the plane of motion'),
+    _positive('arm.density', 2710.0, 'kg/m3', 'density'),
+    _positive('arm.young_modulus', 70.5e9, 'Pa', "Young's modulus"),
+    _positive('arm.shear_modulus', 27e9, 'Pa', 'shear modulus'),
+    _positive('arm.shear_correction', 0.85, '', 'shear correction factor kappa'),
+    _not_negative('arm.profile.position', (), 'm', 'distances from the root between which the '
+                  'section varies linearly, from 0 to arm.length; one twice is a jump'),
+    _profile('width', 'm'),
+    _profile('height', 'm'),
+    _profile('density', 'kg/m3'),
+    _profile('young_modulus', 'Pa'),
+    _profile('shear_modulus', 'Pa'),
+    Parameter('arm.damping_ratio', (), '', 'modal damping ratios: none, one for all modes, or one '
+              'for each', low=0.0, high=1.0, runtime=True),
+    _positive('carrier.mass', 5.0, 'kg', 'mass of the carrier'),
+    _not_negative('carrier.viscous_friction', 0.0, 'N s/m', 'force against the carrier per speed, '
+                  'along world x and y', runtime=True),
+    _not_negative('carrier.coulomb_friction', 0.0, 'N', 'largest force of dry friction on the '
+                  'carrier, the same along world x and y'),
+    _limit('carrier.force_limit', 'N', 'largest force that a command makes along an axis'),
+    _limit('carrier.force_rate_limit', 'N/s', 'largest rate at which that force changes'),
+    Parameter('carrier.held', 'none', '', 'axes of the world along which the carrier cannot move',
+              choices=('none', 'x', 'y', 'both')),
+    _not_negative('motor.mass', 5.0, 'kg', 'mass of the motor, on the carrier'),
+    _not_negative('motor.shaft_inertia', 2.0, 'kg m2', 'moment of inertia of the motor shaft'),
+    _not_negative('motor.viscous_friction', 0.0, 'N m s/rad', 'torque against the shaft per speed',
+                  runtime=True),
+    _not_negative('motor.coulomb_friction', 0.0, 'N m', 'largest torque of dry friction on the '
+                  'shaft'),
+    _limit('motor.torque_limit', 'N m', 'largest torque that a command makes'),
+    _limit('motor.torque_rate_limit', 'N m/s', 'largest rate at which that torque changes'),
+    _not_negative('motor.dc.resistance', 0.0, 'ohm', 'of the winding of a DC motor that takes '
+                  'voltages; 0: there is none'),
+    _not_negative('motor.dc.torque_constant', 0.0, 'N m/A', 'torque of the rotor per current, and '
+                  'back-EMF per speed [V s/rad]'),
+    _positive('motor.dc.gear_ratio', 1.0, '', 'turns of the rotor per turn of the shaft; the '
+              'inertia of the rotor, times its square, is part of motor.shaft_inertia'),
+    _limit('motor.dc.voltage_limit', 'V', 'largest voltage that a command makes'),
+    Parameter('motor.shaft', 'free', '', 'free: turned by the torque; locked at initial.shaft; '
+              'driven along motor.drive', choices=('free', 'locked', 'driven')),
+    _not_negative('motor.drive.time', (), 's', 'a driven shaft passes these points, quintic in '
+                  'between and at the last speed afterwards; the first is at 0'),
+    Parameter('motor.drive.angle', (), 'rad', 'angles at these times',
+              low=-_MAX_ANGLE, high=_MAX_ANGLE),
+    Parameter('motor.drive.speed', (), 'rad/s', 'speeds at these times'),
+    Parameter('motor.drive.acceleration', (), 'rad/s2',
+              'accelerations at these times, the last 0'),
+    _not_negative('end_effector.mass', 2.0, 'kg', 'mass at the tip'),
+    _not_negative('end_effector.inertia', 0.5, 'kg m2', 'moment of inertia at the tip'),
+    Parameter('initial.carrier_x', 0.0, 'm', 'carrier position at t = 0'),
+    Parameter('initial.carrier_y', 0.0, 'm', 'carrier position at t = 0'),
+    Parameter('initial.shaft', math.pi / 4, 'rad', 'shaft angle at t = 0',
+              low=-_MAX_ANGLE, high=_MAX_ANGLE),
+    Parameter('initial.carrier_x_velocity', 0.0, 'm/s', 'carrier velocity at t = 0'),
+    Parameter('initial.carrier_y_velocity', 0.0, 'm/s', 'carrier velocity at t = 0'),
+    Parameter('initial.shaft_velocity', 0.0, 'rad/s', 'shaft speed at t = 0'),
+    Parameter('initial.modal_coordinates', (), 'm sqrt(kg)', 'modal coordinates at t = 0: none '
+              '(straight arm) or one for each mode'),
+    Parameter('initial.modal_rates', (), 'm sqrt(kg)/s', 'their rates at t = 0'),
+    Parameter('model.formulation', 'exact', '', 'equations of motion',
+              choices=tuple(FORMULATIONS)),
+    Parameter('model.modes', 3, '', 'number of assumed modes; 0 is a rigid arm', low=0, high=40),
+    _not_negative('model.accuracy', 0.0, 'm', 'tip error for which model.modes and '
+                  'integrator.step are chosen, instead of given; 0: they are given'),
+    Parameter('integrator.step', 0.001, 's', 'time step', low=1e-9, high=1000.0),
+    _not_negative('integrator.tolerance', 0.0, 'm', 'largest estimated tip error of a step, '
+                  'which is done in two to 64 parts to stay below; 0: in one, whatever its error'),
+    *_load('force_x', 'N', 'force on the carrier along world x'),
+    *_load('force_y', 'N', 'force on the carrier along world y'),
+    *_load('torque', 'N m', 'torque on the shaft'),
+    *_load('tip_force_x', 'N', 'force on the end effector along world x'),
+    *_load('tip_force_y', 'N', 'force on the end effector along world y'),
+    *_load('tip_torque', 'N m', 'torque on the end effector'),
+    Parameter('sensor.seed', 0, '', 'what the noise of all sensors is drawn from', low=0,
+              high=1000000000),
+    *[parameter for sensor in SENSORS
+      for parameter in _sensor(sensor.name, sensor.unit, sensor.meaning)],
+    *[_delay(output.delay, output.name) for output in _OUTPUTS if output.delay],
+    _not_negative('real_time_factor', 1.0, '', 'sim time per wall time; 0: as fast as possible',
+                  high=1e6, scope=NODE, runtime=True),
+    _not_negative('catch_up_limit', 0.1, 's', 'wall time that is caught up after a delay; what is '
+                  'beyond it is dropped and counted', high=LATEST, scope=NODE, runtime=True),
+    _not_negative('duration', 0.0, 's', 'sim time after which the node ends; 0: never',
+                  high=LATEST, scope=NODE),
+    _not_negative('command_timeout', 0.0, 's', 'sim time after which a command without successor '
+                  'falls to zero; 0: held for ever', high=LATEST, scope=NODE, runtime=True),
+    Parameter('sync', 'free', '', 'whether each sync_period waits for a command: wait; else free',
+              choices=('free', 'wait'), scope=NODE),
+    _positive('sync_period', 0.002, 's', 'sim time from one wait for a command to the next',
+              high=LATEST, scope=NODE),
+    _positive('sync_timeout', 1.0, 's', 'wall time after which a wait ends without a command; the '
+              'first has no end', high=LATEST, scope=NODE),
+    Parameter('start_paused', False, '', 'whether the simulation waits for ~/pause or ~/step',
+              scope=NODE),
+    Parameter('steps_per_call', 1, '', 'time steps of one call of ~/step', low=1, high=1000000,
+              scope=NODE, runtime=True),
+    Parameter('publish_clock', False, '', 'whether sim time goes to /clock', scope=NODE),
+    *[_rate(output.rate, output.name, 100.0) for output in _OUTPUTS],
+    _rate('rate.arm_shape', '~/arm_shape', 50.0),
+    _rate(TRANSFORMS.rate, TRANSFORMS.name, 50.0),
+    Parameter('record', True, '', 'whether the run is logged to an MCAP file', scope=NODE),
+    Parameter('record_file', '', '', 'path of the log; empty: timo_sim_DATE_TIME.mcap in the '
+              'working directory', scope=NODE),
+    Parameter('record_sensors', False, '', 'whether ~/root_strain, ~/tip_imu and ~/encoder are '
+              'logged also while nobody subscribes', scope=NODE),
+    Parameter('rerun_live', '', '', 'address of a running viewer of rerun to which the motion is '
+              'streamed, such as rerun+http://127.0.0.1:9876/proxy; empty: none', scope=NODE),
+    Parameter('publish_arm_shape', False, '', 'whether the centre line goes to ~/arm_shape, for '
+              'RViz; needs visualization_msgs', scope=NODE),
+    Parameter('publish_tf', False, '', 'whether the frames carrier, arm and tip go to /tf; needs '
+              'tf2_msgs', scope=NODE),
+]
+
+PARAMETERS = {parameter.name: parameter for parameter in _ALL}
+RATES = [name for name in PARAMETERS if name.startswith('rate.')]
+DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
+
+
+def check(values, source):
+    """
+    Check a set of values.
+
+    Parameters
+    ----------
+    values : dict
+        Value of each dotted name.
+    source : str
+        Where they come from, for the message.
+
+    Returns
+    -------
+    dict
+        The values as their types.
+
+    Raises
+    ------
+    ParameterError
+        If a name is unknown or a value breaks its rule.
+
+    """
+    checked = {}
+    for name, value in values.items():
+        if name not in PARAMETERS:
+            raise ParameterError(f'{short(name, str)} = {short(value)} is not a parameter of '
+                                 f'timo_sim ({source}){did_you_mean(name, PARAMETERS)}')
+        try:
+            checked[name] = PARAMETERS[name].check(value)
+        except ParameterError as error:
+            raise ParameterError(f'{error} ({source})') from None
+    return checked
+
+
+def check_runtime(values, later):
+    """Raise ParameterError if values differ that cannot be set while a simulation runs."""
+    fixed = [name for name, value in later.items()
+             if value != values[name] and not PARAMETERS[name].runtime]
+    if fixed:
+        raise ParameterError(f'{fixed[0]} = {short(later[fixed[0]])} cannot be set while a '
+                             f'simulation runs, where it is {short(values[fixed[0]])}')
+
+
+def changed(values):
+    """Return those of some values that are not the default."""
+    return {name: value for name, value in values.items() if value != PARAMETERS[name].default}

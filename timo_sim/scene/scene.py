@@ -1,0 +1,290 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A scene: what is simulated, checked, from a YAML file, a dictionary and overrides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+import warnings
+
+import numpy as np
+
+from timo_sim.physics.arm.bodies import Constraints, Manipulator
+from timo_sim.physics.equations import formulation_class
+from timo_sim.physics.equations.base import Formulation
+from timo_sim.scene.build import check_counts, constraints_of, load_of, manipulator_of
+from timo_sim.scene.files import flatten, read_parameter_file
+from timo_sim.scene.loads import Load
+from timo_sim.scene.parameter import ModelWarning, ParameterError, SCENE, whole_ratio
+from timo_sim.scene.parameters import changed, check, DELAYS, PARAMETERS
+from timo_sim.scene.plausibility import implausible
+from timo_sim.scene.summary import html_table
+
+
+@dataclass(frozen=True, repr=False)
+class Scene:
+    """
+    A manipulator, its initial motion, its loads, and how it is modelled and integrated.
+
+    Attributes
+    ----------
+    manipulator : Manipulator
+    constraints : Constraints
+    load : Load
+    step : float
+        Time step [s].
+    values : dict
+        The scene's parameters by dotted name.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> timo_sim.load_scene('paper').vary({'arm.length': 1.5}).manipulator.arm.length
+    1.5
+
+    """
+
+    manipulator: Manipulator
+    constraints: Constraints
+    load: Load
+    step: float
+    values: dict
+
+    def __repr__(self) -> str:
+        values = self.values
+        return (f'<Scene: arm of {values["arm.length"]:g} m, {values["model.formulation"]} with '
+                f'N = {values["model.modes"]}, h = {1e3 * self.step:g} ms, '
+                f'{len(changed(values))} parameters not as by default>')
+
+    def _repr_html_(self) -> str:
+        return html_table(repr(self)[1:-1], changed(self.values))
+
+    def build(self) -> Formulation:
+        """Return the formulation of the equations of motion that the scene asks for, kept."""
+        return self._formulation
+
+    @cached_property
+    def _formulation(self):
+        count = self.values['model.modes']
+        damping = np.array(self.values['arm.damping_ratio'] or 0.0)
+        return formulation_class(self.values['model.formulation'])(
+            self.manipulator, count, damping, self.constraints)
+
+    @property
+    def friction(self) -> np.ndarray:
+        """Largest Coulomb friction of carrier x, y [N] and shaft [N m], shape (3,)."""
+        axis, shaft = (self.values[f'{body}.coulomb_friction'] for body in ('carrier', 'motor'))
+        held = [position is not None for position in self.constraints.carrier]
+        return np.where([*held, self.constraints.driven], 0.0, [axis, axis, shaft])
+
+    def vary(self, overrides: Mapping[str, Any]) -> Scene:
+        """
+        Return the scene with other values of some parameters.
+
+        Parameters
+        ----------
+        overrides : dict
+            Values by (nested or dotted) name.
+
+        Returns
+        -------
+        Scene
+
+        Raises
+        ------
+        ParameterError
+            As `load_scene`.
+
+        """
+        return scene_from({**self.values, **check(flatten(overrides), 'override')})
+
+    def at(self, run: Any, t: float) -> Scene:
+        """
+        Return the scene with the state of a run as its initial state.
+
+        The scene's own loads begin anew.
+
+        Parameters
+        ----------
+        run : Run
+            Of the same bodies and number of modes.
+        t : float
+            Sim time of one of its samples [s].
+
+        Returns
+        -------
+        Scene
+
+        Raises
+        ------
+        ParameterError
+            If the run has no sample then, other modes, or its shaft is driven.
+
+        Examples
+        --------
+        >>> import timo_sim
+        >>> scene = timo_sim.load_scene('paper')
+        >>> run = timo_sim.simulate(scene, 1.0)
+        >>> further = timo_sim.simulate(scene.at(run, 1.0), 1.0)
+
+        """
+        sample = int(np.argmin(np.abs(run.t - t)))
+        if abs(run.t[sample] - t) > 1e-9 * max(1.0, abs(t)):
+            raise ParameterError(f't = {t:g} s must be the time of a sample, the nearest is '
+                                 f'{run.t[sample]:.12g} s')
+        if run.q.shape[1] != self.values['model.modes']:
+            raise ParameterError(f'the run must have model.modes = {self.values["model.modes"]}, '
+                                 f'got {run.q.shape[1]}')
+        if self.values['motor.shaft'] == 'driven':
+            raise ParameterError('motor.shaft = driven starts at the beginning of motor.drive, '
+                                 'not at the state of a run')
+        (x, y), (vx, vy) = run.carrier[sample].tolist(), run.carrier_velocity[sample].tolist()
+        return self.vary({
+            'initial.carrier_x': x, 'initial.carrier_y': y, 'initial.carrier_x_velocity': vx,
+            'initial.carrier_y_velocity': vy, 'initial.shaft': float(run.shaft[sample]),
+            'initial.shaft_velocity': float(run.shaft_velocity[sample]),
+            'initial.modal_coordinates': run.q[sample].tolist(),
+            'initial.modal_rates': run.qdot[sample].tolist()})
+
+    def __getstate__(self):
+        # Without the formulation, which another process makes again.
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def initial_motion(self) -> np.ndarray:
+        """Return the motion at t = 0, shape (2 (3 + N),), see `physics.layout`."""
+        rest = np.zeros(self.values['model.modes'])
+        position, velocity = (
+            [[self.values[f'initial.{joint}{kind}'] for joint in ('carrier_x', 'carrier_y',
+                                                                  'shaft')]
+             for kind in ('', '_velocity')])
+        if self.load.drive is not None:
+            position[2], velocity[2], _ = self.load.drive.stages(0, 1, self.step)[0, 0]
+        q = self.values['initial.modal_coordinates'] or rest
+        qdot = self.values['initial.modal_rates'] or rest
+        return np.concatenate([position, q, velocity, qdot])
+
+
+def load_scene(source: str | Path | Mapping[str, Any],
+               overrides: Mapping[str, Any] | None = None) -> Scene:
+    """
+    Read and check a scene.
+
+    Parameters
+    ----------
+    source : str, Path or dict
+        A ROS parameter file, the name of an installed scene ('paper', 'spin_up'), or values by
+        (nested or dotted) name. What is not given has its default, the paper's manipulator at rest
+        without loads; parameters of the node are checked and left out.
+    overrides : dict, optional
+        Further values by name, which win.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    ParameterError
+        If a name is unknown or a value breaks its rule; the text says which.
+    OSError
+        If the file cannot be read.
+
+    Warns
+    -----
+    ModelWarning
+        If values are implausible, such as a shaft angle of 45 rad.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> timo_sim.load_scene('paper', {'model.modes': 5}).values['model.modes']
+    5
+
+    """
+    if isinstance(source, Mapping):
+        given, origin = flatten(source), 'given values'
+    else:
+        given, origin = read_parameter_file(source), str(source)
+    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+    values.update(check(given, origin))
+    values.update(check(flatten(overrides or {}), 'override'))
+    doubts = implausible(values)
+    if doubts:
+        warnings.warn(doubts, ModelWarning, stacklevel=2)
+    return scene_from(values)
+
+
+def project_on_modes(scene: Scene, deflection: Callable[[np.ndarray], Any],
+                     rotation: Callable[[np.ndarray], Any]) -> tuple[float, ...]:
+    """
+    Project a deflection field, or a velocity field, on the modes of a scene.
+
+    Exact to first order in the field; give the result to the parameters
+    `initial.modal_coordinates` or `initial.modal_rates`.
+
+    Parameters
+    ----------
+    scene : Scene
+    deflection : function(ndarray) -> array_like
+        w(xi) in the arm frame [m], or its rate [m/s], for xi of shape (p,) [m].
+    rotation : function(ndarray) -> array_like
+        phi(xi) [rad], or its rate [rad/s].
+
+    Returns
+    -------
+    tuple of float, length N
+        [m sqrt(kg)] or [m sqrt(kg)/s]. Source: paper eqs. (21), (23).
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> scene = timo_sim.load_scene({})
+    >>> q = timo_sim.project_on_modes(scene, lambda xi: 0.01 * xi**2, lambda xi: 0.02 * xi)
+    >>> bent = scene.vary({'initial.modal_coordinates': q})
+
+    """
+    return tuple(scene.build().project_on_modes(deflection, rotation).tolist())
+
+
+def scene_from(values):
+    """Return the scene of a full set of checked values."""
+    values = {name: values[name] for name, parameter in PARAMETERS.items()
+              if parameter.scope == SCENE}
+    check_counts(values)
+    step = values['integrator.step']
+    for name in DELAYS:
+        whole_ratio(name, values[name], 'integrator.step', step)
+    scene = Scene(manipulator_of(values), constraints_of(values), load_of(values), step, values)
+    if scene.friction.any() and values['integrator.tolerance']:
+        raise ParameterError('integrator.tolerance must be 0 with coulomb_friction, whose steps '
+                             f'cannot be split, got {values["integrator.tolerance"]:g}')
+    try:
+        with np.errstate(over='raise', divide='raise', invalid='raise'):
+            finite = _is_finite(scene)
+    except ArithmeticError:
+        finite = False
+    except ValueError as error:
+        # What only the physics can tell, such as modes too close to each other.
+        raise ParameterError(f'model.formulation = {values["model.formulation"]}, model.modes = '
+                             f'{values["model.modes"]}: {error}') from None
+    if not finite:
+        raise ParameterError('the values of this scene are too large or too small together: no '
+                             'finite equations of motion, or no finite initial energy')
+    return scene
+
+
+def _is_finite(scene):
+    # Whether equations of motion and initial energy are finite.
+    formulation, motion = scene.build(), scene.initial_motion()
+    return np.isfinite(formulation.linear).all() and (
+        not motion[3:].any() or np.isfinite(formulation.energy(motion[np.newaxis])[0]))

@@ -1,0 +1,132 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""From commands to what acts: limits of forces and torque, how fast they change, a DC motor."""
+
+from typing import Any
+
+import numpy as np
+
+from timo_sim.physics.layout import (
+    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, STAGES, TIP_TORQUE, TIP_X, TIP_Y, TORQUE, VOLTAGE)
+from timo_sim.scene.build import motor_constants
+from timo_sim.scene.parameter import ParameterError, short
+
+# Columns of a load with a limit, and the parameters of the limit and of the largest rate.
+_LIMITED = {
+    (FORCE_X, FORCE_Y, FORCE_I, FORCE_II): ('carrier.force_limit', 'carrier.force_rate_limit'),
+    (TORQUE,): ('motor.torque_limit', 'motor.torque_rate_limit'),
+    (VOLTAGE,): ('motor.dc.voltage_limit', None),
+}
+# Columns of a load that the commands of `Simulator.step` set.
+_COMMANDS: dict[str, Any] = {
+    'torque': TORQUE, 'force': [FORCE_X, FORCE_Y], 'tip_force': [TIP_X, TIP_Y],
+    'tip_torque': TIP_TORQUE, 'voltage': VOLTAGE}
+
+
+def commanded_load(values, **commands):
+    """
+    Return commands as a load.
+
+    Parameters
+    ----------
+    values : dict
+        The scene's parameters.
+    **commands : float or sequence of float
+        See `Simulator.step`.
+
+    Returns
+    -------
+    ndarray, shape (14,)
+
+    Raises
+    ------
+    ParameterError
+        If a command has not as many finite numbers as it should, or there is nothing to take it.
+
+    """
+    load = np.zeros(LOADS)
+    for name, columns in _COMMANDS.items():
+        try:
+            numbers = np.asarray(commands[name], dtype=float)
+            good = numbers.shape == np.shape(columns) and np.isfinite(numbers).all()
+        except (TypeError, ValueError):
+            good = False
+        if not good:
+            kind = 'two finite numbers' if np.ndim(columns) else 'a finite number'
+            raise ParameterError(f'{name} must be {kind}, got {short(commands[name])}')
+        load[columns] = numbers
+    if load[VOLTAGE] and not values['motor.dc.resistance']:
+        raise ParameterError(f'voltage = {load[VOLTAGE]:g} V needs a DC motor: '
+                             'motor.dc.resistance must be > 0 ohm')
+    return load
+
+
+class Actuators:
+    """
+    What the commands of a scene become; its own loads are as they are.
+
+    A command is cut off at its limit. Towards that, force and torque change at most at their
+    rates: on a straight line since the step at which it became another one, so that what acts in a
+    step does not depend on how many steps are done at once.
+
+    Parameters
+    ----------
+    values : dict
+        The scene's, by name.
+    first : int, optional
+        Step from which they act.
+    reached : ndarray, shape (14,), optional
+        What has acted until then, see `physics.layout`; by default nothing.
+
+    """
+
+    def __init__(self, values, first=0, reached=None):
+        self._period = values['integrator.step']
+        self._limit, self._rate = np.full(LOADS, np.inf), np.full(LOADS, np.inf)
+        for columns, names in _LIMITED.items():
+            for bounds, name in zip((self._limit, self._rate), names):
+                if name:
+                    bounds[list(columns)] = values[name]
+        self._slow = np.flatnonzero(np.isfinite(self._rate))
+        self._gain, _ = motor_constants(values)
+        self._ideal = np.isinf([self._limit, self._rate]).all() and not self._gain
+        self._since, self._start = first, np.zeros(LOADS) if reached is None else reached
+        self._goal = self._start
+
+    def command(self, commanded, first):
+        """Take what is commanded from a step on, shape (14,)."""
+        goal = commanded if self._ideal else np.clip(commanded, -self._limit, self._limit)
+        if len(self._slow) and not np.array_equal(goal, self._goal):
+            self._start, self._since = self.reached(first), first
+        self._goal = goal
+
+    def reached(self, step):
+        """Return what of the commands acts at a step, a voltage not yet as a torque, (14,)."""
+        return self._at(np.array((step - self._since) * self._period))
+
+    def loads(self, first, count, parts=1):
+        """Return what acts in parts of some steps, shape (14,) or (count parts, 3, 14)."""
+        if self._ideal:
+            return self._goal
+        begin = parts * (first - self._since)
+        number = np.arange(begin, begin + parts * count)[:, np.newaxis]
+        acting = self._at((number + np.arange(STAGES) / (STAGES - 1)) * (self._period / parts))
+        acting[..., TORQUE] += self._gain * acting[..., VOLTAGE]
+        return acting
+
+    def _at(self, elapsed):
+        # The straight lines towards the goal, at times since they began.
+        acting = np.empty((*elapsed.shape, LOADS))
+        acting[...] = self._goal
+        slow, start = self._slow, self._start[self._slow]
+        way, most = self._goal[slow] - start, elapsed[..., np.newaxis] * self._rate[slow]
+        # Exactly the goal once it is reached.
+        acting[..., slow] = np.where(np.abs(way) <= most, self._goal[slow],
+                                     start + np.sign(way) * most)
+        return acting

@@ -1,0 +1,276 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Linear models: a scene about an equilibrium as matrices with names, to design control with."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from timo_sim.physics.layout import ANGLE, LOADS
+from timo_sim.scene.loads import CHANNELS
+from timo_sim.scene.parameter import did_you_mean, ParameterError
+from timo_sim.scene.scene import Scene
+from timo_sim.scene.summary import html_table
+
+# Differences of fourth order over this part of the arm's length, or of a radian.
+_SHIFT = 1e-3
+_STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
+_INPUTS = {f'{channel}_{"N_m" if "torque" in channel else "N"}': column
+           for channel, column in CHANNELS.items()}
+# Rates that are left where a state that is called an equilibrium is none [1/s].
+_STILL = 1e-9
+
+
+@dataclass(frozen=True, repr=False)
+class LinearModel:
+    """
+    `x' = A x + B u`, `y = C x + D u`: deviations from an equilibrium.
+
+    Attributes
+    ----------
+    A, B, C, D : ndarray, shapes (m, m), (m, u), (y, m), (y, u)
+    states, inputs, outputs : tuple of str
+        Names with units.
+    dt : float or None
+        Period of a discrete-time model [s], `x+ = A x + B u`; None: continuous time.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> model = timo_sim.linearize(timo_sim.load_scene({'model.modes': 3}))
+    >>> model.select(['torque_N_m'], ['shaft_rad']).to_discrete(0.002).D.shape
+    (1, 1)
+
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    states: tuple
+    inputs: tuple
+    outputs: tuple
+    dt: float | None = None
+
+    def __repr__(self):
+        time = 'continuous time' if self.dt is None else f'dt = {self.dt:g} s'
+        return (f'<LinearModel: {len(self.states)} states, inputs {", ".join(self.inputs)}, '
+                f'outputs {", ".join(self.outputs)}, {time}>')
+
+    def _repr_html_(self):
+        return html_table('LinearModel', {
+            'states': ', '.join(self.states), 'inputs': ', '.join(self.inputs),
+            'outputs': ', '.join(self.outputs),
+            'frequencies [Hz]': ', '.join(f'{each:.4g}' for each in self.frequencies()),
+            'time': 'continuous' if self.dt is None else f'dt = {self.dt:g} s'})
+
+    def select(self, inputs=None, outputs=None):
+        """
+        Return the model with some inputs and outputs, in the order given.
+
+        Raises
+        ------
+        ParameterError
+            If a name is none of the model's.
+
+        """
+        u = _places(self.inputs, inputs, 'input')
+        y = _places(self.outputs, outputs, 'output')
+        return replace(self, B=self.B[:, u], C=self.C[y], D=self.D[np.ix_(y, u)],
+                       inputs=tuple(self.inputs[place] for place in u),
+                       outputs=tuple(self.outputs[place] for place in y))
+
+    def state_space(self):
+        """Return the same as `scipy.signal.StateSpace`."""
+        from scipy.signal import StateSpace
+        time = {} if self.dt is None else {'dt': self.dt}
+        return StateSpace(self.A, self.B, self.C, self.D, **time)
+
+    def to_control(self):
+        """Return the same as `control.StateSpace` of python-control, names included."""
+        from control import ss
+        return ss(self.A, self.B, self.C, self.D, self.dt or 0, states=list(self.states),
+                  inputs=list(self.inputs), outputs=list(self.outputs))
+
+    def to_discrete(self, dt):
+        """
+        Return the model at the instants of a controller that holds its commands for dt [s].
+
+        It is exact: `x` after a period is `A x + B u`.
+
+        Raises
+        ------
+        ParameterError
+            If the model is one of discrete time already.
+
+        """
+        from scipy.signal import cont2discrete
+        if self.dt is not None:
+            raise ParameterError(f'the model is of discrete time already, dt = {self.dt:g} s')
+        a, b, c, d, _ = cont2discrete((self.A, self.B, self.C, self.D), dt, method='zoh')
+        return replace(self, A=a, B=b, C=c, D=d, dt=dt)
+
+    def frequency_response(self, frequency):
+        """Return outputs per input at frequencies, shape (n,) [Hz], complex, (n, y, u)."""
+        s = 2j * np.pi * np.asarray(frequency, dtype=float)[:, np.newaxis, np.newaxis]
+        if self.dt is not None:
+            s = np.exp(s * self.dt)  # z on the unit circle
+        return self.C @ np.linalg.solve(s * np.eye(len(self.A)) - self.A,
+                                        self.B[np.newaxis]) + self.D
+
+    def poles(self):
+        """
+        Return the poles by size, shape (m,) [1/s].
+
+        Those of a discrete-time model are the s of its eigenvalues `z = exp(s dt)`.
+        """
+        poles = np.linalg.eigvals(self.A)
+        if self.dt is not None:
+            poles = np.log(poles.astype(complex)) / self.dt
+        return poles[np.lexsort((poles.imag, np.abs(poles).round(9)))]
+
+    def frequencies(self):
+        """Return the natural frequencies of what vibrates, ascending [Hz]."""
+        poles = self.poles()
+        return np.abs(poles[poles.imag > 1e-3]) / (2.0 * np.pi)
+
+
+def linearize(scene: Scene, at: np.ndarray | None = None) -> LinearModel:
+    """
+    Return the linear model of a scene about a state of rest, without its Coulomb friction.
+
+    Parameters
+    ----------
+    scene : Scene
+    at : ndarray, shape (2 (3 + N),), optional
+        A motion, see `physics.layout`; by default the scene's initial one. A shaft that is
+        driven or locked stays where it is.
+
+    Returns
+    -------
+    LinearModel
+        States: free coordinates, then their rates. Inputs: forces on carrier and tip in world
+        axes, torques on shaft and tip, as far as they do anything. Outputs: carrier and shaft, tip
+        in world axes, deflection and rotation of the tip and its acceleration across the arm,
+        strain at the root, rates of carrier and shaft.
+
+    Raises
+    ------
+    ParameterError
+        If the motion is no equilibrium.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> model = timo_sim.linearize(timo_sim.load_scene({'model.modes': 3}))
+    >>> len(model.frequencies())
+    3
+
+    """
+    formulation = scene.build()
+    at = scene.initial_motion() if at is None else np.asarray(at, dtype=float)
+    half, axes, first = formulation.size // 2, list(formulation.axes), formulation.first
+    load = np.zeros(LOADS)
+    load[ANGLE] = at[2]
+    state = formulation.state(at)
+    _check(at, formulation.rate(state, load))
+    free = np.array([*axes, *range(2 + first, half)], dtype=int)
+    free, half = np.concatenate([free, half + free]), len(free)
+    steps = np.tile(_SHIFT * formulation.manipulator.arm.length / formulation.reach, 2)
+
+    def jacobian(function):
+        return _jacobian(function, at, steps, free)
+
+    # In coordinates and rates x; what the formulation integrates is state(x).
+    to_state = jacobian(formulation.state)
+    rest = jacobian(lambda motion: formulation.rate(formulation.state(motion), load)
+                    - formulation.linear @ formulation.state(motion))
+    a = np.linalg.solve(to_state, formulation.linear @ to_state + rest)
+
+    # A rate is linear in a load.
+    inputs = {name: formulation.rate(state, load + np.eye(LOADS)[column])
+              - formulation.rate(state, load) for name, column in _INPUTS.items()}
+    inputs = {name: per_load for name, per_load in inputs.items() if per_load.any()}
+    b = np.linalg.solve(to_state, np.reshape([*inputs.values()], (len(inputs), len(a))).T)
+
+    outputs = _Outputs(formulation)
+    c = jacobian(outputs.values)
+    # Of the tip's velocity the rates are those of the coordinates and what these do.
+    across = jacobian(lambda motion: outputs.across(motion, at[2]))[:, :half]
+    c = np.vstack([c, across @ a[half:]])
+    d = np.vstack([np.zeros((len(c) - 1, len(inputs))), across @ b[half:]])
+    return LinearModel(a, b, c, d, _state_names(axes, first, len(formulation.modes)),
+                       tuple(inputs), (*outputs.names, 'tip_acceleration_m_per_s2'))
+
+
+def _check(at, rate):
+    moving = at[len(at) // 2:]
+    if moving.any() or not np.abs(rate).max() <= _STILL:
+        raise ParameterError(
+            'a scene is linearised about an equilibrium, where nothing moves and the arm is '
+            f'straight; got speeds of up to {np.abs(moving).max():.3g} and rates of the state of '
+            f'up to {np.abs(rate).max():.3g}: give another motion as `at`')
+
+
+def _jacobian(function, at, steps, columns):
+    """Return the derivatives of a function of motions, shape (k, len(columns))."""
+    found = []
+    for column in columns:
+        shift = np.zeros_like(at)
+        shift[column] = steps[column]
+        found.append(sum(weight * function(at + number * shift) for number, weight in _STENCIL)
+                     / steps[column])
+    return np.stack(found, axis=-1)
+
+
+class _Outputs:
+    """What is read off a motion."""
+
+    names = ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'tip_x_m', 'tip_y_m',
+             'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain',
+             'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
+             'shaft_velocity_rad_per_s')
+
+    def __init__(self, formulation):
+        self._formulation, self._half = formulation, formulation.size // 2
+        self._tip = formulation.at([formulation.manipulator.arm.length])
+
+    def values(self, motion):
+        """Return the values of `names` in a motion."""
+        base, rates = motion[:3], motion[self._half:self._half + 3]
+        along, sideways, rotation = self._formulation.tip(motion)
+        return np.concatenate([
+            base, self._world(motion), [along, sideways, rotation],
+            [self._formulation.root_strain @ motion[3:self._half]], rates])
+
+    def across(self, motion, angle):
+        """Return where the tip is along axis II of a shaft at an angle, shape (1,) [m]."""
+        return np.array([-np.sin(angle), np.cos(angle)]) @ self._world(motion)[:, np.newaxis]
+
+    def _world(self, motion):
+        return self._formulation.world(motion[np.newaxis], self._tip)[0, 0]
+
+
+def _state_names(axes, first, count):
+    names = [('carrier_x', 'm'), ('carrier_y', 'm')]
+    named = [names[axis] for axis in axes] + [('shaft', 'rad')] * (not first) + [
+        (f'mode_{n}', 'm_sqrt_kg') for n in range(1, count + 1)]
+    return (*(f'{name}_{unit}' for name, unit in named),
+            *(f'{name}_rate_{unit}_per_s' if name.startswith('mode') else
+              f'{name}_velocity_{unit}_per_s' for name, unit in named))
+
+
+def _places(names, chosen, kind):
+    if chosen is None:
+        return list(range(len(names)))
+    unknown = [name for name in chosen if name not in names]
+    if unknown:
+        raise ParameterError(f'{kind} {unknown[0]!r} is none of {", ".join(names)}'
+                             f'{did_you_mean(unknown[0], names)}')
+    return [names.index(name) for name in chosen]

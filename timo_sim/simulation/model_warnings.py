@@ -1,0 +1,124 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""When a run is not to be trusted: the conditions, and texts that say what to do."""
+
+from typing import Any
+
+import numpy as np
+
+from timo_sim.physics.integrate.split import FINEST
+
+# Part of the period of a harmonic load that a step may cover: its three values then are the load.
+_MOST_OF_A_PERIOD = 0.25
+# How far joints may drift in steps with dry friction, in arm lengths.
+_MOST_DRIFT = 3e-4
+
+
+class DivergenceError(ArithmeticError):
+    """
+    The state is no longer that of an arm, or no longer finite; the text says when, and what to do.
+
+    Attributes
+    ----------
+    run : Run or None
+        Of `simulate`: the run so far.
+
+    """
+
+    run: Any = None
+
+
+def unseen_load(scene):
+    """Return the warning of a load that is too fast for the step, or None."""
+    frequency, channel = scene.load.fastest()
+    if frequency * scene.step <= _MOST_OF_A_PERIOD:
+        return None
+    return (f'load.{channel}.harmonic.frequency = {frequency:g} Hz is too high for '
+            f'integrator.step = {scene.step:g} s: take at most '
+            f'{_MOST_OF_A_PERIOD / frequency:.2g} s')
+
+
+def inaccurate_step(scene, time, error):
+    """Return the warning of a step at a time [s] whose estimated error [m] is alarming."""
+    remedy = '' if scene.friction.any() else (
+        ', or let it be split by an integrator.tolerance')
+    return (f'at t = {time:.6g} s a step is wrong by about {error:.1g} m at the tip: take a '
+            f'smaller integrator.step{remedy}')
+
+
+def after_steps(scene, steps, time, speed):
+    """
+    Return the warning of what has happened in some steps, or None.
+
+    Parameters
+    ----------
+    scene : Scene
+    steps : Steps
+    time : float
+        At their end [s].
+    speed : float
+        Largest shaft speed at their samples and their end [rad/s].
+
+    """
+    if speed > steps.model.speed_limit:
+        return _fast_shaft(scene, steps.model, speed)
+    if steps.unresolved:
+        return _unresolved_steps(steps, time)
+    # Steps are too long for events in them, or to hold a joint still: doc/theory.md, (T35).
+    if steps.friction_drift > _MOST_DRIFT * scene.manipulator.arm.length:
+        return _friction_drift(steps, time)
+    return None
+
+
+def _fast_shaft(scene, model, speed):
+    return (f'at {speed:.3g} rad/s the shaft is faster than {model.speed_limit:.3g} rad/s, where '
+            f'the arm loses its stiffness in model.formulation '
+            f'{scene.values["model.formulation"]}, which has no centrifugal '
+            'stiffening: take model.formulation exact')
+
+
+def _unresolved_steps(steps, time):
+    return ('the error of a step was above integrator.tolerance = '
+            f'{steps.tolerance:g} m when done in {2**(FINEST + 1)} parts, too, before '
+            f't = {time:.6g} s: take a smaller integrator.step or fewer model.modes')
+
+
+def _friction_drift(steps, time):
+    return (f'before t = {time:.6g} s joints that Coulomb friction stops or holds have drifted by '
+            f'{steps.friction_drift:.2g} m, as seen at the tip and summed up: take a smaller '
+            'integrator.step or fewer model.modes')
+
+
+def divergence(scene, step, motion, reach, bend, warning):
+    """
+    Return what to say of a state that diverges.
+
+    Parameters
+    ----------
+    scene : Scene
+    step : int
+        The last good one.
+    motion : ndarray, shape (2 (3 + N),)
+        After it.
+    reach : ndarray, shape (3 + N,)
+        See `Formulation.reach`.
+    bend : float
+        Deflection of the arm [m].
+    warning : str or None
+        Of the run so far.
+
+    """
+    largest = np.argmax(np.abs(motion[:len(reach)]) * reach)
+    name = (['carrier x', 'carrier y', 'shaft angle'] + [
+        f'modal coordinate {n + 1}' for n in range(len(reach) - 3)])[largest]
+    splitting = '' if scene.friction.any() else ' an integrator.tolerance,'
+    return (f'the state diverges after t = {step * scene.step:.6g} s (step {step}), at {name} = '
+            f'{motion[largest]:.3g} with the arm bent by {bend:.3g} m: take a smaller '
+            f'integrator.step,{splitting} fewer model.modes or model.formulation exact' + (
+                f'; {warning}' if warning else ''))

@@ -1,0 +1,89 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What sensors read of true quantities: bias, noise and resolution."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from timo_sim.messages.sensors import SENSORS
+
+_BLOCK = 256  # steps whose random numbers are drawn at once
+_EXACT = 2.0**53  # from here on a number is coarser than the resolution
+
+
+class Sensors:
+    """
+    The sensors at one step, by name: a float, or an array for a sensor of several axes.
+
+    Parameters
+    ----------
+    snapshot : Snapshot
+
+    """
+
+    def __init__(self, snapshot):
+        self._snapshot = snapshot
+
+    def __dir__(self):
+        return [sensor.name for sensor in SENSORS]
+
+    def __getattr__(self, name):
+        if name not in dir(self):
+            raise AttributeError(f'there is no sensor {name!r}, but {", ".join(dir(self))}')
+        axes = self._snapshot.sensor(name)
+        return axes[0] if len(axes) == 1 else np.array(axes)
+
+
+def reading(values, name, number, step, quantities):
+    """
+    Return what a sensor reads of what it measures.
+
+    The noise is a function of seed, sensor, axis and time step alone: it does not matter what else
+    is measured, nor when.
+
+    Parameters
+    ----------
+    values : dict
+        The scene's parameters, `sensor.gyro.noise` and so on.
+    name : str
+    number : int
+        Of the sensor in `SENSORS`.
+    step : int
+    quantities : tuple of float
+        One for each axis.
+
+    Returns
+    -------
+    tuple of float
+
+    """
+    noise, bias, resolution = (values[f'sensor.{name}.{kind}']
+                               for kind in ('noise', 'bias', 'resolution'))
+    result = []
+    for axis, quantity in enumerate(quantities):
+        quantity += bias
+        if noise:
+            quantity += noise * _random(values['sensor.seed'], number, axis, step)
+        if resolution and abs(quantity) < _EXACT * resolution:
+            quantity = resolution * round(quantity / resolution)
+        result.append(quantity)
+    return tuple(result)
+
+
+def _random(seed, sensor, axis, step):
+    block, place = divmod(step, _BLOCK)
+    return _block(seed, sensor, axis, block)[place]
+
+
+@lru_cache(maxsize=16)
+def _block(seed, sensor, axis, block):
+    # Standard normal. Philox counts; a block is long before its lowest word overflows.
+    bits = np.random.Philox(key=[seed, 2 * sensor + axis], counter=[0, 0, 0, block])
+    return np.random.Generator(bits).standard_normal(_BLOCK).tolist()

@@ -1,0 +1,306 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A scene that is advanced in time: loads are tabulated, steps integrated, trouble told."""
+
+import math
+
+import numpy as np
+
+from timo_sim.jit.code_store import compiling, is_compiled
+from timo_sim.physics.integrate import steps_of
+from timo_sim.physics.layout import Motion
+from timo_sim.scene.parameter import whole_ratio
+from timo_sim.scene.parameters import check_runtime
+from timo_sim.simulation import model_warnings
+from timo_sim.simulation.actuators import Actuators, commanded_load
+from timo_sim.simulation.load_table import LoadTable
+from timo_sim.simulation.model_warnings import DivergenceError
+from timo_sim.simulation.sensors import Sensors
+from timo_sim.simulation.snapshot import Snapshot
+
+COMPILING = 'compiling once for a model of this size, this takes some seconds'
+# The error of a step is estimated at the start, after so many steps, twice as many, and so on up
+# to the largest spacing: transients decay, so later steps are checked less often.
+_FIRST_SPACING, _LARGEST_SPACING = 128, 512
+# Deflection beyond which the run counts as diverged, in arm lengths.
+_MOST_BENT = 10.0
+
+
+class Simulator:
+    """
+    A scene at a certain step: what the node, `simulate` and a controller's loop advance.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Attributes
+    ----------
+    scene : Scene
+    model : Formulation
+    integration : Steps
+        The time steps of the model, and counts of what they met.
+    steps : int
+        Steps done since the start; sim time is `steps * scene.step`.
+    load : ndarray, shape (14,)
+        Load at the end of the last step, see `physics.layout`.
+    warning : str or None
+        Why the results should not be trusted, and what to do.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> simulator = timo_sim.Simulator(timo_sim.load_scene('paper'))
+    >>> motion = simulator.step(torque=1.0, duration=0.002)
+    >>> simulator.steps
+    2
+
+    """
+
+    def __init__(self, scene):
+        self.steps, self._warm = 0, False
+        self._take(scene)
+        self.reset()
+
+    def _take(self, scene):
+        self.scene, self.model = scene, scene.build()
+        self.integration = steps_of(self.model, scene.step, scene.values['integrator.tolerance'],
+                                    scene.friction)
+
+    def __repr__(self):
+        return f'<Simulator at t = {self.t:.6g} s (step {self.steps}) of {self.scene!r}>'
+
+    def reset(self):
+        """Return to the initial motion and the start of the loads; the count of steps goes on."""
+        motion = self.scene.initial_motion()
+        self._state = self.model.state(motion)
+        self.integration.memory = np.zeros_like(self.integration.memory)
+        # Without speeds, deflection, loads and drive nothing changes until the first command.
+        self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any())
+        self._origin = self._next_check = self.steps
+        self._table, self._actuators = LoadTable(self.scene), Actuators(self.scene.values)
+        self.load = self._table.at_start()
+        self.warning = model_warnings.unseen_load(self.scene)
+
+    def change(self, scene):
+        """
+        Go on with another scene: other loads, damping, viscous friction or limits.
+
+        Parameters
+        ----------
+        scene : Scene
+            Of which only parameters differ that may be set while a simulation runs; else a
+            ParameterError is raised.
+
+        """
+        check_runtime(self.scene.values, scene.values)
+        first = self.steps - self._origin
+        self._actuators = Actuators(scene.values, first, self._actuators.reached(first))
+        earlier = self.integration
+        self._take(scene)
+        self.integration.follow(earlier)
+        self._resting = self._resting and not scene.load
+        self._table = LoadTable(scene)
+        self.warning = model_warnings.unseen_load(scene)
+
+    def warm_up(self, tell=None, messages=False):
+        """
+        Compile, or load from disk, what `advance` calls.
+
+        With `messages` what messages need as well; what only sensors call is compiled, too, but
+        loaded only when one is asked. Of what takes some seconds `tell`, a function(str), hears
+        before.
+        """
+        constants, self._warm = self.integration.constants, True
+        compiled = is_compiled(*constants)
+        if tell is not None and not compiled:
+            tell(COMPILING)
+        with compiling(*constants):
+            motion = self.motion.values
+            self.integration.warm_up(self._state, self.load)
+            if messages:
+                self.model.tip(motion)
+            if messages and not compiled:
+                self.model.rate(self._state, self.load)
+
+    @property
+    def t(self):
+        """Sim time [s]."""
+        return self.steps * self.scene.step
+
+    @property
+    def nanoseconds(self):
+        """Sim time [ns]."""
+        return round(self.steps * self.scene.step * 1e9)
+
+    @property
+    def motion(self):
+        """The motion now, a Motion."""
+        return Motion(self.integration.motion(self._state, self.load))
+
+    @property
+    def sensors(self):
+        """What the sensors read now: encoder, root_strain, tip_acceleration, gyro."""
+        state, load = self._state.copy(), self.integration.acting(self.load)
+        return Sensors(self.snapshot(
+            tip_acceleration=lambda: self.integration.tip_acceleration(state, load)))
+
+    @property
+    def deflection(self):
+        """Deflection of the tip in the arm frame, axial and transverse, shape (2,) [m]."""
+        return self.model.tip(self.motion.values)[:2] - [self.model.manipulator.arm.length, 0.0]
+
+    @property
+    def effort(self):
+        """What acted last: force x and y on the carrier [N], torque on the shaft [N m], (3,)."""
+        return np.array(self.snapshot().effort)
+
+    def snapshot(self, load=None, tip_acceleration=None):
+        """Return what messages need of the motion now, until the next step."""
+        load = self.load.tolist() if load is None else load
+        return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
+                        load, tip_acceleration or self.tip_acceleration)
+
+    def tip_acceleration(self):
+        """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
+        return self.integration.tip_acceleration(self._state, self.integration.acting(self.load))
+
+    def step(self, torque=0.0, force=(0.0, 0.0), tip_force=(0.0, 0.0), tip_torque=0.0,
+             voltage=0.0, duration=None):
+        """
+        Command the actuators for a while; the scene's own loads act besides.
+
+        Parameters
+        ----------
+        torque : float
+            On the shaft [N m].
+        force, tip_force : sequence of float
+            On carrier and tip, world x and y [N].
+        tip_torque : float
+            On the end effector [N m].
+        voltage : float
+            At a DC motor [V].
+        duration : float, optional
+            [s], a whole multiple of the time step; by default one step.
+
+        Returns
+        -------
+        Motion
+            At the end.
+
+        Raises
+        ------
+        ParameterError
+            If a command is not finite or has another shape.
+        DivergenceError
+
+        """
+        commanded = commanded_load(self.scene.values, torque=torque, force=force,
+                                   tip_force=tip_force, tip_torque=tip_torque, voltage=voltage)
+        if not self._warm:
+            self.warm_up()
+        self.advance(1 if duration is None else whole_ratio(
+            'duration', duration, 'integrator.step', self.scene.step), commanded)
+        return self.motion
+
+    def advance(self, count, commanded=None, sample_every=0):
+        """
+        Do some steps.
+
+        Parameters
+        ----------
+        count : int
+        commanded : ndarray, shape (14,), optional
+            What is commanded during all of them, see `physics.layout`; it acts besides the scene's
+            own loads, as the actuators let it.
+        sample_every : int
+            Steps between samples; 0: none are taken.
+
+        Returns
+        -------
+        motions : ndarray, shape (1 + count // sample_every, 2 (3 + N))
+            At the start and after each `sample_every` steps; with sample_every = 0 empty.
+        heat : ndarray, shape (1 + count // sample_every,)
+            What Coulomb friction has made of work since the initial motion, at the samples [J].
+
+        Raises
+        ------
+        DivergenceError
+            The state is then that before the first step that fails.
+
+        """
+        if self._rests(count, commanded):
+            return self._rest(count, sample_every)
+        before = self._state.copy(), self.load, self.integration.memory.copy()
+        first, actuators = self.steps - self._origin, None
+        if commanded is not None:
+            actuators = self._actuators
+            actuators.command(commanded, first)
+        self._check_step(first, count, actuators)
+        done, load, motions, heat = self.integration.advance(
+            self._state, self.load, lambda first, count, parts: self._table.stages(
+                first, count, parts, actuators), first, count, sample_every)
+        if done < count or not self._bend() <= _MOST_BENT * self.scene.manipulator.arm.length:
+            self._give_up(before, count, commanded)
+        self.steps += count
+        self.load = load.copy()
+        self.warning = self.warning or model_warnings.after_steps(
+            self.scene, self.integration, self.t, self._largest_speed(motions))
+        return motions, heat
+
+    def _rests(self, count, commanded):
+        # Whether these steps would leave the state as it is, to the last bit.
+        self._resting = self._resting and (commanded is None or not commanded.any())
+        return self._resting and count > 0
+
+    def _rest(self, count, sample_every):
+        motions, heat = self.integration.samples(count, sample_every)
+        if sample_every:
+            motions[:] = self.motion.values
+        self.steps += count
+        return motions, heat
+
+    @property
+    def check_spacing(self):
+        """Steps from one estimate of the error of a step to the next."""
+        return min(max(self.steps - self._origin, _FIRST_SPACING), _LARGEST_SPACING)
+
+    def _check_step(self, first, count, actuators):
+        # Now and then, at the first of some steps that are not checked anyway.
+        if (self.warning or not count or self.steps < self._next_check
+                or self.integration.tolerance):
+            return
+        self._next_check = self.steps + self.check_spacing
+        # The table of all these steps is made here, and kept.
+        loads = self._table.stages(first, count, 1, actuators)[:1]
+        error, alarming = self.integration.estimate_error(self._state, loads)
+        if alarming:
+            self.warning = model_warnings.inaccurate_step(self.scene, self.t, error)
+
+    def _largest_speed(self, motions):
+        # Of the shaft, at samples and end; 0 where it does not matter [rad/s].
+        if math.isinf(self.model.speed_limit):
+            return 0.0
+        samples = Motion(motions).shaft_velocity
+        return max(abs(self.motion.shaft_velocity), np.abs(samples).max(initial=0.0))
+
+    def _bend(self):
+        # Deflection by all modes together [m].
+        modes, half = self.model.reach[3:], len(self._state) // 2
+        return np.abs(self._state[half - len(modes):half]) @ modes
+
+    def _give_up(self, before, count, commanded):
+        # Go to the last good state and say what it is.
+        self._state, self.load, self.integration.memory = before
+        if count > 1:
+            for part in (count // 2, count - count // 2):
+                self.advance(part, commanded)
+        raise DivergenceError(model_warnings.divergence(
+            self.scene, self.steps, self.motion.values, self.model.reach, self._bend(),
+            self.warning))
