@@ -22,7 +22,7 @@ from timo_sim.jit.decorators import entry_point, inlined
 from timo_sim.physics.equations.functions import observe
 from timo_sim.physics.integrate.etdrk4 import copy, is_finite, one_step
 from timo_sim.physics.integrate.friction_events import (
-    COLUMNS, fit, JOINTS, Joints, same, solve)
+    COLUMNS, fit, JOINTS, Joints, solve)
 from timo_sim.physics.integrate.steps import Steps
 from timo_sim.physics.layout import LOADS, STAGES
 
@@ -30,6 +30,14 @@ from timo_sim.physics.layout import LOADS, STAGES
 _HEAT, _DRIFT, _KEPT = JOINTS, JOINTS + 1, 2 * JOINTS + 1
 # Trial steps at most, of which the first and one for each joint make the linear model.
 _TRIALS = 12
+
+
+@inlined
+def _clear(mobility, going):
+    """Set what no trial has told yet to zero."""
+    for i in range(JOINTS):
+        for j in range(JOINTS):
+            mobility[i, j] = going[i, j] = 0.0
 
 
 @inlined
@@ -112,9 +120,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, sample_eve
     passing, change, side = local((three,)), local((three,)), local((three,))
     room, turn = local((three,)), local((three,))
     motion, pushed = np.empty(samples.shape[1]), np.empty((STAGES, LOADS))
-    for i in range(JOINTS):
-        for j in range(JOINTS):
-            mobility[i, j] = going[i, j] = 0.0
+    _clear(mobility, going)
     copy(state, now)
     for k in range(len(loads) + 1):
         observe(tables, now, load, motion)
@@ -139,13 +145,10 @@ def advance(tables, propagator, joints, friction, state, load, loads, sample_eve
                 r[trial - 1] += joints.limit[trial - 1] * (1.0 if r[trial - 1] <= 0.0 else -1.0)
             else:
                 fit(speed, end, travel, mobility, going, r, slope, drift, bend, cross, bending)
-                copy(slope, sloping)
-                solve(joints, speed, drift, bend, mobility, cross, bending, before, pull, turning,
-                      passing, change, room, turn, side, acting, last, r, sloping, path)
-                if same(joints, r, before):
-                    copy(before, r)
+                if solve(joints, speed, drift, bend, mobility, cross, bending, before, pull,
+                         turning, passing, change, room, turn, side, acting, last, r, slope,
+                         sloping, path):
                     break
-                copy(sloping, slope)
             _push(loads[k], r, slope, pushed)
             one_step(tables, propagator, now, pushed[0], pushed[1], pushed[2], half, following,
                      combined, rate_0, rate_a, rate_b, rate_c, stage)

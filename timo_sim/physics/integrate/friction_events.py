@@ -125,8 +125,13 @@ def fit(speed, end, travel, mobility, going, r, slope, drift, bend, cross, bendi
 
 @inlined
 def solve(joints, speed, drift, bend, mobility, cross, bending, before, pull, turning, passing,
-          change, room, turn, side, acting, last, r, sloping, path):
-    """Set mean and slope of r, of which one depends on the other, in the linear model."""
+          change, room, turn, side, acting, last, r, slope, sloping, path):
+    """
+    Set mean and slope of r, of which one depends on the other, in the linear model.
+
+    Returns whether they are those of the trial before, which is then the step.
+    """
+    copy(slope, sloping)
     for _ in range(_ROUNDS):
         for i in range(JOINTS):
             pull[i], turning[i] = drift[i], bend[i]
@@ -141,3 +146,9 @@ def solve(joints, speed, drift, bend, mobility, cross, bending, before, pull, tu
                 turn, side, acting, r, sloping, path)
         if same(joints, r, last):
             break
+    solved = same(joints, r, before)
+    if solved:
+        copy(before, r)
+    else:
+        copy(sloping, slope)
+    return solved
