@@ -15,6 +15,7 @@ import sys
 from benchmark import ROOT
 from benchmark.stress.tally import ensure, small_disk, Tally
 from timo_sim.jit import code_store
+from timo_sim.jit.decorators import entry_point
 
 
 def _tripled(number):
@@ -23,23 +24,23 @@ def _tripled(number):
 
 def machine_code(folder, count, generator):
     """Damage machine code on disk."""
-    tally, shelf = Tally('machine code on disk flipped, cut, replaced'), folder / 'code'
-    shelf.mkdir()
-    before, code_store.cache_directory = code_store.cache_directory, lambda: shelf
+    tally, store_folder = Tally('machine code on disk flipped, cut, replaced'), folder / 'code'
+    store_folder.mkdir()
+    before, code_store.store_directory = code_store.store_directory, lambda: store_folder
     try:
         for number in range(count):
-            function = code_store.entry_point(_tripled)
+            function = entry_point(_tripled)
             function(1.0)
-            file, = shelf.glob('*.code')
+            file, = store_folder.glob('*.code')
             content = bytearray(file.read_bytes())
             place = generator.randrange(len(content))
             content[place] ^= 1 << generator.randrange(8)
             file.write_bytes([content, content[:place], os.urandom(place)][number % 3])
             with tally.trial(f'byte {place}, kind {number % 3}'):
-                again = code_store.entry_point(_tripled)
+                again = entry_point(_tripled)
                 ensure(again(2.0) == 6.0 and not sum(again._cache_hits.values()), 'it is used')
     finally:
-        code_store.cache_directory = before
+        code_store.store_directory = before
     return tally.row('compiled again')
 
 

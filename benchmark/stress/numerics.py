@@ -198,7 +198,7 @@ def rows(quick=False):
     names = 'steps as given', f'with integrator.tolerance = {TOLERANCE:g} m'
     for name, found in zip(names, matrix(40 if quick else 400)):
         tally = Counter(verdict for verdict, _, _ in found)
-        false = sum(verdict == 'accurate' and bool(caution) for verdict, _, caution in found)
+        false = sum(verdict == 'accurate' and bool(warning) for verdict, _, warning in found)
         errors = [error for verdict, error, _ in found if verdict == 'accurate']
         yield (name, len(found), *(tally[verdict] for verdict in VERDICTS),
                f'{false} of the accurate ones carry a warning; median of their errors '
@@ -212,14 +212,14 @@ def long_rows(quick=False):
         for formulation in 'exact', 'newton':
             scene = timo_sim.load_scene({'model.formulation': formulation, **values})
             try:
-                run, caution = sampled_run(scene, round(hour / scene.step), 1000)
+                run = sampled_run(scene, round(hour / scene.step), 1000)
             except timo_sim.DivergenceError as error:
                 yield name, formulation, '', '', str(error).split(':')[0]
                 continue
             energy, momentum = run.energy(), run.momentum()
             yield (name, formulation, f'{np.abs(energy / energy[0] - 1.0).max():.0e}',
                    f'{np.abs(momentum[:, :2] / momentum[0, :2] - 1.0).max():.0e}',
-                   (caution or '').split(':')[0])
+                   (run.warning or '').split(':')[0])
 
 
 def main():
