@@ -155,6 +155,7 @@ def test_a_run_is_saved_and_opened(run, tmp_path):
     assert run.save(tmp_path / 'run.mcap') == tmp_path / 'run_1.mcap'
     again = timo_sim.open_log(path)
     assert again.motion.tobytes() == run.motion.tobytes()
+    assert 'does not say whether there were warnings' in again.message
     assert again.t == pytest.approx(run.t, abs=1e-9) and again.scene == run.scene
     assert np.array_equal(again.effort[1:], run.effort[1:])
     frame = run.to_pandas()
@@ -197,7 +198,10 @@ def test_misspelt_names_and_old_values(given, words):
         timo_sim.load_scene(given)
 
 
-def test_names_of_scenes():
+def test_names_of_scenes(tmp_path, monkeypatch):
+    (tmp_path / 'paper').mkdir()  # a folder of this name does not hide the scene
+    monkeypatch.chdir(tmp_path)
+    assert timo_sim.load_scene('paper').load
     assert timo_sim.load_scene('spin_up').values['motor.shaft'] == 'driven'
     with pytest.raises(FileNotFoundError, match='paper, spin_up; did you mean paper'):
         timo_sim.load_scene('papr')

@@ -28,6 +28,7 @@ from timo_sim.ros.services import offer_services
 from timo_sim.ros.topics import LateOutlet, MotionOutlet, Outlet
 from timo_sim.scene.parameter import LATEST, SCENE, whole_ratio
 from timo_sim.scene.parameters import changed, PARAMETERS
+from timo_sim.scene.plausibility import implausible
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.simulator import Simulator
 
@@ -65,6 +66,9 @@ class SimNode(Node):
         scene = scene_from(self._values)
         if scene.values['model.accuracy']:
             scene = resolved_scene(self, scene, self._values)
+        doubts = implausible(scene.values)
+        if doubts:
+            self.get_logger().warning(doubts)
         self._step = scene.step
         steps_each = steps_between_messages(self._values, self._step)
         end = whole_ratio('duration', self._values['duration'], 'integrator.step',

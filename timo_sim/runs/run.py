@@ -79,7 +79,9 @@ class Run(MotionFields):
     @property
     def message(self) -> str:
         """What there is to say of the run: its warning, or that there is none."""
-        return self.warning or f'{len(self.t)} samples until t = {self.t[-1]:.6g} s, no warnings'
+        found = 'no warnings' if self.recording is None else (
+            'read from a log, which does not say whether there were warnings')
+        return self.warning or f'{len(self.t)} samples until t = {self.t[-1]:.6g} s, {found}'
 
     def __repr__(self) -> str:
         return f'<Run: {self.message}; {self.scene!r}>'

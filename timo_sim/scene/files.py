@@ -37,7 +37,7 @@ def scene_file(source):
 
     """
     path = Path(source)
-    if path.exists() or path.suffix or path.name != str(source):
+    if path.is_file() or path.suffix or path.name != str(source):
         return path
     known = {entry.stem: entry for folder in _FOLDERS for entry in sorted(folder.glob('*.yaml'))
              if 'ros__parameters' in entry.read_text(encoding='utf-8')}
