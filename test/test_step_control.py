@@ -106,7 +106,8 @@ def test_the_estimate_is_the_error_of_the_next_step(formulation):
     model, integration = simulator.model, simulator.integration
     for _ in range(20):
         start = simulator._state.copy()
-        estimate, _ = integration.estimate_error(start, table.stages(simulator.steps, 1))
+        estimate, _ = integration.estimate_error(
+            start, table.stages(simulator.steps, 1), table.stages(simulator.steps, 1, 2))
         fine = start.copy()
         etdrk4.advance(model.packed, integration.propagator(5), fine, simulator.load,
                        table.stages(simulator.steps, 1, 2**5), 0, np.empty((0, model.size)))

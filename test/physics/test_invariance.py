@@ -17,7 +17,7 @@ import pytest
 
 import timo_sim
 from timo_sim.physics.equations.exact import Exact
-from timo_sim.physics.layout import LOADS, STAGES
+from timo_sim.physics.layout import LOADS, STEP_LOADS
 from timo_sim.simulation.simulator import Simulator
 
 # Each example is some runs of milliseconds; the same in each run of the tests.
@@ -173,7 +173,7 @@ def test_time_can_be_turned_round(formulation, scene):
     for _ in range(2):
         for _ in range(10):
             errors.append(simulator.integration.estimate_error(
-                simulator._state, np.zeros((1, STAGES, LOADS)))[0])
+                simulator._state, *(np.zeros((n, STEP_LOADS, LOADS)) for n in (1, 2)))[0])
             simulator.advance(STEPS // 10)
         motion = simulator.motion.values
         motion[6:] *= -1.0

@@ -10,9 +10,13 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.interpolate import BPoly
 
 import timo_sim
-from timo_sim.scene.loads import Harmonic, Piecewise, Table
+from timo_sim.physics.layout import ACCELERATION, AFTER, ANGLE, END, FORCE_X, LOADS, TORQUE
+from timo_sim.scene.loads import Drive, Harmonic, Load, Piecewise, Table
+from timo_sim.simulation.actuators import Actuators
 
 STEP = 0.1
 
@@ -58,8 +62,8 @@ def test_sum_of_terms_on_a_channel():
     loads = scene.load.stages(3, 1, STEP)[0]
     times = np.array([0.3, 0.35, 0.4])
     expected = np.sin(2 * np.pi * times) + 2 * np.sin(4 * np.pi * times) + 10.0 + times
-    assert loads[:, 4] == pytest.approx(expected)
-    assert not loads[:, :4].any()
+    assert loads[:3, TORQUE] == pytest.approx(expected)
+    assert loads[AFTER, TORQUE] == loads[END, TORQUE] and not loads[:, :TORQUE].any()
 
 
 @pytest.mark.parametrize('kind, time, value', [
@@ -82,3 +86,107 @@ def test_lists_of_different_length_are_refused():
     with pytest.raises(timo_sim.ParameterError, match='time: 2.*value: 1'):
         timo_sim.load_scene({'load.torque.piecewise.time': [0.0, 0.2],
                              'load.torque.piecewise.value': [1.0]})
+
+
+def moments(values):
+    """Return int s^j p ds, j = 0, 1, 2, of parabolas by their values at 0, 1/2, 1, (n, 3)."""
+    # Rows are the powers of s in which the parabola is written, by its values.
+    powers = np.array([[1.0, 0.0, 0.0], [-3.0, 4.0, -1.0], [2.0, -4.0, 2.0]]) @ values.T
+    return np.array([[1.0 / (i + j + 1) for i in range(3)] for j in range(3)]) @ powers
+
+
+def true_moments(function, breaks, step):
+    """Return the same of a function of time over the step that begins at `step`, in steps."""
+    edges = [step, *sorted(at for at in breaks if step < at < step + 1), step + 1]
+    return [sum(quad(lambda at: (at - step)**j * function(at * STEP), low, high,
+                     epsabs=1e-13)[0] for low, high in zip(edges, edges[1:])) for j in range(3)]
+
+
+def test_a_step_sees_integral_and_moments_of_the_knots_inside():
+    random = np.random.default_rng(1)
+    time = np.sort(random.uniform(0.0, 10.0 * STEP, 25))
+    table = Table(tuple(time), tuple(random.normal(size=25)))
+    loads = Load({'torque': (table,)}).stages(0, 12, STEP)[..., TORQUE]
+    seen = moments(loads[:, :3]).T
+    for step in range(12):
+        truth = true_moments(lambda t: np.interp(t, time, table.value), time / STEP, step)
+        assert seen[step] == pytest.approx(truth, abs=1e-12)
+    # What is read off at the end of a step is the load itself.
+    assert loads[:, AFTER] == pytest.approx(
+        np.interp(STEP * np.arange(1, 13), time, table.value))
+
+
+def test_a_step_sees_integral_and_moments_of_a_drive_with_points_inside():
+    drive = Drive((0.0, 0.23, 0.27, 0.28), (0.0, 0.3, 0.1, 0.2), (0.0, 1.0, 0.0, 0.5),
+                  (0.0, 0.0, 5.0, 0.0))
+    loads = Load({}, drive).stages(0, 4, STEP)[..., ANGLE:ACCELERATION + 1]
+    curve = BPoly.from_derivatives(drive.time, list(zip(drive.angle, drive.speed,
+                                                        drive.acceleration)))
+    for order in range(3):
+        def function(t, order=order):
+            return curve(t, order) if t < 0.28 else [0.2 + 0.5 * (t - 0.28), 0.5, 0.0][order]
+        truth = true_moments(function, np.array(drive.time) / STEP, 2)
+        assert moments(loads[2:3, :3, order])[:, 0] == pytest.approx(truth, abs=1e-10)
+        assert loads[2, AFTER, order] == pytest.approx(function(0.3))
+
+
+def test_a_step_sees_integral_and_moments_of_a_force_that_reaches_its_goal_inside():
+    actuators = Actuators(timo_sim.load_scene({
+        'integrator.step': STEP, 'carrier.force_rate_limit': 100.0,
+        'motor.torque_rate_limit': 30.0}).values)
+    commanded = np.zeros(LOADS)
+    commanded[[FORCE_X, TORQUE]] = 13.0, -7.0
+    actuators.command(commanded, 0)
+    loads = actuators.loads(0, 4)
+    for column, rate, goal in ((FORCE_X, 100.0, 13.0), (TORQUE, -30.0, -7.0)):
+        reached = goal / rate
+        for step in range(4):
+            truth = true_moments(lambda t: np.interp(t, [0.0, reached], [0.0, goal]),
+                                 [reached / STEP], step)
+            assert moments(loads[step:step + 1, :3, column])[:, 0] == pytest.approx(truth)
+
+
+@pytest.mark.parametrize('tolerance', [0.0, 1e-6])
+@pytest.mark.parametrize('time, value', [
+    ([0.502, 0.503, 0.504], [0.0, 2000.0, 0.0]), ([0.5011, 0.5016, 0.5021], [0.0, 4000.0, 0.0]),
+    ([0.4999, 0.5, 0.5003], [0.0, 20000.0, 0.0])])
+def test_a_spike_inside_a_step_gives_its_impulse(time, value, tolerance):
+    scene = timo_sim.load_scene({
+        'integrator.step': 0.01, 'integrator.tolerance': tolerance, 'carrier.held': 'both',
+        'model.modes': 0, 'load.torque.table.time': time, 'load.torque.table.value': value})
+    run = timo_sim.simulate(scene, 1.0)
+    impulse = 0.5 * (time[2] - time[0]) * value[1]
+    assert run.momentum()[-1, 2] == pytest.approx(impulse, rel=1e-12)
+    # A triangle acts as if all of it came at its centroid.
+    assert run.shaft[-1] - run.shaft[0] == pytest.approx(
+        run.shaft_velocity[-1] * (1.0 - np.mean(time)), rel=1e-9)
+
+
+@pytest.mark.parametrize('values', [
+    {'load.torque.table.time': [0.0, 0.502, 0.503, 0.504],
+     'load.torque.table.value': [0.0, 0.0, 2000.0, 0.0]},
+    {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.42, 0.52],
+     'motor.drive.angle': [0.0, 0.0, 0.3], 'motor.drive.speed': [0.0, 0.0, 0.0],
+     'motor.drive.acceleration': [0.0, 0.0, 0.0]}])
+def test_an_arm_feels_what_happens_inside_a_step(values):
+    tips = []
+    for step, tolerance in ((1e-4, 0.0), (0.01, 0.0), (0.01, 1e-6)):
+        scene = timo_sim.load_scene({
+            **values, 'integrator.step': step, 'integrator.tolerance': tolerance})
+        tips.append(timo_sim.simulate(scene, 1.0, round(0.5 / step)).position(2.0)[-1])
+    truth, *found = tips
+    assert np.abs(found - truth).max() < 5e-6
+
+
+def test_a_jump_near_a_boundary_is_one_on_it():
+    def run(time):
+        return timo_sim.simulate(timo_sim.load_scene({
+            'integrator.step': 0.01, 'load.torque.table.time': [0.0, time, time],
+            'load.torque.table.value': [0.0, 0.0, 50.0]}), 1.0)
+    assert np.array_equal(run(0.5).values, run(0.5 * (1.0 + 2e-12)).values)
+    assert np.abs(run(0.5).values - run(0.5 + 0.9e-8).values).max() < 1e-6
+    with pytest.raises(timo_sim.ParameterError, match='the ratio is 50.000002'):
+        run(0.50000002)
+    with pytest.raises(timo_sim.ParameterError, match='the ratio is 1000000000.4'):
+        timo_sim.load_scene({'integrator.step': 1e-6, 'load.torque.piecewise.value': [1.0],
+                             'load.torque.piecewise.time': [1000.0000004]})

@@ -20,7 +20,9 @@ import numpy as np
 (FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE, TIP_X, TIP_Y, TIP_I, TIP_II, TIP_TORQUE,
  ANGLE, SPEED, ACCELERATION, VOLTAGE) = range(14)
 LOADS = 14
-STAGES = 3  # a step evaluates its load at its start, middle and end
+# The loads of a step: as its stages see them, and as they truly are at its end.
+START, MIDDLE, END, AFTER = range(4)
+STAGES, STEP_LOADS = 3, 4
 
 
 class MotionFields:

@@ -12,17 +12,20 @@ Loads that are known beforehand, and the angle of a driven shaft.
 Loads are harmonic, piecewise constant, linear between points, or sums of those.
 
 The compiled step takes three values of a load: at its start, middle and end. Where a load jumps on
-the boundary between two steps, either step sees its own side; a jump inside a step would cost
-the integrator its order.
+the boundary between two steps, either step sees its own side; a jump inside a step is refused.
+Where a load bends inside a step, the step sees the parabola with the same moments, see `moments`.
 """
 
 from dataclasses import dataclass
 import functools
+from typing import Any
 
 import numpy as np
 
 from timo_sim.physics.layout import (
-    ACCELERATION, ANGLE, FORCE_X, FORCE_Y, LOADS, SPEED, STAGES, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
+    ACCELERATION, AFTER, ANGLE, END, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TIP_TORQUE,
+    TIP_X, TIP_Y, TORQUE)
+from timo_sim.scene.moments import on_boundaries, parabolas
 
 CHANNELS = {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE, 'tip_force_x': TIP_X,
             'tip_force_y': TIP_Y, 'tip_torque': TIP_TORQUE}
@@ -37,8 +40,16 @@ def _times(first, count, step):
     return times
 
 
+class _Smooth:
+    """A term without breaks inside a step."""
+
+    def parabolas(self, first, count, step):
+        """Return no steps."""
+        return (), None
+
+
 @dataclass(frozen=True)
-class Harmonic:
+class Harmonic(_Smooth):
     """amplitude sin(2 pi frequency t + phase); frequency in [Hz], phase in [rad]."""
 
     amplitude: float
@@ -56,7 +67,7 @@ class Harmonic:
 
 
 @dataclass(frozen=True)
-class Piecewise:
+class Piecewise(_Smooth):
     """value[i] from time[i] [s] until time[i + 1], the last for ever, and 0 before time[0]."""
 
     time: tuple
@@ -85,22 +96,36 @@ class Table:
         """Return the times of the jumps [s]."""
         return tuple(a for a, b in zip(self.time, self.time[1:]) if a == b)
 
+    @functools.cached_property
+    def _points(self):
+        return np.array(self.time), np.array(self.value)
+
+    def _pieces(self, first, count, step):
+        # Times and values of the knots from the last before these steps to the first after them.
+        time, value = self._points
+        begin = max(np.searchsorted(time, (first - 1) * step) - 1, 0)
+        part = slice(begin, np.searchsorted(time, (first + count + 1) * step, side='right') + 1)
+        position = on_boundaries(time[part] / step)
+        # A knot on a step boundary is there to the last bit, for the choice of side.
+        return np.where(position == np.rint(position), position * step, time[part]), value[part]
+
     def stages(self, first, count, step):
         """Return the values at the stages of steps first, first + 1, ..., shape (count, 3)."""
         times = _times(first, count, step)
-        knots = np.array(self.time)
-        # A knot on a step boundary is there to the last bit, for the choice of side below.
-        steps = np.rint(knots / step)
-        knots = np.where(np.isclose(steps * step, knots, rtol=1e-12, atol=0.0),
-                         steps * step, knots)
+        knots, value = self._pieces(first, count, step)
         right = np.stack([np.searchsorted(knots, times[:, 0], side='right'),
                           np.searchsorted(knots, times[:, 1], side='right'),
                           np.searchsorted(knots, times[:, 2], side='left')], axis=1)
         low, high = np.maximum(right - 1, 0), np.minimum(right, len(knots) - 1)
         span = knots[high] - knots[low]
         share = np.where(span > 0.0, (times - knots[low]) / np.where(span > 0.0, span, 1.0), 0.0)
-        value = np.array(self.value)
         return value[low] + share * (value[high] - value[low])
+
+    def parabolas(self, first, count, step):
+        """Return the steps with a knot inside, and what they see, see `moments.parabolas`."""
+        knots, value = self._pieces(first, count, step)
+        return parabolas(lambda at: np.interp(at * step, knots, value),
+                         on_boundaries(knots / step), 1, first, count)
 
 
 @dataclass(frozen=True)
@@ -122,22 +147,33 @@ class Drive:
     speed: tuple
     acceleration: tuple
 
-    def stages(self, first, count, step):
-        """Return angle, speed and acceleration at the stages of steps, shape (count, 3, 3)."""
-        time = _times(first, count, step)
+    @functools.cached_property
+    def _curve(self):
+        # Imported here: a quarter of a second that only such a scene needs.
+        from scipy.interpolate import BPoly
+        return BPoly.from_derivatives(
+            self.time, np.column_stack([self.angle, self.speed, self.acceleration]))
+
+    def _at(self, time):
+        # Angle, speed and acceleration at times of any shape, a last axis more.
         beyond = time - self.time[-1]
         zero = np.zeros_like(time)
         motion = np.stack([self.angle[-1] + self.speed[-1] * beyond, self.speed[-1] + zero, zero],
                           axis=-1)
-        if len(self.time) > 1:
-            # Imported here: a quarter of a second that only such a scene needs.
-            from scipy.interpolate import BPoly
-            curve = BPoly.from_derivatives(
-                self.time, np.column_stack([self.angle, self.speed, self.acceleration]))
-            within = beyond < 0.0
+        within = beyond < 0.0
+        if within.any():
             for order in range(3):
-                motion[within, order] = curve(time[within], order)
+                motion[within, order] = self._curve(time[within], order)
         return motion
+
+    def stages(self, first, count, step):
+        """Return angle, speed and acceleration at the stages of steps, shape (count, 3, 3)."""
+        return self._at(_times(first, count, step))
+
+    def parabolas(self, first, count, step):
+        """Return the steps with a point inside, and what they see, see `moments.parabolas`."""
+        points = on_boundaries(np.array(self.time) / step)
+        return parabolas(lambda at: self._at(at * step), points, 5, first, count)
 
 
 @dataclass(frozen=True)
@@ -156,11 +192,18 @@ class Load:
                     for term in terms if isinstance(term, Harmonic)), default=(0.0, ''))
 
     def stages(self, first, count, step):
-        """Return the loads of steps first, first + 1, ..., shape (count, 3, 14)."""
-        loads = np.zeros((count, STAGES, LOADS))
-        for channel, terms in self.terms.items():
-            for term in terms:
-                loads[:, :, CHANNELS[channel]] += term.stages(first, count, step)
+        """Return the loads of steps first, first + 1, ..., shape (count, 4, 14), see `layout`."""
+        loads = np.zeros((count, STEP_LOADS, LOADS))
+        terms: list[tuple[Any, Any]] = [
+            (CHANNELS[channel], term) for channel, terms in self.terms.items() for term in terms]
         if self.drive is not None:
-            loads[:, :, [ANGLE, SPEED, ACCELERATION]] = self.drive.stages(first, count, step)
+            terms.append((slice(ANGLE, ACCELERATION + 1), self.drive))
+        samples = [term.stages(first, count, step) for _, term in terms]
+        for (columns, _), values in zip(terms, samples):
+            loads[:, :STAGES, columns] += values
+        loads[:, AFTER] = loads[:, END]
+        for (columns, term), values in zip(terms, samples):
+            steps, seen = term.parabolas(first, count, step)
+            if len(steps):
+                loads[steps, :STAGES, columns] += seen - values[steps]
         return loads

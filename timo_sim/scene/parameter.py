@@ -156,13 +156,13 @@ def whole_ratio(name, value, unit_name, unit):
     Raises
     ------
     ParameterError
-        If it is not whole to 1e-9 relative (ten thousand times the rounding of the decimals);
-        the message holds the ratio.
+        If it is not whole to a millionth of a unit, or the rounding of the ratio; the message
+        holds the ratio.
 
     """
     ratio = value / unit
     count = round(ratio) if math.isfinite(ratio) else 0
-    if abs(ratio - count) > 1e-9 * ratio or not math.isfinite(ratio):
+    if abs(ratio - count) > max(1e-6, 1e-15 * ratio) or not math.isfinite(ratio):
         raise ParameterError(f'{name} = {value:.12g} must be a whole multiple of '
-                             f'{unit_name} = {unit:.12g}, the ratio is {ratio:.12g}')
+                             f'{unit_name} = {unit:.12g}, the ratio is {ratio:.15g}')
     return count

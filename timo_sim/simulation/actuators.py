@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from timo_sim.physics.layout import (
-    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, STAGES, TIP_TORQUE, TIP_X, TIP_Y, TORQUE, VOLTAGE)
+    AFTER, END, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TIP_TORQUE, TIP_X,
+    TIP_Y, TORQUE, VOLTAGE)
 from timo_sim.scene.build import motor_constants
+from timo_sim.scene.moments import on_boundaries, parabolas
 from timo_sim.scene.parameter import ParameterError, short
 
 # Columns of a load with a limit, and the parameters of the limit and of the largest rate.
@@ -111,12 +113,18 @@ class Actuators:
         return self._at(np.array((step - self._since) * self._period))
 
     def loads(self, first, count, parts=1):
-        """Return what acts in parts of some steps, shape (14,) or (count parts, 3, 14)."""
+        """Return what acts in parts of some steps, shape (14,) or (count parts, 4, 14)."""
         if self._ideal:
             return self._goal
-        begin = parts * (first - self._since)
-        number = np.arange(begin, begin + parts * count)[:, np.newaxis]
-        acting = self._at((number + np.arange(STAGES) / (STAGES - 1)) * (self._period / parts))
+        begin, number, period = parts * (first - self._since), parts * count, self._period / parts
+        acting = np.empty((number, STEP_LOADS, LOADS))
+        acting[:, :STAGES] = self._at(
+            (np.arange(begin, begin + number)[:, np.newaxis] + [0.0, 0.5, 1.0]) * period)
+        acting[:, AFTER] = acting[:, END]
+        ends = np.abs(self._goal - self._start)[self._slow] / (self._rate[self._slow] * period)
+        steps, seen = parabolas(lambda at: self._at(at * period), on_boundaries(ends), 1, begin,
+                                number)
+        acting[steps, :STAGES] = seen
         acting[..., TORQUE] += self._gain * acting[..., VOLTAGE]
         return acting
 

@@ -46,7 +46,7 @@ class LoadTable:
 
         Returns
         -------
-        ndarray, shape (parts count, 3, 14)
+        ndarray, shape (parts count, 4, 14)
 
         """
         loads = self._own(first, count) if parts == 1 else self._load.stages(

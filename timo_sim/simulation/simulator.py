@@ -279,7 +279,8 @@ class Simulator:
         self._next_check = self.steps + self.check_spacing
         # The table of all these steps is made here, and kept.
         loads = self._table.stages(first, count, 1, actuators)[:1]
-        error, alarming = self.integration.estimate_error(self._state, loads)
+        error, alarming = self.integration.estimate_error(
+            self._state, loads, self._table.stages(first, 1, 2, actuators))
         if alarming:
             self.warning = model_warnings.inaccurate_step(self.scene, self.t, error)
 

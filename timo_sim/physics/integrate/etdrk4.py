@@ -18,6 +18,7 @@ import numpy as np
 from timo_sim.jit.constants import local
 from timo_sim.jit.decorators import entry_point, inlined, inner, strict
 from timo_sim.physics.equations.functions import observe, rate
+from timo_sim.physics.layout import AFTER, END, MIDDLE, START
 
 
 @inner
@@ -95,9 +96,10 @@ def advance(tables, propagator, state, load, loads, sample_every, samples):
         Advanced in place.
     load : ndarray, shape (14,)
         Load at the start, for the first sample.
-    loads : ndarray, shape (steps, 3, 14)
+    loads : ndarray, shape (steps, 4, 14)
         Load of each step at its start, middle and end, as the step itself sees it: a jump on the
-        boundary between two steps appears on the right side in either.
+        boundary between two steps appears on the right side in either, and what happens inside is
+        there by its moments. Then the true one at its end, which samples show.
     sample_every : int
         Steps between samples; 0: none are taken.
     samples : ndarray, shape (1 + steps // sample_every, 2 (3 + N))
@@ -120,20 +122,20 @@ def advance(tables, propagator, state, load, loads, sample_every, samples):
             observe(tables, now, load, samples[k // sample_every])
         if k == len(loads):
             break
-        start, middle, end = loads[k, 0], loads[k, 1], loads[k, 2]
+        start, middle, end = loads[k, START], loads[k, MIDDLE], loads[k, END]
         one_step(tables, propagator, now, start, middle, end, half, following, combined, rate_0,
                  rate_a, rate_b, rate_c, stage)
         if not is_finite(stage):
             copy(now, state)
             return k
         copy(stage, now)
-        load = end
+        load = loads[k, AFTER]
     copy(now, state)
     return len(loads)
 
 
 @entry_point
-def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, first,
+def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, of_halves, first,
                    sample_every, samples, errors):
     """
     Integrate as `advance`, until a step and its two halves differ by more than a tolerance.
@@ -147,8 +149,8 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
     shift : ndarray, shape (m, m)
         Turns the difference of the states into errors, of which the sizes are summed up.
     tolerance : float
-    loads : ndarray, shape (2 steps, 3, 14)
-        Of the halves.
+    loads, of_halves : ndarray, shapes (steps, 4, 14), (2 steps, 4, 14)
+        Of steps and of their halves.
     first : int
         Steps that are done.
     errors : ndarray, shape (2,)
@@ -166,7 +168,7 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
     rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
     begin, coarse, difference = local((size,)), local((size,)), local((size,))
     copy(state, now)
-    steps = len(loads) // 2
+    steps = len(loads)
     done = first
     for k in range(first, steps + 1):
         if sample_every and k % sample_every == 0:
@@ -176,11 +178,10 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
         copy(now, begin)
         for part in range(3):  # the whole, then the halves
             if part == 0:
-                matrices = whole
-                start, middle, end = loads[2 * k, 0], loads[2 * k, 2], loads[2 * k + 1, 2]
+                matrices, seen = whole, loads[k]
             else:
-                matrices, i = halves, 2 * k + part - 1
-                start, middle, end = loads[i, 0], loads[i, 1], loads[i, 2]
+                matrices, seen = halves, of_halves[2 * k + part - 1]
+            start, middle, end = seen[START], seen[MIDDLE], seen[END]
             one_step(tables, matrices, begin, start, middle, end, half, following, combined,
                      rate_0, rate_a, rate_b, rate_c, stage)
             if part == 0:
@@ -198,7 +199,7 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
             break
         errors[0] = max(errors[0], error)
         copy(stage, now)
-        load = end
+        load = loads[k, AFTER]
         done += 1
     copy(now, state)
     return done

@@ -24,7 +24,7 @@ from timo_sim.physics.integrate.etdrk4 import copy, is_finite, one_step
 from timo_sim.physics.integrate.friction_events import (
     COLUMNS, fit, JOINTS, Joints, solve)
 from timo_sim.physics.integrate.steps import Steps
-from timo_sim.physics.layout import LOADS, STAGES
+from timo_sim.physics.layout import AFTER, LOADS, STAGES
 
 # What is kept from step to step: forces, heat, the drift of each joint.
 _HEAT, _DRIFT, _KEPT = JOINTS, JOINTS + 1, 2 * JOINTS + 1
@@ -164,7 +164,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, sample_eve
             _add_drift(joints, side, travel, path, friction)
         copy(stage, now)
         copy(acting, friction[:JOINTS])
-        load = loads[k, 2]
+        load = loads[k, AFTER]
     copy(now, state)
     return len(loads)
 

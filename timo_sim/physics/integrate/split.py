@@ -14,6 +14,7 @@ import numpy as np
 
 from timo_sim.physics.integrate import etdrk4
 from timo_sim.physics.integrate.steps import NO_LOADS, Steps
+from timo_sim.physics.layout import AFTER
 
 # A step is done in 2^(1 + FINEST) parts at most.
 FINEST = 5
@@ -48,24 +49,25 @@ class SplitSteps(Steps):
 
     def advance(self, state, load, tabulate, first, count, sample_every=0):
         """Integrate, each step in as many parts as the tolerance asks for, see `Steps`."""
-        loads = tabulate(first, count, 2)
-        end = loads[-1, -1] if count else load
+        loads, of_halves = tabulate(first, count, 1), tabulate(first, count, 2)
+        end = loads[-1, AFTER] if count else load
         motions, heat = self.samples(count, sample_every)
         errors, done = np.zeros(2), 0
         while True:
             done = self._advance_within(
-                self.tolerance, 0, state, load, loads, done, sample_every, motions, errors)
+                self.tolerance, 0, state, load, loads, of_halves, done, sample_every, motions,
+                errors)
             if done == count or not self._split(state, load, first + done, tabulate, errors):
                 break
-            load = loads[2 * done + 1, -1]
+            load = loads[done, AFTER]
             done += 1
         self.largest_error = max(self.largest_error, errors[0])
         return done, end, motions, heat
 
-    def _advance_within(self, tolerance, level, state, load, loads, *rest):
+    def _advance_within(self, tolerance, level, state, load, *rest):
         return etdrk4.advance_within(
             self.model.packed, self.propagator(level), self.propagator(level + 1),
-            self.shift, tolerance, state, load, loads, *rest)
+            self.shift, tolerance, state, load, *rest)
 
     def _split(self, state, load, number, tabulate, errors):
         """Do one step in parts; return whether the state is still finite."""
@@ -77,8 +79,9 @@ class SplitSteps(Steps):
             level = min(level, FINEST)
             parts, trial, of_parts = 2**level, state.copy(), np.zeros(2)
             tolerance = math.inf if level == FINEST else self.tolerance / parts
-            loads = tabulate(number, 1, 2 * parts)
-            done = self._advance_within(tolerance, level, trial, load, loads, 0, 0, none, of_parts)
+            done = self._advance_within(
+                tolerance, level, trial, load, tabulate(number, 1, parts),
+                tabulate(number, 1, 2 * parts), 0, 0, none, of_parts)
             errors[1] = of_parts[1]
             if done == parts:
                 break

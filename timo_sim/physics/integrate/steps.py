@@ -15,14 +15,12 @@ import numpy as np
 from timo_sim.jit.constants import pack
 from timo_sim.physics.integrate import etdrk4
 from timo_sim.physics.integrate.propagator import propagators
-from timo_sim.physics.layout import ACCELERATION, ANGLE, LOADS, SPEED, STAGES
+from timo_sim.physics.layout import ACCELERATION, AFTER, ANGLE, LOADS, SPEED, STEP_LOADS
 
-NO_LOADS = np.zeros((0, STAGES, LOADS))
+NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
 # Error per second of sim time that needs a warning, in arm lengths.
 _ALARMING = 1e-3
 # From a load at start, middle and end of a step to the same of its halves: a parabola.
-_HALVES = np.array([[1.0, 0.0, 0.0], [0.375, 0.75, -0.125], [0.0, 1.0, 0.0],
-                    [0.0, 1.0, 0.0], [-0.125, 0.75, 0.375], [0.0, 0.0, 1.0]])
 # Half-width of the central difference of velocities, as the turn of the fastest section [rad];
 # truncation (its square) balances round-off.
 _TURN = 1e-5
@@ -116,7 +114,7 @@ class Steps:
             Load at the start.
         tabulate : function(int, int, int) -> ndarray
             Returns the loads of parts of steps: from the number of the first step, the number of
-            steps and the parts of each, shape (parts count, 3, 14).
+            steps and the parts of each, shape (parts count, 4, 14), see `physics.layout`.
         first, count : int
         sample_every : int
             Steps between samples; 0: none are taken.
@@ -136,7 +134,7 @@ class Steps:
         loads = tabulate(first, count, 1)
         motions, heat = self.samples(count, sample_every)
         done = self._integrate(state, load, loads, sample_every, motions, heat)
-        return done, loads[-1, -1] if count else load, motions, heat
+        return done, loads[-1, AFTER] if count else load, motions, heat
 
     def samples(self, count, sample_every):
         """Return room for motions and heat at the samples of some steps."""
@@ -155,7 +153,7 @@ class Steps:
         self._integrate(state, load, NO_LOADS, 1, motions, heat)
         return motions[0]
 
-    def estimate_error(self, state, loads):
+    def estimate_error(self, state, loads, of_halves):
         """
         Estimate the error of a step: it is done as a whole and in halves, on copies.
 
@@ -163,8 +161,8 @@ class Steps:
         ----------
         state : ndarray, shape (m,)
             At its start.
-        loads : ndarray, shape (1, 3, 14)
-            Of the step; those of its halves are interpolated.
+        loads, of_halves : ndarray, shapes (1, 4, 14), (2, 4, 14)
+            Of the step and of its halves.
 
         Returns
         -------
@@ -175,7 +173,7 @@ class Steps:
 
         """
         ends, none = [], np.empty((0, self.model.size))
-        for level, parts in enumerate((loads, (_HALVES @ loads[0]).reshape(2, *loads.shape[1:]))):
+        for level, parts in enumerate((loads, of_halves)):
             end = state.copy()
             done = etdrk4.advance(self.model.packed, self.propagator(level), end, parts[0, 0],
                                   parts, 0, none)
