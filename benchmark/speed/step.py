@@ -46,13 +46,14 @@ class Prepared:
         self.steps = steps
         self._start = self.model.state(scene.initial_motion())
         self._loads = scene.load.stages(0, steps, scene.step)
+        self._kept = np.empty((2, steps, len(self._start)))
         self._propagator = pack(propagator(self.model.linear, scene.step))
 
     def run(self, every=0):
         """Do the steps; return motions at the start and after each `every` of them."""
         samples = np.empty((1 + len(self._loads) // every if every else 0, self.model.size))
         etdrk4.advance(self.model.packed, self._propagator, self._start.copy(),
-                       self._loads[0, 0], self._loads, every, samples)
+                       self._loads[0, 0], self._loads, every, 0, samples, *self._kept)
         return samples
 
     def time_of_step(self, rounds=25):

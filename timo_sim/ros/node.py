@@ -165,7 +165,7 @@ class SimNode(Node):
                 'sim_time_s': snapshot.nanoseconds / NANOSECONDS,
                 'real_time_factor': f'{pace:.4f}',
                 'energy_J': snapshot.energy,
-                'step_error_m': f'{integration.largest_error:.2g}',
+                'estimated_tip_error_m': f'{simulator.estimated_error:.2g}',
                 'split_steps': integration.splits,
                 'log': self._log.path or 'off'},
             errors=[error for error in (self._loop.diverged, self._log.error) if error],

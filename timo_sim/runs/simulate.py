@@ -22,6 +22,8 @@ from timo_sim.simulation.resolution import resolved
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.simulator import Simulator
 
+_REPORTED = 4096  # steps from one report to the next
+
 
 def simulate(scene: Scene, duration: float, sample_every: int = 1) -> Run:
     """
@@ -108,18 +110,17 @@ def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=No
     begun = time.monotonic()
 
     def run(count):
-        samples = slice(count // sample_every + 1)
+        samples, integration = slice(count // sample_every + 1), simulator.integration
+        stats = {'steps': simulator.steps, 'wall_time_s': time.monotonic() - begun,
+                 'estimated_tip_error_m': simulator.estimated_error,
+                 'split_steps': integration.splits, 'unresolved_steps': integration.unresolved,
+                 'friction_drift_m': integration.friction_drift}
         return Run(scene, simulator.model, np.arange(samples.stop) * sample_every * scene.step,
-                   motion[samples], heat[samples], simulator.warning, {
-                       'steps': simulator.steps, 'wall_time_s': time.monotonic() - begun,
-                       'largest_step_error_m': simulator.integration.largest_error,
-                       'split_steps': simulator.integration.splits,
-                       'unresolved_steps': simulator.integration.unresolved,
-                       'friction_drift_m': simulator.integration.friction_drift})
+                   motion[samples], heat[samples], simulator.warning, stats)
 
     while simulator.steps < steps:
         first = simulator.steps
-        count = min(max(1, simulator.check_spacing // sample_every) * sample_every, steps - first)
+        count = min(max(1, _REPORTED // sample_every) * sample_every, steps - first)
         samples = slice(first // sample_every, (first + count) // sample_every + 1)
         try:
             motion[samples], heat[samples] = simulator.advance(count, sample_every=sample_every)

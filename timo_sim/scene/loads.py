@@ -25,7 +25,7 @@ import numpy as np
 from timo_sim.physics.layout import (
     ACCELERATION, AFTER, ANGLE, END, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TIP_TORQUE,
     TIP_X, TIP_Y, TORQUE)
-from timo_sim.scene.moments import on_boundaries, parabolas
+from timo_sim.scene.moments import around, on_boundaries, parabolas
 
 CHANNELS = {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE, 'tip_force_x': TIP_X,
             'tip_force_y': TIP_Y, 'tip_torque': TIP_TORQUE}
@@ -40,8 +40,15 @@ def _times(first, count, step):
     return times
 
 
+_NO_BREAKS = np.zeros(0)
+
+
 class _Smooth:
     """A term without breaks inside a step."""
+
+    def breaks(self, first, count, step):
+        """Return where in some steps it jumps or bends, counted in steps, a sorted array."""
+        return _NO_BREAKS
 
     def parabolas(self, first, count, step):
         """Return no steps."""
@@ -77,10 +84,14 @@ class Piecewise(_Smooth):
         """Return the times of the jumps [s]."""
         return self.time
 
+    def breaks(self, first, count, step):
+        """Return where it jumps, counted in steps."""
+        return np.rint(np.array(self.time) / step)
+
     def stages(self, first, count, step):
         """Return the values at the stages of steps first, first + 1, ..., shape (count, 3)."""
-        begins = np.rint(np.array(self.time) / step)
-        piece = np.searchsorted(begins, np.arange(first, first + count), side='right')
+        piece = np.searchsorted(self.breaks(first, count, step), np.arange(first, first + count),
+                                side='right')
         values = np.append(0.0, self.value)[piece]
         return np.repeat(values[:, np.newaxis], STAGES, axis=1)
 
@@ -120,6 +131,10 @@ class Table:
         span = knots[high] - knots[low]
         share = np.where(span > 0.0, (times - knots[low]) / np.where(span > 0.0, span, 1.0), 0.0)
         return value[low] + share * (value[high] - value[low])
+
+    def breaks(self, first, count, step):
+        """Return where it jumps or bends, counted in steps, around some steps."""
+        return on_boundaries(self._pieces(first, count, step)[0] / step)
 
     def parabolas(self, first, count, step):
         """Return the steps with a knot inside, and what they see, see `moments.parabolas`."""
@@ -170,10 +185,14 @@ class Drive:
         """Return angle, speed and acceleration at the stages of steps, shape (count, 3, 3)."""
         return self._at(_times(first, count, step))
 
+    def breaks(self, first, count, step):
+        """Return where its points are, counted in steps."""
+        return on_boundaries(np.array(self.time) / step)
+
     def parabolas(self, first, count, step):
         """Return the steps with a point inside, and what they see, see `moments.parabolas`."""
-        points = on_boundaries(np.array(self.time) / step)
-        return parabolas(lambda at: self._at(at * step), points, 5, first, count)
+        return parabolas(lambda at: self._at(at * step), self.breaks(first, count, step), 5, first,
+                         count)
 
 
 @dataclass(frozen=True)
@@ -186,23 +205,32 @@ class Load:
     def __bool__(self):
         return any(self.terms.values())
 
+    @functools.cached_property
+    def _columns(self) -> list[tuple[Any, Any]]:
+        # Each term, and the drive, with the columns of loads that are its own.
+        found = [(CHANNELS[channel], term) for channel, terms in self.terms.items()
+                 for term in terms]
+        return found if self.drive is None else [
+            *found, (slice(ANGLE, ACCELERATION + 1), self.drive)]
+
     def fastest(self):
         """Return the highest frequency of a harmonic term [Hz] and its channel, or (0, '')."""
         return max(((term.frequency, channel) for channel, terms in self.terms.items()
                     for term in terms if isinstance(term, Harmonic)), default=(0.0, ''))
 
+    def breaks(self, first, count, step):
+        """Return the boundaries of some steps at which, or next to which, it is not smooth."""
+        return sorted({at for _, term in self._columns for at in around(
+            term.breaks(first, count, step), first, count)})
+
     def stages(self, first, count, step):
         """Return the loads of steps first, first + 1, ..., shape (count, 4, 14), see `layout`."""
         loads = np.zeros((count, STEP_LOADS, LOADS))
-        terms: list[tuple[Any, Any]] = [
-            (CHANNELS[channel], term) for channel, terms in self.terms.items() for term in terms]
-        if self.drive is not None:
-            terms.append((slice(ANGLE, ACCELERATION + 1), self.drive))
-        samples = [term.stages(first, count, step) for _, term in terms]
-        for (columns, _), values in zip(terms, samples):
+        samples = [term.stages(first, count, step) for _, term in self._columns]
+        for (columns, _), values in zip(self._columns, samples):
             loads[:, :STAGES, columns] += values
         loads[:, AFTER] = loads[:, END]
-        for (columns, term), values in zip(terms, samples):
+        for (columns, term), values in zip(self._columns, samples):
             steps, seen = term.parabolas(first, count, step)
             if len(steps):
                 loads[steps, :STAGES, columns] += seen - values[steps]

@@ -31,6 +31,13 @@ def on_boundaries(position):
     return np.where(np.abs(position - whole) <= NEAR, whole, position)
 
 
+def around(breaks, first, count):
+    """Return the boundaries at and around breaks among those at which some steps begin, a list."""
+    near = breaks[(first - 1 < breaks) & (breaks < first + count)]
+    found = np.concatenate([np.floor(near), np.ceil(near)])
+    return sorted({int(at) for at in found if first <= at < first + count})
+
+
 def parabolas(function, breaks, degree, first, count):
     """
     Return the parabolas that stand for a piecewise polynomial in the steps where its pieces meet.

@@ -16,7 +16,7 @@ from timo_sim.physics.layout import (
     AFTER, END, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TIP_TORQUE, TIP_X,
     TIP_Y, TORQUE, VOLTAGE)
 from timo_sim.scene.build import motor_constants
-from timo_sim.scene.moments import on_boundaries, parabolas
+from timo_sim.scene.moments import around, on_boundaries, parabolas
 from timo_sim.scene.parameter import ParameterError, short
 
 # Columns of a load with a limit, and the parameters of the limit and of the largest rate.
@@ -99,14 +99,27 @@ class Actuators:
         self._gain, _ = motor_constants(values)
         self._ideal = np.isinf([self._limit, self._rate]).all() and not self._gain
         self._since, self._start = first, np.zeros(LOADS) if reached is None else reached
-        self._goal = self._start
+        self._given, self._goal = b'', self._start
 
     def command(self, commanded, first):
-        """Take what is commanded from a step on, shape (14,)."""
-        goal = commanded if self._ideal else np.clip(commanded, -self._limit, self._limit)
+        """Take what is commanded from a step on, shape (14,); return whether it is new."""
+        given = commanded.tobytes()
+        if given == self._given:
+            return False
+        goal = np.clip(commanded, -self._limit, self._limit)
         if len(self._slow) and not np.array_equal(goal, self._goal):
             self._start, self._since = self.reached(first), first
-        self._goal = goal
+        self._given, self._goal = given, goal
+        return True
+
+    def breaks(self, first, count):
+        """Return the boundaries of some steps at or next to which a goal is reached."""
+        return around(self._since + self._ends(1), first, count) if len(self._slow) else []
+
+    def _ends(self, parts):
+        # Where lines reach their goals, counted in parts of steps since they began.
+        way = np.abs(self._goal - self._start)[self._slow]
+        return on_boundaries(way / (self._rate[self._slow] * self._period / parts))
 
     def reached(self, step):
         """Return what of the commands acts at a step, a voltage not yet as a torque, (14,)."""
@@ -121,8 +134,7 @@ class Actuators:
         acting[:, :STAGES] = self._at(
             (np.arange(begin, begin + number)[:, np.newaxis] + [0.0, 0.5, 1.0]) * period)
         acting[:, AFTER] = acting[:, END]
-        ends = np.abs(self._goal - self._start)[self._slow] / (self._rate[self._slow] * period)
-        steps, seen = parabolas(lambda at: self._at(at * period), on_boundaries(ends), 1, begin,
+        steps, seen = parabolas(lambda at: self._at(at * period), self._ends(parts), 1, begin,
                                 number)
         acting[steps, :STAGES] = seen
         acting[..., TORQUE] += self._gain * acting[..., VOLTAGE]

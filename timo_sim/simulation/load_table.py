@@ -8,9 +8,11 @@
 
 """The loads of coming steps as a table: those of the scene and what the actuators make."""
 
+from timo_sim.physics.integrate.global_error import LEAST
+from timo_sim.physics.integrate.run_error import CHUNK
 from timo_sim.physics.integrate.steps import NO_LOADS
 
-_CHUNK, _FEW = 512, 256  # steps whose loads are worked out at once: enough to make that cheap
+_FEW = 256  # steps; the loads of fewer are worked out together with those of the next
 
 
 class LoadTable:
@@ -25,7 +27,7 @@ class LoadTable:
 
     def __init__(self, scene):
         self._load, self._step = scene.load, scene.step
-        self._begin, self._block = 0, NO_LOADS
+        self._begin, self._block, self._breaks = 0, NO_LOADS, []
 
     def at_start(self):
         """Return the scene's own load at its beginning, shape (14,)."""
@@ -53,11 +55,81 @@ class LoadTable:
             parts * first, parts * count, self._step / parts)
         return loads if actuators is None else loads + actuators.loads(first, count, parts)
 
+    def tabulate(self, actuators):
+        """Return `stages` with actuators, as a function of first, count and parts."""
+        return lambda first, count, parts: self.stages(first, count, parts, actuators)
+
     def _own(self, first, count):
         begin, block = self._begin, self._block
         if not begin <= first <= first + count <= begin + len(block):
             # A node asks for few at a time.
-            ahead = count if count >= _FEW else _CHUNK
+            ahead = count if count >= _FEW else CHUNK
             begin, block = first, self._load.stages(first, ahead, self._step)
             self._begin, self._block = begin, block
+            self._breaks = self._load.breaks(first, ahead, self._step)
         return block[first - begin:first - begin + count]
+
+    def pieces(self, first, count, actuators=None):
+        """
+        Return some steps in pieces of which each is smooth, or too short to tell.
+
+        Returns
+        -------
+        list of tuple
+            First step, number of steps, whether the load jumps or bends at their beginning, and
+            whether not in between.
+
+        """
+        self._own(first, count)
+        breaks = {at for at in self._breaks if first <= at < first + count}
+        if actuators is not None:
+            breaks.update(actuators.breaks(first, count))
+        if not breaks:
+            return [(first, count, False, True)]
+        edges, pieces = [*sorted({first, *breaks}), first + count], []
+        for begin, end in zip(edges, edges[1:]):
+            # What ends with these steps may go on with the next.
+            smooth = begin not in breaks or end - begin >= LEAST or end == edges[-1]
+            if pieces and not smooth and not pieces[-1][3]:
+                begin = pieces.pop()[0]
+            pieces.append((begin, end - begin, begin in breaks, smooth))
+        return pieces
+
+
+def advance_by_pieces(integration, table, actuators, state, load, first, count, sample_every,
+                      sampled, motions, heat):
+    """
+    Advance a state by steps, in pieces of their load that tell their error.
+
+    Parameters
+    ----------
+    integration : Steps
+    table : LoadTable
+    actuators : Actuators or None
+    state, load, first, count, sample_every, sampled, motions, heat
+        See `Steps.advance`.
+
+    Returns
+    -------
+    done : int
+    load : ndarray, shape (14,)
+
+    """
+    errors, tabulate = integration.errors, table.tabulate(actuators)
+    for begin, number, breaks, smooth in table.pieces(first, count, actuators):
+        smooth = smooth and integration.least < CHUNK
+        if breaks:
+            errors.cut(state, load)
+        if not smooth or errors.unseen >= CHUNK:
+            errors.look(state, tabulate, begin, 0 if smooth else number)
+        end = begin + number
+        while begin < end:
+            part = min(end - begin, errors.room)
+            done, load = integration.advance(state, load, tabulate, begin, part, sample_every,
+                                             sampled + begin - first, motions, heat)
+            begin += done
+            if done < part:
+                return begin - first, load
+            if not errors.room or not smooth:
+                errors.cut(state, load, smooth)
+    return count, load

@@ -17,7 +17,7 @@ from timo_sim.physics.integrate.split import FINEST
 # Part of the period of a harmonic load that a step may cover: its three values then are the load.
 _MOST_OF_A_PERIOD = 0.25
 # How far joints may drift in steps with dry friction, in arm lengths.
-_MOST_DRIFT = 3e-4
+_MOST_DRIFT = _MOST_ERROR = 3e-4  # of the arm's length
 
 
 class DivergenceError(ArithmeticError):
@@ -44,14 +44,6 @@ def unseen_load(scene):
             f'{_MOST_OF_A_PERIOD / frequency:.2g} s')
 
 
-def inaccurate_step(scene, time, error):
-    """Return the warning of a step at a time [s] whose estimated error [m] is alarming."""
-    remedy = '' if scene.friction.any() else (
-        ', or let it be split by an integrator.tolerance')
-    return (f'at t = {time:.6g} s a step is wrong by about {error:.1g} m at the tip: take a '
-            f'smaller integrator.step{remedy}')
-
-
 def after_steps(scene, steps, time, speed):
     """
     Return the warning of what has happened in some steps, or None.
@@ -68,12 +60,20 @@ def after_steps(scene, steps, time, speed):
     """
     if speed > steps.model.speed_limit:
         return _fast_shaft(scene, steps.model, speed)
+    if not steps.errors.tip <= _MOST_ERROR * scene.manipulator.arm.length:
+        return _inaccurate_steps(scene, steps, time)
     if steps.unresolved:
         return _unresolved_steps(steps, time)
     # Steps are too long for events in them, or to hold a joint still: doc/theory.md, (T35).
     if steps.friction_drift > _MOST_DRIFT * scene.manipulator.arm.length:
         return _friction_drift(steps, time)
     return None
+
+
+def _inaccurate_steps(scene, steps, time):
+    remedy = '' if scene.friction.any() else ', or let them be split by an integrator.tolerance'
+    return (f'by t = {time:.6g} s the steps have put the tip about {steps.errors.tip:.1g} m off: '
+            f'take a smaller integrator.step{remedy}')
 
 
 def _fast_shaft(scene, model, speed):

@@ -14,12 +14,13 @@ import numpy as np
 
 from timo_sim.jit.code_store import compiling, is_compiled
 from timo_sim.physics.integrate import steps_of
+from timo_sim.physics.integrate.run_error import CHUNK
 from timo_sim.physics.layout import Motion
 from timo_sim.scene.parameter import whole_ratio
 from timo_sim.scene.parameters import check_runtime
 from timo_sim.simulation import model_warnings
 from timo_sim.simulation.actuators import Actuators, commanded_load
-from timo_sim.simulation.load_table import LoadTable
+from timo_sim.simulation.load_table import advance_by_pieces, LoadTable
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.sensors import Sensors
 from timo_sim.simulation.snapshot import Snapshot
@@ -27,7 +28,6 @@ from timo_sim.simulation.snapshot import Snapshot
 COMPILING = 'compiling once for a model of this size, this takes some seconds'
 # The error of a step is estimated at the start, after so many steps, twice as many, and so on up
 # to the largest spacing: transients decay, so later steps are checked less often.
-_FIRST_SPACING, _LARGEST_SPACING = 128, 512
 # Deflection beyond which the run counts as diverged, in arm lengths.
 _MOST_BENT = 10.0
 
@@ -80,10 +80,11 @@ class Simulator:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
         motion = self.scene.initial_motion()
         self._state = self.model.state(motion)
-        self.integration.memory = np.zeros_like(self.integration.memory)
+        self.integration.memory[:] = 0.0
+        self.integration.errors.reset()
         # Without speeds, deflection, loads and drive nothing changes until the first command.
         self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any())
-        self._origin = self._next_check = self.steps
+        self._origin = self.steps
         self._table, self._actuators = LoadTable(self.scene), Actuators(self.scene.values)
         self.load = self._table.at_start()
         self.warning = model_warnings.unseen_load(self.scene)
@@ -103,6 +104,7 @@ class Simulator:
         first = self.steps - self._origin
         self._actuators = Actuators(scene.values, first, self._actuators.reached(first))
         earlier = self.integration
+        earlier.errors.cut(self._state, self.load)
         self._take(scene)
         self.integration.follow(earlier)
         self._resting = self._resting and not scene.load
@@ -241,18 +243,37 @@ class Simulator:
         first, actuators = self.steps - self._origin, None
         if commanded is not None:
             actuators = self._actuators
-            actuators.command(commanded, first)
-        self._check_step(first, count, actuators)
-        done, load, motions, heat = self.integration.advance(
-            self._state, self.load, lambda first, count, parts: self._table.stages(
-                first, count, parts, actuators), first, count, sample_every)
-        if done < count or not self._bend() <= _MOST_BENT * self.scene.manipulator.arm.length:
-            self._give_up(before, count, commanded)
+            if actuators.command(commanded, first):
+                self.integration.errors.cut(self._state, self.load)
+        motions, heat = self.integration.samples(count, sample_every)
+        done = 0
+        while done < count:
+            part = min(count - done, CHUNK)
+            reached, self.load = advance_by_pieces(
+                self.integration, self._table, actuators, self._state, self.load, first + done,
+                part, sample_every, done, motions, heat)
+            done += reached
+            if reached < part or not self._bend() <= (
+                    _MOST_BENT * self.scene.manipulator.arm.length):
+                self._give_up(before, count, commanded)
         self.steps += count
-        self.load = load.copy()
-        self.warning = self.warning or model_warnings.after_steps(
-            self.scene, self.integration, self.t, self._largest_speed(motions))
+        self.load = self.load.copy()
+        self._look_for_warnings(self._largest_speed(motions))
         return motions, heat
+
+    @property
+    def estimated_error(self):
+        """Largest distance that the tip is estimated to have had from where it belongs [m]."""
+        if not self._resting:
+            self.integration.errors.conclude(
+                self._state, self.load, self._table.tabulate(self._actuators),
+                self.steps - self._origin)
+            self._look_for_warnings()
+        return self.integration.errors.tip + self.integration.friction_drift
+
+    def _look_for_warnings(self, speed=0.0):
+        self.warning = self.warning or model_warnings.after_steps(
+            self.scene, self.integration, self.t, speed)
 
     def _rests(self, count, commanded):
         # Whether these steps would leave the state as it is, to the last bit.
@@ -265,24 +286,6 @@ class Simulator:
             motions[:] = self.motion.values
         self.steps += count
         return motions, heat
-
-    @property
-    def check_spacing(self):
-        """Steps from one estimate of the error of a step to the next."""
-        return min(max(self.steps - self._origin, _FIRST_SPACING), _LARGEST_SPACING)
-
-    def _check_step(self, first, count, actuators):
-        # Now and then, at the first of some steps that are not checked anyway.
-        if (self.warning or not count or self.steps < self._next_check
-                or self.integration.tolerance):
-            return
-        self._next_check = self.steps + self.check_spacing
-        # The table of all these steps is made here, and kept.
-        loads = self._table.stages(first, count, 1, actuators)[:1]
-        error, alarming = self.integration.estimate_error(
-            self._state, loads, self._table.stages(first, 1, 2, actuators))
-        if alarming:
-            self.warning = model_warnings.inaccurate_step(self.scene, self.t, error)
 
     def _largest_speed(self, motions):
         # Of the shaft, at samples and end; 0 where it does not matter [rad/s].
@@ -299,6 +302,7 @@ class Simulator:
     def _give_up(self, before, count, commanded):
         # Go to the last good state and say what it is.
         self._state, self.load, self.integration.memory = before
+        self.integration.errors.give_up()
         if count > 1:
             for part in (count // 2, count - count // 2):
                 self.advance(part, commanded)

@@ -82,7 +82,7 @@ def one_step(tables, propagator, now, start, middle, end, half, following, combi
 
 
 @entry_point
-def advance(tables, propagator, state, load, loads, sample_every, samples):
+def advance(tables, propagator, state, load, loads, sample_every, done, samples, states, rates):
     """
     Integrate over a run of equal steps.
 
@@ -102,8 +102,12 @@ def advance(tables, propagator, state, load, loads, sample_every, samples):
         there by its moments. Then the true one at its end, which samples show.
     sample_every : int
         Steps between samples; 0: none are taken.
-    samples : ndarray, shape (1 + steps // sample_every, 2 (3 + N))
-        Receives the motion at the start and after sample_every, 2 sample_every, ...
+    done : int
+        Steps since the first sample.
+    samples : ndarray, shape (n, 2 (3 + N))
+        Receives the motions `sample_every`, 2 `sample_every`, ... steps after the first sample.
+    states, rates : ndarray, shape (steps, m)
+        Receive the state at the start of each step, and what the linear part leaves of its rate.
 
     Returns
     -------
@@ -118,8 +122,8 @@ def advance(tables, propagator, state, load, loads, sample_every, samples):
     copy(state, now)
     for k in range(len(loads) + 1):
         # The only place from which motions come: others would be rounded in another way.
-        if sample_every and k % sample_every == 0:
-            observe(tables, now, load, samples[k // sample_every])
+        if sample_every and (done + k) % sample_every == 0:
+            observe(tables, now, load, samples[(done + k) // sample_every])
         if k == len(loads):
             break
         start, middle, end = loads[k, START], loads[k, MIDDLE], loads[k, END]
@@ -128,6 +132,8 @@ def advance(tables, propagator, state, load, loads, sample_every, samples):
         if not is_finite(stage):
             copy(now, state)
             return k
+        copy(now, states[k])
+        copy(rate_0, rates[k])
         copy(stage, now)
         load = loads[k, AFTER]
     copy(now, state)
@@ -136,7 +142,7 @@ def advance(tables, propagator, state, load, loads, sample_every, samples):
 
 @entry_point
 def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, of_halves, first,
-                   sample_every, samples, errors):
+                   sample_every, done, samples, differences, errors):
     """
     Integrate as `advance`, until a step and its two halves differ by more than a tolerance.
 
@@ -152,29 +158,33 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
     loads, of_halves : ndarray, shapes (steps, 4, 14), (2 steps, 4, 14)
         Of steps and of their halves.
     first : int
-        Steps that are done.
+        Steps of these that are done.
+    done : int
+        Steps from the first sample to the first of these.
+    differences : ndarray, shape (steps, m)
+        Receives by how much the states after each step and after its halves differ.
     errors : ndarray, shape (2,)
         Receives the largest error of a step that was done, and that of the one that was not.
 
     Returns
     -------
     int
-        Steps done, the first ones included.
+        Steps of these that are done, the first ones included.
 
     """
     size = whole.whole
     now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
     combined = local((size,))
     rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
-    begin, coarse, difference = local((size,)), local((size,)), local((size,))
+    begin, difference = local((size,)), local((size,))
     copy(state, now)
     steps = len(loads)
-    done = first
     for k in range(first, steps + 1):
-        if sample_every and k % sample_every == 0:
-            observe(tables, now, load, samples[k // sample_every])
+        if sample_every and (done + k) % sample_every == 0:
+            observe(tables, now, load, samples[(done + k) // sample_every])
         if k == steps:
             break
+        coarse = differences[k]
         copy(now, begin)
         for part in range(3):  # the whole, then the halves
             if part == 0:
@@ -196,10 +206,10 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
             error += abs(difference[i])
         if not (error <= tolerance and is_finite(stage)):
             errors[1] = error
-            break
+            copy(now, state)
+            return k
         errors[0] = max(errors[0], error)
         copy(stage, now)
         load = loads[k, AFTER]
-        done += 1
     copy(now, state)
-    return done
+    return steps

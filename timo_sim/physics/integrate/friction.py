@@ -15,6 +15,8 @@ whole step takes one, and what comes to rest, is held or breaks away takes a few
 knows of the steps before, so that it does not matter how many steps are done at once.
 """
 
+import sys
+
 import numpy as np
 
 from timo_sim.jit.constants import local, pack
@@ -89,7 +91,8 @@ def _add_drift(joints, side, travel, path, friction):
 
 
 @entry_point
-def advance(tables, propagator, joints, friction, state, load, loads, sample_every, samples, heat):
+def advance(tables, propagator, joints, friction, state, load, loads, sample_every, done, samples,
+            heat):
     """
     Integrate over a run of equal steps with friction, as `etdrk4.advance` does without.
 
@@ -102,7 +105,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, sample_eve
         last step; the heat it has made [J]; how far joints that came to rest, turned round or were
         held went from where straight speeds lead, summed up over steps [m, m, rad]. Advanced in
         place.
-    heat : ndarray, shape (1 + steps // sample_every,)
+    heat : ndarray, shape (n,)
         Receives the heat with each sample.
 
     """
@@ -128,9 +131,9 @@ def advance(tables, propagator, joints, friction, state, load, loads, sample_eve
             _add_heat(joints, motion, place, speed, r, slope, friction)
         for i in range(JOINTS):
             place[i], speed[i] = motion[i], motion[len(motion) // 2 + i]
-        if sample_every and k % sample_every == 0:
-            copy(motion, samples[k // sample_every])
-            heat[k // sample_every] = friction[_HEAT]
+        if sample_every and (done + k) % sample_every == 0:
+            copy(motion, samples[(done + k) // sample_every])
+            heat[(done + k) // sample_every] = friction[_HEAT]
         if k == len(loads):
             break
 
@@ -183,6 +186,8 @@ class FrictionSteps(Steps):
 
     """
 
+    least = sys.maxsize  # rates jump where a joint stops or breaks away
+
     def __init__(self, model, step, limit):
         super().__init__(model, step)
         self._joints = pack(Joints(limit, step))
@@ -212,9 +217,9 @@ class FrictionSteps(Steps):
         """Compile, or load from disk, what is called besides `motion`."""
         self._observe(state, load)  # estimates of the error leave friction out
 
-    def _integrate(self, state, load, loads, sample_every, motions, heat):
+    def _integrate(self, state, load, loads, sample_every, sampled, motions, heat):
         return advance(self.model.packed, self.propagator(), self._joints, self.memory, state,
-                       load, loads, sample_every, motions, heat)
+                       load, loads, sample_every, sampled, motions, heat)
 
     def acting(self, load):
         """Return a load with what friction adds to it, shape (14,)."""

@@ -64,6 +64,25 @@ def propagators(linear, step):
     return [_combined(step, whole, half), _combined(0.5 * step, half, quarter)]
 
 
+def phi_functions(linear, step, order):
+    """Return phi_0 to phi_order of h L, see `Propagator`, shape (1 + order, m, m)."""
+    balanced, (scale, _) = matrix_balance(linear, permute=False, separate=True)
+    z, doublings = _scaled(step * balanced)
+    series = np.eye(len(z)) / float(math.factorial(_TERMS + order))
+    phi = np.empty((1 + order, *z.shape))
+    for k in reversed(range(_TERMS + order)):
+        series = z @ series
+        series.flat[::len(z) + 1] += 1.0 / math.factorial(k)
+        phi[min(k, order)] = series
+    # The k-th of twice the argument per the j-th, without that of the product with phi_0.
+    share = np.array([[1.0 / math.factorial(k - j) if 0 < j <= k else 0.0
+                       for j in range(1 + order)] for k in range(1 + order)])
+    half = 0.5 ** np.arange(1 + order)[:, np.newaxis, np.newaxis]
+    for _ in range(doublings):
+        phi = half * (phi[0] @ phi + np.tensordot(share, phi, axes=1))
+    return scale[:, np.newaxis] * phi / scale
+
+
 def _combined(step, whole, half):
     _, phi_1, phi_2, phi_3 = whole
     return Propagator(whole[0], half[0], 0.5 * step * half[1],
@@ -79,9 +98,8 @@ def _phi(z):
     `2^k phi_k(2 z) = phi_0(z) phi_k(z) + sum_j phi_j(z) / (k - j)!`, j = 1..k. Source: Skaflestad
     and Wright, Appl. Numer. Math. 59 (2009) 783-799.
     """
-    norm = np.linalg.norm(z, 1)
-    doublings = max(2, math.ceil(math.log2(norm / _NORM))) if norm > 0.0 else 2
-    z, one = z / 2.0**doublings, np.eye(len(z))
+    z, doublings = _scaled(z)
+    one = np.eye(len(z))
     phi_3 = one / float(math.factorial(_TERMS + 3))
     for k in reversed(range(_TERMS)):
         phi_3 = z @ phi_3
@@ -95,3 +113,10 @@ def _phi(z):
             phi_0 @ phi_0, 0.5 * (phi_0 @ phi_1 + phi_1), 0.25 * (phi_0 @ phi_2 + phi_1 + phi_2),
             0.125 * (phi_0 @ phi_3 + 0.5 * phi_1 + phi_2 + phi_3)]))
     return found[:3]
+
+
+def _scaled(z):
+    """Return a matrix divided by a power of two, small enough for the series, and the power."""
+    norm = np.linalg.norm(z, 1)
+    doublings = max(2, math.ceil(math.log2(norm / _NORM))) if norm > 0.0 else 2
+    return z / 2.0**doublings, doublings

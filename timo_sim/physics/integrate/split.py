@@ -18,6 +18,7 @@ from timo_sim.physics.layout import AFTER
 
 # A step is done in 2^(1 + FINEST) parts at most.
 FINEST = 5
+_OF_HALVES = 15.0  # a step and its halves differ by so much more than the halves are wrong
 
 
 class SplitSteps(Steps):
@@ -32,11 +33,19 @@ class SplitSteps(Steps):
     tolerance : float
         Largest estimated error of a step [m].
 
+    Attributes
+    ----------
+    largest_error : float
+        Largest estimated error of a step so far [m].
+
     """
+
+    least = 1
 
     def __init__(self, model, step, tolerance):
         super().__init__(model, step)
-        self.tolerance = tolerance
+        self.tolerance, self.largest_error = tolerance, 0.0
+        self._shift = np.ascontiguousarray(model.tip_shift())
 
     @property
     def constants(self):
@@ -45,31 +54,29 @@ class SplitSteps(Steps):
 
     def warm_up(self, state, load):
         """Compile, or load from disk, what is called besides `motion`."""
-        self.advance(state, load, lambda *span: NO_LOADS, 0, 0)
+        self._do(state, load, lambda *span: NO_LOADS, 0, 0, 0, 0, *self.samples(0, 0))
 
-    def advance(self, state, load, tabulate, first, count, sample_every=0):
-        """Integrate, each step in as many parts as the tolerance asks for, see `Steps`."""
+    def _do(self, state, load, tabulate, first, count, sample_every, sampled, motions, heat):
         loads, of_halves = tabulate(first, count, 1), tabulate(first, count, 2)
-        end = loads[-1, AFTER] if count else load
-        motions, heat = self.samples(count, sample_every)
-        errors, done = np.zeros(2), 0
+        done, errors, differences = 0, np.zeros(2), self.errors.rest[1]
         while True:
             done = self._advance_within(
-                self.tolerance, 0, state, load, loads, of_halves, done, sample_every, motions,
-                errors)
-            if done == count or not self._split(state, load, first + done, tabulate, errors):
+                self.tolerance, 0, state, load, loads, of_halves, done, sample_every, sampled,
+                motions, differences, errors)
+            if done == count or not self._split(
+                    state, load, first + done, tabulate, differences[done], errors):
                 break
             load = loads[done, AFTER]
             done += 1
         self.largest_error = max(self.largest_error, errors[0])
-        return done, end, motions, heat
+        return done, loads[-1, AFTER] if count else load
 
     def _advance_within(self, tolerance, level, state, load, *rest):
         return etdrk4.advance_within(
             self.model.packed, self.propagator(level), self.propagator(level + 1),
-            self.shift, tolerance, state, load, *rest)
+            self._shift, tolerance, state, load, *rest)
 
-    def _split(self, state, load, number, tabulate, errors):
+    def _split(self, state, load, number, tabulate, difference, errors):
         """Do one step in parts; return whether the state is still finite."""
         level, none = 0, np.empty((0, self.model.size))
         while True:
@@ -78,18 +85,24 @@ class SplitSteps(Steps):
             level += max(1, math.ceil(math.log2(excess) / 4.0)) if math.isfinite(excess) else 1
             level = min(level, FINEST)
             parts, trial, of_parts = 2**level, state.copy(), np.zeros(2)
+            differences = np.empty((parts, len(state)))
             tolerance = math.inf if level == FINEST else self.tolerance / parts
             done = self._advance_within(
                 tolerance, level, trial, load, tabulate(number, 1, parts),
-                tabulate(number, 1, 2 * parts), 0, 0, none, of_parts)
+                tabulate(number, 1, 2 * parts), 0, 0, 0, none, differences, of_parts)
             errors[1] = of_parts[1]
             if done == parts:
                 break
             if level == FINEST:
                 return False
-        state[:] = trial
+        state[:], difference[:] = trial, differences.sum(axis=0)
         self.splits += 1
         error = parts * of_parts[0]
-        self.unresolved += int(error > self.tolerance)
+        self.unresolved += int(error > _OF_HALVES * self.tolerance)
         errors[0] = max(errors[0], error)
         return True
+
+    def follow_errors(self, error, states, rates, load, weight):
+        """Follow the error by the differences between steps and halves, see `Steps`."""
+        error.add(weight / _OF_HALVES * rates[:-1])
+        return error.error[np.newaxis], [len(rates) - 1]

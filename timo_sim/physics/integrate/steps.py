@@ -6,31 +6,25 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Equal time steps of a model, as they are, and an estimate of their error."""
-
-import math
+"""Equal time steps of a model, as they are, and an estimate of what they have got wrong."""
 
 import numpy as np
 
 from timo_sim.jit.constants import pack
 from timo_sim.physics.integrate import etdrk4
+from timo_sim.physics.integrate.global_error import LEAST
 from timo_sim.physics.integrate.propagator import propagators
-from timo_sim.physics.layout import ACCELERATION, AFTER, ANGLE, LOADS, SPEED, STEP_LOADS
+from timo_sim.physics.integrate.run_error import RunError
+from timo_sim.physics.layout import (
+    ACCELERATION, AFTER, ANGLE, LOADS, SPEED, START, STEP_LOADS)
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
-# Error per second of sim time that needs a warning, in arm lengths.
-_ALARMING = 1e-3
-# From a load at start, middle and end of a step to the same of its halves: a parabola.
-# Half-width of the central difference of velocities, as the turn of the fastest section [rad];
-# truncation (its square) balances round-off.
-_TURN = 1e-5
+_TURN = 1e-5  # [rad]
 
 
 class Steps:
     """
     Equal steps of a model, each done once.
-
-    Errors of steps are shifts of the tip (`Formulation.tip_shift`).
 
     Parameters
     ----------
@@ -42,8 +36,8 @@ class Steps:
     ----------
     memory : ndarray
         What is kept from step to step besides the state; a caller may copy it and put it back.
-    largest_error : float
-        Largest estimated error of a step so far [m].
+    errors : RunError
+        What the steps have got wrong so far.
     splits : int
         Steps that were split.
     unresolved : int
@@ -52,15 +46,15 @@ class Steps:
     """
 
     tolerance = 0.0
+    least = LEAST  # steps without breaks that tell their error
 
     def __init__(self, model, step):
         self.model, self.step = model, step
         self.memory = np.zeros(0)
-        self.largest_error, self.splits, self.unresolved = 0.0, 0, 0
-        self.shift = np.ascontiguousarray(model.tip_shift())
+        self.splits, self.unresolved = 0, 0
         self._propagators = {}
         self._no_samples = np.empty((0, model.size)), np.zeros(0)
-        self._alarming = _ALARMING * model.manipulator.arm.length * step
+        self.errors = RunError(self)
 
     @property
     def friction(self):
@@ -83,8 +77,9 @@ class Steps:
 
     def follow(self, earlier):
         """Go on counting where the steps of an earlier model of the same size have ended."""
-        self.memory, self.largest_error = earlier.memory, earlier.largest_error
-        self.splits, self.unresolved = earlier.splits, earlier.unresolved
+        self.memory, self.splits, self.unresolved = (
+            earlier.memory, earlier.splits, earlier.unresolved)
+        self.errors.go_on(earlier.errors)
 
     def propagator(self, level=0):
         """Return the matrices of a step divided by 2^level, packed constants."""
@@ -102,9 +97,26 @@ class Steps:
     def warm_up(self, state, load):
         """Compile, or load from disk, what is called besides `motion`."""
 
-    def advance(self, state, load, tabulate, first, count, sample_every=0):
+    def samples(self, count, sample_every):
         """
-        Integrate over equal steps.
+        Return room for samples of some steps.
+
+        Returns
+        -------
+        motions : ndarray, shape (1 + count // sample_every, 2 (3 + N))
+            For motions at the start and after each `sample_every` steps; if that is 0 empty.
+        heat : ndarray, shape (1 + count // sample_every,)
+            For what Coulomb friction has made of work so far [J].
+
+        """
+        if not sample_every:
+            return self._no_samples
+        size = 1 + count // sample_every
+        return np.empty((size, self.model.size)), np.zeros(size)
+
+    def advance(self, state, load, tabulate, first, count, sample_every, sampled, motions, heat):
+        """
+        Integrate over equal steps, at most `errors.room`.
 
         Parameters
         ----------
@@ -118,6 +130,10 @@ class Steps:
         first, count : int
         sample_every : int
             Steps between samples; 0: none are taken.
+        sampled : int
+            Steps from the first sample to the first of these.
+        motions, heat : ndarray
+            Receive the samples, see `samples`.
 
         Returns
         -------
@@ -125,64 +141,61 @@ class Steps:
             Steps done; fewer than `count` if the state is no longer finite.
         load : ndarray, shape (14,)
             Load at the end of the last of all steps.
-        motions : ndarray, shape (1 + count // sample_every, 2 (3 + N))
-            At the start and after each `sample_every` steps; with sample_every = 0 empty.
-        heat : ndarray, shape (1 + count // sample_every,)
-            What Coulomb friction has made of work so far, at the samples [J].
 
         """
+        done, load = self._do(state, load, tabulate, first, count, sample_every, sampled, motions,
+                              heat)
+        self.errors.count(done)
+        return done, load
+
+    def _do(self, state, load, tabulate, first, count, *samples):
         loads = tabulate(first, count, 1)
-        motions, heat = self.samples(count, sample_every)
-        done = self._integrate(state, load, loads, sample_every, motions, heat)
-        return done, loads[-1, AFTER] if count else load, motions, heat
+        return self._integrate(state, load, loads, *samples), loads[-1, AFTER] if count else load
 
-    def samples(self, count, sample_every):
-        """Return room for motions and heat at the samples of some steps."""
-        if not sample_every:
-            return self._no_samples
-        size = 1 + count // sample_every
-        return np.empty((size, self.model.size)), np.zeros(size)
+    def _integrate(self, state, load, loads, sample_every, sampled, motions, heat):
+        return self._step(0, state, load, loads, sample_every, sampled, motions,
+                          *self.errors.rest)
 
-    def _integrate(self, state, load, loads, sample_every, motions, heat):
-        return etdrk4.advance(self.model.packed, self.propagator(), state, load, loads,
-                              sample_every, motions)
+    def _step(self, level, state, load, loads, *rest):
+        return etdrk4.advance(self.model.packed, self.propagator(level), state, load, loads, *rest)
+
+    def follow_errors(self, error, states, rates, load, weight):
+        """
+        Follow the error of the state over steps by what `advance` has kept of them.
+
+        Parameters
+        ----------
+        error : GlobalError
+        states, rates : ndarray, shape (steps + 1, m)
+            At the start of each step, and room for the rate at the end.
+        load : ndarray, shape (14,)
+            At the end of these steps.
+        weight : float
+            See `GlobalError.follow`.
+
+        Returns
+        -------
+        errors : ndarray, shape (k, m)
+        numbers : list of int
+            Of the boundaries at which these are.
+
+        """
+        # The rate at the end, under the load of these steps, is that of one step more.
+        end = states[-1].copy()
+        self.step_once(0, end, np.tile(load, (1, STEP_LOADS, 1)), states[-1:], rates[-1:])
+        return error.follow(states, rates, weight)
+
+    def step_once(self, level, state, loads, states=None, rates=None):
+        """Advance a state by steps divided by 2^level under their loads."""
+        kept = np.empty((2, len(loads), len(state)))
+        self._step(level, state, loads[0, START], loads, 0, 0, self._no_samples[0],
+                   *(kept if states is None else (states, rates)))
 
     def motion(self, state, load):
         """Return the motion of a state under a load, shape (2 (3 + N),)."""
         motions, heat = self.samples(0, 1)
-        self._integrate(state, load, NO_LOADS, 1, motions, heat)
+        self._integrate(state, load, NO_LOADS, 1, 0, motions, heat)
         return motions[0]
-
-    def estimate_error(self, state, loads, of_halves):
-        """
-        Estimate the error of a step: it is done as a whole and in halves, on copies.
-
-        Parameters
-        ----------
-        state : ndarray, shape (m,)
-            At its start.
-        loads, of_halves : ndarray, shapes (1, 4, 14), (2, 4, 14)
-            Of the step and of its halves.
-
-        Returns
-        -------
-        error : float
-            [m]; inf if the step diverges.
-        alarming : bool
-            Whether after a second of such steps the tip would be off by `_ALARMING` arm lengths.
-
-        """
-        ends, none = [], np.empty((0, self.model.size))
-        for level, parts in enumerate((loads, of_halves)):
-            end = state.copy()
-            done = etdrk4.advance(self.model.packed, self.propagator(level), end, parts[0, 0],
-                                  parts, 0, none)
-            if done < len(parts):
-                return math.inf, True
-            ends.append(end)
-        error = float(np.abs(self.shift @ (ends[0] - ends[1])).sum())
-        self.largest_error = max(self.largest_error, error)
-        return error, not error <= self._alarming
 
     def tip_acceleration(self, state, load):
         """
@@ -203,5 +216,5 @@ class Steps:
 
     def _observe(self, state, load):
         motions = np.empty((1, self.model.size))
-        etdrk4.advance(self.model.packed, self.propagator(), state, load, NO_LOADS, 1, motions)
+        self._step(0, state, load, NO_LOADS, 1, 0, motions, *self.errors.rest)
         return motions[0]

@@ -1,0 +1,165 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What the steps of a run have got wrong, as seen at the tip; it costs a few percent of them."""
+
+from functools import cached_property
+import math
+
+import numpy as np
+
+from timo_sim.physics.integrate.global_error import GlobalError
+from timo_sim.physics.layout import ANGLE, LOADS, rotate, START
+
+CHUNK = 512  # steps that are kept
+_COST = 128  # steps that pay for an estimate
+_OF_STEP = 16.0 / 15.0  # so much more than from its halves a step differs from the truth
+_BENT = 1e-5  # [rad]
+
+
+class RunError:
+    """
+    The estimated error of a run, see doc/theory.md (T38).
+
+    Steps between which no load jumps are told by their defects. Where loads jump every few steps,
+    one step in a while is done in halves, too, and stands for those that are unseen.
+
+    Parameters
+    ----------
+    steps : Steps
+
+    Attributes
+    ----------
+    tip : float
+        Largest distance of the tip from where it belongs so far [m].
+    unseen : int
+        Steps of which the error is not known.
+
+    """
+
+    def __init__(self, steps):
+        self._steps, self._error = steps, GlobalError(steps.model.linear, steps.step)
+        self.tip, self.unseen = 0.0, 0
+        # Of the steps since the last cut: how many, and the states and rates at their starts.
+        self._open, self._credit = 0, CHUNK
+        self._states, self._rates = np.zeros((2, CHUNK + 1, len(steps.model.linear)))
+
+    def reset(self):
+        """Begin anew."""
+        self.tip, self.unseen, self._open, self._credit = 0.0, 0, 0, CHUNK
+        self._error.error[:] = 0.0
+
+    def go_on(self, earlier):
+        """Go on where an earlier one, of a model of the same size, has ended."""
+        self.tip, self.unseen = earlier.tip, earlier.unseen
+        self._error.error = earlier._error.error
+
+    def give_up(self):
+        """Forget the steps since the last cut."""
+        self._open = 0
+
+    @property
+    def room(self):
+        """Steps that can be done at once."""
+        return CHUNK - self._open
+
+    @property
+    def rest(self):
+        """Where the states and rates of coming steps are kept."""
+        return self._states[self._open:], self._rates[self._open:]
+
+    def count(self, done):
+        """Count steps whose states and rates are kept."""
+        self._open += done
+        self._credit = min(self._credit + done, CHUNK)
+
+    def cut(self, state, load, smooth=True):
+        """
+        Estimate the error of the steps since the last cut.
+
+        Where they are too few, or that would cost too much, they are unseen until the next time.
+
+        Parameters
+        ----------
+        state : ndarray, shape (m,)
+        load : ndarray, shape (14,)
+            At the end of the last step.
+        smooth : bool
+            Whether the load was smooth since then; if not, a `look` has counted them.
+
+        """
+        count, self._open = self._open, 0
+        if not (smooth and count >= self._steps.least and self._pay()):
+            self.unseen += count * smooth
+            self._error.grow(count)
+            return
+        weight, self.unseen = (count + self.unseen) / count, 0
+        states, rates = self._states[:count + 1], self._rates[:count + 1]
+        states[-1] = state
+        errors, numbers = self._steps.follow_errors(self._error, states, rates, load, weight)
+        self._note(errors, states[numbers], load)
+
+    def look(self, state, tabulate, number, count):
+        """
+        Estimate the error of a step, for some from there and for all that are unseen.
+
+        The step is done as a whole and in halves, on copies.
+        """
+        self.unseen += count
+        if not self._pay():
+            return
+        ends = []
+        for level in range(2):
+            loads, end = tabulate(number, 1, 2**level), state.copy()
+            self._steps.step_once(level, end, loads)
+            ends.append(end)
+        self._error.add(_OF_STEP * self.unseen * (ends[0] - ends[1])[np.newaxis])
+        self.unseen = 0
+        self._note(self._error.error, state, loads[0, START])
+
+    def conclude(self, state, load, tabulate, number):
+        """Estimate the error of all steps so far, if need be by the next one, `number`."""
+        self._credit = CHUNK
+        self.cut(state, load)
+        if self.unseen:
+            self.look(state, tabulate, number, 0)
+
+    def _pay(self):
+        # Whether an estimate is not too much beside the steps since the last.
+        enough = self._credit >= _COST
+        self._credit -= _COST * enough
+        return enough
+
+    def _note(self, errors, states, load):
+        model, shift = self._steps.model, self._tip_shift @ errors[..., :errors.shape[-1] // 2].T
+        angle = load[ANGLE] if model.first else states[..., len(model.axes)]
+        x, y = rotate(np.asarray(angle), shift[2], shift[3])
+        largest = np.hypot(shift[0] + x, shift[1] + y).max()
+        self.tip = max(self.tip, largest if math.isfinite(largest) else math.inf)
+
+    @cached_property
+    def _tip_shift(self):
+        """
+        What an error in the coordinates of a state means for the tip, shape (4, m / 2).
+
+        Of the straight arm: x and y in world axes, then along and across the shaft.
+        """
+        model, size = self._steps.model, self._states.shape[1]
+        half, carrier, count = size // 2, len(model.axes), len(model.modes)
+        turn = np.abs(model.points.rotation).max(axis=1, initial=0.0)
+        bent = _BENT / np.concatenate([np.ones(half - count), np.where(turn > 0.0, turn, 1.0)])
+        states, load = np.zeros((1 + half, size)), np.zeros(LOADS)
+        np.fill_diagonal(states[1:], bent)
+        motions = np.array([self._steps.motion(state, load) for state in states])
+        change = (motions[1:] - motions[0]) / bent[:, np.newaxis]
+        reach = np.concatenate([[model.manipulator.arm.length], model.tip_point.deflection[:, 0]])
+        shift = np.zeros((4, half))
+        shift[:2, :carrier] = change[:carrier, :2].T
+        shift[2:, carrier:] = change[carrier:, :2].T
+        shift[3, carrier:] += change[carrier:, 2:3 + count] @ reach
+        return shift
