@@ -22,7 +22,7 @@ from timo_sim.simulation.resolution import resolved
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.simulator import Simulator
 
-_REPORTED = 4096  # steps from one report to the next
+_REPORTED = 1024  # steps from one report to the next
 
 
 def simulate(scene: Scene, duration: float, sample_every: int = 1) -> Run:

@@ -220,8 +220,8 @@ class Load:
 
     def breaks(self, first, count, step):
         """Return the boundaries of some steps at which, or next to which, it is not smooth."""
-        return sorted({at for _, term in self._columns for at in around(
-            term.breaks(first, count, step), first, count)})
+        found = [term.breaks(first, count, step) for _, term in self._columns]
+        return around(np.concatenate(found), first, count) if any(map(len, found)) else []
 
     def stages(self, first, count, step):
         """Return the loads of steps first, first + 1, ..., shape (count, 4, 14), see `layout`."""

@@ -26,8 +26,9 @@ import numpy as np
 from timo_sim.physics.integrate.propagator import phi_functions
 
 _POINTS = 6  # of the polynomial
+_MIDDLE = _POINTS // 2 - 1  # the step between them where it is best
 LEAST = 8  # steps that can be estimated
-_BLOCK = 64  # steps whose defects are summed up by one matrix
+_BLOCK, _FEW = 64, 256  # steps summed up by one matrix; fewer do not pay for it
 
 
 @lru_cache(maxsize=1)
@@ -63,7 +64,7 @@ class GlobalError:
 
     def __init__(self, linear, step):
         self._linear, self._step = linear, step
-        self.error, self._matrices = np.zeros(len(linear)), {}
+        self.error, self._histories = np.zeros(len(linear)), {}
 
     @cached_property
     def _phi(self):
@@ -117,43 +118,73 @@ class GlobalError:
 
         """
         steps, size = len(rates) - 1, states.shape[1]
-        blocks = steps // _BLOCK
-        if 0 < steps % _BLOCK < LEAST:
-            blocks -= 1
-        blocks = max(blocks, 0)
-        rest = steps - blocks * _BLOCK
-        numbers = [_BLOCK * k for k in range(blocks + 1)] + [steps] * bool(rest)
-        integrals = []
+        blocks = max(steps // _BLOCK - (0 < steps % _BLOCK < LEAST), 0)
+        if steps < _FEW:
+            blocks = 0
+        done = blocks * _BLOCK
+        errors = [np.zeros((0, size))]
         if blocks:
-            rows = np.lib.stride_tricks.as_strided(
-                rates, (blocks, (_BLOCK + 1) * size), (_BLOCK * rates.strides[0], 8))
-            integrals.extend(rows @ self._matrix(_BLOCK))
-        if rest:
-            integrals.append(rates[steps - rest:].ravel() @ self._matrix(rest))
-        errors = []
-        for first, last, integral in zip(numbers, numbers[1:], integrals):
-            power = self._powers[last - first]
-            self.error = power @ (self.error - weight * states[first]) + weight * (
-                states[last] - integral)
-            errors.append(self.error)
-        return np.array(errors), numbers[1:]
+            ends = states[:done + 1:_BLOCK]
+            defects = ends[1:] - ends[:-1] @ self._powers[_BLOCK].T - (
+                _windows(rates, _BLOCK, _BLOCK + 1, blocks) @ self._sums)
+            driven = np.concatenate([self.error, weight * defects.ravel()])
+            errors.append((self._history(blocks) @ driven).reshape(blocks, size))
+            self.error = errors[-1][-1]
+        if done < steps:
+            self.add(weight * self._defects(states[done:], rates[done:]))
+            errors.append(self.error[np.newaxis])
+        numbers = [_BLOCK * (k + 1) for k in range(blocks)] + [steps] * (done < steps)
+        return np.concatenate(errors), numbers
 
-    def _matrix(self, steps):
-        """Return what sums up the integrals of n over some steps, ((steps + 1) m, m)."""
-        if steps not in self._matrices:
-            size, middle = len(self._linear), _POINTS // 2 - 1
-            # Of the o-th step between the points per value at the j-th, (5, 6, m, m).
-            of_step = self._step * np.tensordot(
-                _coefficients(), self._phi[1:], axes=(1, 0))
-            sums = np.zeros((steps + 1, size, size))
-            inner = steps + 2 - _POINTS  # steps in the middle of the points
-            later = self._powers[steps - 1 - middle - np.arange(inner)]
-            for point in range(_POINTS):
-                sums[point:point + inner] += later @ of_step[middle, point]
-            for step in (*range(middle), *range(middle + inner, steps)):
-                offset = step if step < middle else step - steps + _POINTS - 1
-                first = step - offset
-                sums[first:first + _POINTS] += self._powers[steps - 1 - step] @ of_step[offset]
-            self._matrices[steps] = np.ascontiguousarray(
-                sums.transpose(0, 2, 1).reshape(-1, size))
-        return self._matrices[steps]
+    def _defects(self, states, rates):
+        """Return the defect of each step, shape (steps, m)."""
+        steps, size = len(states) - 1, states.shape[1]
+        defects = states[1:] - states[:-1] @ self._powers[1].T
+        for offset, weights in enumerate(self._of_step):
+            first, count = offset, 1
+            if offset == _MIDDLE:
+                count = steps - 2 * _MIDDLE
+            elif offset > _MIDDLE:
+                first = steps - (_POINTS - 1) + offset
+            windows = _windows(rates[first - offset:], 1, _POINTS, count)
+            defects[first:first + count] -= windows @ weights.transpose(0, 2, 1).reshape(-1, size)
+        return defects
+
+    def _history(self, blocks):
+        """Return the errors after each block by the first and the defects, (b m, (1 + b) m)."""
+        if blocks not in self._histories:
+            size = len(self._linear)
+            matrix = np.zeros((blocks, size, 1 + blocks, size))
+            power = np.eye(size)
+            for later in range(blocks + 1):
+                for after in range(max(later, 1) - 1, blocks):
+                    matrix[after, :, 1 + after - later] = power
+                power = self._powers[_BLOCK] @ power
+            self._histories[blocks] = matrix.reshape(blocks * size, -1)
+        return self._histories[blocks]
+
+    @cached_property
+    def _of_step(self):
+        """The weights in the integral of a step, (steps, points, m, m)."""  # noqa: D401
+        return self._step * np.tensordot(_coefficients(), self._phi[1:], axes=(1, 0))
+
+    @cached_property
+    def _sums(self):
+        """What sums up the integrals of n over a block, ((_BLOCK + 1) m, m)."""
+        size, inner = len(self._linear), _BLOCK - 2 * _MIDDLE
+        sums = np.zeros((_BLOCK + 1, size, size))
+        later = self._powers[_BLOCK - 1 - _MIDDLE - np.arange(inner)]
+        for point, weight in enumerate(self._of_step[_MIDDLE]):
+            sums[point:point + inner] += later @ weight
+        for offset in (*range(_MIDDLE), *range(_MIDDLE + 1, _POINTS - 1)):
+            step = offset if offset < _MIDDLE else _BLOCK - (_POINTS - 1) + offset
+            first = step - offset
+            sums[first:first + _POINTS] += self._powers[_BLOCK - 1 - step] @ self._of_step[offset]
+        return np.ascontiguousarray(sums.transpose(0, 2, 1).reshape(-1, size))
+
+
+def _windows(rows, stride, length, count):
+    """Return each of some windows on rows as one row, shape (count, length m)."""
+    size = rows.shape[1]
+    return np.lib.stride_tricks.as_strided(
+        rows, (count, length * size), (stride * rows.strides[0], rows.strides[1]))

@@ -16,7 +16,7 @@ import numpy as np
 from timo_sim.physics.integrate.global_error import GlobalError
 from timo_sim.physics.layout import ANGLE, LOADS, rotate, START
 
-CHUNK = 512  # steps that are kept
+CHUNK = 1024  # steps that are kept
 _COST = 128  # steps that pay for an estimate
 _OF_STEP = 16.0 / 15.0  # so much more than from its halves a step differs from the truth
 _BENT = 1e-5  # [rad]
@@ -137,9 +137,11 @@ class RunError:
 
     def _note(self, errors, states, load):
         model, shift = self._steps.model, self._tip_shift @ errors[..., :errors.shape[-1] // 2].T
-        angle = load[ANGLE] if model.first else states[..., len(model.axes)]
-        x, y = rotate(np.asarray(angle), shift[2], shift[3])
-        largest = np.hypot(shift[0] + x, shift[1] + y).max()
+        x, y = shift[2:]
+        if shift[:2].any():
+            x, y = rotate(np.asarray(load[ANGLE] if model.first else states[..., len(model.axes)]),
+                          x, y)
+        largest = math.sqrt(((shift[0] + x)**2 + (shift[1] + y)**2).max())
         self.tip = max(self.tip, largest if math.isfinite(largest) else math.inf)
 
     @cached_property

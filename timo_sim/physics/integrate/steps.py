@@ -54,7 +54,7 @@ class Steps:
         self.splits, self.unresolved = 0, 0
         self._propagators = {}
         self._no_samples = np.empty((0, model.size)), np.zeros(0)
-        self.errors = RunError(self)
+        self.errors, self._constant = RunError(self), np.empty((1, STEP_LOADS, LOADS))
 
     @property
     def friction(self):
@@ -181,15 +181,15 @@ class Steps:
 
         """
         # The rate at the end, under the load of these steps, is that of one step more.
-        end = states[-1].copy()
-        self.step_once(0, end, np.tile(load, (1, STEP_LOADS, 1)), states[-1:], rates[-1:])
+        self._constant[:] = load
+        self.step_once(0, states[-1].copy(), self._constant, states[-1:], rates[-1:])
         return error.follow(states, rates, weight)
 
     def step_once(self, level, state, loads, states=None, rates=None):
         """Advance a state by steps divided by 2^level under their loads."""
-        kept = np.empty((2, len(loads), len(state)))
-        self._step(level, state, loads[0, START], loads, 0, 0, self._no_samples[0],
-                   *(kept if states is None else (states, rates)))
+        if states is None:
+            states, rates = np.empty((2, len(loads), len(state)))
+        self._step(level, state, loads[0, START], loads, 0, 0, self._no_samples[0], states, rates)
 
     def motion(self, state, load):
         """Return the motion of a state under a load, shape (2 (3 + N),)."""
