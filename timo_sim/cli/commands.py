@@ -90,9 +90,9 @@ def bode(file, cause, effects, picture):
     """
     from timo_sim.simulation.linear import linearize
     from timo_sim.scene.scene import load_scene
-    from timo_sim.view.bode import draw
+    from timo_sim.view import plot
     model = linearize(load_scene(file)).select([cause], effects)
-    draw(model, picture)
+    plot.bode(model).savefig(picture, dpi=100)
     click.echo(f'poles [Hz]: {", ".join(f"{each:.3g}" for each in model.frequencies())}')
     click.echo(f'{picture} is drawn')
 
@@ -293,9 +293,8 @@ def view(files, save, png, at, web, fps, node):
     """
     import rerun  # noqa: F401  # before minutes are spent on reading
     from timo_sim.log.recording import Recording
-    from timo_sim.view.motion_track import of_recording
     from timo_sim.view.show import show_tracks
-    from timo_sim.view.track import unique_names
+    from timo_sim.view.track import of_recording, unique_names
     recordings = [Recording(path, node) for path in files]
     names = unique_names([recording.path.stem for recording in recordings])
     show_tracks([partial(of_recording, *pair) for pair in zip(recordings, names)],

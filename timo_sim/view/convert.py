@@ -63,9 +63,8 @@ def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
             panel = panels.setdefault(trace.panel, Panel())
             panel.curves += len(trace.names)
             for part in _blocks(len(trace.ns)):
-                values = trace.values(part)
-                send_curves(stream, trace.panel, track.name, trace.ns[part], values)
-                panel.see(values)
+                send_curves(stream, trace.panel, track.name, trace.ns[part], trace.values[part])
+            panel.see(trace.values)
             report(1 / sum(shares))
         if run:
             _send_differences(stream, tracks[0], track, run, len(tracks), panels)
@@ -117,11 +116,10 @@ def _send_differences(stream, first, track, run, runs, panels):
                    [f'{text} less {first.name}' for text in names])
         seen = panels.setdefault(panel, Panel(least=1e-12))
         seen.curves += len(names)
-        base = theirs.values(slice(None))
         for part in _blocks(len(inside)):
-            ns, values = ours.ns[inside[part]], ours.values(inside[part])
+            ns, values = ours.ns[inside[part]], ours.values[inside[part]]
             values = values - np.column_stack(
-                [np.interp(ns, theirs.ns, column) for column in base.T])
+                [np.interp(ns, theirs.ns, column) for column in theirs.values.T])
             values = values[:, columns].reshape(len(ns), -1)
             send_curves(stream, panel, track.name, ns, values)
             seen.see(values)

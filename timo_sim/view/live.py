@@ -20,8 +20,8 @@ import rerun as rr
 from timo_sim.scene.scene import load_scene
 from timo_sim.view.entities import (
     ABOUT, log_curves, log_frame_of_plane, log_looks, PLANE, send_curves, send_poses, TRAIL)
-from timo_sim.view.motion_track import body_of, of_motion
 from timo_sim.view.panels import blueprint, Panel
+from timo_sim.view.track import body_of, of_motion
 
 _PERIOD = 1.0 / 30.0  # [s] of what is sent at once
 _MOST_WAITING = 300   # samples; older ones are dropped
@@ -78,7 +78,7 @@ class Stream:
         send_poses(self._stream, self._path, track.ns, poses, self._body, self._largest, trail)
         for trace in track.traces:
             send_curves(self._stream, trace.panel, self._name, track.ns,
-                        trace.values(slice(None)))
+                        trace.values)
 
     def flush(self):
         """Wait a little for what is on its way."""
