@@ -14,7 +14,7 @@ import numpy as np
 import rerun as rr
 
 from timo_sim.view.entities import (
-    ABOUT, log_curves, log_frame_of_plane, log_looks, PLANE, send_curves, send_poses, TRAIL)
+    ABOUT, log_curves, log_frame_of_plane, Plane, send_curves, TRAIL)
 from timo_sim.view.panels import blueprint, Panel
 
 BLOCK = 65536  # samples, or frames, that are sent at once
@@ -56,7 +56,10 @@ def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
     shares = [len(track.traces) + 2 for track in tracks]
     panels = {}
     for run, track in enumerate(tracks):
-        _send_plane(stream, track, frames[run], run, len(tracks), largest)
+        plane = Plane(stream, track.name, track.body, run, len(tracks))
+        for part in _blocks(len(frames[run])):
+            picked = frames[run][part]
+            plane.send(track.ns[picked], track.poses(picked), largest)
         report(2 / sum(shares))
         for trace in track.traces:
             log_curves(stream, trace.panel, track.name, run, len(tracks), trace.names)
@@ -93,16 +96,6 @@ def _extent(tracks, frames):
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     # Room for the numbers at the grid.
     return (np.array([low - 0.05 * np.max(high - low), high]), np.max(efforts, axis=0).tolist())
-
-
-def _send_plane(stream, track, frames, run, runs, largest):
-    path = f'{PLANE}/{track.name}'
-    log_looks(stream, path, track.body, run, runs)
-    trail = np.repeat(track.poses(frames[:1]).line[:, -1], TRAIL - 1, axis=0)
-    for part in _blocks(len(frames)):
-        poses = track.poses(frames[part])
-        trail = np.concatenate([trail[1 - TRAIL:], poses.line[:, -1]])
-        send_poses(stream, path, track.ns[frames[part]], poses, track.body, largest, trail)
 
 
 def _send_differences(stream, first, track, run, runs, panels):

@@ -60,48 +60,53 @@ def _spacing(extent):
     return decade * max(n for n in (1, 2, 5) if n * decade <= extent / 3.0)
 
 
-def log_looks(stream, path, body, run, runs):
-    """Log colours, sizes and drawing order of a run's arm and bodies."""
-    own, line, points = colour(run, runs), 0.5 * body.thickness, rr.Radius.ui_points
-    grey, tip = (TICKS, COLOURS[5]) if runs == 1 else (own, own)
-    looks: list[tuple] = [
-        ('ghost', rr.LineStrips2D, GHOST, points(1.0), {}),
-        ('carrier', rr.Boxes2D, own, points(1.5), {'half_sizes': [0.5 * body.carrier] * 2}),
-        ('motor', rr.Points2D, grey, 0.5 * body.motor, {}),
-        ('arm', rr.LineStrips2D, own, line if line > 0.004 * body.length else points(2.0), {}),
-        ('end_effector', rr.Points2D, tip, 0.5 * body.end_effector, {}),
-        ('trail', rr.LineStrips2D, grey, points(1.0), {}),
-        ('force', rr.Arrows2D, EFFORT, points(2.0), {}),
-        ('torque', rr.LineStrips2D, EFFORT, points(1.5), {})]
-    for order, (name, kind, colors, radii, more) in enumerate(looks):
-        stream.log(f'{path}/{name}', kind.from_fields(
-            colors=colors, radii=radii, draw_order=float(order), **more), static=True)
+class Plane:
+    """The moving entities of a run in the plane."""
 
+    def __init__(self, stream, name, body, run, runs):
+        self._stream, self._path, self._body, self._trail = stream, f'{PLANE}/{name}', body, None
+        own, line, points = colour(run, runs), 0.5 * body.thickness, rr.Radius.ui_points
+        grey, tip = (TICKS, COLOURS[5]) if runs == 1 else (own, own)
+        looks: list[tuple] = [
+            ('ghost', rr.LineStrips2D, GHOST, points(1.0), {}),
+            ('carrier', rr.Boxes2D, own, points(1.5), {'half_sizes': [0.5 * body.carrier] * 2}),
+            ('motor', rr.Points2D, grey, 0.5 * body.motor, {}),
+            ('arm', rr.LineStrips2D, own, line if line > 0.004 * body.length else points(2.0), {}),
+            ('end_effector', rr.Points2D, tip, 0.5 * body.end_effector, {}),
+            ('trail', rr.LineStrips2D, grey, points(1.0), {}),
+            ('force', rr.Arrows2D, EFFORT, points(2.0), {}),
+            ('torque', rr.LineStrips2D, EFFORT, points(1.5), {})]
+        for order, (name, kind, colors, radii, more) in enumerate(looks):
+            stream.log(f'{self._path}/{name}', kind.from_fields(
+                colors=colors, radii=radii, draw_order=float(order), **more), static=True)
 
-def send_poses(stream, path, ns, poses, body, largest, trail):
-    """
-    Send frames of the plane at sim times (m,) [ns] to the entities below a path.
+    def send(self, ns, poses, largest):
+        """
+        Send frames at sim times (m,) [ns], which follow those that were sent before.
 
-    The `largest` force [N] and torque [N m] fill their room; `trail`, of shape (m + TRAIL - 1, 2)
-    [m], is where the tip was and is.
-    """
-    time, root, tip = [_time(ns)], poses.line[:, 0], poses.line[:, -1]
-    straight = root + body.length * np.column_stack([np.cos(poses.shaft), np.sin(poses.shaft)])
-    trails = np.moveaxis(np.lib.stride_tricks.sliding_window_view(trail, TRAIL, axis=0), 1, 2)
-    for name, columns in {
-            'ghost': rr.LineStrips2D.columns(strips=_floats(np.stack([root, straight], axis=1))),
-            'trail': rr.LineStrips2D.columns(strips=_floats(trails)),
-            'carrier': rr.Boxes2D.columns(centers=_floats(root)),
-            'motor': rr.Points2D.columns(positions=_floats(root)),
-            'arm': rr.LineStrips2D.columns(strips=_floats(poses.line)),
-            'end_effector': rr.Points2D.columns(positions=_floats(tip)),
-            'force': rr.Arrows2D.columns(
-                origins=_floats(root), vectors=_floats(
-                    poses.effort[:, :2] * (_LONGEST * body.length / (largest[0] or 1.0)))),
-            'torque': rr.LineStrips2D.columns(strips=_floats(
-                _arcs(root, poses.shaft, poses.effort[:, 2] / (largest[1] or 1.0), body)))
-            }.items():
-        stream.send_columns(f'{path}/{name}', time, columns)
+        The `largest` force [N] and torque [N m] fill their room.
+        """
+        body, root, tip = self._body, poses.line[:, 0], poses.line[:, -1]
+        straight = root + body.length * np.column_stack([np.cos(poses.shaft), np.sin(poses.shaft)])
+        before = np.repeat(tip[:1], TRAIL - 1, axis=0) if self._trail is None else self._trail
+        trail = np.concatenate([before, tip])
+        self._trail = trail[1 - TRAIL:]
+        trails = np.moveaxis(np.lib.stride_tricks.sliding_window_view(trail, TRAIL, axis=0), 1, 2)
+        for name, columns in {
+                'ghost': rr.LineStrips2D.columns(
+                    strips=_floats(np.stack([root, straight], axis=1))),
+                'trail': rr.LineStrips2D.columns(strips=_floats(trails)),
+                'carrier': rr.Boxes2D.columns(centers=_floats(root)),
+                'motor': rr.Points2D.columns(positions=_floats(root)),
+                'arm': rr.LineStrips2D.columns(strips=_floats(poses.line)),
+                'end_effector': rr.Points2D.columns(positions=_floats(tip)),
+                'force': rr.Arrows2D.columns(
+                    origins=_floats(root), vectors=_floats(
+                        poses.effort[:, :2] * (_LONGEST * body.length / (largest[0] or 1.0)))),
+                'torque': rr.LineStrips2D.columns(strips=_floats(
+                    _arcs(root, poses.shaft, poses.effort[:, 2] / (largest[1] or 1.0), body)))
+                }.items():
+            self._stream.send_columns(f'{self._path}/{name}', [_time(ns)], columns)
 
 
 def _floats(values):
