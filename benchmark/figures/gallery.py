@@ -241,9 +241,9 @@ def vibration_control():
 
 def window():
     """Draw what `timo_sim view` shows of the paper's run, for the README."""
-    from timo_sim.view.motion_track import of_run
     from timo_sim.view.convert import write
-    from timo_sim.view.viewer import picture
+    from timo_sim.view.show import picture
+    from timo_sim.view.track import of_run
     run = timo_sim.simulate(timo_sim.load_scene(ROOT / 'config/paper.yaml'), 10.0)
     with TemporaryDirectory() as folder:
         write([of_run(run, 'paper')], Path(folder, 'run.rrd'), at=1.81)

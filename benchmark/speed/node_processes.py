@@ -158,8 +158,8 @@ def timer(path):
 
 def node(path):
     """Run `sim_node`, its ticks timed."""
+    from timo_sim.cli.sim_node import StopRequest
     from timo_sim.ros import process
-    from timo_sim.ros.signals import StopRequest
     ticks = Ticks()
 
     class Timed(process.SimNode):

@@ -197,8 +197,8 @@ def busy(node):
 
 def two(namespace):
     """Run two nodes in this process, each with its loop in a thread."""
+    from timo_sim.cli.sim_node import StopRequest
     from timo_sim.ros.node import SimNode
-    from timo_sim.ros.signals import StopRequest
     stop = StopRequest()
     stop.running()
     nodes = [SimNode(stop, namespace=name, parameter_overrides=[

@@ -27,7 +27,7 @@ from visualization_msgs.msg import Marker
 import timo_sim
 from timo_sim.messages.commands import JOINTS
 from timo_sim.messages.outputs import TRANSFORMS
-from timo_sim.ros.optional import live
+from timo_sim.ros.node import no_live_feed
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.simulation.simulator import Simulator
 
@@ -92,9 +92,8 @@ def test_a_live_address_that_is_none_is_refused(start):
 
 
 def test_a_node_that_is_given_no_stream_refuses_an_address():
-    assert live(None, None, '', '/timo_sim') is None
     with pytest.raises(ParameterError, match='^rerun_live = .*:9876.* needs the executable'):
-        live(None, None, 'rerun+http://127.0.0.1:9876/proxy', '/timo_sim')
+        no_live_feed(None, 'rerun+http://127.0.0.1:9876/proxy', '/timo_sim')
 
 
 def test_nothing_of_it_is_imported_when_off():

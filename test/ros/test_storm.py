@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 import timo_sim
-from timo_sim.ros.middleware import use_profiles
+from timo_sim.ros.process import use_profiles
 
 ATTACKER = [sys.executable, '-m', 'benchmark.stress.attackers']
 

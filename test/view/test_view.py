@@ -27,9 +27,8 @@ from timo_sim.cli import main
 from timo_sim.log.recording import Recording
 from timo_sim.simulation.energy import work
 from timo_sim.view.convert import write
-from timo_sim.view.motion_track import of_recording, of_run
-from timo_sim.view.track import TrackError, unique_names
-from timo_sim.view.viewer import picture
+from timo_sim.view.show import picture
+from timo_sim.view.track import of_recording, of_run, TrackError, unique_names
 
 LENGTH, AT = 2.0, 1.782
 ARM, TIP, GRID = (86, 180, 233), (213, 94, 0), (50, 50, 50)
@@ -118,14 +117,14 @@ def test_curves_have_every_sample_and_frames_are_thinned(run, shown):
 def test_energy_balance_closes(run, paper):
     def worst(run):
         track = of_run(run)
-        return (np.abs(track.trace('balance').values(slice(None))).max()
-                / track.trace('energy').values(slice(None)).max())
+        return (np.abs(track.trace('balance').values).max()
+                / track.trace('energy').values.max())
 
     # Of samples at 500 Hz under loads of 4 Hz: Simpson's rule has (0.05)^4 / 2880.
     assert worst(run) < 1e-6
     damped = timo_sim.load_scene(paper, {'arm.damping_ratio': [0.02]})
     track = of_run(timo_sim.simulate(damped, 3.0))
-    assert np.all(np.diff(track.trace('balance').values(slice(None))[::10, 0]) < 1e-9)
+    assert np.all(np.diff(track.trace('balance').values[::10, 0]) < 1e-9)
 
 
 def test_work_is_exact_for_a_constant_force_and_none_is_done_by_a_reset():
@@ -143,7 +142,7 @@ def bag(run):
     track, part = of_run(run), slice(None, None, 5)
     pose = run.shaft + run.rotation(LENGTH)
     series = {
-        'joint_states': np.hstack([track.trace(panel).values(part) for panel in (
+        'joint_states': np.hstack([track.trace(panel).values[part] for panel in (
             'carrier', 'shaft', 'carrier_velocity', 'shaft_speed', 'force', 'torque')]),
         '~/tip_pose': np.column_stack([
             run.position(LENGTH), np.sin(0.5 * pose), np.cos(0.5 * pose)])[part],
@@ -212,7 +211,7 @@ def test_a_log_of_the_node_is_shown_as_the_run_that_it_is(log, paper, tmp_path):
     for panel in ('tip_deflection', 'modal', 'force', 'torque', 'energy'):
         ns, values = columns(path, f'/curves/{panel}/{log.stem}')
         assert np.array_equal(ns, run.ns[::20])
-        assert np.allclose(values, run.trace(panel).values(slice(None, None, 20)), atol=(
+        assert np.allclose(values, run.trace(panel).values[::20], atol=(
             1e-2 if panel == 'energy' else 1e-12))  # the work between samples 20 ms apart
     _, values = columns(path, f'/curves/difference/{log.stem}_1')
     assert np.all(values == 0.0)
@@ -243,13 +242,13 @@ def test_a_plain_bag_is_shown_as_its_log_is(log, tmp_path):
 def test_work_stops_at_a_reset(log):
     recording = Recording(log)
     step, ns, motion = recording.motion()
-    shown = of_recording(recording, 'log').trace('balance').values(slice(None))
+    shown = of_recording(recording, 'log').trace('balance').values
     assert np.abs(shown).max() < 1e-2
     # As if the motion had started again in the middle.
     half = len(ns) // 2
     again = np.concatenate([motion[:half], motion[:len(ns) - half]])
     recording.motion, recording.resets = lambda series: (step, ns, again), step[[half]]
-    balance = of_recording(recording, 'log').trace('balance').values(slice(None))
+    balance = of_recording(recording, 'log').trace('balance').values
     assert balance[half] == balance[half - 1]
 
 

@@ -7,35 +7,11 @@
 # language governing permissions and limitations under the License.
 
 """
-The commands `timo_sim` and `sim_node`: a file a subcommand, which imports what it needs when run.
+The commands `timo_sim` (`commands`) and `sim_node`.
 
 It may import everything; nothing imports it.
 """
 
-from importlib import import_module
+from timo_sim.cli.commands import main
 
-import click
-
-from timo_sim.version import __version__
-
-_SUBCOMMANDS = ('bode', 'export', 'info', 'recover', 'replay', 'simulate', 'sweep', 'view')
-
-
-class _Commands(click.Group):
-    """The subcommands, each imported when it is named."""
-
-    def list_commands(self, context):
-        """Return the names of the subcommands."""
-        return list(_SUBCOMMANDS)
-
-    def get_command(self, context, name):
-        """Return a subcommand, or None."""
-        if name not in _SUBCOMMANDS:
-            return None
-        return getattr(import_module(f'timo_sim.cli.{name}'), name)
-
-
-@click.group(cls=_Commands)
-@click.version_option(__version__, prog_name='timo_sim')
-def main():
-    """Simulate a mobile manipulator with a flexible arm."""
+__all__ = ['main']

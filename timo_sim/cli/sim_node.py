@@ -8,9 +8,10 @@
 
 """The executable `sim_node`: nothing heavy is imported before signals are taken care of."""
 
+from collections.abc import Callable
+import os
+import signal
 import sys
-
-from timo_sim.ros.signals import StopRequest
 
 _HELP = """usage: sim_node [--help] [--ros-args ...]
 
@@ -19,6 +20,48 @@ The ROS 2 node timo_sim. Parameters are set by --ros-args:
   sim_node --ros-args --params-file my_scene.yaml -p duration:=10.0 -p record_file:=run.mcap
 
 `ros2 param describe` and the file config/paper.yaml say what each parameter means."""
+
+
+class StopRequest:
+    """
+    SIGINT and SIGTERM as a clean end, in a way that fits how far the process has come.
+
+    While modules are imported nothing needs an end, and an exception could surface as a failed
+    import: the process just ends. While the node is `building` (it may compile for seconds)
+    SystemExit(0) unwinds it; where Python must swallow that, in a callback of C code, `set` is
+    seen as soon as the node runs. Once it is `running`, `set` is for its loop to see; further
+    signals change nothing, so they cannot break the cleaning up.
+    """
+
+    def __init__(self):
+        self.set = False
+        self._end: Callable[[], None] = lambda: os._exit(0)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._handle)
+
+    def building(self):
+        """Say that all imports are done."""
+        self._end = sys.exit
+        sys.unraisablehook = _ignore_exit
+
+    def running(self):
+        """Say that a loop looks at `set` from now on."""
+        self._end = lambda: None
+
+    def finished(self):
+        """Say that only the interpreter's own end is left: it would undo a handler, not this."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
+    def _handle(self, number, frame):
+        first, self.set = not self.set, True
+        if first:
+            self._end()
+
+
+def _ignore_exit(unraisable):
+    if not isinstance(unraisable.exc_value, SystemExit):
+        sys.__unraisablehook__(unraisable)
 
 
 def main(args=None):
@@ -48,7 +91,7 @@ def main(args=None):
         return 2
     try:
         from timo_sim.ros.process import run
-        return run(stop, args, _live_feed)
+        return run(stop, args, live_feed=_live_feed)
     except ModuleNotFoundError as error:
         if error.name != 'rclpy':
             raise

@@ -8,7 +8,6 @@
 
 """Serialised messages (CDR): write one, and find where numbers and texts are in one."""
 
-from functools import cache
 import struct
 from typing import NamedTuple
 
@@ -55,18 +54,7 @@ class Layout(NamedTuple):
 
 def layout(type_name, data):
     """
-    Return the layout of a message.
-
-    Parameters
-    ----------
-    type_name : str
-        One of TYPES.
-    data : bytes-like
-        CDR.
-
-    Returns
-    -------
-    Layout
+    Return the Layout of a message, CDR, of one of TYPES.
 
     Raises
     ------
@@ -75,13 +63,13 @@ def layout(type_name, data):
 
     """
     walk = _Walk(data)
-    walk.follow(_steps(type_name))
+    walk.value(type_name)
     return walk.found._replace(size=walk.place)
 
 
 def pack(type_name, values):
     """
-    Serialise a message.
+    Return a serialised message, little-endian CDR with zeros as padding.
 
     Parameters
     ----------
@@ -91,11 +79,6 @@ def pack(type_name, values):
         Values by name of field: numbers, str, dict for messages, lists for arrays. A field that
         is missing has its default, which is zero or empty unless the definition says otherwise
         (w of a quaternion is 1).
-
-    Returns
-    -------
-    bytes
-        Little-endian CDR, padding is zero.
 
     Raises
     ------
@@ -126,23 +109,21 @@ def _append(data, type_name, value):
         if unknown:
             raise CdrError(f'{type_name} has no field {", ".join(sorted(unknown))}')
         for field in fields(type_name):
-            _append_field(data, type_name, field, value.get(field.name, field.default))
-
-
-def _append_field(data, type_name, field, value):
-    if field.length is None:
-        _append(data, field.type_name, value)
-        return
-    if field.length == 0:
-        _append(data, 'uint32', len(value))
-    elif field.length != len(value):
-        raise CdrError(f'{field.name} of {type_name} must have {field.length} elements, got '
-                       f'{len(value)}')
-    for element in value:
-        _append(data, field.type_name, element)
+            elements = value.get(field.name, field.default)
+            if field.length is None:
+                elements = [elements]
+            elif field.length == 0:
+                _append(data, 'uint32', len(elements))
+            elif field.length != len(elements):
+                raise CdrError(f'{field.name} of {type_name} must have {field.length} elements, '
+                               f'got {len(elements)}')
+            for element in elements:
+                _append(data, field.type_name, element)
 
 
 class _Walk:
+    """Passes values of a message, and notes in `found` where they are."""
+
     def __init__(self, data):
         self._data, self.place = data, _START
         self._in_a_row = False  # whether the last list consists of single numbers
@@ -150,9 +131,50 @@ class _Walk:
         if bytes(data[:2]) != _LITTLE_ENDIAN:
             raise CdrError(f'its encoding is {bytes(data[:2])!r}, not {_LITTLE_ENDIAN!r}')
 
-    def follow(self, steps):
-        for method, *arguments in steps:
-            method(self, *arguments)
+    def value(self, type_name):
+        if type_name == 'builtin_interfaces/msg/Time':
+            self.found.stamps.append(self._pass(8, 4))
+        elif type_name == 'float64':
+            self._doubles(1)
+        elif type_name == 'string':
+            text = bytes(self._data[slice(*self._fixed(self._count(), 1))])
+            self.found.texts.append(text.removesuffix(b'\0').decode(errors='replace'))
+        elif type_name in _NUMBERS:
+            size = struct.calcsize('<' + _NUMBERS[type_name])
+            self._fixed(size, size)
+        else:
+            for field in fields(type_name):
+                self._field(field.type_name, field.length)
+
+    def _field(self, type_name, length):
+        if length is None:
+            self.value(type_name)
+        elif type_name != 'float64':
+            for _ in range(length or self._count()):
+                self.value(type_name)
+        elif length:
+            self._doubles(length)
+        else:
+            self.found.lists.append(0)
+            self._in_a_row = True
+            self._doubles(self._count())
+            self._in_a_row = False
+
+    def _doubles(self, count):
+        if not self._in_a_row:
+            self._in_a_row = True
+            self.found.lists.append(0)
+        if count:  # else nothing is aligned
+            self.found.lists[-1] += count
+            self.found.doubles.extend(range(self._pass(8 * count, 8), self.place, 8))
+
+    def _count(self):
+        return struct.unpack_from('<I', self._data, self._fixed(4, 4)[0])[0]
+
+    def _fixed(self, size, alignment):
+        begin = self._pass(size, alignment)
+        self.found.fixed.extend(range(begin, self.place))
+        return begin, self.place
 
     def _pass(self, size, alignment):
         begin = self.place + (_START - self.place) % alignment
@@ -160,66 +182,3 @@ class _Walk:
         if self.place > len(self._data):
             raise CdrError('it is too short')
         return begin
-
-    def integer(self, size):
-        begin = self._pass(size, size)
-        self.found.fixed.extend(range(begin, begin + size))
-        return begin
-
-    def _count(self):
-        return struct.unpack_from('<I', self._data, self.integer(4))[0]
-
-    def stamp(self):
-        self.found.stamps.append(self._pass(8, 4))
-
-    def string(self):
-        size = self._count()
-        begin = self._pass(size, 1)
-        self.found.fixed.extend(range(begin, begin + size))
-        text = bytes(self._data[begin:begin + size])
-        self.found.texts.append(text.removesuffix(b'\0').decode(errors='replace'))
-
-    def double(self):
-        if not self._in_a_row:
-            self._in_a_row = True
-            self.found.lists.append(0)
-        self._add_double()
-
-    def doubles(self):
-        self._in_a_row = False
-        self.found.lists.append(0)
-        for _ in range(self._count()):
-            self._add_double()
-
-    def _add_double(self):
-        self.found.lists[-1] += 1
-        self.found.doubles.append(self._pass(8, 8))
-
-    def sequence(self, steps):
-        for _ in range(self._count()):
-            self.follow(steps)
-
-
-@cache
-def _steps(type_name):
-    """Return methods of _Walk, with arguments, that pass a value; messages inside are inlined."""
-    if type_name == 'builtin_interfaces/msg/Time':
-        return ((_Walk.stamp,),)
-    if type_name == 'float64':
-        return ((_Walk.double,),)
-    if type_name == 'string':
-        return ((_Walk.string,),)
-    if type_name in _NUMBERS:
-        return ((_Walk.integer, struct.calcsize('<' + _NUMBERS[type_name])),)
-    found = []
-    for field in fields(type_name):
-        element = _steps(field.type_name)
-        if field.length is None:
-            found.extend(element)
-        elif field.length:
-            found.extend(field.length * element)
-        elif field.type_name == 'float64':
-            found.append((_Walk.doubles,))
-        else:
-            found.append((_Walk.sequence, element))
-    return tuple(found)

@@ -48,26 +48,10 @@ def _force(texts, numbers):
     raise Refused(f"frame_id must be empty, 'world' or 'arm', got {frame[:40]!r}")
 
 
-def _carrier_wrench(texts, lists):
-    return {'carrier': _force(texts, lists[0])}
-
-
 def _scalar(lists):
     if not math.isfinite(lists[0][0]):
         raise Refused(f'data must be finite, got {lists[0][0]}')
     return lists[0][0]
-
-
-def _motor_torque(texts, lists):
-    return {'shaft': (_scalar(lists), 0.0)}
-
-
-def _motor_voltage(texts, lists):
-    return {'shaft': (0.0, _scalar(lists))}
-
-
-def _tip_wrench(texts, lists):
-    return {'tip': (*_force(texts, lists[0]), lists[0][5])}
 
 
 def _joint_command(texts, lists):
@@ -135,11 +119,15 @@ class Command(NamedTuple):
 
 # One topic for each input first, of those the messages that let an input fall to zero.
 COMMANDS = [
-    Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped', _carrier_wrench, ('carrier',)),
-    Command('~/motor_torque', 'std_msgs/msg/Float64', _motor_torque, ('shaft',)),
-    Command('~/tip_wrench', 'geometry_msgs/msg/WrenchStamped', _tip_wrench, ('tip',)),
+    Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped',
+            lambda texts, lists: {'carrier': _force(texts, lists[0])}, ('carrier',)),
+    Command('~/motor_torque', 'std_msgs/msg/Float64',
+            lambda texts, lists: {'shaft': (_scalar(lists), 0.0)}, ('shaft',)),
+    Command('~/tip_wrench', 'geometry_msgs/msg/WrenchStamped',
+            lambda texts, lists: {'tip': (*_force(texts, lists[0]), lists[0][5])}, ('tip',)),
     Command('~/joint_command', 'sensor_msgs/msg/JointState', _joint_command,
             ('carrier', 'shaft')),
     Command('~/commands', 'std_msgs/msg/Float64MultiArray', _commands, ('carrier', 'shaft')),
-    Command('~/motor_voltage', 'std_msgs/msg/Float64', _motor_voltage, ('shaft',)),
+    Command('~/motor_voltage', 'std_msgs/msg/Float64',
+            lambda texts, lists: {'shaft': (0.0, _scalar(lists))}, ('shaft',)),
 ]

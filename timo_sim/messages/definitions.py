@@ -87,19 +87,7 @@ class Field(NamedTuple):
 
 @cache
 def fields(type_name):
-    """
-    Return the fields of a message type in order.
-
-    Parameters
-    ----------
-    type_name : str
-        A key of DEFINITIONS.
-
-    Returns
-    -------
-    tuple of Field
-
-    """
+    """Return the fields of a message type of DEFINITIONS in order, a tuple of Field."""
     # A line with '=' defines a constant, which is in no message.
     return tuple(_field(type_name.split('/')[0], line) for line in DEFINITIONS[type_name]
                  if '=' not in line)
@@ -122,19 +110,7 @@ def _field(package, line):
 
 @cache
 def schema_text(type_name):
-    """
-    Return a message definition with all that it depends on, in the `ros2msg` encoding of MCAP.
-
-    Parameters
-    ----------
-    type_name : str
-        A key of DEFINITIONS.
-
-    Returns
-    -------
-    str
-
-    """
+    """Return a definition with all that it depends on, in the `ros2msg` encoding of MCAP."""
     names = [type_name]
     for name in names:  # grows by what is found
         for field in fields(name):

@@ -20,24 +20,11 @@ NANOSECONDS = 1000000000
 _GRAVITY = 9.80665  # [m/s2]
 
 
-def _joints(snapshot):
-    return *snapshot.joint_positions, *snapshot.joint_velocities, *snapshot.effort
-
-
-def _tip_deflection(snapshot):
-    along, across, _ = snapshot.tip
-    return along - snapshot.length, across
-
-
 def _tip_pose(snapshot):
     x, y, theta = snapshot.joint_positions
     along, across, rotation = snapshot.tip
     half = 0.5 * (theta + rotation)
     return *place(x, y, theta, along, across), math.sin(half), math.cos(half)
-
-
-def _carrier_pose(snapshot):
-    return *snapshot.joint_positions[:2], 0.0, 1.0
 
 
 def _readings(*sensors):
@@ -130,17 +117,20 @@ def outputs(modes):
                         'velocity': _numbers(*(f'{name}_rate_m_sqrt_kg_per_s'
                                                for name in names))})]
     return [
-        Output('joint_states', 'sensor_msgs/msg/JointState', _joints, {
-            'name': ['carrier_x', 'carrier_y', 'shaft'],
-            'position': _numbers('carrier_x_m', 'carrier_y_m', 'shaft_rad'),
-            'velocity': _numbers('carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
-                                 'shaft_velocity_rad_per_s'),
-            'effort': _numbers('carrier_x_force_N', 'carrier_y_force_N', 'shaft_torque_N_m')}),
+        Output('joint_states', 'sensor_msgs/msg/JointState', lambda snapshot: (
+            *snapshot.joint_positions, *snapshot.joint_velocities, *snapshot.effort), {
+                'name': ['carrier_x', 'carrier_y', 'shaft'],
+                'position': _numbers('carrier_x_m', 'carrier_y_m', 'shaft_rad'),
+                'velocity': _numbers('carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
+                                     'shaft_velocity_rad_per_s'),
+                'effort': _numbers('carrier_x_force_N', 'carrier_y_force_N', 'shaft_torque_N_m')}),
         *(modal if modes else []),
-        Output('~/tip_deflection', 'geometry_msgs/msg/Vector3Stamped', _tip_deflection, {
-            'header': _frame('arm'), 'vector': _xy('axial_m', 'transverse_m')}),
+        Output('~/tip_deflection', 'geometry_msgs/msg/Vector3Stamped',
+               lambda snapshot: (snapshot.tip[0] - snapshot.length, snapshot.tip[1]),
+               {'header': _frame('arm'), 'vector': _xy('axial_m', 'transverse_m')}),
         Output('~/tip_pose', 'geometry_msgs/msg/PoseStamped', _tip_pose, _POSE),
-        Output('~/carrier_pose', 'geometry_msgs/msg/PoseStamped', _carrier_pose, _POSE),
+        Output('~/carrier_pose', 'geometry_msgs/msg/PoseStamped',
+               lambda snapshot: (*snapshot.joint_positions[:2], 0.0, 1.0), _POSE),
         Output('/clock', 'rosgraph_msgs/msg/Clock', lambda snapshot: (), {}),
         Output('~/root_strain', 'sensor_msgs/msg/JointState', _readings('root_strain'), {
             'name': ['root_strain'], 'position': _numbers('outer_fibre')},
@@ -174,18 +164,9 @@ TRANSFORMS = Output('/tf', 'tf2_msgs/msg/TFMessage', _transforms, {'transforms':
 
 def with_angles(columns, values):
     """
-    Return columns and values with an angle instead of the two numbers of an orientation.
+    Return columns, a tuple of str, and values (n, k) with an angle in place of an orientation.
 
-    Parameters
-    ----------
-    columns : tuple of str
-    values : ndarray, shape (n, k)
-
-    Returns
-    -------
-    tuple of str, ndarray, shape (n, k - 1) or (n, k)
-        The angle, `rotation_rad`, is not wrapped.
-
+    The angle, `rotation_rad`, is not wrapped; it stands for two numbers.
     """
     if 'orientation_z' not in columns:
         return columns, values

@@ -74,20 +74,7 @@ class Serializer:
     Writes time and numbers straight into a serialised message.
 
     Everything else is the same in all messages of a topic, so each is a copy of the first with
-    other numbers.
-
-    Parameters
-    ----------
-    type_name : str
-        As in 'sensor_msgs/msg/JointState'. It must hold a time; all its times are the same.
-    template : dict
-        See Number.
-
-    Raises
-    ------
-    ValueError
-        If the message holds no time.
-
+    other numbers. All times in a message are the same; ValueError if there is none.
     """
 
     def __init__(self, type_name, template):

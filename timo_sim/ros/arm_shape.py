@@ -21,20 +21,7 @@ _POINTS = 41
 
 
 class ArmShape(Outlet):
-    """
-    The outlet of the centre line, among those that carry the motion.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    model : Formulation
-
-    Attributes
-    ----------
-    every : int
-        Steps between messages.
-
-    """
+    """The outlet of the centre line of a Formulation, among those that carry the motion."""
 
     logged = False
     name, rate = '~/arm_shape', 'rate.arm_shape'

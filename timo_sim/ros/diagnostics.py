@@ -6,61 +6,105 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The node's health, once per second of wall time, on /diagnostics."""
+"""The node's health, once per second of wall time on /diagnostics."""
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.serialization import serialize_message
 
-TYPE_NAME = 'diagnostic_msgs/msg/DiagnosticArray'
-PERIOD = 1.0  # [s] of wall time
+from timo_sim.messages.outputs import NANOSECONDS
+from timo_sim.ros.topics import Outlet
+
+_PERIOD = 1.0  # [s] of wall time
+_TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees it jump'
 
 
 class Health:
     """
-    Turns counters into a level: what has grown since the last report is a warning.
+    Counts what goes wrong in a node, and tells of it; a count that has grown is a warning.
 
-    Parameters
+    Attributes
     ----------
-    node : str
-        Its fully qualified name, by which nodes in namespaces are told apart.
+    outlet : Outlet
+    failed_calls : int
+        Callbacks that raised an exception.
 
     """
 
-    def __init__(self, node):
-        self._name, self._before = node.removeprefix('/'), {}
+    def __init__(self, node, simulator, loop, commands, log, publishes_clock):
+        self.outlet = Outlet(node, '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray')
+        self.failed_calls = 0
+        self._node, self._simulator, self._loop = node, simulator, loop
+        self._commands, self._log, self._publishes_clock = commands, log, publishes_clock
+        self._before, self._warned, self._foreign_clock = {}, None, False
 
-    def message(self, snapshot, counters, facts, errors, warnings=()):
-        """
-        Build the message.
+    def start(self, now):
+        """Begin to measure the pace at a wall time [s]."""
+        self._reported = now, self._simulator.steps
 
-        Parameters
-        ----------
-        snapshot : Snapshot
-        counters : dict
-            Numbers that only grow when something is wrong, by name.
-        facts : dict
-            Further values by name.
-        errors : list of str
-            What is wrong now, if anything.
-        warnings : list of str, optional
-            Why the results should not be trusted.
+    def counters(self):
+        """Return numbers that only grow when something is wrong, by name."""
+        pace = self._loop.pace
+        return {
+            'overruns': pace.overruns,
+            'dropped_time_s': pace.dropped_steps * self._simulator.scene.step,
+            'refused_commands': self._commands.refused,
+            'stale_commands': self._commands.stale,
+            'failed_calls': self.failed_calls,
+            'missed_commands': self._loop.gate.missed,
+            'unresolved_steps': self._simulator.integration.unresolved}
 
-        Returns
-        -------
-        DiagnosticArray
+    def report(self, now):
+        """Report if it is time."""
+        (before, steps), simulator = self._reported, self._simulator
+        if now - before < _PERIOD:
+            return
+        self.start(now)
+        self._log.look()
+        self.pass_on_warning()
+        self._look_for_clocks()
+        if self.outlet.wanted:
+            pace = (simulator.steps - steps) * simulator.scene.step / (now - before)
+            snapshot = self._loop.snapshot()
+            self.outlet.send(serialize_message(self._message(snapshot, pace)), snapshot.step,
+                             snapshot.nanoseconds)
 
-        """
+    def pass_on_warning(self):
+        """Write the simulator's warning to the node's output, if it is new."""
+        if self._simulator.warning != self._warned:
+            self._warned = self._simulator.warning
+            if self._warned:
+                self._node.get_logger().warning(self._warned)
+
+    def _look_for_clocks(self):
+        before = self._foreign_clock
+        self._foreign_clock = self._publishes_clock and self._node.count_publishers('/clock') > 1
+        if self._foreign_clock and not before:
+            self._node.get_logger().warning(_TWO_CLOCKS)
+
+    def _message(self, snapshot, pace):
+        counters, integration = self.counters(), self._simulator.integration
         grown = [name for name, count in counters.items() if count > self._before.get(name, 0)]
-        self._before = dict(counters)
-        status = DiagnosticStatus(name=f'{self._name}: simulation', hardware_id='timo_sim')
-        warnings = [*warnings, *(['more ' + ', '.join(grown)] if grown else [])]
-        if errors:
-            status.level, status.message = DiagnosticStatus.ERROR, '; '.join(errors)
-        elif warnings:
-            status.level, status.message = DiagnosticStatus.WARN, '; '.join(warnings)
-        else:
-            status.level, status.message = DiagnosticStatus.OK, facts['state']
-        status.values = [KeyValue(key=name, value=str(value))
-                         for name, value in {**facts, **counters}.items()]
+        self._before = counters
+        state = 'paused' if self._loop.paused else 'running'
+        # By its full name nodes in namespaces are told apart.
+        status = DiagnosticStatus(
+            name=f'{self._node.get_fully_qualified_name().removeprefix("/")}: simulation',
+            hardware_id='timo_sim', level=DiagnosticStatus.OK, message=state)
+        errors = [self._loop.diverged, self._log.error]
+        warnings = [self._simulator.warning, self._foreign_clock and _TWO_CLOCKS,
+                    grown and 'more ' + ', '.join(grown)]
+        for level, texts in ((DiagnosticStatus.WARN, warnings), (DiagnosticStatus.ERROR, errors)):
+            if any(texts):
+                status.level, status.message = level, '; '.join(filter(None, texts))
+        status.values = [KeyValue(key=name, value=str(value)) for name, value in {
+            'state': state,
+            'sim_time_s': snapshot.nanoseconds / NANOSECONDS,
+            'real_time_factor': f'{pace:.4f}',
+            'energy_J': snapshot.energy,
+            'estimated_tip_error_m': f'{simulator.estimated_error:.2g}',
+            'split_steps': integration.splits,
+            'log': self._log.path or 'off',
+            **counters}.items()]
         message = DiagnosticArray(status=[status])
         message.header.stamp.sec, message.header.stamp.nanosec = snapshot.time
         return message

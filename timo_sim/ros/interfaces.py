@@ -14,7 +14,7 @@ from simulation_interfaces.msg import Result, SimulationState, SimulatorFeatures
 from simulation_interfaces.srv import (
     GetSimulationState, GetSimulatorFeatures, ResetSimulation, SetSimulationState, StepSimulation)
 
-from timo_sim.ros.services import NotNow
+from timo_sim.ros.loop import NotNow
 from timo_sim.version import __version__
 
 _CLOCK = 'the clock goes on at a reset'
@@ -32,14 +32,7 @@ class _Turn:
 
 
 class Interfaces:
-    """
-    Offers a node to clients that speak simulation_interfaces.
-
-    Parameters
-    ----------
-    node : SimNode
-
-    """
+    """Offers a SimNode to clients that speak simulation_interfaces."""
 
     def __init__(self, node):
         self._node = node

@@ -14,9 +14,7 @@ import time
 import numpy as np
 
 from timo_sim.physics.layout import LOADS
-from timo_sim.ros.gate import Gate
-from timo_sim.ros.pacing import Pace
-from timo_sim.ros.services import NotNow
+from timo_sim.ros.pacing import Gate, Pace
 from timo_sim.ros.topics import LateOutlet
 from timo_sim.scene.parameter import whole_ratio
 from timo_sim.simulation.model_warnings import DivergenceError
@@ -27,6 +25,10 @@ _BATCH = 500
 _PAUSED_POLL = 0.01
 # The same while a step waits for a command, and how often the first state is shown again [s].
 _COMMAND_POLL, _SHOWN_AGAIN = 1e-4, 0.2
+
+
+class NotNow(Exception):
+    """The simulation is in a state in which it does not do what is asked; the text says why."""
 
 
 class Loop:
@@ -49,10 +51,6 @@ class Loop:
 
     Attributes
     ----------
-    simulator : Simulator
-    pace : Pace
-    gate : Gate
-    paused : bool
     diverged : str or None
         Why the simulation is paused for good, until a reset.
 
@@ -60,20 +58,15 @@ class Loop:
 
     def __init__(self, simulator, values, commands, outlets, log, logger, end):
         self.simulator, self.end = simulator, end
-        self.pace, self.gate = Pace(simulator.scene.step), Gate(
-            self._sync_period(values), values['sync_timeout'])
+        period = 0 if values['sync'] == 'free' else whole_ratio(
+            'sync_period', values['sync_period'], 'integrator.step', simulator.scene.step)
+        self.pace, self.gate = Pace(simulator.scene.step), Gate(period, values['sync_timeout'])
         self.paused, self.diverged = values['start_paused'], None
         self._commands, self._log, self._logger = commands, log, logger
         self._outlets = outlets
         self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
         self._commanded, self._applied = np.zeros(LOADS), [0.0] * LOADS
         self._shown_at = -math.inf  # wall time at which the first state was last shown
-
-    def _sync_period(self, values):
-        if values['sync'] == 'free':
-            return 0
-        return whole_ratio('sync_period', values['sync_period'], 'integrator.step',
-                           self.simulator.scene.step)
 
     def configure(self, values, steps_each):
         """Take what can be set while the node runs; steps between messages by name of rate."""

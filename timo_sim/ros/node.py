@@ -8,32 +8,37 @@
 
 """The node `timo_sim`: wiring of loop, topics, services, diagnostics and log."""
 
+from functools import partial
+from importlib.util import find_spec
 import math
 import threading
 import time
 
 from rclpy.node import Node
-from rclpy.serialization import serialize_message
+from std_srvs.srv import SetBool, Trigger
 
 from timo_sim.log.notes import CHANGE, change_note, Peak, RESET, start_note
-from timo_sim.messages.outputs import NANOSECONDS, outputs
-from timo_sim.ros import diagnostics
+from timo_sim.messages.outputs import outputs, TRANSFORMS
 from timo_sim.ros.commands import Commands
-from timo_sim.ros.loop import Loop
-from timo_sim.ros.optional import arm_shape, interfaces, live, transforms
+from timo_sim.ros.diagnostics import Health
+from timo_sim.ros.loop import Loop, NotNow
 from timo_sim.ros.parameters import (
     declare_parameters, on_set, resolved_scene, steps_between_messages)
 from timo_sim.ros.run_log import RunLog
-from timo_sim.ros.services import offer_services
-from timo_sim.ros.topics import LateOutlet, MotionOutlet, Outlet
-from timo_sim.scene.parameter import LATEST, SCENE, whole_ratio
+from timo_sim.ros.topics import LateOutlet, MotionOutlet
+from timo_sim.scene.parameter import LATEST, ParameterError, SCENE, short, whole_ratio
 from timo_sim.scene.parameters import changed, PARAMETERS
 from timo_sim.scene.plausibility import implausible
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.simulator import Simulator
 
 _LONGEST_SLEEP = 0.1  # [s] after which a sleeping node looks at its flags
-_TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees it jump'
+
+
+def no_live_feed(scene, url, name):
+    """Refuse to stream to a viewer."""
+    raise ParameterError(f'rerun_live = {short(url)} needs the executable sim_node, which brings '
+                         'the stream of the viewer')
 
 
 class SimNode(Node):
@@ -58,53 +63,57 @@ class SimNode(Node):
 
     """
 
-    def __init__(self, stop, live_feed=None, **options):
+    def __init__(self, stop, live_feed=no_live_feed, **options):
         super().__init__('timo_sim', **options)
         self._stop = stop
         self._lock = threading.Lock()
-        self._values = declare_parameters(self)
-        scene = scene_from(self._values)
+        values = self._values = declare_parameters(self)
+        scene = scene_from(values)
         if scene.values['model.accuracy']:
-            scene = resolved_scene(self, scene, self._values)
+            scene = resolved_scene(self, scene, values)
         doubts = implausible(scene.values)
         if doubts:
             self.get_logger().warning(doubts)
         self._step = scene.step
-        steps_each = steps_between_messages(self._values, self._step)
-        end = whole_ratio('duration', self._values['duration'], 'integrator.step',
+        steps_each = steps_between_messages(values, self._step)
+        end = whole_ratio('duration', values['duration'], 'integrator.step',
                           self._step) or math.floor(LATEST / self._step)
 
         self._simulator = Simulator(scene)
         self._simulator.warm_up(self.get_logger().info, messages=True)
-        self._warned = None
         self._log, self._peak = RunLog(self.get_logger()), Peak()
-        self._foreign_clock, self.failed_calls = False, 0
-        self._health = diagnostics.Health(self.get_fully_qualified_name())
-
-        self._commands = Commands(self, self._values['motor.dc.resistance'] > 0.0)
-        self._outlets = self._made_outlets(scene)
-        self._loop = Loop(self._simulator, self._values, self._commands, self._outlets, self._log,
+        self._commands = Commands(self, values['motor.dc.resistance'] > 0.0)
+        self._outlets = self._made_outlets()
+        self._loop = Loop(self._simulator, values, self._commands, self._outlets, self._log,
                           self.get_logger(), end)
-        self._live = live(live_feed, scene, self._values['rerun_live'],
-                          self.get_fully_qualified_name())
-        self._health_outlet = Outlet(self, '/diagnostics', diagnostics.TYPE_NAME)
-        self._loop.configure(self._values, steps_each)
-        on_set(self, self._values, self._on_parameters)
-        offer_services(self)
-        interfaces(self)
+        self._health = Health(self, self._simulator, self._loop, self._commands, self._log,
+                              values['publish_clock'])
+        self._live = values['rerun_live'] and live_feed(
+            scene, values['rerun_live'], self.get_fully_qualified_name())
+        self._loop.configure(values, steps_each)
+        on_set(self, values, self._on_parameters)
+        self._offer_services()
 
     @property
     def subscriptions(self):
         """Those that an executor serves: all but the commands."""
         return (entry for entry in super().subscriptions if not entry.raw)
 
-    def _made_outlets(self, scene):
-        outlets = [self._outlet(output) for output in outputs(scene.values['model.modes'])
+    def _made_outlets(self):
+        outlets = [self._outlet(output) for output in outputs(self._values['model.modes'])
                    if output.name != '/clock' or self._values['publish_clock']]
-        if self._values['publish_arm_shape']:
-            outlets.append(arm_shape(self, self._simulator.model))
-        if self._values['publish_tf']:
-            outlets.append(transforms(self))
+        try:
+            if self._values['publish_arm_shape']:
+                remedy = 'publish_arm_shape', 'visualization-msgs, or pip install it'
+                from timo_sim.ros.arm_shape import ArmShape
+                outlets.append(ArmShape(self, self._simulator.model))
+            if self._values['publish_tf']:
+                remedy = 'publish_tf', 'tf2-msgs'
+                outlets.append(MotionOutlet(self, TRANSFORMS))
+                outlets[-1].logged = False
+        except ModuleNotFoundError as error:
+            raise ParameterError(f'{remedy[0]} needs {error.name}, which is not installed: '
+                                 f'apt-get install ros-jazzy-{remedy[1]}') from None
         return outlets
 
     def _outlet(self, output):
@@ -112,6 +121,16 @@ class SimNode(Node):
         outlet = LateOutlet(self, output, delay) if delay else MotionOutlet(self, output)
         outlet.asks = not output.delay or self._values['record_sensors']
         return outlet
+
+    def _offer_services(self):
+        for kind, name, operation in (
+                (SetBool, '~/pause', lambda request: self.pause(request.data)),
+                (Trigger, '~/reset', lambda request: self.reset()),
+                (Trigger, '~/step', lambda request: self.step())):
+            self.create_service(kind, name, partial(_answer, operation))
+        if find_spec('simulation_interfaces') is not None:
+            from timo_sim.ros.interfaces import Interfaces
+            Interfaces(self)
 
     def open(self):
         """Open the log and show the initial state, before any callback can change it."""
@@ -123,11 +142,21 @@ class SimNode(Node):
         if self._log.path:
             self.get_logger().info(f'logging to {self._log.path}')
 
+    def _open_log(self):
+        self._log.open(
+            self._values['record_file'], self._commands.channels,
+            [*self._outlets, self._health.outlet],
+            start_note(self.get_fully_qualified_name(), self._values, changed(self._values),
+                       self._simulator.scene))
+        for outlet in self._outlets:
+            if self._log.path and outlet.name == '~/tip_deflection':
+                outlet.watch = self._peak.see
+
     def run(self):
         """Advance sim time with wall time until asked to stop."""
         started, loop = time.monotonic(), self._loop
         loop.pace.start(self.steps, started)
-        self._reported = started, self.steps
+        self._health.start(started)
         while not self._stop.set and self.context.ok() and self.steps < loop.end:
             with self._lock:
                 wait = self._tick()
@@ -138,69 +167,30 @@ class SimNode(Node):
     def _tick(self):
         """Do what is due now; return how long nothing will be [s]."""
         now = time.monotonic()
-        if now - self._reported[0] >= diagnostics.PERIOD:
-            self._diagnose(now)
+        self._health.report(now)
         self._commands.poll()
-        if self._live is not None:
+        if self._live:
             self._live.offer(now, self._simulator, lambda: self._loop.snapshot().effort)
         return self._loop.tick(now, self._stop)
 
-    # Diagnostics.
-
-    def _diagnose(self, now):
-        before, steps_before = self._reported
-        simulator, integration = self._simulator, self._simulator.integration
-        self._reported = now, simulator.steps
-        self._log.look()
-        self._pass_on_warning()
-        self._look_for_clocks()
-        if not self._health_outlet.wanted:
-            return
-        snapshot = self._loop.snapshot()
-        pace = (simulator.steps - steps_before) * self._step / (now - before)
-        message = self._health.message(
-            snapshot, self._counters(),
-            facts={
-                'state': 'paused' if self.paused else 'running',
-                'sim_time_s': snapshot.nanoseconds / NANOSECONDS,
-                'real_time_factor': f'{pace:.4f}',
-                'energy_J': snapshot.energy,
-                'estimated_tip_error_m': f'{simulator.estimated_error:.2g}',
-                'split_steps': integration.splits,
-                'log': self._log.path or 'off'},
-            errors=[error for error in (self._loop.diverged, self._log.error) if error],
-            warnings=[text for text in (
-                simulator.warning, self._foreign_clock and _TWO_CLOCKS) if text])
-        self._health_outlet.send(serialize_message(message), snapshot.step, snapshot.nanoseconds)
-
-    def _counters(self):
+    def _close(self, wall_time):
+        self._health.pass_on_warning()
+        if self._live:
+            self._live.close()
         pace = self._loop.pace
-        return {
-            'overruns': pace.overruns,
-            'dropped_time_s': pace.dropped_steps * self._step,
-            'refused_commands': self._commands.refused,
-            'stale_commands': self._commands.stale,
-            'failed_calls': self.failed_calls,
-            'missed_commands': self._loop.gate.missed,
-            'unresolved_steps': self._simulator.integration.unresolved}
-
-    def _pass_on_warning(self):
-        if self._simulator.warning != self._warned:
-            self._warned = self._simulator.warning
-            if self._warned:
-                self.get_logger().warning(self._warned)
-
-    def _look_for_clocks(self):
-        before = self._foreign_clock
-        self._foreign_clock = self._values['publish_clock'] and self.count_publishers('/clock') > 1
-        if self._foreign_clock and not before:
-            self.get_logger().warning(_TWO_CLOCKS)
+        report = (f'simulated {self.steps * self._step:.6g} s in {wall_time:.3f} s, '
+                  f'{pace.overruns} overruns, {pace.dropped_steps * self._step:.6g} s dropped')
+        self._log.close({**self._peak.note(), **{
+            name: str(count) for name, count in self._health.counters().items()}})
+        if self._log.path:
+            report += f'; log: {self._log.path}'
+        self.get_logger().info(report)
 
     # Called by the executor.
 
     def survive(self, error):
         """Say that a callback failed, for example rclpy's at a request that makes no sense."""
-        self.failed_calls += 1
+        self._health.failed_calls += 1
         self.get_logger().error(f'a callback failed: {error!r}', throttle_duration_sec=5.0)
 
     def _on_parameters(self, changed):
@@ -249,27 +239,11 @@ class SimNode(Node):
         """End the process, as SIGINT does."""
         self._stop.set = True
 
-    # The log.
 
-    def _open_log(self):
-        self._log.open(
-            self._values['record_file'], self._commands.channels,
-            [*self._outlets, self._health_outlet],
-            start_note(self.get_fully_qualified_name(), self._values, changed(self._values),
-                       self._simulator.scene))
-        for outlet in self._outlets:
-            if self._log.path and outlet.name == '~/tip_deflection':
-                outlet.watch = self._peak.see
-
-    def _close(self, wall_time):
-        self._pass_on_warning()
-        if self._live is not None:
-            self._live.close()
-        pace = self._loop.pace
-        report = (f'simulated {self.steps * self._step:.6g} s in {wall_time:.3f} s, '
-                  f'{pace.overruns} overruns, {pace.dropped_steps * self._step:.6g} s dropped')
-        self._log.close({**self._peak.note(), **{
-            name: str(count) for name, count in self._counters().items()}})
-        if self._log.path:
-            report += f'; log: {self._log.path}'
-        self.get_logger().info(report)
+def _answer(operation, request, response):
+    try:
+        response.message = operation(request)
+        response.success = True
+    except NotNow as reason:
+        response.message = str(reason)
+    return response

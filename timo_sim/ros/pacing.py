@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Which time step is due when: absolute deadlines on the steady clock."""
+"""Which time step is due when: deadlines on the steady clock, and waits for a controller."""
 
 import math
 
@@ -67,3 +67,63 @@ class Pace:
         """Return the wall time of the next tick [s]."""
         ahead = steps + self._tick_steps - self._base_steps
         return self._base_time + ahead * self._step / self._factor
+
+
+class Gate:
+    """
+    Lock step: says when a step must wait for the controller's command.
+
+    The first command is waited for as long as it takes: the run begins with it.
+
+    Parameters
+    ----------
+    period : int
+        Steps from one wait to the next; 0: there is none.
+    patience : float
+        Of a wait but the first [s of wall time].
+
+    Attributes
+    ----------
+    missed : int
+        Waits that ended without a command.
+    first : bool
+        Whether no command has come yet.
+
+    """
+
+    def __init__(self, period, patience):
+        self._period, self._patience = period, patience
+        self.missed = 0
+        self.restart()
+
+    def restart(self):
+        """Wait for a first command again."""
+        self._passed, self._since, self.first = None, None, True
+
+    @property
+    def waiting(self):
+        """Whether a step waits."""
+        return self._since is not None
+
+    def boundary(self, step):
+        """Return whether commands begin to act at a step."""
+        return not self._period or step % self._period == 0
+
+    def following(self, step):
+        """Return the next step at which commands begin to act, or infinity."""
+        return (step // self._period + 1) * self._period if self._period else math.inf
+
+    def __bool__(self):
+        return self._period > 0
+
+    def closed(self, step, now, answered):
+        """Return whether a step must wait at a wall time [s], `answered` if it has a command."""
+        if step % self._period or step == self._passed:
+            return False
+        self._since = now if self._since is None else self._since
+        if not answered:
+            if self.first or now - self._since < self._patience:
+                return True
+            self.missed += 1
+        self._passed, self._since, self.first = step, None, False
+        return False

@@ -25,16 +25,7 @@ _LARGEST = 1.7976931348623157e308
 
 def declare_parameters(node):
     """
-    Declare all parameters of a node.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-
-    Returns
-    -------
-    dict
-        Checked value of every parameter by name.
+    Declare all parameters of a node; return the checked value of each by name.
 
     Raises
     ------
@@ -60,16 +51,9 @@ def declare_parameters(node):
 
 def on_set(node, values, apply):
     """
-    Check what is set at run time, and pass it on.
+    Check what is set at run time, and update `values` with it.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    values : dict
-        Updated in place with what was accepted.
-    apply : function(dict)
-        Called with the changed values; raises ParameterError to refuse them.
-
+    Before that `apply` is given the changed values; it may raise ParameterError to refuse them.
     """
     def callback(parameters):
         changed = {parameter.name: parameter.value for parameter in parameters

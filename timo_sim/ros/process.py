@@ -9,6 +9,8 @@
 """The node's process: ROS started and ended around it, callbacks in a thread of their own."""
 
 import gc
+import os
+from pathlib import Path
 import sys
 import threading
 
@@ -17,7 +19,6 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
-from timo_sim.ros.middleware import use_profiles
 from timo_sim.ros.node import SimNode
 from timo_sim.scene.parameter import ParameterError
 
@@ -30,6 +31,23 @@ except ImportError:  # an older rclpy
 SWITCH_INTERVAL = 2e-4
 # How often the executor's thread looks whether it should end [s].
 _POLL = 0.1
+_PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
+_USE_PROFILES = 'RMW_FASTRTPS_USE_QOS_FROM_XML'
+
+
+def use_profiles():
+    """
+    Let Fast DDS take `fastdds.xml`, unless its user has told it something else.
+
+    It has settings that ROS 2 has no word for. For the process that calls this before rclpy is
+    initialised; other middlewares do not care.
+    """
+    users = _PROFILES, 'FASTDDS_DEFAULT_PROFILES_FILE', _USE_PROFILES
+    # The file is read unasked.
+    if not (Path('DEFAULT_FASTRTPS_PROFILES.xml').exists()
+            or any(name in os.environ for name in users)):
+        os.environ.update({_PROFILES: str(Path(__file__).with_name('fastdds.xml')),
+                           _USE_PROFILES: '1'})
 
 
 def _refuse(error, code=2):
@@ -38,7 +56,7 @@ def _refuse(error, code=2):
     return code
 
 
-def run(stop, args, live_feed=None):
+def run(stop, args, **options):
     """
     Start ROS, run the node, end ROS.
 
@@ -47,8 +65,8 @@ def run(stop, args, live_feed=None):
     stop : StopRequest
     args : list of str or None
         Command line; None: that of the process.
-    live_feed : function, optional
-        See `SimNode`.
+    **options
+        Of `SimNode`.
 
     Returns
     -------
@@ -76,7 +94,7 @@ def run(stop, args, live_feed=None):
     except (RuntimeError, UnicodeError) as error:  # what rcl cannot read: arguments or a file
         return _refuse(error)
     try:
-        node = SimNode(stop, live_feed)
+        node = SimNode(stop, **options)
     except ParameterError as error:
         return _refuse(error)
     except RCLError as error:  # what the middleware does not do

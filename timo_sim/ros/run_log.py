@@ -18,16 +18,7 @@ class RunLog:
     """
     The log of a run; it takes everything and keeps nothing while it is not open.
 
-    Parameters
-    ----------
-    logger
-        Of rclpy: hears why there is no log, or why it ends early.
-
-    Attributes
-    ----------
-    error : str or None
-        The same.
-
+    `error`, which the logger of rclpy also hears, says why there is none or why it ends early.
     """
 
     def __init__(self, logger):
@@ -40,19 +31,10 @@ class RunLog:
 
     def open(self, path, channels, outlets, note):
         """
-        Begin a log.
+        Begin a log with a note, a dictionary; without a path under a name with date and time.
 
-        Parameters
-        ----------
-        path : str
-            Empty: a name with date and time.
-        channels : list of Channel
-            Of what `write` is given.
-        outlets : list of Outlet
-            They write by themselves from now on.
-        note : dict
-            What is to be known of the run at its start.
-
+        It has the channels of what `write` is given, and of the outlets, which write by themselves
+        from now on.
         """
         path = path or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap'
         outlets = [outlet for outlet in outlets if outlet.logged]

@@ -73,13 +73,7 @@ class MotionOutlet(Outlet):
     """
     The outlet of a topic that carries the simulated motion.
 
-    Attributes
-    ----------
-    every : int
-        Steps between messages.
-    watch : function(tuple, int) or None
-        Sees numbers and time [ns] of what is sent.
-
+    It is published each `every` steps; `watch(numbers, ns)` sees what is sent.
     """
 
     def __init__(self, node, output):
@@ -100,13 +94,7 @@ class LateOutlet(MotionOutlet):
     """
     The outlet of a sensor whose messages come some time after the measurement.
 
-    Their header and their step in the log are those of the measurement.
-
-    Parameters
-    ----------
-    delay : int
-        Steps.
-
+    Their header and their step in the log are those of the measurement, `delay` steps before.
     """
 
     def __init__(self, node, output, delay):

@@ -226,8 +226,8 @@ class Run(MotionFields):
 
     def view(self, web: bool = False) -> None:
         """Show the run in rerun until its window, or the browser, is closed; needs rerun-sdk."""
-        from timo_sim.view.motion_track import of_run
         from timo_sim.view.show import show_tracks
+        from timo_sim.view.track import of_run
         show_tracks([lambda: of_run(self)], web=web)
 
     def _at(self, xi):

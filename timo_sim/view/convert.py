@@ -14,7 +14,7 @@ import numpy as np
 import rerun as rr
 
 from timo_sim.view.entities import (
-    ABOUT, log_curves, log_frame_of_plane, log_looks, PLANE, send_curves, send_poses, TRAIL)
+    ABOUT, log_curves, log_frame_of_plane, Plane, send_curves, TRAIL)
 from timo_sim.view.panels import blueprint, Panel
 
 BLOCK = 65536  # samples, or frames, that are sent at once
@@ -56,16 +56,18 @@ def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
     shares = [len(track.traces) + 2 for track in tracks]
     panels = {}
     for run, track in enumerate(tracks):
-        _send_plane(stream, track, frames[run], run, len(tracks), largest)
+        plane = Plane(stream, track.name, track.body, run, len(tracks))
+        for part in _blocks(len(frames[run])):
+            picked = frames[run][part]
+            plane.send(track.ns[picked], track.poses(picked), largest)
         report(2 / sum(shares))
         for trace in track.traces:
             log_curves(stream, trace.panel, track.name, run, len(tracks), trace.names)
             panel = panels.setdefault(trace.panel, Panel())
             panel.curves += len(trace.names)
             for part in _blocks(len(trace.ns)):
-                values = trace.values(part)
-                send_curves(stream, trace.panel, track.name, trace.ns[part], values)
-                panel.see(values)
+                send_curves(stream, trace.panel, track.name, trace.ns[part], trace.values[part])
+            panel.see(trace.values)
             report(1 / sum(shares))
         if run:
             _send_differences(stream, tracks[0], track, run, len(tracks), panels)
@@ -96,16 +98,6 @@ def _extent(tracks, frames):
     return (np.array([low - 0.05 * np.max(high - low), high]), np.max(efforts, axis=0).tolist())
 
 
-def _send_plane(stream, track, frames, run, runs, largest):
-    path = f'{PLANE}/{track.name}'
-    log_looks(stream, path, track.body, run, runs)
-    trail = np.repeat(track.poses(frames[:1]).line[:, -1], TRAIL - 1, axis=0)
-    for part in _blocks(len(frames)):
-        poses = track.poses(frames[part])
-        trail = np.concatenate([trail[1 - TRAIL:], poses.line[:, -1]])
-        send_poses(stream, path, track.ns[frames[part]], poses, track.body, largest, trail)
-
-
 def _send_differences(stream, first, track, run, runs, panels):
     for panel, (source, columns) in _DIFFERENCES.items():
         ours, theirs = track.trace(source), first.trace(source)
@@ -117,11 +109,10 @@ def _send_differences(stream, first, track, run, runs, panels):
                    [f'{text} less {first.name}' for text in names])
         seen = panels.setdefault(panel, Panel(least=1e-12))
         seen.curves += len(names)
-        base = theirs.values(slice(None))
         for part in _blocks(len(inside)):
-            ns, values = ours.ns[inside[part]], ours.values(inside[part])
+            ns, values = ours.ns[inside[part]], ours.values[inside[part]]
             values = values - np.column_stack(
-                [np.interp(ns, theirs.ns, column) for column in base.T])
+                [np.interp(ns, theirs.ns, column) for column in theirs.values.T])
             values = values[:, columns].reshape(len(ns), -1)
             send_curves(stream, panel, track.name, ns, values)
             seen.see(values)

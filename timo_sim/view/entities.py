@@ -16,16 +16,14 @@ PLANE, CURVES, ABOUT = 'plane', 'curves', 'about'
 # Okabe-Ito colours that stand out on black, told apart by everyone.
 COLOURS = [(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (240, 228, 66),
            (213, 94, 0), (0, 114, 178)]
-GHOST, GRID, TICKS = (120, 120, 120), (50, 50, 50), (170, 170, 170)
-FORCE, TORQUE = (255, 255, 255), (255, 255, 255)
+GHOST, GRID, TICKS, EFFORT = (120, 120, 120), (50, 50, 50), (170, 170, 170), (255, 255, 255)
 TRAIL = 90  # frames
 # The longest force is so long, in arm lengths; the largest torque turns so far [rad].
 _LONGEST, _FARTHEST = 0.3, 1.5 * np.pi
 _ARC = np.linspace(0.0, 1.0, 20)
 
 
-def time_column(ns):
-    """Return sim times [ns] as rerun takes them."""
+def _time(ns):
     return rr.TimeColumn(TIMELINE, duration=np.asarray(ns).astype('timedelta64[ns]'))
 
 
@@ -62,77 +60,57 @@ def _spacing(extent):
     return decade * max(n for n in (1, 2, 5) if n * decade <= extent / 3.0)
 
 
-def log_looks(stream, path, body, run, runs):
-    """Log colours and sizes of a run's arm and bodies."""
-    own = colour(run, runs)
-    line = 0.5 * body.thickness
-    thin = rr.Radius.ui_points(1.0)
-    for name, look in {
-            'ghost': rr.LineStrips2D.from_fields(colors=GHOST, radii=thin, draw_order=1.0),
-            'trail': rr.LineStrips2D.from_fields(colors=TICKS if runs == 1 else own, radii=thin,
-                                                 draw_order=6.5),
-            'carrier': rr.Boxes2D.from_fields(
-                half_sizes=[0.5 * body.carrier] * 2, colors=own, draw_order=3.0,
-                radii=rr.Radius.ui_points(1.5)),
-            'motor': rr.Points2D.from_fields(
-                colors=TICKS if runs == 1 else own, radii=0.5 * body.motor,
-                draw_order=4.0),
-            'arm': rr.LineStrips2D.from_fields(
-                colors=own, draw_order=5.0,
-                radii=line if line > 0.004 * body.length else rr.Radius.ui_points(2.0)),
-            'end_effector': rr.Points2D.from_fields(
-                colors=COLOURS[5] if runs == 1 else own, radii=0.5 * body.end_effector,
-                draw_order=6.0),
-            'force': rr.Arrows2D.from_fields(
-                colors=FORCE, radii=rr.Radius.ui_points(2.0), draw_order=7.0),
-            'torque': rr.LineStrips2D.from_fields(
-                colors=TORQUE, radii=rr.Radius.ui_points(1.5), draw_order=8.0)}.items():
-        stream.log(f'{path}/{name}', look, static=True)
+class Plane:
+    """The moving entities of a run in the plane."""
 
+    def __init__(self, stream, name, body, run, runs):
+        self._stream, self._path, self._body, self._trail = stream, f'{PLANE}/{name}', body, None
+        own, line, points = colour(run, runs), 0.5 * body.thickness, rr.Radius.ui_points
+        grey, tip = (TICKS, COLOURS[5]) if runs == 1 else (own, own)
+        looks: list[tuple] = [
+            ('ghost', rr.LineStrips2D, GHOST, points(1.0), {}),
+            ('carrier', rr.Boxes2D, own, points(1.5), {'half_sizes': [0.5 * body.carrier] * 2}),
+            ('motor', rr.Points2D, grey, 0.5 * body.motor, {}),
+            ('arm', rr.LineStrips2D, own, line if line > 0.004 * body.length else points(2.0), {}),
+            ('end_effector', rr.Points2D, tip, 0.5 * body.end_effector, {}),
+            ('trail', rr.LineStrips2D, grey, points(1.0), {}),
+            ('force', rr.Arrows2D, EFFORT, points(2.0), {}),
+            ('torque', rr.LineStrips2D, EFFORT, points(1.5), {})]
+        for order, (name, kind, colors, radii, more) in enumerate(looks):
+            stream.log(f'{self._path}/{name}', kind.from_fields(
+                colors=colors, radii=radii, draw_order=float(order), **more), static=True)
 
-def send_poses(stream, path, ns, poses, body, largest, trail):
-    """
-    Send frames of the plane.
+    def send(self, ns, poses, largest):
+        """
+        Send frames at sim times (m,) [ns], which follow those that were sent before.
 
-    Parameters
-    ----------
-    stream : RecordingStream
-    path : str
-        Of the run's entities.
-    ns : ndarray, shape (m,)
-    poses : Poses
-    body : Body
-    largest : tuple of float
-        Force [N] and torque [N m] that are drawn largest.
-    trail : ndarray, shape (m + TRAIL - 1, 2)
-        Where the tip was and is [m].
-
-    """
-    time, root, tip = [time_column(ns)], poses.line[:, 0], poses.line[:, -1]
-    straight = root + body.length * np.column_stack([np.cos(poses.shaft), np.sin(poses.shaft)])
-    trails = np.moveaxis(np.lib.stride_tricks.sliding_window_view(trail, TRAIL, axis=0), 1, 2)
-    for name, columns in {
-            'ghost': rr.LineStrips2D.columns(strips=_strips([root, straight])),
-            'trail': rr.LineStrips2D.columns(strips=_floats(trails)),
-            'carrier': rr.Boxes2D.columns(centers=_floats(root)),
-            'motor': rr.Points2D.columns(positions=_floats(root)),
-            'arm': rr.LineStrips2D.columns(strips=_floats(poses.line)),
-            'end_effector': rr.Points2D.columns(positions=_floats(tip)),
-            'force': rr.Arrows2D.columns(
-                origins=_floats(root), vectors=_floats(
-                    poses.effort[:, :2] * (_LONGEST * body.length / (largest[0] or 1.0)))),
-            'torque': rr.LineStrips2D.columns(strips=_floats(
-                _arcs(root, poses.shaft, poses.effort[:, 2] / (largest[1] or 1.0), body)))
-            }.items():
-        stream.send_columns(f'{path}/{name}', time, columns)
+        The `largest` force [N] and torque [N m] fill their room.
+        """
+        body, root, tip = self._body, poses.line[:, 0], poses.line[:, -1]
+        straight = root + body.length * np.column_stack([np.cos(poses.shaft), np.sin(poses.shaft)])
+        before = np.repeat(tip[:1], TRAIL - 1, axis=0) if self._trail is None else self._trail
+        trail = np.concatenate([before, tip])
+        self._trail = trail[1 - TRAIL:]
+        trails = np.moveaxis(np.lib.stride_tricks.sliding_window_view(trail, TRAIL, axis=0), 1, 2)
+        for name, columns in {
+                'ghost': rr.LineStrips2D.columns(
+                    strips=_floats(np.stack([root, straight], axis=1))),
+                'trail': rr.LineStrips2D.columns(strips=_floats(trails)),
+                'carrier': rr.Boxes2D.columns(centers=_floats(root)),
+                'motor': rr.Points2D.columns(positions=_floats(root)),
+                'arm': rr.LineStrips2D.columns(strips=_floats(poses.line)),
+                'end_effector': rr.Points2D.columns(positions=_floats(tip)),
+                'force': rr.Arrows2D.columns(
+                    origins=_floats(root), vectors=_floats(
+                        poses.effort[:, :2] * (_LONGEST * body.length / (largest[0] or 1.0)))),
+                'torque': rr.LineStrips2D.columns(strips=_floats(
+                    _arcs(root, poses.shaft, poses.effort[:, 2] / (largest[1] or 1.0), body)))
+                }.items():
+            self._stream.send_columns(f'{self._path}/{name}', [_time(ns)], columns)
 
 
 def _floats(values):
     return np.ascontiguousarray(values, dtype=np.float32)
-
-
-def _strips(points):
-    return _floats(np.stack(points, axis=1))
 
 
 def _arcs(centre, start, share, body):
@@ -149,14 +127,9 @@ def _arcs(centre, start, share, body):
     return centre[:, np.newaxis] + np.concatenate(strokes, axis=1)
 
 
-def curve_path(panel, name):
-    """Return where the curves of a run are, of a panel."""
-    return f'{CURVES}/{panel}/{name}'
-
-
 def log_curves(stream, panel, name, run, runs, names):
-    """Log names and colours of curves."""
-    stream.log(curve_path(panel, name), rr.SeriesLines(
+    """Log names and colours of the curves of a run in a panel."""
+    stream.log(f'{CURVES}/{panel}/{name}', rr.SeriesLines(
         names=[f'{name}: {text}' for text in names] if runs > 1 else list(names), widths=1.5,
         colors=[colour(run, runs, curve) for curve in range(len(names))]), static=True)
 
@@ -164,6 +137,6 @@ def log_curves(stream, panel, name, run, runs, names):
 def send_curves(stream, panel, name, ns, values):
     """Send samples of curves, values of shape (m, k)."""
     stream.send_columns(
-        curve_path(panel, name), [time_column(ns)],
+        f'{CURVES}/{panel}/{name}', [_time(ns)],
         rr.Scalars.columns(scalars=np.ravel(values)).partition(
             np.full(len(values), values.shape[1])))

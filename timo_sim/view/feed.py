@@ -17,6 +17,8 @@ import sys
 
 import numpy as np
 
+from timo_sim.scene.parameter import ParameterError, short
+
 PERIOD = 1.0 / 30.0  # [s] of wall time between samples
 _PATIENCE = 2.0      # [s] for what is on its way at the end
 _ADDRESS = re.compile(r'rerun(\+https?)?://\S+/proxy')
@@ -38,18 +40,18 @@ class Feed:
 
     Raises
     ------
-    ValueError
-        If the address is none.
-    ModuleNotFoundError
-        If rerun is not installed.
+    ParameterError
+        If the address is none, or rerun is not installed.
 
     """
 
     def __init__(self, scene, url, name):
         if not _ADDRESS.fullmatch(url):
-            raise ValueError('it has the form rerun+http://HOST:PORT/proxy')
+            raise ParameterError('rerun_live must be the address of a viewer of rerun, got '
+                                 f'{short(url)}: it has the form rerun+http://HOST:PORT/proxy')
         if find_spec('rerun') is None:
-            raise ModuleNotFoundError("No module named 'rerun'", name='rerun')
+            raise ParameterError('rerun_live needs rerun, which is not installed: '
+                                 'pip install timo_sim[view]')
         # In a session of its own: Ctrl+C is for the node, which then ends it.
         self._process = subprocess.Popen(
             [sys.executable, '-m', 'timo_sim.view.live', url, name, json.dumps(scene.values)],

@@ -18,10 +18,9 @@ import numpy as np
 import rerun as rr
 
 from timo_sim.scene.scene import load_scene
-from timo_sim.view.entities import (
-    ABOUT, log_curves, log_frame_of_plane, log_looks, PLANE, send_curves, send_poses, TRAIL)
-from timo_sim.view.motion_track import body_of, of_motion
+from timo_sim.view.entities import ABOUT, log_curves, log_frame_of_plane, Plane, send_curves
 from timo_sim.view.panels import blueprint, Panel
+from timo_sim.view.track import body_of, of_motion
 
 _PERIOD = 1.0 / 30.0  # [s] of what is sent at once
 _MOST_WAITING = 300   # samples; older ones are dropped
@@ -29,28 +28,18 @@ _PATIENCE = 1.0       # [s] for what waits at the end
 
 
 class Stream:
-    """
-    A run that grows in a viewer.
-
-    Parameters
-    ----------
-    url, name : str
-        Of the viewer, of the node.
-    scene : Scene
-
-    """
+    """A run of a Scene that grows in a viewer, of which this is the address."""
 
     def __init__(self, url, name, scene):
         self._scene, self._name = scene, name.strip('/').replace('/', '_')
-        self._path, self._body = f'{PLANE}/{self._name}', body_of(scene)
-        self._trail, self._largest = None, [0.0, 0.0]
+        self._largest = [0.0, 0.0]
         self._stream = rr.RecordingStream('timo_sim')
         self._stream.connect_grpc(url)
-        start = scene.initial_motion()
-        reach = 1.3 * self._body.length
+        start, body = scene.initial_motion(), body_of(scene)
+        reach = 1.3 * body.length
         bounds = np.array([start[:2] - reach, start[:2] + reach])
         log_frame_of_plane(self._stream, bounds)
-        log_looks(self._stream, self._path, self._body, 0, 1)
+        self._plane = Plane(self._stream, self._name, body, 0, 1)
         self._stream.log(ABOUT, rr.TextDocument(
             f'**{name}**, live: 30 samples per second of wall time, also in the curves'
             ' (a log has all)', media_type='text/markdown'), static=True)
@@ -68,17 +57,12 @@ class Stream:
         """Send samples, shape (m, 1 + 2 (3 + N) + 3): time [ns], motion, effort."""
         track = self._track(samples)
         poses = track.poses(slice(None))
-        tip = poses.line[:, -1]
-        if self._trail is None:
-            self._trail = np.repeat(tip[:1], TRAIL - 1, axis=0)
-        trail = np.concatenate([self._trail, tip])
-        self._trail = trail[1 - TRAIL:]
         self._largest = [max(self._largest[0], np.hypot(*poses.effort[:, :2].T).max()),
                          max(self._largest[1], np.abs(poses.effort[:, 2]).max())]
-        send_poses(self._stream, self._path, track.ns, poses, self._body, self._largest, trail)
+        self._plane.send(track.ns, poses, self._largest)
         for trace in track.traces:
             send_curves(self._stream, trace.panel, self._name, track.ns,
-                        trace.values(slice(None)))
+                        trace.values)
 
     def flush(self):
         """Wait a little for what is on its way."""

@@ -69,37 +69,19 @@ class Panel:
 
 def blueprint(panels, bounds, runs=1, live=False):
     """
-    Return the layout.
+    Return the layout of panels (by key of TITLES) and of the plane between two corners (2, 2) [m].
 
-    Parameters
-    ----------
-    panels : dict of Panel
-        For those of `TITLES` that there are.
-    bounds : array_like, shape (2, 2)
-        Lower left and upper right corner of the plane [m].
-    runs : int
-        How many are laid over each other.
-    live : bool
-        Whether to follow what arrives, the last ten seconds of it.
-
-    Returns
-    -------
-    Blueprint
-
+    With several runs only some panels have a legend; a live run is followed, its last ten seconds.
     """
     ranges = rrb.VisibleTimeRange(
         TIMELINE, start=rrb.TimeRangeBoundary.cursor_relative(seconds=-10.0),
         end=rrb.TimeRangeBoundary.cursor_relative()) if live else None
 
-    def view(key):
-        panel = panels[key]
-        return rrb.TimeSeriesView(
-            origin=f'{CURVES}/{key}', name=panel.title(key), time_ranges=ranges,
-            axis_y=panel.axis(),
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=(
-                key in _KEYS if runs > 1 else panel.curves > 1)))
-
-    views = [view(key) for key in TITLES if key in panels]
+    views = [rrb.TimeSeriesView(
+        origin=f'{CURVES}/{key}', name=panels[key].title(key), time_ranges=ranges,
+        axis_y=panels[key].axis(), plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=(
+            key in _KEYS if runs > 1 else panels[key].curves > 1)))
+        for key in TITLES if key in panels]
     (left, bottom), (right, top) = bounds
     plane = rrb.Spatial2DView(
         origin='/', contents=f'{PLANE}/**', name='plane of motion, x right, y up [m]',

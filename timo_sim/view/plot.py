@@ -6,31 +6,21 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A run as a figure: curves over time, and the arm in the plane."""
+"""Figures: a run, and the Bode diagram of a linear model."""
 
 from matplotlib.figure import Figure
 import numpy as np
 
 # Okabe and Ito's colours, which colour-blind readers tell apart.
-COLOURS = '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'
+_COLOURS = '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'
 _ARMS, _POINTS = 8, 41  # shapes of the arm that are drawn, and points of each
+_FREQUENCIES = 4000
 
 
 def plot(run):
-    """
-    Draw a run.
-
-    Parameters
-    ----------
-    run : Run
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    """
-    length, figure = run.scene.manipulator.arm.length, Figure(figsize=(12, 7),
-                                                              layout='constrained')
+    """Return a Figure of a Run: curves over time, and the arm in the plane."""
+    length = run.scene.manipulator.arm.length
+    figure = Figure(figsize=(12, 7), layout='constrained')
     axes = figure.subplot_mosaic([['tip', 'plane'], ['shaft', 'plane'], ['carrier', 'plane']],
                                  width_ratios=[3, 2])
     curves = {
@@ -39,7 +29,7 @@ def plot(run):
         'shaft': ('shaft angle [rad]', {'theta': run.shaft}),
         'carrier': ('carrier [m]', {'x': run.carrier[:, 0], 'y': run.carrier[:, 1]})}
     for name, (label, lines) in curves.items():
-        for (line, values), colour in zip(lines.items(), COLOURS):
+        for (line, values), colour in zip(lines.items(), _COLOURS):
             axes[name].plot(run.t, values, color=colour, label=line)
         axes[name].set(ylabel=label, xlim=(run.t[0], run.t[-1] or 1.0))
         axes[name].grid(alpha=0.3)
@@ -49,13 +39,42 @@ def plot(run):
 
     xi = np.linspace(0.0, length, _POINTS)
     shapes = run.position(xi)
-    axes['plane'].plot(*shapes[:, -1].T, color=COLOURS[5], linewidth=0.8, label='path of the tip')
+    axes['plane'].plot(*shapes[:, -1].T, color=_COLOURS[5], linewidth=0.8, label='path of the tip')
     picked = np.unique(np.linspace(0, len(run.t) - 1, _ARMS).astype(int))
     for number, k in enumerate(picked):
-        axes['plane'].plot(*shapes[k].T, color=COLOURS[0], alpha=(1 + number) / len(picked),
+        axes['plane'].plot(*shapes[k].T, color=_COLOURS[0], alpha=(1 + number) / len(picked),
                            label=f'arm until t = {run.t[-1]:g} s' if k == picked[-1] else None)
     axes['plane'].plot(*shapes[picked, 0].T, 's', color='0.3', markersize=4, label='carrier')
     axes['plane'].set(xlabel='x [m]', ylabel='y [m]', aspect='equal')
     axes['plane'].legend(fontsize='small')
     axes['plane'].grid(alpha=0.3)
+    return figure
+
+
+def bode(model):
+    """Return a Figure of what a LinearModel's first input does to its outputs, and its poles."""
+    poles = model.poles()
+    vibrating = np.abs(poles[np.abs(poles) > 1.0]) / (2.0 * np.pi)
+    ends = (0.1, 100.0) if not len(vibrating) else (0.1 * vibrating[0], 3.0 * vibrating[-1])
+    frequency = np.geomspace(ends[0], ends[1], _FREQUENCIES)
+    response = model.frequency_response(frequency)
+
+    figure = Figure(figsize=(12, 6), layout='constrained')
+    axes = figure.subplot_mosaic([['size', 'poles'], ['phase', 'poles']], width_ratios=[2, 1])
+    for name, values, colour in zip(model.outputs, response[:, :, 0].T, _COLOURS):
+        axes['size'].loglog(frequency, np.abs(values), color=colour, label=name)
+        # Turned a little, so that round-off does not choose between 180 and -180 degrees.
+        phase = np.angle(values * np.exp(-1e-3j)) + 1e-3
+        axes['phase'].semilogx(frequency, np.degrees(phase), color=colour)
+    axes['size'].set(ylabel=f'output per {model.inputs[0]}')
+    axes['size'].legend(fontsize='small')
+    axes['phase'].set(xlabel='frequency [Hz]', ylabel='phase [deg]', yticks=range(-180, 181, 90))
+    axes['poles'].plot(poles.real, poles.imag / (2.0 * np.pi), 'x', color=_COLOURS[0])
+    axes['poles'].set(xlabel='real part [1/s]', ylabel='imaginary part / 2 pi [Hz]',
+                      title='poles')
+    if np.abs(poles.real).max() < 1e-3 * np.abs(poles.imag).max():
+        # Else round-off fills the width.
+        axes['poles'].set(xlim=(-1.0, 1.0), xticks=(-1.0, 0.0, 1.0))
+    for each in axes.values():
+        each.grid(alpha=0.3)
     return figure

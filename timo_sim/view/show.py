@@ -6,15 +6,28 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Tracks shown in rerun, saved for it, or drawn to a picture."""
+"""Tracks shown in rerun's viewer, a process of ours bound to this machine; saved, or drawn."""
 
+from contextlib import closing
+import os
 from pathlib import Path
+import socket
+import subprocess
+import sys
 import tempfile
+import time
 
+import rerun_cli
 from tqdm import tqdm
 
 from timo_sim.view.convert import write
-from timo_sim.view.viewer import picture, show
+
+_LOOPBACK = '127.0.0.1'
+_PATIENCE = 60.0  # [s] until a viewer must have loaded a file
+
+
+class ViewerError(OSError):
+    """The viewer does not start or does not answer."""
 
 
 def show_tracks(makers, save=None, png=None, at=None, web=False, fps=30.0):
@@ -46,4 +59,97 @@ def show_tracks(makers, save=None, png=None, at=None, web=False, fps=30.0):
         if png:
             picture(path, png, at)
         if web or not (save or png):
-            show(path, web)
+            _show(path, web)
+
+
+def _show(path, web):
+    """Show a rerun file until the viewer, in a window or the browser, is closed."""
+    if not web and sys.platform == 'linux' and not (
+            os.environ.get('DISPLAY') or os.environ.get('WAYLAND_DISPLAY')):
+        raise ViewerError('there is no screen (DISPLAY is not set): take --png, --save or --web')
+    code = _viewer(subprocess.call, '--port', 'auto', *(
+        ['--web-viewer', '--web-viewer-port', str(_free_port())] if web else []), path)
+    if code:
+        raise ViewerError(f'the viewer of rerun ended with code {code}')
+
+
+def picture(path, png, at=None, size=(1600, 1000), view=None):
+    """
+    Draw a rerun file to a picture, without a screen.
+
+    Parameters
+    ----------
+    path, png : str or Path
+    at : float, optional
+        Sim time [s]; by default the end.
+    size : tuple of int
+        Width and height of the window.
+    view : str, optional
+        Beginning of the name of the only view to draw.
+
+    Raises
+    ------
+    ViewerError
+
+    """
+    from rerun.experimental import ViewerClient
+    port = _free_port()
+    process = _viewer(subprocess.Popen, '--headless', '--port', str(port), '--window-size',
+                      f'{size[0]}x{size[1]}', path, stderr=subprocess.PIPE, text=True)
+    try:
+        client = _until(
+            lambda: ViewerClient.connect(f'rerun+http://{_LOOPBACK}:{port}/proxy'), process)
+        state = _until(lambda: _loaded(client), process)
+        end = max(line.end for line in state.recordings[0].timelines if line.name == 'sim_time')
+        client.set_time('sim_time', duration=end * 1e-9 if at is None else at,
+                        play_state='paused')
+        time.sleep(1.0)  # axes glide to their places
+        only = next((each.view_id for each in state.views
+                     if view is not None and each.name.startswith(view)), None)
+        client.save_screenshot(str(Path(png).absolute()), only)
+    finally:
+        process.terminate()
+        process.communicate()
+
+
+def _viewer(start, *arguments, **options):
+    # The binary itself: its Python wrapper would leave it behind when ended.
+    return start(
+        [Path(rerun_cli.__file__).with_name('rerun'), '--bind', _LOOPBACK, *arguments],
+        env={'RUST_LOG': 'error', **os.environ}, **options)
+
+
+def _free_port():
+    with closing(socket.socket()) as sock:
+        sock.bind((_LOOPBACK, 0))
+        return sock.getsockname()[1]
+
+
+def _loaded(client):
+    state = client.get_state()
+    ready = not state.loading and state.views and state.recordings and any(
+        line.name == 'sim_time' for line in state.recordings[0].timelines)
+    return state if ready else None
+
+
+def _until(condition, process):
+    """Return what a condition finds; RuntimeError and OSError are a viewer not yet answering."""
+    deadline = time.monotonic() + _PATIENCE
+    while time.monotonic() < deadline:
+        if process.poll() is not None:
+            raise ViewerError(_reason(process.stderr.read()))
+        try:
+            found = condition()
+        except (RuntimeError, OSError):
+            found = None
+        if found:
+            return found
+        time.sleep(0.05)
+    raise ViewerError(f'the viewer of rerun did not answer within {_PATIENCE:g} s')
+
+
+def _reason(text):
+    if 'adapter' in text or 'render context' in text:
+        return ('pictures need a driver for graphics: apt-get install mesa-vulkan-drivers '
+                'libvulkan1')
+    return 'the viewer of rerun ended: ' + ' '.join(text.split())[-300:]

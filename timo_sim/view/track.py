@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A track: what a view shows of a run, whatever the run comes from."""
+"""A track: what a view shows of a run, made of a `Run`, of a log of the node or of a plain bag."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,8 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-POINTS = 41     # of the centre line that is drawn
-BLOCK = 1024    # samples that are worked out at once: what they need stays near the processor
+from timo_sim.physics.layout import rotate
+from timo_sim.scene.loads import CHANNELS
+from timo_sim.simulation.energy import integral, work
+
+_POINTS = 41     # of the centre line that is drawn
+_BLOCK = 1024    # samples that are worked out at once: what they need stays near the processor
 
 
 class TrackError(ValueError):
@@ -46,7 +50,7 @@ class Trace(NamedTuple):
     panel: str          # key, as in 'tip_deflection'
     names: tuple        # of the k curves
     ns: np.ndarray      # sim time (n,) [ns]
-    values: Callable    # from a slice to (m, k)
+    values: np.ndarray  # (n, k)
 
 
 @dataclass(frozen=True)
@@ -100,16 +104,178 @@ def unique_names(names):
             for place, name in enumerate(names)]
 
 
-def joint_traces(trace, position, velocity, effort):
-    """Return the traces of carrier, shaft and what acts on them."""
-    return [trace('carrier', ('x', 'y'), lambda part: position[part, :2]),
-            trace('shaft', ('theta',), lambda part: position[part, 2:]),
-            trace('carrier_velocity', ('x', 'y'), lambda part: velocity[part, :2]),
-            trace('shaft_speed', ('theta',), lambda part: velocity[part, 2:]),
-            trace('force', ('x', 'y'), lambda part: effort[part, :2]),
-            trace('torque', ('torque',), lambda part: effort[part, 2:])]
+def of_run(run, name='run'):
+    """Return the track of a `Run`."""
+    if run.recording is not None:
+        return of_recording(run.recording, name)
+    ns = np.rint(run.t * 1e9).astype(np.int64)
+    return of_motion(name, run.scene, ns, run.motion, run.effort, heat=run.friction_heat)
 
 
-def span(ns):
-    """Return in words how many samples there are and when."""
+def of_recording(recording, name):
+    """
+    Return the track of a `log.recording.Recording`.
+
+    Without modal coordinates the shape is a cubic from root to tip. Raises TrackError if what a
+    shape needs is not on it.
+    """
+    scene, series = recording.scene, recording.read(
+        'joint_states', '~/modal_state', '~/tip_wrench')
+    joints = series.get('joint_states')
+    if joints is None or not len(joints.ns):
+        raise TrackError(f'{recording.path} has no joint_states: there is nothing to show')
+    if scene is None or scene.values['model.modes'] and '~/modal_state' not in series:
+        return _of_bag(recording, name, joints)
+    step, ns, motion = recording.motion(series)
+    if not len(ns):
+        raise TrackError(f'{recording.path}: joint_states and modal_state are never of the same '
+                         'time: choose rates of which one is a multiple of the other')
+    place = slice(None) if len(ns) == len(joints.ns) else (
+        np.searchsorted(joints.ns, ns, side='right') - 1)
+    resets = np.searchsorted(step, recording.resets, side='right') - 1
+    resets += step[resets] < recording.resets
+    return of_motion(name, scene, ns, motion, joints.values[place, 6:9],
+                     resets[(0 < resets) & (resets < len(ns))],
+                     not recording.changes and ('~/tip_wrench' not in series
+                                                or not len(series['~/tip_wrench'].ns)))
+
+
+def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=None):
+    """
+    Return the track of a known motion.
+
+    Parameters
+    ----------
+    name : str
+    scene : Scene
+    ns : ndarray, shape (n,)
+        Sim time [ns].
+    motion : ndarray, shape (n, 2 (3 + N))
+        See `physics.layout`.
+    effort : ndarray, shape (n, 3)
+        Force on the carrier, world x and y [N], torque on the shaft [N m].
+    resets : array_like of int
+        Samples that don't follow from the one before.
+    balanced : bool
+        Whether work and losses are worked out, too; the work of a load on the tip is not known,
+        nor what friction takes when it was set to something else on the way.
+    heat : ndarray, shape (n,), optional
+        What Coulomb friction has taken so far [J], needed for the balance where there is any.
+
+    Returns
+    -------
+    Track
+
+    """
+    formulation, half = scene.build(), motion.shape[1] // 2
+    length, modal = scene.manipulator.arm.length, motion[:, 3:half]
+    line, tip = formulation.at(np.linspace(0.0, length, _POINTS)), formulation.at([length])
+    bend = _in_blocks(formulation.centre_line, modal, tip)[:, 0] - [length, 0.0]
+    traces = [
+        Trace('tip_deflection', ('w',), ns, bend[:, 1:]),
+        Trace('tip_axial', ('u',), ns, bend[:, :1]),
+        Trace('tip_rotation', ('phi',), ns, _in_blocks(formulation.section_rotation, modal, tip)),
+        *_joint_traces(ns, motion[:, :3], motion[:, half:half + 3], effort)]
+    if half > 3:
+        traces.append(Trace('modal', tuple(f'q{n}' for n in range(1, half - 2)), ns, modal))
+    energy = _in_blocks(formulation.energy, motion)
+    pushed = any(scene.load.terms[channel] for channel in CHANNELS if channel.startswith('tip'))
+    # Neither the torque of a driven shaft is known nor, without `heat`, that of Coulomb friction.
+    known = scene.values['motor.shaft'] != 'driven' and (
+        heat is not None or not scene.friction.any())
+    if balanced and known and not pushed:
+        done = work(ns, motion[:, :3], motion[:, half:half + 3], effort)
+        done -= integral(ns, _in_blocks(formulation.dissipation, motion))
+        done -= 0.0 if heat is None else np.diff(heat)
+        gained = np.diff(energy)
+        gained[np.asarray(resets, dtype=int) - 1] = 0.0
+        done[np.asarray(resets, dtype=int) - 1] = 0.0
+        curves = np.column_stack([energy, energy[0] + np.append(0.0, np.cumsum(done))])
+        balance = np.append(0.0, np.cumsum(gained - done))[:, np.newaxis]
+        traces += [Trace('energy', ('energy', 'first energy + work - losses'), ns, curves),
+                   Trace('balance', ('energy - work + losses',), ns, balance)]
+    else:
+        traces.append(Trace('energy', ('energy',), ns, energy[:, np.newaxis]))
+
+    def poses(part):
+        return Poses(formulation.world(motion[part], line), motion[part, 2], effort[part])
+
+    note = (f'formulation `{scene.values["model.formulation"]}`, {scene.values["model.modes"]} '
+            f'modes, step {1e3 * scene.step:g} ms; {_span(ns)}. The shape of the arm is that of '
+            'the modal coordinates.')
+    return Track(name, ns, poses, traces, body_of(scene), note)
+
+
+def body_of(scene):
+    """Return the sizes of what is drawn of a scene."""
+    arm, body = scene.manipulator.arm, scene.manipulator
+    density = np.max(arm.section.density)
+
+    def size(mass, shape):  # visible and not in the way, whatever the mass
+        return float(np.clip((mass / density / shape)**(1 / 3), 0.02 * arm.length,
+                             0.1 * arm.length))
+
+    return Body(arm.length, float(np.max(arm.section.height)), size(body.carrier_mass, 1.0),
+                size(body.motor_mass, np.pi / 4), size(body.end_effector_mass, np.pi / 6))
+
+
+def _of_bag(recording, name, joints):
+    """Return a track with a cubic, along the shaft at the root, along the section at the tip."""
+    topics = '~/tip_pose', '~/tip_deflection'
+    tip, bend = map(recording.read(*topics).get, topics)
+    if tip is None or bend is None or not len(tip.ns) or not len(bend.ns):
+        raise TrackError(f'{recording.path}: the shape of the arm needs tip_pose and '
+                         'tip_deflection, or a log of the node with modal_state')
+
+    # Messages may have come in another order.
+    (joint_ns, joints), (tip_ns, place), (bend_ns, bend) = (
+        (series.ns[order], series.values[order]) for series, order in (
+            (series, np.argsort(series.ns, kind='stable')) for series in (joints, tip, bend)))
+
+    def at_tip(ns, values):
+        return np.column_stack([np.interp(tip_ns, ns, column) for column in values.T])
+
+    motion, across = at_tip(joint_ns, joints), at_tip(bend_ns, bend)
+    rotation = 2.0 * np.arctan2(place[:, 2], place[:, 3]) - motion[:, 2]
+    rotation = (rotation + np.pi) % (2.0 * np.pi) - np.pi
+    along = np.column_stack(rotate(-motion[:, 2], *(place[:, :2] - motion[:, :2]).T))
+    length = float(np.median(along[:, 0] - across[:, 0]))
+    share = np.linspace(0.0, 1.0, _POINTS)
+    reach, begin, end = 3 * share**2 - 2 * share**3, share - 2 * share**2 + share**3, (
+        share**3 - share**2)
+
+    def poses(part):
+        slope = length * np.column_stack([np.cos(rotation[part]), np.sin(rotation[part])])
+        bent = (along[part][:, np.newaxis] * reach[:, np.newaxis]
+                + np.array([length, 0.0]) * begin[:, np.newaxis]
+                + slope[:, np.newaxis] * end[:, np.newaxis])
+        line = np.stack(rotate(motion[part, 2][:, np.newaxis], bent[..., 0], bent[..., 1]),
+                        axis=-1)
+        return Poses(motion[part, np.newaxis, :2] + line, motion[part, 2], motion[part, 6:9])
+
+    traces = [Trace('tip_deflection', ('w',), bend_ns, bend[:, 1:2]),
+              Trace('tip_axial', ('u',), bend_ns, bend[:, :1]),
+              Trace('tip_rotation', ('phi',), tip_ns, rotation[:, np.newaxis]),
+              *_joint_traces(joint_ns, joints[:, :3], joints[:, 3:6], joints[:, 6:9])]
+    body = Body(length, 0.01 * length, 0.06 * length, 0.066 * length, 0.056 * length)
+    note = (f'{_span(tip_ns)}. No modal coordinates are on this bag: **the shape of the arm is a '
+            'cubic from root to tip pose**, its bodies have no true size, energy is not known.')
+    return Track(name, tip_ns, poses, traces, body, note)
+
+
+def _joint_traces(ns, position, velocity, effort):
+    return [Trace('carrier', ('x', 'y'), ns, position[:, :2]),
+            Trace('shaft', ('theta',), ns, position[:, 2:]),
+            Trace('carrier_velocity', ('x', 'y'), ns, velocity[:, :2]),
+            Trace('shaft_speed', ('theta',), ns, velocity[:, 2:]),
+            Trace('force', ('x', 'y'), ns, effort[:, :2]),
+            Trace('torque', ('torque',), ns, effort[:, 2:])]
+
+
+def _in_blocks(function, values, *more):
+    return np.concatenate([function(values[k:k + _BLOCK], *more)
+                           for k in range(0, len(values), _BLOCK)])
+
+
+def _span(ns):
     return f'{len(ns)} samples, sim time {1e-9 * ns[0]:g} to {1e-9 * ns[-1]:g} s'

@@ -1,0 +1,303 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The subcommands of `timo_sim`, which import what they need when they run."""
+
+from functools import partial
+import sys
+import warnings
+
+import click
+
+from timo_sim.version import __version__
+
+_EXTRAS = {'pyarrow': 'sweep', 'distributed': 'cluster', 'rclpy': 'ros', 'rerun': 'view',
+           'rerun_cli': 'view', 'matplotlib': 'plot'}
+# By name, because the modules of most are not imported.
+_WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError', 'ReplayError', 'TrackError'
+
+
+class _Command(click.Command):
+    """A subcommand, which ends with an error as one line and an exit code."""
+
+    def __init__(self, name, **options):
+        # In a raw docstring click's mark of lines that are kept as they are is two characters.
+        options['help'] = options['help'].replace('\\b', '\b')
+        super().__init__(name, **options)
+
+    def invoke(self, context):
+        """Run it; end with code 2 for wrong input, 1 for what the machine lacks."""
+        try:
+            return super().invoke(context)
+        except Exception as error:
+            code, text = 1, str(error)
+            if type(error).__name__ in _WRONG_INPUT:
+                code = 2
+            elif isinstance(error, ModuleNotFoundError) and error.name in _EXTRAS:
+                text = f"{error.name} is missing: pip install 'timo_sim[{_EXTRAS[error.name]}]'"
+            elif not isinstance(error, OSError):
+                raise
+        click.echo('timo_sim: ' + ' '.join(text.split()), err=True)
+        sys.exit(code)
+
+
+@click.group()
+@click.version_option(__version__, prog_name='timo_sim')
+def main():
+    """Simulate a mobile manipulator with a flexible arm."""
+
+
+main.command_class = _Command
+
+
+def _parsed(settings):
+    """Return values by name of texts such as 'model.modes=5', written as in YAML."""
+    import yaml
+
+    from timo_sim.scene.parameter import ParameterError
+    values = {}
+    for text in settings:
+        name, equals, value = text.partition('=')
+        try:
+            values[name.strip()] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            equals = ''
+        if not equals:
+            raise ParameterError(f'--set takes NAME=VALUE, such as model.modes=5; got {text!r}')
+    return values
+
+
+@main.command()
+@click.argument('file', type=click.Path(exists=True, dir_okay=False))
+@click.option('--input', 'cause', default='torque_N_m', show_default=True,
+              help='force_x_N, force_y_N or torque_N_m.')
+@click.option('--output', 'effects', multiple=True, metavar='NAME', show_default=True,
+              default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
+              help='Once for each curve, such as tip_acceleration_m_per_s2.')
+@click.option('-o', 'picture', type=click.Path(dir_okay=False), default='bode.png',
+              show_default=True, help='PNG, PDF or SVG.')
+def bode(file, cause, effects, picture):
+    r"""
+    Draw Bode diagram and poles of FILE, a scene, about its initial state.
+
+    \b
+        timo_sim bode config/paper.yaml --output tip_transverse_m -o bode.png
+    """
+    from timo_sim.simulation.linear import linearize
+    from timo_sim.scene.scene import load_scene
+    from timo_sim.view import plot
+    model = linearize(load_scene(file)).select([cause], effects)
+    plot.bode(model).savefig(picture, dpi=100)
+    click.echo(f'poles [Hz]: {", ".join(f"{each:.3g}" for each in model.frequencies())}')
+    click.echo(f'{picture} is drawn')
+
+
+@main.command()
+@click.argument('file', type=click.Path())
+@click.option('--output', '-o', type=click.Path(), required=True, help=(
+    'New file, *.parquet or *.csv; with --bag a new folder.'))
+@click.option('--topic', metavar='NAME', help=(
+    "Write this topic alone, such as '~/motor_torque' (~ is the node's name) or joint_states."))
+@click.option('--bag', is_flag=True, help=(
+    'Make the folder that rosbag2 writes: FILE with metadata.yaml beside it.'))
+@click.option('--node', metavar='NAME', help='Full name of the node, for a bag of several.')
+def export(file, output, topic, bag, node):
+    r"""
+    Write FILE, a log or a bag, as a table with units in the names of columns.
+
+    \b
+        timo_sim export run.mcap -o run.parquet
+        timo_sim export run.mcap -o torque.csv --topic '~/motor_torque'
+        timo_sim export run.mcap -o my_bag --bag
+
+    One row for each message of joint_states; of the other topics it has the message with the same
+    stamp, and nothing (NaN) where there is none. At a reset two rows have the same time, before
+    and after it.
+    """
+    from timo_sim.log.export import export, export_bag
+    click.echo(export_bag(file, output) if bag else export(file, output, topic, node))
+
+
+@main.command()
+@click.argument('file', type=click.Path())
+def info(file):
+    r"""
+    Say what FILE, a log or a bag, is about: scene, duration, rates, gaps, commands, peak.
+
+    \b
+        timo_sim info run.mcap
+    """
+    from timo_sim.log.info import info
+    click.echo('\n'.join(info(file)))
+
+
+@main.command()
+@click.argument('file', type=click.Path())
+@click.option('--output', '-o', type=click.Path(),
+              help='New log; by default beside FILE, with _recovered after its name.')
+def recover(file, output):
+    r"""
+    Write what is intact in FILE, a log that ends early or is damaged, to a new log.
+
+    \b
+        timo_sim recover run.mcap
+
+    FILE is only read. Of a complete log nothing is written.
+    """
+    from timo_sim.log.recover import recover
+    click.echo(recover(file, output))
+
+
+@main.command()
+@click.argument('file', type=click.Path())
+@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
+              help='A parameter that differs from the recorded scene; several are allowed.')
+@click.option('--formulation', metavar='NAME', help='Short for --set model.formulation=NAME.')
+@click.option('--scene', type=click.Path(),
+              help='Parameter file to take instead of the recorded scene; a plain bag needs it.')
+@click.option('--output', '-o', type=click.Path(), help=(
+    'New log; by default FILE with _replay after its name in the working directory if anything '
+    'is changed, else none. Never overwrites: _1, _2, ... is appended.'))
+@click.option('--start', type=float, default=0.0, show_default=True,
+              help='Sim time of the first command of a bag without sim time [s].')
+@click.option('--duration', type=float,
+              help='Sim time of the end [s]; by default that of the last message.')
+@click.option('--node', metavar='NAME', help='Full name of the node, for a bag of several.')
+def replay(file, settings, formulation, scene, output, start, duration, node):
+    r"""
+    Run the commands and resets of FILE again, at full speed, and compare.
+
+    A log of this package gives the same numbers to the last bit. With a changed scene the same
+    commands are run, a new log is written and the differences are shown: largest, when, rms.
+
+    \b
+        timo_sim replay run.mcap
+        timo_sim replay run.mcap --set model.modes=5 --formulation newton
+
+    A plain bag of commands needs the scene. Its commands act from the first time step at or after
+    their stamp. Stamps are sim time if the bag has one of the node's topics with sim time in its
+    headers, else log time, counted from the first command, which acts at --start:
+
+    \b
+        timo_sim replay bag --scene my_scene.yaml --duration 20
+
+    Exit codes: 0 good; 1 the unchanged scene does not give the same bits, or the run diverges; 2
+    bad input.
+    """
+    from timo_sim.replay.replay import replay
+    changes = _parsed(settings)
+    if formulation:
+        changes['model.formulation'] = formulation
+    if not replay(file, changes, output, scene, start, duration, node, click.echo):
+        sys.exit(1)
+
+
+@main.command()
+@click.argument('scene')
+@click.option('--duration', type=float, default=10.0, show_default=True, help='Sim time [s].')
+@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
+              help='A parameter that differs from the scene; several are allowed.')
+@click.option('--output', '-o', type=click.Path(dir_okay=False), help=(
+    'File of the run: *.mcap (a log), *.parquet or *.csv. An existing log is never overwritten; '
+    '_1, _2, ... is appended.'))
+@click.option('--rate', type=float, metavar='HZ', help=(
+    'Samples per second of sim time; by default 100, or what the step allows.'))
+@click.option('--view', is_flag=True, help='Show the run in rerun.')
+@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+              help='Draw curves and the arm in the plane to a picture.')
+def simulate(scene, duration, settings, output, rate, view, png):
+    r"""
+    Simulate SCENE, a parameter file or the name of an installed scene, without ROS.
+
+    \b
+        timo_sim simulate paper --png paper.png
+        timo_sim simulate my_scene.yaml --duration 20 --set model.modes=5 -o run.mcap
+
+    Exit codes: 0 good; 1 the run diverges, what it came to is written all the same; 2 bad input.
+    """
+    from timo_sim.runs.simulate import simulate
+    from timo_sim.scene.parameter import ModelWarning, whole_ratio
+    from timo_sim.scene.scene import load_scene
+    from timo_sim.simulation.resolution import resolved
+    from timo_sim.simulation.model_warnings import DivergenceError
+    scene, steps = resolved(load_scene(scene, _parsed(settings)), duration)
+    if rate:
+        every = whole_ratio('1/integrator.step', 1.0 / scene.step, '--rate', rate)
+    else:
+        every = max(1, round(0.01 / scene.step))
+        every = every if steps % every == 0 else 1
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', ModelWarning)  # the run's message says it
+            run, diverged = simulate(scene, duration, every), None
+    except DivergenceError as error:
+        run, diverged = error.run, error
+    click.echo(run.message)
+    if output:
+        click.echo(f'{run.save(output)} is written')
+    if png:
+        run.plot().savefig(png, dpi=100)
+        click.echo(f'{png} is drawn')
+    if view:
+        run.view()
+    if diverged:
+        click.echo(f'timo_sim: {diverged}', err=True)
+        sys.exit(1)
+
+
+@main.command()
+@click.argument('file', type=click.Path(exists=True, dir_okay=False))
+@click.option('--output', '-o', type=click.Path(dir_okay=False),
+              help='Parquet file; by default FILE with this ending, in the working directory.')
+@click.option('--workers', type=click.IntRange(min=1), help='Processes; by default one a core.')
+@click.option('--scheduler', metavar='ADDRESS',
+              help='Of a Dask scheduler, instead of processes of this machine.')
+def sweep(file, output, workers, scheduler):
+    r"""
+    Do the runs of FILE and write a table of their results.
+
+    \b
+        timo_sim sweep config/sweep.yaml
+
+    A sweep that was stopped goes on where it was when the command is given again.
+    """
+    from timo_sim.sweep.sweep import run_sweep
+    run_sweep(file, output, workers, scheduler)
+
+
+@main.command()
+@click.argument('files', nargs=-1, required=True, type=click.Path(exists=True))
+@click.option('--save', type=click.Path(dir_okay=False), metavar='OUT.rrd',
+              help='Write a file for rerun instead of opening it.')
+@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+              help='Draw a picture instead, without a screen.')
+@click.option('--at', type=float, metavar='SECONDS', help='Sim time of the picture; the end.')
+@click.option('--web', is_flag=True, help='Open the browser instead of a window.')
+@click.option('--fps', type=click.FloatRange(min=0.0, min_open=True), default=30.0,
+              show_default=True, help='Frames of the moving arm per second; curves have all.')
+@click.option('--node', metavar='NAME', help='Which node of a bag with several.')
+def view(files, save, png, at, web, fps, node):
+    r"""
+    Show recorded runs, laid over each other, in rerun.
+
+    FILES are logs of the node, or bags of its topics. Everything stays on this machine.
+
+    \b
+        timo_sim view run.mcap
+        timo_sim view before.mcap after.mcap --png compared.png --at 1.81
+    """
+    import rerun  # noqa: F401  # before minutes are spent on reading
+    from timo_sim.log.recording import Recording
+    from timo_sim.view.show import show_tracks
+    from timo_sim.view.track import of_recording, unique_names
+    recordings = [Recording(path, node) for path in files]
+    names = unique_names([recording.path.stem for recording in recordings])
+    show_tracks([partial(of_recording, *pair) for pair in zip(recordings, names)],
+                save, png, at, web, fps)
+    for path in filter(None, (save, png)):
+        click.echo(f'{path} is written')
