@@ -171,10 +171,8 @@ def export_bag(file, output):
     """
     folder = Path(output)
     with Index(file) as index:
-        statistics = index.statistics
-        content = information(
-            index.schemas.values(), index.channels.values(), statistics.channel_message_counts,
-            statistics.message_start_time, statistics.message_end_time, index.path.name)
+        content = information(index.schemas.values(), index.channels.values(), index.statistics,
+                              index.path.name)
     try:
         folder.mkdir(parents=True)
     except FileExistsError:

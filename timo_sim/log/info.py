@@ -45,7 +45,7 @@ def info(file):
     with Index(file) as index:
         notes = read_notes(index)
         kind = 'log of ' + notes.facts.get('node', '/timo_sim') if notes.facts else 'plain bag'
-        lines = [f'{index.name}: {kind}, {index.size / 1e6:.3g} MB']
+        lines = [f'{index.name}: {kind}, {index.path.stat().st_size / 1e6:.3g} MB']
         if notes.facts:
             lines += _about_run(index, notes)
         lines += _about_topics(index)
@@ -107,7 +107,8 @@ def _about_topics(index):
     counts = index.statistics.channel_message_counts
     step = max(1, math.ceil(index.statistics.message_count / _MOST_TIMES))
     times = _times(index, step)
-    pauses = [after.start - before.end for before, after in zip(index.chunks, index.chunks[1:])]
+    pauses = [after.message_start_time - before.message_end_time
+              for before, after in zip(index.chunks, index.chunks[1:])]
     if max(pauses, default=0) > _NANOSECONDS:
         yield f'  no messages at all for {max(pauses) / _NANOSECONDS:.6g} s'
     width, silent = max([len(channel.topic) for channel in index.channels.values()], default=5), []

@@ -17,7 +17,10 @@ import threading
 import time
 from typing import NamedTuple
 
-from timo_sim.log.rosbag2 import add_rosbag2_metadata, channel_metadata
+from mcap.records import Channel as ChannelRecord
+from mcap.records import Schema
+
+from timo_sim.log.rosbag2 import channel_metadata
 from timo_sim.log.writer import Chunk, Writer
 from timo_sim.messages.definitions import schema_text, TYPE_HASHES
 
@@ -66,15 +69,25 @@ class Recorder:
         self.error = None
         self._lock = threading.Lock()  # of the chunk that grows
         self._chunk = Chunk()
-        self._queue = deque()  # full chunks, and metadata in between
+        self._queue = deque()  # what is to be written, each with the method that does it
         self._ready = threading.Event()
         self._closing = False
-        definitions = {name: (schema_text(name), TYPE_HASHES[name])
-                       for name in {channel.type_name for channel in channels}}
+        types = list(dict.fromkeys(channel.type_name for channel in channels))
+        records = [*(Schema(id=number, name=name, encoding='ros2msg',
+                            data=schema_text(name).encode())
+                     for number, name in enumerate(types, start=1)),
+                   *(ChannelRecord(id=number, topic=topic, message_encoding='cdr',
+                                   schema_id=types.index(name) + 1,
+                                   metadata=channel_metadata(TYPE_HASHES[name]))
+                     for number, (topic, name) in enumerate(channels, start=1))]
         self.path, self._file = create(Path(path))
         try:
             self._writer = Writer(self._file, 'ros2')
-            self._start(channels, definitions, notes)
+            for record in records:
+                self._writer.add_record(record)
+            for name, values in notes.items():
+                self._writer.add_metadata(name, values)
+            self._file.flush()
         except OSError:
             with suppress(OSError):
                 self._file.close()
@@ -114,7 +127,7 @@ class Recorder:
         """Log a metadata record: a name, and a dictionary of str."""
         if self.error is None:
             self._pass_on()
-            self._queue.append((name, values))
+            self._queue.append((self._writer.add_metadata, name, values))
 
     def close(self):
         """Write what is waiting, the index and the summary, and close the file."""
@@ -122,21 +135,11 @@ class Recorder:
         self._ready.set()
         self._thread.join()
 
-    def _start(self, channels, definitions, notes):
-        schemas = {name: self._writer.add_schema(name, 'ros2msg', text)
-                   for name, (text, _) in definitions.items()}
-        for channel in channels:
-            self._writer.add_channel(channel.topic, 'cdr', schemas[channel.type_name],
-                                     channel_metadata(definitions[channel.type_name][1]))
-        for name, values in notes.items():
-            self._writer.add_metadata(name, values)
-        self._file.flush()
-
     def _pass_on(self):
         """Let the chunk that grows be written as it is."""
         with self._lock:
             if self._chunk.data:
-                self._queue.append(self._chunk)
+                self._queue.append((self._writer.add_chunk, self._chunk))
                 self._chunk = Chunk()
 
     def _run(self):
@@ -148,8 +151,7 @@ class Recorder:
                 self._drain()
             self._pass_on()
             self._drain()
-            add_rosbag2_metadata(self._writer, self.path.name)
-            self._writer.finish()
+            self._writer.finish(self.path.name)
             sync(self._file)
         except Exception as error:  # whatever it is, `write` must not wait for this thread
             self.error = f'{self.path}: {error}'
@@ -162,33 +164,13 @@ class Recorder:
 
     def _drain(self):
         while self._queue:
-            item = self._queue.popleft()
-            if isinstance(item, Chunk):
-                self._writer.add_chunk(item)
-            else:
-                self._writer.add_metadata(*item)
+            write, *items = self._queue.popleft()
+            write(*items)
         self._file.flush()
 
 
 def create(path):
-    """
-    Make a new file and the folders above it.
-
-    Parameters
-    ----------
-    path : Path
-        If there is such a file, `_1`, `_2`, ... is appended to the stem.
-
-    Returns
-    -------
-    Path, binary file
-
-    Raises
-    ------
-    OSError
-        If it cannot be made.
-
-    """
+    """Make a new file, numbered if there is one, and its folders; return its path and stream."""
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     path.parent.mkdir(parents=True, exist_ok=True)

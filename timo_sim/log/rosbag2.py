@@ -8,7 +8,6 @@
 
 """What rosbag2 keeps in a log besides the messages: QoS, and its own metadata record."""
 
-from collections import Counter
 import os
 
 import yaml
@@ -44,45 +43,12 @@ def channel_metadata(type_hash):
     return {'offered_qos_profiles': _QOS_TEXT, 'topic_type_hash': type_hash}
 
 
-def add_rosbag2_metadata(writer, name):
-    """
-    Add rosbag2's metadata record, version 9, to a log whose messages are written.
-
-    Parameters
-    ----------
-    writer : Writer
-    name : str
-        Of the file.
-
-    """
-    writer.add_metadata('rosbag2', {'serialized_metadata': yaml_text(information(
-        writer.schemas, writer.channels, writer.counts, writer.start, writer.end, name))})
-
-
-def information(schemas, channels, counts, start, end, name):
-    """
-    Return what rosbag2 says of a bag, version 9.
-
-    Parameters
-    ----------
-    schemas, channels : iterable
-        Records.
-    counts : dict
-        Messages of each channel.
-    start, end : int
-        Earliest and latest time of a message [ns].
-    name : str
-        Of the file.
-
-    Returns
-    -------
-    dict
-
-    """
-    counts = Counter(counts)
+def information(schemas, channels, statistics, name):
+    """Return what rosbag2, metadata version 9, says of a bag from its records and file name."""
+    start, end = statistics.message_start_time, statistics.message_end_time
     span = {'duration': {'nanoseconds': end - start},
             'starting_time': {'nanoseconds_since_epoch': start},
-            'message_count': counts.total()}
+            'message_count': statistics.message_count}
     types = {schema.id: schema.name for schema in schemas}
     topics = [
         {'topic_metadata': {
@@ -92,7 +58,7 @@ def information(schemas, channels, counts, start, end, name):
             'offered_qos_profiles':
                 [_QOS] if channel.metadata.get('offered_qos_profiles') == _QOS_TEXT else [],
             'type_description_hash': channel.metadata.get('topic_type_hash', '')},
-         'message_count': counts[channel.id]}
+         'message_count': statistics.channel_message_counts.get(channel.id, 0)}
         for channel in channels]
     return {
         'version': 9, 'storage_identifier': 'mcap', **span,

@@ -16,12 +16,13 @@ import lz4.frame
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
-    Channel, ChunkIndex, DataEnd, Footer, Header, Metadata, MetadataIndex, Schema, Statistics,
+    ChunkIndex, DataEnd, Footer, Header, Metadata, MetadataIndex, Schema, Statistics,
     SummaryOffset)
 from mcap.records import Chunk as ChunkRecord
 from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 
 from timo_sim.log.records import bytes_of, HEAD
+from timo_sim.log.rosbag2 import information, yaml_text
 
 # Opcode, length of what follows; channel, sequence number, log time and publish time.
 _MESSAGE = struct.Struct('<BQHIQQ')
@@ -67,45 +68,24 @@ class Writer:
     stream : binary file
     profile : str
 
-    Attributes
-    ----------
-    schemas, channels : list
-        Records.
-    counts : Counter
-        Messages of each channel.
-    start, end : int
-        Earliest and latest time of a message [ns].
-
     """
 
     def __init__(self, stream, profile):
-        self._stream = stream
+        self._stream, self._profile = stream, profile
         self._crc = 0
-        self.schemas, self.channels = [], []
+        self._schemas, self._channels = [], []
         # Kept as they will be written: a day has so many that objects would fill the memory.
-        self._chunk_count, self._chunk_indexes = 0, RecordBuilder()
-        self._metadata_count, self._metadata_indexes = 0, RecordBuilder()
-        self.counts = Counter()
-        self.start = self.end = 0
+        self._chunk_indexes, self._metadata_indexes = RecordBuilder(), RecordBuilder()
+        self._statistics = Statistics(
+            attachment_count=0, channel_count=0, channel_message_counts=Counter(), chunk_count=0,
+            message_count=0, metadata_count=0, message_start_time=0, message_end_time=0,
+            schema_count=0)
         self._put(MCAP0_MAGIC)
         self._write(Header(profile=profile, library=LIBRARY_IDENTIFIER))
 
-    def add_schema(self, name, encoding, text):
-        """Add a schema; return its number, from 1."""
-        number = len(self.schemas) + 1
-        self.add_record(Schema(id=number, name=name, encoding=encoding, data=text.encode()))
-        return number
-
-    def add_channel(self, topic, encoding, schema, metadata):
-        """Add a channel; return its number, from 1."""
-        number = len(self.channels) + 1
-        self.add_record(Channel(id=number, schema_id=schema, topic=topic,
-                                message_encoding=encoding, metadata=metadata))
-        return number
-
     def add_record(self, record):
-        """Add a Schema or a Channel that has a number of its own."""
-        (self.schemas if isinstance(record, Schema) else self.channels).append(record)
+        """Add a Schema or a Channel."""
+        (self._schemas if isinstance(record, Schema) else self._channels).append(record)
         self._write(record)
 
     def add_metadata(self, name, values):
@@ -113,7 +93,7 @@ class Writer:
         offset = self._stream.tell()
         length = self._write(Metadata(name=name, metadata=values))
         MetadataIndex(offset=offset, length=length, name=name).write(self._metadata_indexes)
-        self._metadata_count += 1
+        self._statistics.metadata_count += 1
 
     def add_chunk(self, chunk):
         """Compress a chunk that has messages, and write it with its index."""
@@ -121,16 +101,12 @@ class Writer:
         facts = {
             'compression': 'lz4', 'uncompressed_size': len(chunk.data),
             'message_start_time': min(map(min, times)), 'message_end_time': max(map(max, times))}
-        start = facts['message_start_time']
-        self.start = min(self.start, start) if self._chunk_count else start
-        self.end = max(self.end, facts['message_end_time'])
         compressed = lz4.frame.compress(chunk.data)
         offset = self._stream.tell()
         length = self._write(
             ChunkRecord(data=compressed, uncompressed_crc=zlib.crc32(chunk.data), **facts))
         places, place = {}, offset + length
         for channel, entries in chunk.index.items():
-            self.counts[channel] += len(entries) // 2
             places[channel] = place
             place += self._put(struct.pack(
                 f'<BQHI{len(entries)}Q', Opcode.MESSAGE_INDEX, 6 + 8 * len(entries), channel,
@@ -139,22 +115,28 @@ class Writer:
             chunk_start_offset=offset, chunk_length=length, compressed_size=len(compressed),
             message_index_offsets=places, message_index_length=place - offset - length, **facts
         ).write(self._chunk_indexes)
-        self._chunk_count += 1
+        known, start = self._statistics, facts['message_start_time']
+        known.message_start_time = min(known.message_start_time, start) if (
+            known.chunk_count) else start
+        known.message_end_time = max(known.message_end_time, facts['message_end_time'])
+        counts = {channel: len(entries) // 2 for channel, entries in chunk.index.items()}
+        known.channel_message_counts.update(counts)
+        known.message_count += sum(counts.values())
+        known.chunk_count += 1
 
-    def finish(self):
-        """Write summary and end."""
+    def finish(self, name):
+        """Write rosbag2's metadata, which names the file, summary and end."""
+        self._statistics.schema_count = len(self._schemas)
+        self._statistics.channel_count = len(self._channels)
+        if self._profile == 'ros2':
+            self.add_metadata('rosbag2', {'serialized_metadata': yaml_text(information(
+                self._schemas, self._channels, self._statistics, name))})
         self._write(DataEnd(self._crc))
-        statistics = Statistics(
-            attachment_count=0, channel_count=len(self.channels),
-            channel_message_counts=dict(self.counts), chunk_count=self._chunk_count,
-            message_count=self.counts.total(), metadata_count=self._metadata_count,
-            message_start_time=self.start, message_end_time=self.end,
-            schema_count=len(self.schemas))
         start, data, offsets = self._stream.tell(), b'', []
         for opcode, group in (
-                (Opcode.SCHEMA, bytes_of(*self.schemas)),
-                (Opcode.CHANNEL, bytes_of(*self.channels)),
-                (Opcode.STATISTICS, bytes_of(statistics)),
+                (Opcode.SCHEMA, bytes_of(*self._schemas)),
+                (Opcode.CHANNEL, bytes_of(*self._channels)),
+                (Opcode.STATISTICS, bytes_of(self._statistics)),
                 (Opcode.CHUNK_INDEX, self._chunk_indexes.end()),
                 (Opcode.METADATA_INDEX, self._metadata_indexes.end())):
             offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + len(data),
