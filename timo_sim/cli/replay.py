@@ -54,8 +54,7 @@ def replay(file, settings, formulation, scene, output, start, duration, node):
     """
     from timo_sim.log.records import LogError
     from timo_sim.scene.parameter import ParameterError
-    from timo_sim.replay.segments import ReplayError
-    with one_line_for_errors(LogError, ParameterError, ReplayError):
+    with one_line_for_errors(LogError, ParameterError):
         from timo_sim.replay.replay import replay
         changes = parsed_settings(settings)
         if formulation:

@@ -25,23 +25,7 @@ _COUNTERS = ('refused_commands', 'stale_commands', 'overruns', 'dropped_time_s',
 
 
 def info(file):
-    """
-    Describe a log of this package, or another MCAP file.
-
-    Parameters
-    ----------
-    file : str or Path
-
-    Returns
-    -------
-    list of str
-        Lines.
-
-    Raises
-    ------
-    LogError
-
-    """
+    """Return lines that describe a log of this package, or another MCAP file."""
     with Index(file) as index:
         notes = read_notes(index)
         kind = 'log of ' + notes.facts.get('node', '/timo_sim') if notes.facts else 'plain bag'
@@ -116,11 +100,11 @@ def _about_topics(index):
     yield f'  {"topic":<{width}}  {"messages":>9}  {"rate":>10}  largest gap' + (
         f' (in one of {step} chunks)' if step > 1 else '')
     for number, channel in sorted(index.channels.items(), key=lambda item: item[1].topic):
-        first, last, gap = times.get(number, (0, 0, 0))
         count = counts.get(number, 0)
         if not count:
             silent.append(channel.topic)
             continue
+        first, last, gap = times.get(number, (0, 0, 0))
         rate = f'{(count - 1) * _NANOSECONDS / (last - first):.6g} Hz' if last > first else '-'
         gap = f'{gap / _NANOSECONDS:.6g} s' if gap else '-'
         yield f'  {channel.topic[:width]:<{width}}  {count:>9}  {rate:>10}  {gap}'

@@ -15,17 +15,14 @@ from timo_sim.messages.outputs import outputs
 from timo_sim.messages.packing import Serializer
 from timo_sim.scene.parameters import changed
 
-NODE = '/timo_sim'
 
-
-class NewLog:
+class NewLog(Recorder):
     """
     A log that is written output by output, as the node would.
 
     Parameters
     ----------
     path : str or Path
-        A file of this name is never overwritten, see Recorder.
     scene : Scene
     values : dict
         Parameters of the node, the scene's among them.
@@ -36,7 +33,7 @@ class NewLog:
 
     """
 
-    def __init__(self, path, scene, values, node=NODE, **notes):
+    def __init__(self, path, scene, values, node='/timo_sim', **notes):
         namespace = node.rpartition('/')[0]
         channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
         self._topics, self._peak = {}, Peak()
@@ -48,33 +45,20 @@ class NewLog:
             self._topics[name] = (
                 len(channels), Serializer(output.type_name, output.template), delay)
             channels.append(Channel(topic, output.type_name))
-        self._recorder = Recorder(path, channels, {
+        super().__init__(path, channels, {
             START: {**start_note(node, values, changed(values), scene), **notes}})
 
-    @property
-    def path(self):
-        """The file."""
-        return self._recorder.path
-
-    def command(self, index, step, nanoseconds, data):
-        """Log a command."""
-        self._recorder.write(index, step, nanoseconds, data)
-
     def output(self, name, snapshot, numbers):
-        """Log a message."""
+        """Log a message of an output; commands are logged by `write`."""
         index, serialize, delay = self._topics[name]
-        self._recorder.write(index, snapshot.step, snapshot.nanoseconds + delay,
-                             serialize(snapshot.time, numbers))
+        self.write(index, snapshot.step, snapshot.nanoseconds + delay,
+                   serialize(snapshot.time, numbers))
         if name == '~/tip_deflection':
             self._peak.see(numbers, snapshot.nanoseconds)
 
-    def note(self, name, values):
-        """Log a metadata record."""
-        self._recorder.note(name, values)
-
     def close(self):
         """Complete the file; raise OSError if it is not."""
-        self._recorder.note(SUMMARY, self._peak.note())
-        self._recorder.close()
-        if self._recorder.error:
-            raise OSError(self._recorder.error)
+        self.note(SUMMARY, self._peak.note())
+        super().close()
+        if self.error:
+            raise OSError(self.error)

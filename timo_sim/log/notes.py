@@ -25,43 +25,16 @@ _GROUND = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processo
 
 
 class LogNotes(NamedTuple):
-    """
-    What a log says.
+    """What a log says."""
 
-    Attributes
-    ----------
-    facts, summary : dict of str
-        At its beginning and at its end; empty where it does not.
-    resets : list of tuple of int
-        Step and place in the file of each.
-    changes : list of tuple
-        Step, place in the file, and values by name of each setting of the scene's parameters.
-
-    """
-
-    facts: dict
-    summary: dict
-    resets: list
-    changes: list
+    facts: dict    # of str, at its beginning; empty where it does not
+    summary: dict  # of str, at its end; empty where it does not
+    resets: list   # step and place in the file of each
+    changes: list  # step, place and values by name of each setting of the scene's parameters
 
 
 def read_notes(index):
-    """
-    Read the notes in a file.
-
-    Parameters
-    ----------
-    index : Index
-
-    Returns
-    -------
-    LogNotes
-
-    Raises
-    ------
-    LogError
-
-    """
+    """Return the LogNotes of an Index; raise LogError if they cannot be read."""
     facts, summary, resets, changes = {}, {}, [], []
     for place, record in index.metadata():
         if record.name == START:
@@ -104,24 +77,7 @@ def _json(values):
 
 
 def start_note(node, values, changed, scene):
-    """
-    Return what a log says at its beginning.
-
-    Parameters
-    ----------
-    node : str
-        Fully qualified name.
-    values : dict
-        All parameters of the node.
-    changed : dict
-        Those that are not as by default.
-    scene : Scene
-
-    Returns
-    -------
-    dict of str
-
-    """
+    """Return what a log says at its beginning; `changed` are values not as by default."""
     return {
         'node': node, 'parameters': _json(values), 'changed': _json(changed),
         'initial_motion': json.dumps(scene.initial_motion().tolist()), **_here()}

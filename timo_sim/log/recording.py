@@ -37,8 +37,8 @@ class Recording:
     """
     A log of this package, or a bag with the topics of a node.
 
-    Series are read when they are asked for, chunk by chunk. What the file says is checked as in
-    `reader`: it may come from anybody.
+    Series are read when they are asked for, chunk by chunk. What the file says is checked: it may
+    come from anybody.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class Recording:
         Parameters
         ----------
         series : dict of Series, optional
-            What `read` gave for 'joint_states' and '~/modal_state', where that is done already.
+            What `read` gave for these, where that is done already.
 
         Returns
         -------
@@ -152,11 +152,6 @@ class Recording:
             Where a reset was, a step may be there twice: before and after it.
         motion : ndarray, shape (n, 2 (3 + N))
             See `physics.layout`.
-
-        Raises
-        ------
-        LogError
-            If the log has none.
 
         """
         found = self.read('joint_states', '~/modal_state') if series is None else series
@@ -182,8 +177,6 @@ class Recording:
             return 'joint_states'
         return topic
 
-    # What the file is.
-
     def _find_node(self):
         ends = [name.removeprefix('~') for name in _TYPES if name.startswith('~')]
         topics = [channel.topic for channel in self.index.channels.values()]
@@ -195,8 +188,6 @@ class Recording:
             raise LogError(f'{self.index.name} has topics of several nodes, say which: '
                            f'{", ".join(sorted(nodes))[:200]}')
         return nodes.pop()
-
-    # Its messages.
 
     def _blocks(self, most):
         """Yield place, data and offsets by channel, in the order of the file."""
@@ -221,22 +212,21 @@ class Recording:
                                f'{self.index.name} keeps what is intact')
 
     def _series(self, collector):
-        sequence, log_ns, place, stamps, values = collector.arrays()
-        ns = log_ns if stamps is None else stamps
+        place, sequence, log_ns, ns, values, messages = collector.arrays()
         if self.facts:
             turns = np.rint((1e-9 * log_ns / self.scene.step - sequence) / _WRAP)
             step = sequence + _WRAP * turns.astype(np.int64)
         else:
             step = np.full(len(log_ns), -1)
-            if stamps is None:
+            if collector.command:
                 ns = self._sim_time(log_ns)
             # The network may have changed the order.
             order = np.argsort(ns, kind='stable')
-            ns, log_ns, values, place = ns[order], log_ns[order], values[order], place[order]
-            if collector.data:
-                collector.data = [collector.data[at] for at in order]
+            place, log_ns, ns, values, messages = (
+                array[order] for array in (place, log_ns, ns, values, messages))
         return Series(collector.topic, collector.type_name, collector.columns, step, ns, log_ns,
-                      values, collector.refused, place, collector.data)
+                      values, collector.refused, place,
+                      messages.tolist() if collector.command else [])
 
     def _sim_time(self, log_ns):
         if self._clock is None or not len(log_ns):

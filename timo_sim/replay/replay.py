@@ -10,13 +10,15 @@
 
 from pathlib import Path
 import time
+from typing import NamedTuple
 
+import numpy as np
 from tqdm import tqdm
 
 from timo_sim.log.new_log import NewLog
 from timo_sim.log.notes import other_ground
 from timo_sim.log.recording import Recording
-from timo_sim.replay.comparison import compare
+from timo_sim.messages.outputs import outputs, with_angles
 from timo_sim.replay.replayer import Replay
 from timo_sim.replay.segments import segments_of
 from timo_sim.scene.files import read_parameter_file
@@ -24,6 +26,15 @@ from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.parameters import check, PARAMETERS
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.resolution import resolved
+
+
+class Difference(NamedTuple):
+    """How far the replay of a quantity is from its log."""
+
+    name: str       # topic and column
+    largest: float  # in the unit that the column names
+    rms: float
+    time: float     # when it is largest [s]
 
 
 def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration=None, node=None,
@@ -77,8 +88,7 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
         if log:
             log.close()
     _tell(show, recording, segments, again, time.monotonic() - begun)
-    columns = {name: series.columns for name, series in recording.topics.items()}
-    count, other, found = compare(segments, scene, columns)
+    count, other, found = _compare(segments, scene, recording.topics)
     if same and not other:
         show(f'all {count} logged numbers are the same to the last bit')
     elif found:
@@ -111,6 +121,37 @@ def _values(recording, scene_file, changes):
     values.update(check(given, source))
     values.update(check(changes, '--set'))
     return values
+
+
+def _compare(segments, scene, topics):
+    """Return how many numbers are in the log, how many of them differ, and the Differences."""
+    count, other, result = 0, 0, []
+    for output in outputs(scene.values['model.modes']):
+        topic = output.name
+        parts = [(segment, slice(segment.done[topic])) for segment in segments
+                 if topic in segment.logged and topic in segment.replayed]
+        if not parts:
+            continue
+        time, logged, replayed = (
+            np.concatenate([getattr(segment, kind)[topic][part] for segment, part in parts])
+            for kind in ('samples', 'logged', 'replayed'))
+        count += logged.size
+        other += (int(np.count_nonzero(logged.view('i8') != replayed.view('i8')))
+                  if logged.shape == replayed.shape else logged.size)
+        if len(time):
+            result += _differences(topic, scene.step * time,
+                                   with_angles(topics[topic].columns, logged),
+                                   with_angles(output.columns, replayed))
+    return count, other, result
+
+
+def _differences(topic, time, logged, replayed):
+    for column in [name for name in logged[0] if name in replayed[0]]:
+        before, now = (values[:, columns.index(column)] for columns, values in (logged, replayed))
+        distance = np.abs(now - before)
+        place = int(np.argmax(distance))
+        yield Difference(f'{topic.removeprefix("~/")} {column}', float(distance[place]),
+                         float(np.sqrt(np.mean(distance**2))), float(time[place]))
 
 
 def _tell(show, recording, segments, again, seconds):

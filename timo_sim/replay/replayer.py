@@ -31,9 +31,8 @@ class Replay:
     scene : Scene
     segments : list of Segment
         Filled with what was replayed.
-    sink : object, optional
-        Gets the new log: `command(index, step, nanoseconds, data)`,
-        `output(name, snapshot, numbers)` and `note(name, values)`.
+    log : NewLog, optional
+        Gets what is done.
 
     Attributes
     ----------
@@ -43,11 +42,11 @@ class Replay:
 
     """
 
-    def __init__(self, scene, segments, sink=None):
+    def __init__(self, scene, segments, log=None):
         self.simulator = Simulator(scene)
         self.simulator.warm_up()
         self.diverged = None
-        self._segments, self._sink = segments, sink
+        self._segments, self._log = segments, log
         self._outputs = {output.name: output for output in outputs(scene.values['model.modes'])}
 
     def run(self, report=lambda count: None):
@@ -55,8 +54,8 @@ class Replay:
         for number, segment in enumerate(self._segments):
             if number:
                 self.simulator.reset()
-                if self._sink:
-                    self._sink.note(RESET, {'step': str(self.simulator.steps)})
+                if self._log:
+                    self._log.note(RESET, {'step': str(self.simulator.steps)})
             try:
                 self._run(segment, report)
             except DivergenceError as error:
@@ -81,23 +80,23 @@ class Replay:
                     snapshot = snapshot or simulator.snapshot(load)
                     numbers = output.numbers(snapshot)
                     segment.replayed[name][place] = numbers
-                    if self._sink:
-                        self._sink.output(name, snapshot, numbers)
+                    if self._log:
+                        self._log.output(name, snapshot, numbers)
                     segment.done[name] = place = place + 1
                 following = min(following, steps[place])
             while changes[made][0] <= step:
-                values = changes[made][1]
+                _, values = changes[made]
                 simulator.change(simulator.scene.vary(values))
-                if self._sink:
-                    self._sink.note(CHANGE, change_note(step, values))
+                if self._log:
+                    self._log.note(CHANGE, change_note(step, values))
                 made += 1
             if step >= segment.last:
                 return
             while commands[begun][0] <= step:
                 _, index, values, data = commands[begun]
                 COMMANDS[index].apply(values, commanded)
-                if self._sink:
-                    self._sink.command(index, step, simulator.nanoseconds, data)
+                if self._log:
+                    self._log.write(index, step, simulator.nanoseconds, data)
                 begun += 1
             following = min(following, commands[begun][0], changes[made][0], step + _BATCH)
             simulator.advance(following - step, commanded)

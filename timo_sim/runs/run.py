@@ -17,11 +17,14 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from timo_sim.messages.outputs import outputs, with_angles
 from timo_sim.physics.equations.base import Formulation
-from timo_sim.physics.layout import FORCE_X, FORCE_Y, MotionFields, TORQUE
+from timo_sim.physics.layout import FORCE_X, FORCE_Y, LOADS, MotionFields, TORQUE
+from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.scene.scene import Scene
 from timo_sim.scene.summary import html_table
 from timo_sim.simulation.energy import integral
+from timo_sim.simulation.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,35 +98,21 @@ class Run(MotionFields):
 
     def position(self, xi) -> np.ndarray:
         """
-        Return positions of points of the centre line in world axes.
+        Return positions of points of the centre line in world axes, (n, 2) or (n, p, 2) [m].
 
         Parameters
         ----------
         xi : float or array_like, shape (p,)
             Distance from the root along the undeformed arm, 0 to its length [m].
 
-        Returns
-        -------
-        ndarray, shape (n, 2) or (n, p, 2)
-            [m]
-
         """
         return self._pick(xi, self.model.world(self.motion, self._at(xi)))
 
     def deflection(self, xi) -> np.ndarray:
         """
-        Return the axial and transverse deflection of points in the arm frame.
+        Return the axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m].
 
-        Parameters
-        ----------
-        xi : float or array_like, shape (p,)
-            As for `position` [m].
-
-        Returns
-        -------
-        ndarray, shape (n, 2) or (n, p, 2)
-            [m]
-
+        `xi` is as for `position`.
         """
         points = self._at(xi)
         straight = np.column_stack([points.xi, np.zeros_like(points.xi)])
@@ -131,18 +120,9 @@ class Run(MotionFields):
 
     def rotation(self, xi) -> np.ndarray:
         """
-        Return the rotation of sections relative to the shaft.
+        Return the rotation of sections relative to the shaft, (n,) or (n, p) [rad].
 
-        Parameters
-        ----------
-        xi : float or array_like, shape (p,)
-            As for `position` [m].
-
-        Returns
-        -------
-        ndarray, shape (n,) or (n, p)
-            [rad]
-
+        `xi` is as for `position`.
         """
         return self._pick(xi, self.model.section_rotation(self.q, self._at(xi)))
 
@@ -157,14 +137,9 @@ class Run(MotionFields):
 
     def momentum(self) -> np.ndarray:
         """
-        Return the momentum of the whole manipulator.
+        Return the momentum of the whole manipulator, shape (n, 3).
 
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            Linear momentum in world x and y [kg m/s], angular momentum about the world's origin
-            [kg m2/s].
-
+        Linear in world x and y [kg m/s], and angular about the world's origin [kg m2/s].
         """
         return self.model.momentum(self.motion)
 
@@ -192,8 +167,13 @@ class Run(MotionFields):
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return what the node would publish, as columns with units in their names, (n,) each."""
-        from timo_sim.runs.save import columns_of
-        return columns_of(self)
+        from timo_sim.log.export import named
+        snapshots, found = list(self._snapshots()), {'time_s': self.t}
+        for output in self._outputs():
+            values = np.array([output.numbers(snapshot) for snapshot in snapshots])
+            names, values = with_angles(output.columns, values)
+            found.update(zip(named(output.name, names), values.T))
+        return found
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return `columns` as a pandas.DataFrame with the time as index."""
@@ -216,8 +196,21 @@ class Run(MotionFields):
             The file that was written.
 
         """
-        from timo_sim.runs.save import save
-        return save(self, Path(path))
+        from timo_sim.log.export import write_table
+        from timo_sim.log.new_log import NewLog
+        path = Path(path)
+        if path.suffix != '.mcap':
+            write_table(self.columns(), path)
+            return path
+        values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+        log = NewLog(path, self.scene, {**values, **self.scene.values}, saved_by='Run.save')
+        try:
+            for snapshot in self._snapshots():
+                for output in self._outputs():
+                    log.output(output.name, snapshot, output.numbers(snapshot))
+        finally:
+            log.close()
+        return log.path
 
     def plot(self) -> Figure:
         """Draw the tip, carrier and shaft over time and the arm in the plane; needs matplotlib."""
@@ -229,6 +222,20 @@ class Run(MotionFields):
         from timo_sim.view.motion_track import of_run
         from timo_sim.view.show import show_tracks
         show_tracks([lambda: of_run(self)], web=web)
+
+    def _outputs(self):
+        # What is read off the motion alone: sensors need the simulator.
+        return [output for output in outputs(self.scene.values['model.modes'])
+                if output.columns and not output.delay]
+
+    def _snapshots(self):
+        steps = np.rint(self.t / self.scene.step).astype(int).tolist()
+        for step, motion, effort in zip(steps, self.motion, self.effort.tolist()):
+            load = [0.0] * LOADS
+            if step:  # before the first step nothing has acted
+                load[FORCE_X], load[FORCE_Y], load[TORQUE] = effort
+            yield Snapshot(self.scene, self.model, step, round(step * self.scene.step * 1e9),
+                           motion, load)
 
     def _at(self, xi):
         length, xi = self.scene.manipulator.arm.length, np.atleast_1d(np.asarray(xi, dtype=float))
