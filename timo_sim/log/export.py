@@ -16,9 +16,9 @@ import shutil
 import numpy as np
 
 from timo_sim.log.index import Index
-from timo_sim.log.records import LogError
+from timo_sim.log.records import LogError, printable
 from timo_sim.log.recording import common, Recording
-from timo_sim.log.rosbag2 import information, printable, yaml_text
+from timo_sim.log.writer import information, yaml_text
 from timo_sim.messages.outputs import outputs, with_angles
 
 _ROWS = 10000  # of a CSV file that are text at once

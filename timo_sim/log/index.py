@@ -23,8 +23,8 @@ from mcap.writer import MCAP0_MAGIC
 import numpy as np
 
 from timo_sim.log.records import (
-    Broken, HEAD, LARGEST_RECORD, LogError, open_file, parsed, uncompressed, UNREADABLE)
-from timo_sim.log.rosbag2 import printable
+    Broken, HEAD, LARGEST_RECORD, LogError, open_file, parsed, printable, uncompressed,
+    UNREADABLE)
 
 _FOOTER = struct.Struct('<BQQQI8s')    # opcode, length, where summary and offsets are, CRC, magic
 _LARGEST_SUMMARY = 512 * 1024 * 1024   # [B]; that of a month takes about this

@@ -37,32 +37,28 @@ def read_notes(index):
     """Return the LogNotes of an Index; raise LogError if they cannot be read."""
     facts, summary, resets, changes = {}, {}, [], []
     for place, record in index.metadata():
-        if record.name == START:
-            facts = record.metadata
-        elif record.name == SUMMARY:
-            summary = record.metadata
-        elif record.name == RESET:
-            resets.append((_step(record, index.name), place))
-        elif record.name == CHANGE:
-            changes.append((_step(record, index.name), place, _values(record, index.name)))
+        content = record.metadata
+        try:
+            if record.name == START:
+                facts = content
+            elif record.name == SUMMARY:
+                summary = content
+            elif record.name == RESET:
+                resets.append((_step(content), place))
+            elif record.name == CHANGE:
+                changes.append((_step(content), place, current(dict(
+                    json.loads(content['values'])))))
+        except (KeyError, TypeError, ValueError, RecursionError):
+            raise LogError(f'{index.name} has a {record.name} that says {str(content)[:80]!r}'
+                           ) from None
     return LogNotes(facts, summary, resets, changes)
 
 
-def _step(record, name):
-    step = record.metadata.get('step', '')
-    if not (step.isdecimal() and len(step) < 19):
-        raise LogError(f'{name} has a {record.name} at step {step[:40]!r}')
+def _step(content):
+    step = content['step']
+    if not step.isdecimal() or len(step) > 18:
+        raise ValueError('it is no number of steps')
     return int(step)
-
-
-def _values(record, name):
-    try:
-        values = json.loads(record.metadata['values'])
-    except (KeyError, ValueError, RecursionError):
-        values = None
-    if not isinstance(values, dict):
-        raise LogError(f'{name} has a {record.name} whose values are no dictionary')
-    return current(values)
 
 
 def change_note(step, values):

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A recorder that writes MCAP from a thread of its own."""
+"""New logs, which a thread of their own writes as MCAP."""
 
 from collections import deque
 from contextlib import suppress
@@ -20,9 +20,13 @@ from typing import NamedTuple
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Schema
 
-from timo_sim.log.rosbag2 import channel_metadata
-from timo_sim.log.writer import Chunk, Writer
+from timo_sim.log.notes import Peak, start_note, START, SUMMARY
+from timo_sim.log.writer import channel_metadata, Chunk, Writer
+from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.definitions import schema_text, TYPE_HASHES
+from timo_sim.messages.outputs import outputs
+from timo_sim.messages.packing import Serializer
+from timo_sim.scene.parameters import changed
 
 FLUSH_PERIOD = 0.5       # [s] of wall time; half of what a crash may cost
 CHUNK_SIZE = 512 * 1024  # [B] so that a day has few; none waits longer than `FLUSH_PERIOD`
@@ -167,6 +171,54 @@ class Recorder:
             write, *items = self._queue.popleft()
             write(*items)
         self._file.flush()
+
+
+class NewLog(Recorder):
+    """
+    A log of a run that no node has made: the same topics and bytes as the node writes.
+
+    Parameters
+    ----------
+    path : str or Path
+    scene : Scene
+    values : dict
+        Parameters of the node, the scene's among them.
+    node : str, optional
+        Its fully qualified name.
+    **notes : str
+        More to be known of the run at its start.
+
+    """
+
+    def __init__(self, path, scene, values, node='/timo_sim', **notes):
+        namespace = node.rpartition('/')[0]
+        channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
+        self._topics, self._peak = {}, Peak()
+        for output in outputs(scene.values['model.modes']):
+            name = output.name
+            topic = (name if name.startswith('/') else
+                     node + name[1:] if name.startswith('~') else f'{namespace}/{name}')
+            delay = round(1e9 * scene.values[output.delay]) if output.delay else 0
+            self._topics[name] = (
+                len(channels), Serializer(output.type_name, output.template), delay)
+            channels.append(Channel(topic, output.type_name))
+        super().__init__(path, channels, {
+            START: {**start_note(node, values, changed(values), scene), **notes}})
+
+    def output(self, name, snapshot, numbers):
+        """Log a message of an output; commands are logged by `write`."""
+        index, serialize, delay = self._topics[name]
+        self.write(index, snapshot.step, snapshot.nanoseconds + delay,
+                   serialize(snapshot.time, numbers))
+        if name == '~/tip_deflection':
+            self._peak.see(numbers, snapshot.nanoseconds)
+
+    def close(self):
+        """Complete the file; raise OSError if it is not."""
+        self.note(SUMMARY, self._peak.note())
+        super().close()
+        if self.error:
+            raise OSError(self.error)
 
 
 def create(path):

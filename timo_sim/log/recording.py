@@ -17,12 +17,11 @@ import numpy as np
 
 from timo_sim.log.index import Index
 from timo_sim.log.notes import read_notes
-from timo_sim.log.records import LogError, open_file
+from timo_sim.log.records import LogError, open_file, printable
 from timo_sim.log.recover import Reader
-from timo_sim.log.rosbag2 import printable
 from timo_sim.log.series import Collector, Series
 from timo_sim.log.writer import Chunk
-from timo_sim.messages.cdr import CdrError, TYPES
+from timo_sim.messages.cdr import CdrError
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.outputs import outputs
 from timo_sim.scene.compatibility import current
@@ -123,8 +122,8 @@ class Recording:
         for number, channel in self.index.channels.items():
             short, schema = self.short_name(channel.topic), self.index.schemas.get(
                 channel.schema_id)
-            if (schema and channel.message_encoding == 'cdr' and schema.name in TYPES
-                    and _TYPES.get(short) == schema.name and (not names or short in names)):
+            if (schema and channel.message_encoding == 'cdr' and _TYPES.get(short) == schema.name
+                    and (not names or short in names)):
                 if any(other.name == short for other in wanted.values()):
                     raise LogError(f'{self.index.name} has two channels of {channel.topic[:80]}')
                 wanted[number] = Collector(short, channel.topic, schema.name)
@@ -224,9 +223,8 @@ class Recording:
             order = np.argsort(ns, kind='stable')
             place, log_ns, ns, values, messages = (
                 array[order] for array in (place, log_ns, ns, values, messages))
-        return Series(collector.topic, collector.type_name, collector.columns, step, ns, log_ns,
-                      values, collector.refused, place,
-                      messages.tolist() if collector.command else [])
+        return Series(collector.topic, collector.columns, step, ns, log_ns, values,
+                      collector.refused, place, messages.tolist() if collector.command else [])
 
     def _sim_time(self, log_ns):
         if self._clock is None or not len(log_ns):

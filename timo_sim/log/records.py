@@ -9,6 +9,7 @@
 """MCAP records and chunks that are checked before they are believed, and errors about them."""
 
 from io import BytesIO
+import os
 import stat
 import struct
 import zlib
@@ -19,8 +20,6 @@ from mcap.exceptions import McapError
 from mcap.records import Chunk
 from mcap.writer import MCAP0_MAGIC
 import zstandard
-
-from timo_sim.log.rosbag2 import printable
 
 LARGEST_CHUNK = 64 * 1024 * 1024  # [B] uncompressed
 LARGEST_RECORD = LARGEST_CHUNK + 1024 * 1024
@@ -34,6 +33,11 @@ class LogError(ValueError):
 
 class Broken(ValueError):
     """A record that does not hold what it says."""
+
+
+def printable(path):
+    """Return a path as text that can be printed anywhere: on Linux file names are bytes."""
+    return os.fsencode(path).decode(errors='replace')
 
 
 def open_file(path):

@@ -26,8 +26,7 @@ from mcap.writer import MCAP0_MAGIC
 from timo_sim.log.index import read_summary
 from timo_sim.log.recorder import CHUNK_SIZE, create, sync
 from timo_sim.log.records import (
-    Broken, bytes_of, HEAD, LARGEST_RECORD, LogError, open_file, parsed, uncompressed)
-from timo_sim.log.rosbag2 import printable
+    Broken, bytes_of, HEAD, LARGEST_RECORD, LogError, open_file, parsed, printable, uncompressed)
 from timo_sim.log.writer import Chunk, Writer
 
 # Of schemas, channels and metadata of one file [B]; an entry in a table costs something, too.

@@ -30,7 +30,7 @@ class Series:
 
     Attributes
     ----------
-    topic, type_name : str
+    topic : str
     columns : tuple of str
         Names of k quantities, with units.
     step : ndarray of int64, shape (n,)
@@ -52,7 +52,6 @@ class Series:
     """
 
     topic: str
-    type_name: str
     columns: tuple
     step: np.ndarray
     ns: np.ndarray

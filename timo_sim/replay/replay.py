@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from timo_sim.log.new_log import NewLog
+from timo_sim.log.recorder import NewLog
 from timo_sim.log.notes import other_ground
 from timo_sim.log.recording import Recording
 from timo_sim.messages.outputs import outputs, with_angles

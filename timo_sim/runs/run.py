@@ -197,7 +197,7 @@ class Run(MotionFields):
 
         """
         from timo_sim.log.export import write_table
-        from timo_sim.log.new_log import NewLog
+        from timo_sim.log.recorder import NewLog
         path = Path(path)
         if path.suffix != '.mcap':
             write_table(self.columns(), path)
