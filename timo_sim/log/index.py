@@ -127,14 +127,9 @@ class Index:
 
     def read(self, chunk):
         """
-        Read a chunk.
+        Return the data of a chunk, an ndarray of uint8, and where the messages of channels begin.
 
-        Returns
-        -------
-        data : ndarray of uint8
-        offsets : dict
-            Where the messages of each channel begin in it, in the order of its index.
-
+        The latter by number of the channel, in the order of its index.
         """
         with self._checked():
             offsets = {channel: entries[:, 1] for channel, entries in self._entries(chunk)}

@@ -102,19 +102,9 @@ class Recorder:
 
     def write(self, index, step, stamp, data):
         """
-        Log a message.
+        Log a message, CDR, of the channel with this index.
 
-        Parameters
-        ----------
-        index : int
-            Of its channel.
-        step : int
-            Time step, written as the message's sequence number.
-        stamp : int
-            Sim time, written as log time and publish time [ns].
-        data : bytes
-            CDR.
-
+        The time step is its sequence number; the stamp, sim time [ns], its log and publish time.
         """
         if self.error is not None:
             return

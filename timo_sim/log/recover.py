@@ -147,13 +147,9 @@ class Reader:
 
     def records(self):
         """
-        Yield what is intact, in the order of the file.
+        Yield each Schema, Channel, Metadata and Chunk that is intact, in the order of the file.
 
-        Yields
-        ------
-        Schema, Channel, Metadata or Chunk
-            Each schema and channel once, and before what refers to it.
-
+        Each schema and channel comes once, and before what refers to it.
         """
         chunk = Chunk()
         for record in self._intact():

@@ -142,16 +142,9 @@ class Collector:
 
     def arrays(self):
         """
-        Return what is known of n messages, in the order of the file.
+        Return place, sequence, log time and stamp of n messages, int64, in the order of the file.
 
-        Returns
-        -------
-        place, sequence, log_ns, ns : ndarray of int64, shape (n,)
-            `ns` is the stamp; commands have none, and the log time in its place.
-        values : ndarray, shape (n, k)
-        messages : ndarray of object, shape (n,)
-            Bytes of commands, else None.
-
+        With values, shape (n, k), and the bytes of commands, which have the log time for a stamp.
         """
         none = np.zeros(0, dtype=np.int64)
         place, offset, *others = map(np.concatenate, zip(*self._parts or [

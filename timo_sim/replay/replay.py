@@ -8,6 +8,7 @@
 
 """A log or a bag replayed, compared and reported: the work of `timo_sim replay`."""
 
+import math
 from pathlib import Path
 import time
 from typing import NamedTuple
@@ -15,17 +16,22 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
+from timo_sim.log.notes import CHANGE, change_note, other_ground, RESET
 from timo_sim.log.recorder import NewLog
-from timo_sim.log.notes import other_ground
 from timo_sim.log.recording import Recording
+from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.outputs import outputs, with_angles
-from timo_sim.replay.replayer import Replay
+from timo_sim.physics.layout import LOADS
 from timo_sim.replay.segments import segments_of
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.parameters import check, PARAMETERS
 from timo_sim.scene.scene import scene_from
+from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.resolution import resolved
+from timo_sim.simulation.simulator import Simulator
+
+_BATCH = 500  # steps of one compiled call at most
 
 
 class Difference(NamedTuple):
@@ -121,6 +127,80 @@ def _values(recording, scene_file, changes):
     values.update(check(given, source))
     values.update(check(changes, '--set'))
     return values
+
+
+class Replay:
+    """
+    Runs segments through a scene, and fills them; a NewLog gets what is done.
+
+    Attributes
+    ----------
+    simulator : Simulator
+    diverged : str or None
+        Why the replay ended early.
+
+    """
+
+    def __init__(self, scene, segments, log=None):
+        self.simulator = Simulator(scene)
+        self.simulator.warm_up()
+        self.diverged = None
+        self._segments, self._log = segments, log
+        self._outputs = {output.name: output for output in outputs(scene.values['model.modes'])}
+
+    def run(self, report=lambda count: None):
+        """Do it; `report` receives how many further steps are done."""
+        for number, segment in enumerate(self._segments):
+            if number:
+                self.simulator.reset()
+                if self._log:
+                    self._log.note(RESET, {'step': str(self.simulator.steps)})
+            try:
+                self._run(segment, report)
+            except DivergenceError as error:
+                self.diverged = str(error)
+                break
+
+    def _run(self, segment, report):
+        commanded, load = np.zeros(LOADS), [0.0] * LOADS
+        topics = [(name, self._outputs[name], segment.samples[name].tolist() + [math.inf])
+                  for name in self._outputs if name in segment.samples]
+        for name, output, steps in topics:
+            segment.replayed[name] = np.empty((len(steps) - 1, len(output.columns)))
+            segment.done[name] = 0
+        commands, begun = [*segment.commands, (math.inf,)], 0
+        changes, made = [*segment.changes, (math.inf,)], 0
+        simulator = self.simulator
+        while True:
+            step, snapshot, following = simulator.steps, None, segment.last
+            for name, output, steps in topics:
+                place = segment.done[name]
+                while steps[place] == step:
+                    snapshot = snapshot or simulator.snapshot(load)
+                    numbers = output.numbers(snapshot)
+                    segment.replayed[name][place] = numbers
+                    if self._log:
+                        self._log.output(name, snapshot, numbers)
+                    segment.done[name] = place = place + 1
+                following = min(following, steps[place])
+            while changes[made][0] <= step:
+                _, values = changes[made]
+                simulator.change(simulator.scene.vary(values))
+                if self._log:
+                    self._log.note(CHANGE, change_note(step, values))
+                made += 1
+            if step >= segment.last:
+                return
+            while commands[begun][0] <= step:
+                _, index, values, data = commands[begun]
+                COMMANDS[index].apply(values, commanded)
+                if self._log:
+                    self._log.write(index, step, simulator.nanoseconds, data)
+                begun += 1
+            following = min(following, commands[begun][0], changes[made][0], step + _BATCH)
+            simulator.advance(following - step, commanded)
+            load = simulator.load.tolist()
+            report(following - step)
 
 
 def _compare(segments, scene, topics):

@@ -23,36 +23,16 @@ _ROUNDING = 1e-9
 
 @dataclass
 class Segment:
-    """
-    What happened from the start, or a reset, to the next reset, or the end.
+    """What happened from the start, or a reset, to the next reset, or the end."""
 
-    Attributes
-    ----------
-    first, last : int
-        Steps.
-    commands : list of tuple
-        Step, index in COMMANDS, what it sets, message; ascending.
-    changes : list of tuple
-        Step and values by name of the scene's parameters; ascending.
-    samples : dict of ndarray
-        Steps of the messages of each topic, by short name; ascending.
-    logged : dict of ndarray
-        Their numbers, shape (n, k), where the log has the topic.
-    replayed : dict of ndarray
-        The same of the replay.
-    done : dict of int
-        How many samples the replay has come to.
-
-    """
-
-    first: int
+    first: int      # step
     last: int
-    commands: list
-    changes: list
-    samples: dict
-    logged: dict
-    replayed: dict = field(default_factory=dict)
-    done: dict = field(default_factory=dict)
+    commands: list  # step, index in COMMANDS, what it sets, message; ascending
+    changes: list   # step and values by name of the scene's parameters; ascending
+    samples: dict   # of each topic, by short name, steps of its messages; ascending
+    logged: dict    # their numbers, shape (n, k), where the log has the topic
+    replayed: dict = field(default_factory=dict)  # the same of the replay
+    done: dict = field(default_factory=dict)      # how many samples the replay has come to
 
 
 def segments_of(recording, scene, values, start=0.0, duration=None):

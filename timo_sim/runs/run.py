@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A run: motions at sampled times, and what is read off them."""
+"""A run: motions at sampled times, what is read off them, and logs opened as runs."""
 
 from __future__ import annotations
 
@@ -247,3 +247,43 @@ class Run(MotionFields):
     @staticmethod
     def _pick(xi, values):
         return values[:, 0] if np.ndim(xi) == 0 else values
+
+
+def open_log(path: str | Path, node: str | None = None) -> Run:
+    """
+    Open a log of the node, or of `Run.save`, as a run.
+
+    Parameters
+    ----------
+    path : str or Path
+    node : str, optional
+        Fully qualified name of the node, needed for a file of several.
+
+    Returns
+    -------
+    Run
+        Its samples are the messages of joint_states; `run.recording.topics` has all topics.
+
+    Raises
+    ------
+    LogError
+        If the file is no log, or does not say which scene it is of.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> path = timo_sim.simulate(timo_sim.load_scene('paper'), 1.0).save('run.mcap')
+    >>> timo_sim.open_log(path).shaft.shape
+    (1001,)
+
+    """
+    from timo_sim.log.records import LogError
+    from timo_sim.log.recording import Recording
+    recording = Recording(path, node)
+    if recording.scene is None:
+        raise LogError(f'{recording.index.name} is a plain bag, which says nothing of the scene: '
+                       'timo_sim export makes a table of it')
+    _, ns, motion = recording.motion()
+    scene = recording.scene
+    heat = np.full(len(ns), np.nan) if scene.friction.any() else np.zeros(len(ns))
+    return Run(scene, scene.build(), 1e-9 * ns, motion, heat, None, recording.summary, recording)
