@@ -195,9 +195,9 @@ def lying_index(log, folder, lie):
     index = Recording(log).index
     chunk = index.chunks[0]
     number, place = next(
-        (number, place) for number, place in chunk.indexes.items()
+        (number, place) for number, place in chunk.message_index_offsets.items()
         if index.channels[number].topic.endswith('joint_states'))
-    count = chunk.counts()[number]
+    count = len(index.times(chunk)[number])
 
     def change(data):
         entries = np.frombuffer(data[place + 15:place + 15 + 16 * count], '<u8').reshape(-1, 2)

@@ -27,8 +27,7 @@ from timo_sim.log.recorder import Channel, Recorder
 from timo_sim.log.recording import Recording
 from timo_sim.log.recover import recover
 from timo_sim.messages.commands import COMMANDS
-from timo_sim.replay.replay import replay
-from timo_sim.replay.replayer import Replay
+from timo_sim.replay.replay import Replay, replay
 from timo_sim.replay.segments import segments_of
 
 EVERY_STEP = ('joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')

@@ -19,7 +19,7 @@ from timo_sim.version import __version__
 _EXTRAS = {'pyarrow': 'sweep', 'distributed': 'cluster', 'rclpy': 'ros', 'rerun': 'view',
            'rerun_cli': 'view', 'matplotlib': 'plot'}
 # By name, because the modules of most are not imported.
-_WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError', 'ReplayError', 'TrackError'
+_WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError', 'TrackError'
 
 
 class _Command(click.Command):

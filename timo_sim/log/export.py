@@ -16,9 +16,9 @@ import shutil
 import numpy as np
 
 from timo_sim.log.index import Index
-from timo_sim.log.records import LogError
+from timo_sim.log.records import LogError, printable
 from timo_sim.log.recording import common, Recording
-from timo_sim.log.rosbag2 import information, printable, yaml_text
+from timo_sim.log.writer import information, yaml_text
 from timo_sim.messages.outputs import outputs, with_angles
 
 _ROWS = 10000  # of a CSV file that are text at once
@@ -47,11 +47,6 @@ def export(file, output, topic=None, node=None):
     str
         What was written.
 
-    Raises
-    ------
-    LogError
-        If there is nothing to write, or `output` exists.
-
     """
     output = _new_table(Path(output))
     columns, left = table(Recording(file, node), topic)
@@ -63,15 +58,7 @@ def export(file, output, topic=None, node=None):
 
 
 def write_table(columns, path):
-    """
-    Write columns by name to a new file, *.parquet or *.csv.
-
-    Raises
-    ------
-    LogError
-        If the file exists, or its name ends in another way.
-
-    """
+    """Write columns by name to a new file, *.parquet or *.csv; else raise LogError."""
     (_parquet if _new_table(path).suffix == '.parquet' else _csv)(columns, path)
 
 
@@ -92,22 +79,7 @@ def named(topic, columns):
 
 
 def table(recording, topic=None):
-    """
-    Return columns by name, and topics of which messages are left out.
-
-    Parameters
-    ----------
-    recording : Recording
-    topic : str, optional
-        See `export`.
-
-    Returns
-    -------
-    dict of ndarray, shape (n,)
-        `time_s`; `step` of a log of this package; what the topics have.
-    list of str
-
-    """
+    """Return columns by name, (n,) each, and topics of which messages are left out."""
     found = recording.read(*([topic] if topic else [output.name for output in outputs(1)]))
     base = found.pop(topic or 'joint_states', None)
     if base is None:
@@ -149,32 +121,11 @@ def _csv(columns, path):
 
 
 def export_bag(file, output):
-    """
-    Make the folder that rosbag2 would have written: the log, and metadata.yaml beside it.
-
-    Parameters
-    ----------
-    file : str or Path
-    output : str or Path
-        A folder that does not exist.
-
-    Returns
-    -------
-    str
-        What was written.
-
-    Raises
-    ------
-    LogError
-        If the file is no log, or `output` exists.
-
-    """
+    """Make the folder, a new one, that rosbag2 would have written; return what was done."""
     folder = Path(output)
     with Index(file) as index:
-        statistics = index.statistics
-        content = information(
-            index.schemas.values(), index.channels.values(), statistics.channel_message_counts,
-            statistics.message_start_time, statistics.message_end_time, index.path.name)
+        content = information(index.schemas.values(), index.channels.values(), index.statistics,
+                              index.path.name)
     try:
         folder.mkdir(parents=True)
     except FileExistsError:

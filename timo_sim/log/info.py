@@ -25,27 +25,11 @@ _COUNTERS = ('refused_commands', 'stale_commands', 'overruns', 'dropped_time_s',
 
 
 def info(file):
-    """
-    Describe a log of this package, or another MCAP file.
-
-    Parameters
-    ----------
-    file : str or Path
-
-    Returns
-    -------
-    list of str
-        Lines.
-
-    Raises
-    ------
-    LogError
-
-    """
+    """Return lines that describe a log of this package, or another MCAP file."""
     with Index(file) as index:
         notes = read_notes(index)
         kind = 'log of ' + notes.facts.get('node', '/timo_sim') if notes.facts else 'plain bag'
-        lines = [f'{index.name}: {kind}, {index.size / 1e6:.3g} MB']
+        lines = [f'{index.name}: {kind}, {index.path.stat().st_size / 1e6:.3g} MB']
         if notes.facts:
             lines += _about_run(index, notes)
         lines += _about_topics(index)
@@ -107,7 +91,8 @@ def _about_topics(index):
     counts = index.statistics.channel_message_counts
     step = max(1, math.ceil(index.statistics.message_count / _MOST_TIMES))
     times = _times(index, step)
-    pauses = [after.start - before.end for before, after in zip(index.chunks, index.chunks[1:])]
+    pauses = [after.message_start_time - before.message_end_time
+              for before, after in zip(index.chunks, index.chunks[1:])]
     if max(pauses, default=0) > _NANOSECONDS:
         yield f'  no messages at all for {max(pauses) / _NANOSECONDS:.6g} s'
     width, silent = max([len(channel.topic) for channel in index.channels.values()], default=5), []
@@ -115,11 +100,11 @@ def _about_topics(index):
     yield f'  {"topic":<{width}}  {"messages":>9}  {"rate":>10}  largest gap' + (
         f' (in one of {step} chunks)' if step > 1 else '')
     for number, channel in sorted(index.channels.items(), key=lambda item: item[1].topic):
-        first, last, gap = times.get(number, (0, 0, 0))
         count = counts.get(number, 0)
         if not count:
             silent.append(channel.topic)
             continue
+        first, last, gap = times.get(number, (0, 0, 0))
         rate = f'{(count - 1) * _NANOSECONDS / (last - first):.6g} Hz' if last > first else '-'
         gap = f'{gap / _NANOSECONDS:.6g} s' if gap else '-'
         yield f'  {channel.topic[:width]:<{width}}  {count:>9}  {rate:>10}  {gap}'

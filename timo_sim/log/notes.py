@@ -25,71 +25,40 @@ _GROUND = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processo
 
 
 class LogNotes(NamedTuple):
-    """
-    What a log says.
+    """What a log says."""
 
-    Attributes
-    ----------
-    facts, summary : dict of str
-        At its beginning and at its end; empty where it does not.
-    resets : list of tuple of int
-        Step and place in the file of each.
-    changes : list of tuple
-        Step, place in the file, and values by name of each setting of the scene's parameters.
-
-    """
-
-    facts: dict
-    summary: dict
-    resets: list
-    changes: list
+    facts: dict    # of str, at its beginning; empty where it does not
+    summary: dict  # of str, at its end; empty where it does not
+    resets: list   # step and place in the file of each
+    changes: list  # step, place and values by name of each setting of the scene's parameters
 
 
 def read_notes(index):
-    """
-    Read the notes in a file.
-
-    Parameters
-    ----------
-    index : Index
-
-    Returns
-    -------
-    LogNotes
-
-    Raises
-    ------
-    LogError
-
-    """
+    """Return the LogNotes of an Index; raise LogError if they cannot be read."""
     facts, summary, resets, changes = {}, {}, [], []
     for place, record in index.metadata():
-        if record.name == START:
-            facts = record.metadata
-        elif record.name == SUMMARY:
-            summary = record.metadata
-        elif record.name == RESET:
-            resets.append((_step(record, index.name), place))
-        elif record.name == CHANGE:
-            changes.append((_step(record, index.name), place, _values(record, index.name)))
+        content = record.metadata
+        try:
+            if record.name == START:
+                facts = content
+            elif record.name == SUMMARY:
+                summary = content
+            elif record.name == RESET:
+                resets.append((_step(content), place))
+            elif record.name == CHANGE:
+                changes.append((_step(content), place, current(dict(
+                    json.loads(content['values'])))))
+        except (KeyError, TypeError, ValueError, RecursionError):
+            raise LogError(f'{index.name} has a {record.name} that says {str(content)[:80]!r}'
+                           ) from None
     return LogNotes(facts, summary, resets, changes)
 
 
-def _step(record, name):
-    step = record.metadata.get('step', '')
-    if not (step.isdecimal() and len(step) < 19):
-        raise LogError(f'{name} has a {record.name} at step {step[:40]!r}')
+def _step(content):
+    step = content['step']
+    if not step.isdecimal() or len(step) > 18:
+        raise ValueError('it is no number of steps')
     return int(step)
-
-
-def _values(record, name):
-    try:
-        values = json.loads(record.metadata['values'])
-    except (KeyError, ValueError, RecursionError):
-        values = None
-    if not isinstance(values, dict):
-        raise LogError(f'{name} has a {record.name} whose values are no dictionary')
-    return current(values)
 
 
 def change_note(step, values):
@@ -104,24 +73,7 @@ def _json(values):
 
 
 def start_note(node, values, changed, scene):
-    """
-    Return what a log says at its beginning.
-
-    Parameters
-    ----------
-    node : str
-        Fully qualified name.
-    values : dict
-        All parameters of the node.
-    changed : dict
-        Those that are not as by default.
-    scene : Scene
-
-    Returns
-    -------
-    dict of str
-
-    """
+    """Return what a log says at its beginning; `changed` are values not as by default."""
     return {
         'node': node, 'parameters': _json(values), 'changed': _json(changed),
         'initial_motion': json.dumps(scene.initial_motion().tolist()), **_here()}

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A recorder that writes MCAP from a thread of its own."""
+"""New logs, which a thread of their own writes as MCAP."""
 
 from collections import deque
 from contextlib import suppress
@@ -17,9 +17,16 @@ import threading
 import time
 from typing import NamedTuple
 
-from timo_sim.log.rosbag2 import add_rosbag2_metadata, channel_metadata
-from timo_sim.log.writer import Chunk, Writer
+from mcap.records import Channel as ChannelRecord
+from mcap.records import Schema
+
+from timo_sim.log.notes import Peak, start_note, START, SUMMARY
+from timo_sim.log.writer import channel_metadata, Chunk, Writer
+from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.definitions import schema_text, TYPE_HASHES
+from timo_sim.messages.outputs import outputs
+from timo_sim.messages.packing import Serializer
+from timo_sim.scene.parameters import changed
 
 FLUSH_PERIOD = 0.5       # [s] of wall time; half of what a crash may cost
 CHUNK_SIZE = 512 * 1024  # [B] so that a day has few; none waits longer than `FLUSH_PERIOD`
@@ -66,15 +73,25 @@ class Recorder:
         self.error = None
         self._lock = threading.Lock()  # of the chunk that grows
         self._chunk = Chunk()
-        self._queue = deque()  # full chunks, and metadata in between
+        self._queue = deque()  # what is to be written, each with the method that does it
         self._ready = threading.Event()
         self._closing = False
-        definitions = {name: (schema_text(name), TYPE_HASHES[name])
-                       for name in {channel.type_name for channel in channels}}
+        types = list(dict.fromkeys(channel.type_name for channel in channels))
+        records = [*(Schema(id=number, name=name, encoding='ros2msg',
+                            data=schema_text(name).encode())
+                     for number, name in enumerate(types, start=1)),
+                   *(ChannelRecord(id=number, topic=topic, message_encoding='cdr',
+                                   schema_id=types.index(name) + 1,
+                                   metadata=channel_metadata(TYPE_HASHES[name]))
+                     for number, (topic, name) in enumerate(channels, start=1))]
         self.path, self._file = create(Path(path))
         try:
             self._writer = Writer(self._file, 'ros2')
-            self._start(channels, definitions, notes)
+            for record in records:
+                self._writer.add_record(record)
+            for name, values in notes.items():
+                self._writer.add_metadata(name, values)
+            self._file.flush()
         except OSError:
             with suppress(OSError):
                 self._file.close()
@@ -85,19 +102,9 @@ class Recorder:
 
     def write(self, index, step, stamp, data):
         """
-        Log a message.
+        Log a message, CDR, of the channel with this index.
 
-        Parameters
-        ----------
-        index : int
-            Of its channel.
-        step : int
-            Time step, written as the message's sequence number.
-        stamp : int
-            Sim time, written as log time and publish time [ns].
-        data : bytes
-            CDR.
-
+        The time step is its sequence number; the stamp, sim time [ns], its log and publish time.
         """
         if self.error is not None:
             return
@@ -114,7 +121,7 @@ class Recorder:
         """Log a metadata record: a name, and a dictionary of str."""
         if self.error is None:
             self._pass_on()
-            self._queue.append((name, values))
+            self._queue.append((self._writer.add_metadata, name, values))
 
     def close(self):
         """Write what is waiting, the index and the summary, and close the file."""
@@ -122,21 +129,11 @@ class Recorder:
         self._ready.set()
         self._thread.join()
 
-    def _start(self, channels, definitions, notes):
-        schemas = {name: self._writer.add_schema(name, 'ros2msg', text)
-                   for name, (text, _) in definitions.items()}
-        for channel in channels:
-            self._writer.add_channel(channel.topic, 'cdr', schemas[channel.type_name],
-                                     channel_metadata(definitions[channel.type_name][1]))
-        for name, values in notes.items():
-            self._writer.add_metadata(name, values)
-        self._file.flush()
-
     def _pass_on(self):
         """Let the chunk that grows be written as it is."""
         with self._lock:
             if self._chunk.data:
-                self._queue.append(self._chunk)
+                self._queue.append((self._writer.add_chunk, self._chunk))
                 self._chunk = Chunk()
 
     def _run(self):
@@ -148,8 +145,7 @@ class Recorder:
                 self._drain()
             self._pass_on()
             self._drain()
-            add_rosbag2_metadata(self._writer, self.path.name)
-            self._writer.finish()
+            self._writer.finish(self.path.name)
             sync(self._file)
         except Exception as error:  # whatever it is, `write` must not wait for this thread
             self.error = f'{self.path}: {error}'
@@ -162,33 +158,61 @@ class Recorder:
 
     def _drain(self):
         while self._queue:
-            item = self._queue.popleft()
-            if isinstance(item, Chunk):
-                self._writer.add_chunk(item)
-            else:
-                self._writer.add_metadata(*item)
+            write, *items = self._queue.popleft()
+            write(*items)
         self._file.flush()
 
 
-def create(path):
+class NewLog(Recorder):
     """
-    Make a new file and the folders above it.
+    A log of a run that no node has made: the same topics and bytes as the node writes.
 
     Parameters
     ----------
-    path : Path
-        If there is such a file, `_1`, `_2`, ... is appended to the stem.
-
-    Returns
-    -------
-    Path, binary file
-
-    Raises
-    ------
-    OSError
-        If it cannot be made.
+    path : str or Path
+    scene : Scene
+    values : dict
+        Parameters of the node, the scene's among them.
+    node : str, optional
+        Its fully qualified name.
+    **notes : str
+        More to be known of the run at its start.
 
     """
+
+    def __init__(self, path, scene, values, node='/timo_sim', **notes):
+        namespace = node.rpartition('/')[0]
+        channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
+        self._topics, self._peak = {}, Peak()
+        for output in outputs(scene.values['model.modes']):
+            name = output.name
+            topic = (name if name.startswith('/') else
+                     node + name[1:] if name.startswith('~') else f'{namespace}/{name}')
+            delay = round(1e9 * scene.values[output.delay]) if output.delay else 0
+            self._topics[name] = (
+                len(channels), Serializer(output.type_name, output.template), delay)
+            channels.append(Channel(topic, output.type_name))
+        super().__init__(path, channels, {
+            START: {**start_note(node, values, changed(values), scene), **notes}})
+
+    def output(self, name, snapshot, numbers):
+        """Log a message of an output; commands are logged by `write`."""
+        index, serialize, delay = self._topics[name]
+        self.write(index, snapshot.step, snapshot.nanoseconds + delay,
+                   serialize(snapshot.time, numbers))
+        if name == '~/tip_deflection':
+            self._peak.see(numbers, snapshot.nanoseconds)
+
+    def close(self):
+        """Complete the file; raise OSError if it is not."""
+        self.note(SUMMARY, self._peak.note())
+        super().close()
+        if self.error:
+            raise OSError(self.error)
+
+
+def create(path):
+    """Make a new file, numbered if there is one, and its folders; return its path and stream."""
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -17,27 +17,27 @@ import numpy as np
 
 from timo_sim.log.index import Index
 from timo_sim.log.notes import read_notes
-from timo_sim.log.reader import Message, Reader
-from timo_sim.log.records import LogError, open_file
-from timo_sim.log.rosbag2 import printable
+from timo_sim.log.records import LogError, open_file, printable
+from timo_sim.log.recover import Reader
 from timo_sim.log.series import Collector, Series
-from timo_sim.messages.cdr import CdrError, TYPES
+from timo_sim.log.writer import Chunk
+from timo_sim.messages.cdr import CdrError
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.outputs import outputs
 from timo_sim.scene.compatibility import current
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.scene import load_scene
 
-_BLOCK = 1024 * 1024    # [B] of messages at once where there are no chunks
-_WRAP = 2**32           # steps after which a sequence number starts again
+_WRAP = 2**32  # steps after which a sequence number starts again
+_TYPES = {entry.name: entry.type_name for entry in (*outputs(1), *COMMANDS)}
 
 
 class Recording:
     """
     A log of this package, or a bag with the topics of a node.
 
-    Series are read when they are asked for, chunk by chunk. What the file says is checked as in
-    `reader`: it may come from anybody.
+    Series are read when they are asked for, chunk by chunk. What the file says is checked: it may
+    come from anybody.
 
     Parameters
     ----------
@@ -89,7 +89,13 @@ class Recording:
     @cached_property
     def scene(self):
         """The scene of a log of this package, else None."""
-        return self._scene() if self.facts else None
+        if not self.facts:
+            return None
+        try:
+            return load_scene(self.parameters)
+        except (KeyError, ValueError, RecursionError, ParameterError) as error:
+            reason = ' '.join(str(error).split())[:300]
+            raise LogError(f'{self.index.name}: its scene cannot be built: {reason}') from None
 
     @cached_property
     def topics(self):
@@ -114,11 +120,13 @@ class Recording:
         """
         wanted = {}
         for number, channel in self.index.channels.items():
-            short, known = self.short_name(channel.topic), self._type_of(channel)
-            if known in TYPES and self._expects(short) == known and (not names or short in names):
+            short, schema = self.short_name(channel.topic), self.index.schemas.get(
+                channel.schema_id)
+            if (schema and channel.message_encoding == 'cdr' and _TYPES.get(short) == schema.name
+                    and (not names or short in names)):
                 if any(other.name == short for other in wanted.values()):
                     raise LogError(f'{self.index.name} has two channels of {channel.topic[:80]}')
-                wanted[number] = Collector(short, channel.topic, known)
+                wanted[number] = Collector(short, channel.topic, schema.name)
         for place, data, offsets in self._blocks(most_chunks):
             for number in wanted.keys() & offsets.keys():
                 try:
@@ -135,7 +143,7 @@ class Recording:
         Parameters
         ----------
         series : dict of Series, optional
-            What `read` gave for 'joint_states' and '~/modal_state', where that is done already.
+            What `read` gave for these, where that is done already.
 
         Returns
         -------
@@ -143,11 +151,6 @@ class Recording:
             Where a reset was, a step may be there twice: before and after it.
         motion : ndarray, shape (n, 2 (3 + N))
             See `physics.layout`.
-
-        Raises
-        ------
-        LogError
-            If the log has none.
 
         """
         found = self.read('joint_states', '~/modal_state') if series is None else series
@@ -173,11 +176,8 @@ class Recording:
             return 'joint_states'
         return topic
 
-    # What the file is.
-
     def _find_node(self):
-        names = [entry.name for entry in (*COMMANDS, *outputs(1))]
-        ends = [name.removeprefix('~') for name in names if name.startswith('~')]
+        ends = [name.removeprefix('~') for name in _TYPES if name.startswith('~')]
         topics = [channel.topic for channel in self.index.channels.values()]
         nodes = {topic.removesuffix(end) for topic in topics for end in ends
                  if topic.endswith(end)}
@@ -188,69 +188,43 @@ class Recording:
                            f'{", ".join(sorted(nodes))[:200]}')
         return nodes.pop()
 
-    def _scene(self):
-        try:
-            return load_scene(self.parameters)
-        except (KeyError, ValueError, RecursionError, ParameterError) as error:
-            reason = ' '.join(str(error).split())[:300]
-            raise LogError(f'{self.index.name}: its scene cannot be built: {reason}') from None
-
-    def _type_of(self, channel):
-        schema = self.index.schemas.get(channel.schema_id)
-        return schema.name if schema and channel.message_encoding == 'cdr' else None
-
-    @staticmethod
-    def _expects(short):
-        types = {output.name: output.type_name for output in outputs(1)}
-        types.update({command.name: command.type_name for command in COMMANDS})
-        return types.get(short)
-
-    # Its messages.
-
     def _blocks(self, most):
         """Yield place, data and offsets by channel, in the order of the file."""
-        counts = sum(sum(chunk.counts().values()) for chunk in self.index.chunks)
-        if counts == self.index.statistics.message_count:
-            chunks = self.index.chunks
+        chunks = self.index.chunks
+        # A list of times and positions has 15 bytes before it, and 16 for each message.
+        indexed = sum((chunk.message_index_length - 15 * len(chunk.message_index_offsets)) // 16
+                      for chunk in chunks)
+        if indexed == self.index.statistics.message_count:
             for chunk in chunks[::math.ceil(len(chunks) / (most or math.inf)) or 1]:
-                yield chunk.place, *self.index.read(chunk)
-        else:  # a file without chunks, or without their indexes, has all the same what it has
-            yield from self._blocks_without_index()
-
-    def _blocks_without_index(self):
+                yield chunk.chunk_start_offset, *self.index.read(chunk)
+            return
+        # A file without chunks, or without their indexes, has all the same what it has.
         with open_file(self.path) as stream:
-            reader = Reader(stream, self.index.size, self.index.name)
-            data, offsets, place = bytearray(), {}, 0
-            for record in reader.records():
-                if not isinstance(record, Message):
-                    continue
-                offsets.setdefault(record.channel, []).append(len(data))
-                data += b'\x05' + len(record.content).to_bytes(8, 'little') + record.content
-                if len(data) > _BLOCK:
-                    yield place, *_arrays(data, offsets)
-                    data, offsets, place = bytearray(), {}, place + 1
+            reader = Reader(stream)
+            for place, record in enumerate(reader.records()):
+                if isinstance(record, Chunk):
+                    yield place, np.frombuffer(record.data, np.uint8), {
+                        channel: np.array(entries[1::2], np.uint64)
+                        for channel, entries in record.index.items()}
             if reader.damage is not None:
                 raise LogError(f'{self.index.name}: {reader.damage}: timo_sim recover '
                                f'{self.index.name} keeps what is intact')
-            yield place, *_arrays(data, offsets)
 
     def _series(self, collector):
-        sequence, log_ns, place, stamps, values = collector.arrays()
-        ns = log_ns if stamps is None else stamps
+        place, sequence, log_ns, ns, values, messages = collector.arrays()
         if self.facts:
             turns = np.rint((1e-9 * log_ns / self.scene.step - sequence) / _WRAP)
             step = sequence + _WRAP * turns.astype(np.int64)
         else:
             step = np.full(len(log_ns), -1)
-            if stamps is None:
+            if collector.command:
                 ns = self._sim_time(log_ns)
             # The network may have changed the order.
             order = np.argsort(ns, kind='stable')
-            ns, log_ns, values, place = ns[order], log_ns[order], values[order], place[order]
-            if collector.data:
-                collector.data = [collector.data[at] for at in order]
-        return Series(collector.topic, collector.type_name, collector.columns, step, ns, log_ns,
-                      values, collector.refused, place, collector.data)
+            place, log_ns, ns, values, messages = (
+                array[order] for array in (place, log_ns, ns, values, messages))
+        return Series(collector.topic, collector.columns, step, ns, log_ns, values,
+                      collector.refused, place, messages.tolist() if collector.command else [])
 
     def _sim_time(self, log_ns):
         if self._clock is None or not len(log_ns):
@@ -282,11 +256,6 @@ def _single(path):
     if len(files) != 1:
         raise LogError(f'{printable(path)} has {len(files)} files *.mcap: name one')
     return files[0]
-
-
-def _arrays(data, offsets):
-    return (np.frombuffer(bytes(data), np.uint8),
-            {channel: np.array(places, np.uint64) for channel, places in offsets.items()})
 
 
 def common(first, second):

@@ -9,6 +9,7 @@
 """MCAP records and chunks that are checked before they are believed, and errors about them."""
 
 from io import BytesIO
+import os
 import stat
 import struct
 import zlib
@@ -16,14 +17,14 @@ import zlib
 import lz4.frame
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
+from mcap.records import Chunk
+from mcap.writer import MCAP0_MAGIC
 import zstandard
-
-from timo_sim.log.rosbag2 import printable
 
 LARGEST_CHUNK = 64 * 1024 * 1024  # [B] uncompressed
 LARGEST_RECORD = LARGEST_CHUNK + 1024 * 1024
 HEAD = struct.Struct('<BQ')             # opcode, length of the content
-_CHUNK_HEAD = struct.Struct('<QQQII')   # times, size, checksum, length of compression's name
+UNREADABLE = McapError, struct.error, UnicodeDecodeError, OverflowError  # what mcap raises
 
 
 class LogError(ValueError):
@@ -34,36 +35,43 @@ class Broken(ValueError):
     """A record that does not hold what it says."""
 
 
+def printable(path):
+    """Return a path as text that can be printed anywhere: on Linux file names are bytes."""
+    return os.fsencode(path).decode(errors='replace')
+
+
 def open_file(path):
-    """Open a regular file; a pipe would never end, and a device might act on it."""
+    """Open a log behind its magic; only a regular file: a pipe would never end."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):
             raise LogError(f'{printable(path)} is not a file')
-        return open(path, 'rb')
+        stream = open(path, 'rb')
     except (PermissionError, NotADirectoryError) as error:
         raise LogError(f'{printable(path)}: {error.strerror}') from None
+    start = stream.read(len(MCAP0_MAGIC))
+    if start != MCAP0_MAGIC:
+        stream.close()
+        raise LogError(f'{printable(path)} is empty' if not start else
+                       f'{printable(path)} is not an MCAP file: it begins with {start!r}')
+    return stream
 
 
 def uncompressed(content):
     """Return the data of a chunk if it is what the chunk says."""
     try:
-        _, _, size, crc, length = _CHUNK_HEAD.unpack_from(content)
-        compression = content[_CHUNK_HEAD.size:_CHUNK_HEAD.size + length]
-        place = _CHUNK_HEAD.size + length
-        stored, = struct.unpack_from('<Q', content, place)
-        if stored != len(content) - place - 8:
-            raise Broken('a chunk has a wrong length')
-        if size > LARGEST_CHUNK:
-            raise Broken(f'a chunk claims to hold {size} bytes, more than {LARGEST_CHUNK}')
-        if compression not in _DECOMPRESS:
-            raise Broken(f'a chunk is compressed by {bytes(compression[:20])!r}')
+        chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+        if chunk.uncompressed_size > LARGEST_CHUNK:
+            raise Broken(f'a chunk claims to hold {chunk.uncompressed_size} bytes, more than '
+                         f'{LARGEST_CHUNK}')
+        if chunk.compression not in _DECOMPRESS:
+            raise Broken(f'a chunk is compressed by {chunk.compression[:20]!r}')
         # One byte more than it says, so that a chunk which holds more is found out.
-        data = _DECOMPRESS[compression](memoryview(content)[place + 8:], size + 1)
-    except (struct.error, RuntimeError, EOFError, zstandard.ZstdError) as error:
+        data = _DECOMPRESS[chunk.compression](chunk.data, chunk.uncompressed_size + 1)
+    except (*UNREADABLE, RuntimeError, EOFError, zstandard.ZstdError) as error:
         raise Broken(f'a chunk cannot be read: {error}') from None
-    if len(data) != size:
-        raise Broken(f'a chunk does not hold the {size} bytes that it says')
-    if crc and zlib.crc32(data) != crc:
+    if len(data) != chunk.uncompressed_size:
+        raise Broken(f'a chunk does not hold the {chunk.uncompressed_size} bytes that it says')
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise Broken('the checksum of a chunk is wrong')
     return data
 
@@ -74,9 +82,9 @@ def _zstd(data, limit):
 
 
 _DECOMPRESS = {
-    b'': lambda data, limit: data[:limit],
-    b'lz4': lambda data, limit: lz4.frame.LZ4FrameDecompressor().decompress(data, limit),
-    b'zstd': _zstd}
+    '': lambda data, limit: data[:limit],
+    'lz4': lambda data, limit: lz4.frame.LZ4FrameDecompressor().decompress(data, limit),
+    'zstd': _zstd}
 
 
 def parsed(kind, content):
@@ -85,7 +93,7 @@ def parsed(kind, content):
         record = kind.read(ReadDataStream(BytesIO(content)))
         if bytes_of(record)[HEAD.size:] == content:
             return record
-    except (McapError, struct.error, UnicodeDecodeError):
+    except UNREADABLE:
         pass
     raise Broken(f'a record of kind {kind.__name__.lower()} does not hold what it says')
 

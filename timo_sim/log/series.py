@@ -30,7 +30,7 @@ class Series:
 
     Attributes
     ----------
-    topic, type_name : str
+    topic : str
     columns : tuple of str
         Names of k quantities, with units.
     step : ndarray of int64, shape (n,)
@@ -52,7 +52,6 @@ class Series:
     """
 
     topic: str
-    type_name: str
     columns: tuple
     step: np.ndarray
     ns: np.ndarray
@@ -68,49 +67,34 @@ class Collector:
 
     def __init__(self, name, topic, type_name):
         self.name, self.topic, self.type_name = name, topic, type_name
-        self.columns = ()
-        self.refused, self.data = 0, []
-        self._command = _COMMANDS.get(name)
-        if self._command:
-            self.columns = self._command.names
-        self._layouts = []
-        self._parts = []
+        self.command = _COMMANDS.get(name)
+        self.columns = self.command.names if self.command else ()
+        self.refused = 0
+        self._layouts, self._parts = [], []
 
     def add(self, place, data, offsets, channel):
         """Add the messages of a block, of which these are the offsets."""
-        heads = _gather(data, offsets, _HEAD_TYPE)
-        sizes = heads['length'] - (_HEAD - 9)
         if not len(offsets):
             return
-        order = np.sort(offsets)
+        heads = _gather(data, offsets, _HEAD_TYPE)
+        sizes = heads['length'] - (_HEAD - 9)
         # Nothing outside, and nothing twice: an index may be a lie.
         if not (np.all(heads['opcode'] == 5) and np.all(heads['channel'] == channel)
                 and np.all(sizes <= len(data)) and np.all(offsets + _HEAD + sizes <= len(data))
-                and np.all(np.diff(order) >= _HEAD)
+                and np.all(np.diff(np.sort(offsets)) >= _HEAD)
                 and sizes.sum() + _HEAD * len(sizes) <= len(data)):
             raise CdrError('the index names something else')
-        if sizes.max() > LARGEST or sizes.min() < 4:
-            raise CdrError(f'it has {sizes.max() if sizes.max() > LARGEST else sizes.min()} '
-                           'bytes')
-        found = []
         for size in np.unique(sizes):
+            if not 4 <= size <= LARGEST:
+                raise CdrError(f'it has {size} bytes')
             same = np.flatnonzero(sizes == size)
             rows = _gather(data, offsets[same] + np.uint64(_HEAD), np.dtype(f'V{size}')).view(
                 np.uint8).reshape(len(same), -1)
-            found += self._decode(same, rows)
-        which, stamps, values, messages = found[0] if len(found) == 1 else _merged(found)
-        self.data += messages
-        self._parts.append((heads['sequence'][which].astype(np.int64),
-                            heads['log_time'][which].astype(np.int64),
-                            np.full(len(which), place), stamps, values))
-
-    def _decode(self, which, rows):
-        """Yield index, stamps and values of messages of one size, layout by layout."""
-        while len(rows):
-            found = self._layout(bytes(rows[0]))
-            same = np.all(rows[:, found.fixed] == rows[0, found.fixed], axis=1)
-            yield self._numbers(found, which[same], rows[same])
-            which, rows = which[~same], rows[~same]
+            while len(rows):
+                found = self._layout(bytes(rows[0]))
+                alike = np.all(rows[:, found.fixed] == rows[0, found.fixed], axis=1)
+                self._keep(place, offsets[same[alike]], heads[same[alike]], found, rows[alike])
+                same, rows = same[~alike], rows[~alike]
 
     def _layout(self, data):
         for known, size, text in self._layouts:
@@ -118,9 +102,9 @@ class Collector:
                 return known
         found = layout(self.type_name, data)
         self._layouts.append((found, len(data), bytes(data[place] for place in found.fixed)))
-        if len(self._layouts) > (_MOST_LAYOUTS if self._command else 1):
+        if len(self._layouts) > (_MOST_LAYOUTS if self.command else 1):
             raise CdrError('its texts or lists are not those of the messages before it')
-        if not self._command:
+        if not self.command:
             self._name_columns(found)
         return found
 
@@ -132,54 +116,50 @@ class Collector:
         if texts != output.texts[1:] or len(found.doubles) <= max(self._places, default=-1):
             raise CdrError(f'{", ".join(texts)[:80]} are not the joints of this node')
 
-    def _numbers(self, found, which, rows):
-        if self._command:
-            values = _doubles(rows, found.doubles)
+    def _keep(self, place, offsets, heads, found, rows):
+        """Keep messages of one layout as `arrays` returns them."""
+        log_ns, messages = heads['log_time'].astype(np.int64), np.empty(len(rows), object)
+        if self.command:
             kept, loads = [], []
-            for number, row in enumerate(values.tolist()):
+            for number, row in enumerate(_doubles(rows, found.doubles).tolist()):
                 try:
-                    loads.append(self._command.row(found.texts, found.split(row)))
+                    loads.append(self.command.row(found.texts, found.split(row)))
                     kept.append(number)
+                    messages[number] = rows[number].tobytes()
                 except Refused:
                     self.refused += 1
-            shape = len(kept), len(self.columns)
-            return which[kept], None, np.array(loads, dtype=float).reshape(shape), [
-                row.tobytes() for row in rows[kept]]
-        values = _doubles(rows, [found.doubles[place] for place in self._places])
-        first = found.stamps[0]
-        stamp = np.ascontiguousarray(rows[:, first:first + 8]).view('<i4')
-        # As int64 before the product, which NumPy 1.26 would take in 32 bits.
-        ns = NANOSECONDS * stamp[:, 0].astype(np.int64) + stamp[:, 1]
-        return which, ns, values, []
+            offsets, heads, log_ns, messages = (
+                array[kept] for array in (offsets, heads, log_ns, messages))
+            ns, values = log_ns, np.array(loads, dtype=float).reshape(-1, len(self.columns))
+        else:
+            values = _doubles(rows, [found.doubles[place] for place in self._places])
+            first = found.stamps[0]
+            stamp = np.ascontiguousarray(rows[:, first:first + 8]).view('<i4')
+            # As int64 before the product, which NumPy 1.26 would take in 32 bits.
+            ns = NANOSECONDS * stamp[:, 0].astype(np.int64) + stamp[:, 1]
+        self._parts.append((np.full(len(heads), place), offsets,
+                            heads['sequence'].astype(np.int64), log_ns, ns, values, messages))
 
     def arrays(self):
-        """Return sequence numbers, log times, places, stamps (None for commands) and values."""
-        if not self._parts:
-            none = np.zeros(0, dtype=np.int64)
-            return (none, none, none, None if self._command else none,
-                    np.zeros((0, len(self.columns))))
-        return [None if parts[0] is None else np.concatenate(parts)
-                for parts in zip(*self._parts)]
+        """
+        Return place, sequence, log time and stamp of n messages, int64, in the order of the file.
 
-
-def _merged(found):
-    """Return messages of several layouts in the order of the file."""
-    order = np.argsort(np.concatenate([part[0] for part in found]))
-    messages = [message for part in found for message in part[3]]
-    return *(None if found[0][place] is None else
-             np.concatenate([part[place] for part in found])[order] for place in range(3)), (
-                 [messages[place] for place in order] if messages else [])
+        With values, shape (n, k), and the bytes of commands, which have the log time for a stamp.
+        """
+        none = np.zeros(0, dtype=np.int64)
+        place, offset, *others = map(np.concatenate, zip(*self._parts or [
+            (*[none] * 5, np.zeros((0, len(self.columns))), np.zeros(0, object))]))
+        if len(self._layouts) > 1:  # which were gathered one after the other
+            order = np.lexsort((offset, place))
+            place, *others = (array[order] for array in (place, *others))
+        return place, *others
 
 
 def _gather(data, offsets, kind):
     """Return what is at these offsets, one element of `kind` each."""
-    if not len(offsets):
-        return np.zeros(0, kind)
     last = len(data) - kind.itemsize
     if last < 0 or int(offsets.max()) > last:
         raise CdrError('the index names something outside of its chunk')
-    if not kind.itemsize:
-        return np.zeros(len(offsets), kind)
     return np.ndarray((last + 1,), kind, data, strides=(1,))[offsets]
 
 

@@ -6,7 +6,11 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""MCAP files, chunk by chunk, with little to do for a message but to append it."""
+"""
+MCAP files, chunk by chunk, with little to do for a message but to append it.
+
+With what rosbag2 keeps in a log besides the messages: QoS, and its own metadata record.
+"""
 
 from collections import Counter, defaultdict
 import struct
@@ -16,16 +20,23 @@ import lz4.frame
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
-    Channel, ChunkIndex, DataEnd, Footer, Header, Metadata, MetadataIndex, Schema, Statistics,
+    ChunkIndex, DataEnd, Footer, Header, Metadata, MetadataIndex, Schema, Statistics,
     SummaryOffset)
 from mcap.records import Chunk as ChunkRecord
 from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
+import yaml
 
-from timo_sim.log.records import bytes_of, HEAD
+from timo_sim.log.records import bytes_of, HEAD, printable
 
 # Opcode, length of what follows; channel, sequence number, log time and publish time.
 _MESSAGE = struct.Struct('<BQHIQQ')
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
+_FOR_EVER = {'sec': 9223372036, 'nsec': 854775807}
+# What the node offers on every topic, as rosbag2 writes it (metadata version 9).
+_QOS = {
+    'history': 'keep_last', 'depth': 10, 'reliability': 'reliable', 'durability': 'volatile',
+    'deadline': _FOR_EVER, 'lifespan': _FOR_EVER, 'liveliness': 'automatic',
+    'liveliness_lease_duration': _FOR_EVER, 'avoid_ros_namespace_conventions': False}
 
 
 class Chunk:
@@ -67,45 +78,24 @@ class Writer:
     stream : binary file
     profile : str
 
-    Attributes
-    ----------
-    schemas, channels : list
-        Records.
-    counts : Counter
-        Messages of each channel.
-    start, end : int
-        Earliest and latest time of a message [ns].
-
     """
 
     def __init__(self, stream, profile):
-        self._stream = stream
+        self._stream, self._profile = stream, profile
         self._crc = 0
-        self.schemas, self.channels = [], []
+        self._schemas, self._channels = [], []
         # Kept as they will be written: a day has so many that objects would fill the memory.
-        self._chunk_count, self._chunk_indexes = 0, RecordBuilder()
-        self._metadata_count, self._metadata_indexes = 0, RecordBuilder()
-        self.counts = Counter()
-        self.start = self.end = 0
+        self._chunk_indexes, self._metadata_indexes = RecordBuilder(), RecordBuilder()
+        self._statistics = Statistics(
+            attachment_count=0, channel_count=0, channel_message_counts=Counter(), chunk_count=0,
+            message_count=0, metadata_count=0, message_start_time=0, message_end_time=0,
+            schema_count=0)
         self._put(MCAP0_MAGIC)
         self._write(Header(profile=profile, library=LIBRARY_IDENTIFIER))
 
-    def add_schema(self, name, encoding, text):
-        """Add a schema; return its number, from 1."""
-        number = len(self.schemas) + 1
-        self.add_record(Schema(id=number, name=name, encoding=encoding, data=text.encode()))
-        return number
-
-    def add_channel(self, topic, encoding, schema, metadata):
-        """Add a channel; return its number, from 1."""
-        number = len(self.channels) + 1
-        self.add_record(Channel(id=number, schema_id=schema, topic=topic,
-                                message_encoding=encoding, metadata=metadata))
-        return number
-
     def add_record(self, record):
-        """Add a Schema or a Channel that has a number of its own."""
-        (self.schemas if isinstance(record, Schema) else self.channels).append(record)
+        """Add a Schema or a Channel."""
+        (self._schemas if isinstance(record, Schema) else self._channels).append(record)
         self._write(record)
 
     def add_metadata(self, name, values):
@@ -113,7 +103,7 @@ class Writer:
         offset = self._stream.tell()
         length = self._write(Metadata(name=name, metadata=values))
         MetadataIndex(offset=offset, length=length, name=name).write(self._metadata_indexes)
-        self._metadata_count += 1
+        self._statistics.metadata_count += 1
 
     def add_chunk(self, chunk):
         """Compress a chunk that has messages, and write it with its index."""
@@ -121,16 +111,12 @@ class Writer:
         facts = {
             'compression': 'lz4', 'uncompressed_size': len(chunk.data),
             'message_start_time': min(map(min, times)), 'message_end_time': max(map(max, times))}
-        start = facts['message_start_time']
-        self.start = min(self.start, start) if self._chunk_count else start
-        self.end = max(self.end, facts['message_end_time'])
         compressed = lz4.frame.compress(chunk.data)
         offset = self._stream.tell()
         length = self._write(
             ChunkRecord(data=compressed, uncompressed_crc=zlib.crc32(chunk.data), **facts))
         places, place = {}, offset + length
         for channel, entries in chunk.index.items():
-            self.counts[channel] += len(entries) // 2
             places[channel] = place
             place += self._put(struct.pack(
                 f'<BQHI{len(entries)}Q', Opcode.MESSAGE_INDEX, 6 + 8 * len(entries), channel,
@@ -139,22 +125,28 @@ class Writer:
             chunk_start_offset=offset, chunk_length=length, compressed_size=len(compressed),
             message_index_offsets=places, message_index_length=place - offset - length, **facts
         ).write(self._chunk_indexes)
-        self._chunk_count += 1
+        known, start = self._statistics, facts['message_start_time']
+        known.message_start_time = min(known.message_start_time, start) if (
+            known.chunk_count) else start
+        known.message_end_time = max(known.message_end_time, facts['message_end_time'])
+        counts = {channel: len(entries) // 2 for channel, entries in chunk.index.items()}
+        known.channel_message_counts.update(counts)
+        known.message_count += sum(counts.values())
+        known.chunk_count += 1
 
-    def finish(self):
-        """Write summary and end."""
+    def finish(self, name):
+        """Write rosbag2's metadata, which names the file, summary and end."""
+        self._statistics.schema_count = len(self._schemas)
+        self._statistics.channel_count = len(self._channels)
+        if self._profile == 'ros2':
+            self.add_metadata('rosbag2', {'serialized_metadata': yaml_text(information(
+                self._schemas, self._channels, self._statistics, name))})
         self._write(DataEnd(self._crc))
-        statistics = Statistics(
-            attachment_count=0, channel_count=len(self.channels),
-            channel_message_counts=dict(self.counts), chunk_count=self._chunk_count,
-            message_count=self.counts.total(), metadata_count=self._metadata_count,
-            message_start_time=self.start, message_end_time=self.end,
-            schema_count=len(self.schemas))
         start, data, offsets = self._stream.tell(), b'', []
         for opcode, group in (
-                (Opcode.SCHEMA, bytes_of(*self.schemas)),
-                (Opcode.CHANNEL, bytes_of(*self.channels)),
-                (Opcode.STATISTICS, bytes_of(statistics)),
+                (Opcode.SCHEMA, bytes_of(*self._schemas)),
+                (Opcode.CHANNEL, bytes_of(*self._channels)),
+                (Opcode.STATISTICS, bytes_of(self._statistics)),
                 (Opcode.CHUNK_INDEX, self._chunk_indexes.end()),
                 (Opcode.METADATA_INDEX, self._metadata_indexes.end())):
             offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + len(data),
@@ -175,3 +167,45 @@ class Writer:
     def _put(self, data):
         self._crc = zlib.crc32(data, self._crc)
         return self._stream.write(data)
+
+
+class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
+    def ignore_aliases(self, data):
+        return True
+
+
+def yaml_text(value):
+    """Return a value as YAML without aliases."""
+    return yaml.dump(value, Dumper=_Dumper, sort_keys=False)
+
+
+_QOS_TEXT = yaml_text([_QOS])
+
+
+def channel_metadata(type_hash):
+    """Return the metadata of a channel: what the node offers, and the hash of its type."""
+    return {'offered_qos_profiles': _QOS_TEXT, 'topic_type_hash': type_hash}
+
+
+def information(schemas, channels, statistics, name):
+    """Return what rosbag2, metadata version 9, says of a bag from its records and file name."""
+    start, end = statistics.message_start_time, statistics.message_end_time
+    span = {'duration': {'nanoseconds': end - start},
+            'starting_time': {'nanoseconds_since_epoch': start},
+            'message_count': statistics.message_count}
+    types = {schema.id: schema.name for schema in schemas}
+    topics = [
+        {'topic_metadata': {
+            'name': channel.topic, 'type': types[channel.schema_id],
+            'serialization_format': channel.message_encoding,
+            # A text that is not ours is left alone: it may come from a hostile file.
+            'offered_qos_profiles':
+                [_QOS] if channel.metadata.get('offered_qos_profiles') == _QOS_TEXT else [],
+            'type_description_hash': channel.metadata.get('topic_type_hash', '')},
+         'message_count': statistics.channel_message_counts.get(channel.id, 0)}
+        for channel in channels]
+    return {
+        'version': 9, 'storage_identifier': 'mcap', **span,
+        'topics_with_message_count': topics, 'compression_format': '', 'compression_mode': '',
+        'relative_file_paths': [printable(name)], 'files': [{'path': printable(name), **span}],
+        'custom_data': {}, 'ros_distro': 'jazzy'}

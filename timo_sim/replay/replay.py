@@ -8,22 +8,39 @@
 
 """A log or a bag replayed, compared and reported: the work of `timo_sim replay`."""
 
+import math
 from pathlib import Path
 import time
+from typing import NamedTuple
 
+import numpy as np
 from tqdm import tqdm
 
-from timo_sim.log.new_log import NewLog
-from timo_sim.log.notes import other_ground
+from timo_sim.log.notes import CHANGE, change_note, other_ground, RESET
+from timo_sim.log.recorder import NewLog
 from timo_sim.log.recording import Recording
-from timo_sim.replay.comparison import compare
-from timo_sim.replay.replayer import Replay
+from timo_sim.messages.commands import COMMANDS
+from timo_sim.messages.outputs import outputs, with_angles
+from timo_sim.physics.layout import LOADS
 from timo_sim.replay.segments import segments_of
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.parameters import check, PARAMETERS
 from timo_sim.scene.scene import scene_from
+from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.resolution import resolved
+from timo_sim.simulation.simulator import Simulator
+
+_BATCH = 500  # steps of one compiled call at most
+
+
+class Difference(NamedTuple):
+    """How far the replay of a quantity is from its log."""
+
+    name: str       # topic and column
+    largest: float  # in the unit that the column names
+    rms: float
+    time: float     # when it is largest [s]
 
 
 def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration=None, node=None,
@@ -77,8 +94,7 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
         if log:
             log.close()
     _tell(show, recording, segments, again, time.monotonic() - begun)
-    columns = {name: series.columns for name, series in recording.topics.items()}
-    count, other, found = compare(segments, scene, columns)
+    count, other, found = _compare(segments, scene, recording.topics)
     if same and not other:
         show(f'all {count} logged numbers are the same to the last bit')
     elif found:
@@ -111,6 +127,111 @@ def _values(recording, scene_file, changes):
     values.update(check(given, source))
     values.update(check(changes, '--set'))
     return values
+
+
+class Replay:
+    """
+    Runs segments through a scene, and fills them; a NewLog gets what is done.
+
+    Attributes
+    ----------
+    simulator : Simulator
+    diverged : str or None
+        Why the replay ended early.
+
+    """
+
+    def __init__(self, scene, segments, log=None):
+        self.simulator = Simulator(scene)
+        self.simulator.warm_up()
+        self.diverged = None
+        self._segments, self._log = segments, log
+        self._outputs = {output.name: output for output in outputs(scene.values['model.modes'])}
+
+    def run(self, report=lambda count: None):
+        """Do it; `report` receives how many further steps are done."""
+        for number, segment in enumerate(self._segments):
+            if number:
+                self.simulator.reset()
+                if self._log:
+                    self._log.note(RESET, {'step': str(self.simulator.steps)})
+            try:
+                self._run(segment, report)
+            except DivergenceError as error:
+                self.diverged = str(error)
+                break
+
+    def _run(self, segment, report):
+        commanded, load = np.zeros(LOADS), [0.0] * LOADS
+        topics = [(name, self._outputs[name], segment.samples[name].tolist() + [math.inf])
+                  for name in self._outputs if name in segment.samples]
+        for name, output, steps in topics:
+            segment.replayed[name] = np.empty((len(steps) - 1, len(output.columns)))
+            segment.done[name] = 0
+        commands, begun = [*segment.commands, (math.inf,)], 0
+        changes, made = [*segment.changes, (math.inf,)], 0
+        simulator = self.simulator
+        while True:
+            step, snapshot, following = simulator.steps, None, segment.last
+            for name, output, steps in topics:
+                place = segment.done[name]
+                while steps[place] == step:
+                    snapshot = snapshot or simulator.snapshot(load)
+                    numbers = output.numbers(snapshot)
+                    segment.replayed[name][place] = numbers
+                    if self._log:
+                        self._log.output(name, snapshot, numbers)
+                    segment.done[name] = place = place + 1
+                following = min(following, steps[place])
+            while changes[made][0] <= step:
+                _, values = changes[made]
+                simulator.change(simulator.scene.vary(values))
+                if self._log:
+                    self._log.note(CHANGE, change_note(step, values))
+                made += 1
+            if step >= segment.last:
+                return
+            while commands[begun][0] <= step:
+                _, index, values, data = commands[begun]
+                COMMANDS[index].apply(values, commanded)
+                if self._log:
+                    self._log.write(index, step, simulator.nanoseconds, data)
+                begun += 1
+            following = min(following, commands[begun][0], changes[made][0], step + _BATCH)
+            simulator.advance(following - step, commanded)
+            load = simulator.load.tolist()
+            report(following - step)
+
+
+def _compare(segments, scene, topics):
+    """Return how many numbers are in the log, how many of them differ, and the Differences."""
+    count, other, result = 0, 0, []
+    for output in outputs(scene.values['model.modes']):
+        topic = output.name
+        parts = [(segment, slice(segment.done[topic])) for segment in segments
+                 if topic in segment.logged and topic in segment.replayed]
+        if not parts:
+            continue
+        time, logged, replayed = (
+            np.concatenate([getattr(segment, kind)[topic][part] for segment, part in parts])
+            for kind in ('samples', 'logged', 'replayed'))
+        count += logged.size
+        other += (int(np.count_nonzero(logged.view('i8') != replayed.view('i8')))
+                  if logged.shape == replayed.shape else logged.size)
+        if len(time):
+            result += _differences(topic, scene.step * time,
+                                   with_angles(topics[topic].columns, logged),
+                                   with_angles(output.columns, replayed))
+    return count, other, result
+
+
+def _differences(topic, time, logged, replayed):
+    for column in [name for name in logged[0] if name in replayed[0]]:
+        before, now = (values[:, columns.index(column)] for columns, values in (logged, replayed))
+        distance = np.abs(now - before)
+        place = int(np.argmax(distance))
+        yield Difference(f'{topic.removeprefix("~/")} {column}', float(distance[place]),
+                         float(np.sqrt(np.mean(distance**2))), float(time[place]))
 
 
 def _tell(show, recording, segments, again, seconds):

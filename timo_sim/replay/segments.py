@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from timo_sim.log.records import LogError
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.outputs import outputs
 from timo_sim.scene.parameter import ParameterError, whole_ratio
@@ -20,42 +21,18 @@ from timo_sim.scene.parameter import ParameterError, whole_ratio
 _ROUNDING = 1e-9
 
 
-class ReplayError(ValueError):
-    """A log that cannot be replayed; the text says why, and what would help."""
-
-
 @dataclass
 class Segment:
-    """
-    What happened from the start, or a reset, to the next reset, or the end.
+    """What happened from the start, or a reset, to the next reset, or the end."""
 
-    Attributes
-    ----------
-    first, last : int
-        Steps.
-    commands : list of tuple
-        Step, index in COMMANDS, what it sets, message; ascending.
-    changes : list of tuple
-        Step and values by name of the scene's parameters; ascending.
-    samples : dict of ndarray
-        Steps of the messages of each topic, by short name; ascending.
-    logged : dict of ndarray
-        Their numbers, shape (n, k), where the log has the topic.
-    replayed : dict of ndarray
-        The same of the replay.
-    done : dict of int
-        How many samples the replay has come to.
-
-    """
-
-    first: int
+    first: int      # step
     last: int
-    commands: list
-    changes: list
-    samples: dict
-    logged: dict
-    replayed: dict = field(default_factory=dict)
-    done: dict = field(default_factory=dict)
+    commands: list  # step, index in COMMANDS, what it sets, message; ascending
+    changes: list   # step and values by name of the scene's parameters; ascending
+    samples: dict   # of each topic, by short name, steps of its messages; ascending
+    logged: dict    # their numbers, shape (n, k), where the log has the topic
+    replayed: dict = field(default_factory=dict)  # the same of the replay
+    done: dict = field(default_factory=dict)      # how many samples the replay has come to
 
 
 def segments_of(recording, scene, values, start=0.0, duration=None):
@@ -80,19 +57,20 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
 
     Raises
     ------
-    ReplayError
+    LogError
         If there is nothing to replay.
     ParameterError
-        If the time step does not meet the times of the logged messages.
+        If the time step does not meet the times of the logged messages, or the log is shorter
+        than the duration.
 
     """
-    found = dict(recording.topics)
+    found = recording.topics
     known = {output.name: output for output in outputs(scene.values['model.modes'])}
     commands = [(number, found[command.name]) for number, command in enumerate(COMMANDS)
                 if command.name in found]
     motions = {name: series for name, series in found.items() if name in known and len(series.ns)}
     if not any(len(series.ns) for series in found.values()):
-        raise ReplayError(f'{recording.index.name} has no messages of {recording.name}')
+        raise LogError(f'{recording.index.name} has no messages of {recording.name}')
     shift = _shift(recording, [series for _, series in commands], motions, start)
 
     def steps(series, meet):
@@ -128,25 +106,21 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
         changes = [(int(_steps_of(step, recording, scene)), values)
                    for step, place, values in recording.changes if here <= place < there]
         until = {name: end - steps for name, steps in late.items()}
-        samples, logged = _logged_samples(own, published, until, here, there)
+        samples, logged = {}, {}
+        for name, at in published.items():  # what arrives in time
+            which = (own[name].place >= here) & (own[name].place < there) & (at <= until[name])
+            samples[name], logged[name] = at[which], own[name].values[which]
         for name in known.keys() - samples.keys() - unasked:
             if 'joint_states' in samples:  # of a scene with modes where the log's had none
                 at = samples['joint_states']
                 samples[name] = at[at <= until[name]]
             elif not own:
-                samples[name] = _by_rate(known[name].rate, values, scene.step, until[name])
+                rate = known[name].rate
+                every = whole_ratio('1/integrator.step', 1.0 / scene.step, rate, values[rate])
+                samples[name] = np.arange(0, until[name] + 1, every)
         result.append(Segment(first, end, sorted(inside, key=lambda entry: entry[:2]), changes,
                               samples, logged))
     return result
-
-
-def _logged_samples(own, published, until, here, there):
-    """Return steps and numbers of messages between two places that arrive in time, by topic."""
-    samples, logged = {}, {}
-    for name, at in published.items():
-        which = (own[name].place >= here) & (own[name].place < there) & (at <= until[name])
-        samples[name], logged[name] = at[which], own[name].values[which]
-    return samples, logged
 
 
 def _steps_of(steps, recording, scene):
@@ -159,11 +133,6 @@ def _late(known, scene, step):
     """Return how many whole steps the messages of each topic come after their measurement."""
     return {name: math.floor(scene.values[output.delay] / step + 1e-6) if output.delay else 0
             for name, output in known.items()}
-
-
-def _by_rate(rate, values, step, end):
-    every = whole_ratio('1/integrator.step', 1.0 / step, rate, values[rate])
-    return np.arange(0, end + 1, every)
 
 
 def _shift(recording, commands, motions, start):
@@ -195,6 +164,6 @@ def _last(acting, published, motions, shift, scene, duration):
         return end
     wanted = whole_ratio('duration', duration, 'integrator.step', scene.step)
     if published and wanted > end:
-        raise ReplayError(f'duration = {duration:g} s is beyond the end of the log, '
-                          f'{end * scene.step:.9g} s')
+        raise ParameterError(f'duration = {duration:g} s is beyond the end of the log, '
+                             f'{end * scene.step:.9g} s')
     return wanted

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A run: motions at sampled times, and what is read off them."""
+"""A run: motions at sampled times, what is read off them, and logs opened as runs."""
 
 from __future__ import annotations
 
@@ -17,11 +17,14 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from timo_sim.messages.outputs import outputs, with_angles
 from timo_sim.physics.equations.base import Formulation
-from timo_sim.physics.layout import FORCE_X, FORCE_Y, MotionFields, TORQUE
+from timo_sim.physics.layout import FORCE_X, FORCE_Y, LOADS, MotionFields, TORQUE
+from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.scene.scene import Scene
 from timo_sim.scene.summary import html_table
 from timo_sim.simulation.energy import integral
+from timo_sim.simulation.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,35 +98,21 @@ class Run(MotionFields):
 
     def position(self, xi) -> np.ndarray:
         """
-        Return positions of points of the centre line in world axes.
+        Return positions of points of the centre line in world axes, (n, 2) or (n, p, 2) [m].
 
         Parameters
         ----------
         xi : float or array_like, shape (p,)
             Distance from the root along the undeformed arm, 0 to its length [m].
 
-        Returns
-        -------
-        ndarray, shape (n, 2) or (n, p, 2)
-            [m]
-
         """
         return self._pick(xi, self.model.world(self.motion, self._at(xi)))
 
     def deflection(self, xi) -> np.ndarray:
         """
-        Return the axial and transverse deflection of points in the arm frame.
+        Return the axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m].
 
-        Parameters
-        ----------
-        xi : float or array_like, shape (p,)
-            As for `position` [m].
-
-        Returns
-        -------
-        ndarray, shape (n, 2) or (n, p, 2)
-            [m]
-
+        `xi` is as for `position`.
         """
         points = self._at(xi)
         straight = np.column_stack([points.xi, np.zeros_like(points.xi)])
@@ -131,18 +120,9 @@ class Run(MotionFields):
 
     def rotation(self, xi) -> np.ndarray:
         """
-        Return the rotation of sections relative to the shaft.
+        Return the rotation of sections relative to the shaft, (n,) or (n, p) [rad].
 
-        Parameters
-        ----------
-        xi : float or array_like, shape (p,)
-            As for `position` [m].
-
-        Returns
-        -------
-        ndarray, shape (n,) or (n, p)
-            [rad]
-
+        `xi` is as for `position`.
         """
         return self._pick(xi, self.model.section_rotation(self.q, self._at(xi)))
 
@@ -157,14 +137,9 @@ class Run(MotionFields):
 
     def momentum(self) -> np.ndarray:
         """
-        Return the momentum of the whole manipulator.
+        Return the momentum of the whole manipulator, shape (n, 3).
 
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            Linear momentum in world x and y [kg m/s], angular momentum about the world's origin
-            [kg m2/s].
-
+        Linear in world x and y [kg m/s], and angular about the world's origin [kg m2/s].
         """
         return self.model.momentum(self.motion)
 
@@ -192,8 +167,13 @@ class Run(MotionFields):
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return what the node would publish, as columns with units in their names, (n,) each."""
-        from timo_sim.runs.save import columns_of
-        return columns_of(self)
+        from timo_sim.log.export import named
+        snapshots, found = list(self._snapshots()), {'time_s': self.t}
+        for output in self._outputs():
+            values = np.array([output.numbers(snapshot) for snapshot in snapshots])
+            names, values = with_angles(output.columns, values)
+            found.update(zip(named(output.name, names), values.T))
+        return found
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return `columns` as a pandas.DataFrame with the time as index."""
@@ -216,8 +196,21 @@ class Run(MotionFields):
             The file that was written.
 
         """
-        from timo_sim.runs.save import save
-        return save(self, Path(path))
+        from timo_sim.log.export import write_table
+        from timo_sim.log.recorder import NewLog
+        path = Path(path)
+        if path.suffix != '.mcap':
+            write_table(self.columns(), path)
+            return path
+        values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+        log = NewLog(path, self.scene, {**values, **self.scene.values}, saved_by='Run.save')
+        try:
+            for snapshot in self._snapshots():
+                for output in self._outputs():
+                    log.output(output.name, snapshot, output.numbers(snapshot))
+        finally:
+            log.close()
+        return log.path
 
     def plot(self) -> Figure:
         """Draw the tip, carrier and shaft over time and the arm in the plane; needs matplotlib."""
@@ -230,6 +223,20 @@ class Run(MotionFields):
         from timo_sim.view.track import of_run
         show_tracks([lambda: of_run(self)], web=web)
 
+    def _outputs(self):
+        # What is read off the motion alone: sensors need the simulator.
+        return [output for output in outputs(self.scene.values['model.modes'])
+                if output.columns and not output.delay]
+
+    def _snapshots(self):
+        steps = np.rint(self.t / self.scene.step).astype(int).tolist()
+        for step, motion, effort in zip(steps, self.motion, self.effort.tolist()):
+            load = [0.0] * LOADS
+            if step:  # before the first step nothing has acted
+                load[FORCE_X], load[FORCE_Y], load[TORQUE] = effort
+            yield Snapshot(self.scene, self.model, step, round(step * self.scene.step * 1e9),
+                           motion, load)
+
     def _at(self, xi):
         length, xi = self.scene.manipulator.arm.length, np.atleast_1d(np.asarray(xi, dtype=float))
         outside = xi[~((0.0 <= xi) & (xi <= length))]
@@ -240,3 +247,43 @@ class Run(MotionFields):
     @staticmethod
     def _pick(xi, values):
         return values[:, 0] if np.ndim(xi) == 0 else values
+
+
+def open_log(path: str | Path, node: str | None = None) -> Run:
+    """
+    Open a log of the node, or of `Run.save`, as a run.
+
+    Parameters
+    ----------
+    path : str or Path
+    node : str, optional
+        Fully qualified name of the node, needed for a file of several.
+
+    Returns
+    -------
+    Run
+        Its samples are the messages of joint_states; `run.recording.topics` has all topics.
+
+    Raises
+    ------
+    LogError
+        If the file is no log, or does not say which scene it is of.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> path = timo_sim.simulate(timo_sim.load_scene('paper'), 1.0).save('run.mcap')
+    >>> timo_sim.open_log(path).shaft.shape
+    (1001,)
+
+    """
+    from timo_sim.log.records import LogError
+    from timo_sim.log.recording import Recording
+    recording = Recording(path, node)
+    if recording.scene is None:
+        raise LogError(f'{recording.index.name} is a plain bag, which says nothing of the scene: '
+                       'timo_sim export makes a table of it')
+    _, ns, motion = recording.motion()
+    scene = recording.scene
+    heat = np.full(len(ns), np.nan) if scene.friction.any() else np.zeros(len(ns))
+    return Run(scene, scene.build(), 1e-9 * ns, motion, heat, None, recording.summary, recording)

@@ -83,25 +83,9 @@ def _tell(text):
 
 def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=None):
     """
-    Do what `simulate` does with a resolved scene, without bar and warning.
+    Return the Run of a resolved scene, as `simulate` does but without bar and warning.
 
-    Parameters
-    ----------
-    scene : Scene
-    steps, sample_every : int
-    report : function(int)
-        Receives how many further steps are done.
-    tell : function(str), optional
-        See `Simulator.warm_up`.
-
-    Returns
-    -------
-    Run
-
-    Raises
-    ------
-    DivergenceError
-
+    `report` receives how many further steps are done; `tell` is for `Simulator.warm_up`.
     """
     simulator = Simulator(scene)
     simulator.warm_up(tell)
