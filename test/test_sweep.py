@@ -77,7 +77,7 @@ def test_parameters_are_columns_with_the_scenes_value_where_a_run_does_not_set_t
     assert table['model.formulation'].tolist() == ['exact', 'exact', 'newton']
 
 
-DIVERGES = {'initial.shaft_velocity': 300.0, 'model.modes': 8}
+DIVERGES = {'initial.shaft_velocity': 300.0, 'model.modes': 12}
 FAILURES = [
     (DIVERGES, timo_sim.DivergenceError, 'the state diverges after t = '),
     ({'end_effector.mass': -1.0}, timo_sim.ParameterError, 'end_effector.mass must be .* got -1'),
@@ -100,7 +100,7 @@ def test_a_run_that_fails_is_a_row_with_the_reason(scene):
         assert np.isnan(numbers(table, 2 * row)).all()
         assert table['reason'][2 * row + 1] == '' and numbers(table, 2 * row + 1) == good
     assert np.isnan(table['end_effector.mass'][2]) and np.isnan(table['arm.length'][4])
-    assert table['model.modes'].tolist()[:2] == [8, 3] and table['model.modes'][12] is None
+    assert table['model.modes'].tolist()[:2] == [12, 3] and table['model.modes'][12] is None
 
 
 def test_a_run_that_should_not_be_trusted_says_so(scene):
