@@ -23,11 +23,10 @@ import pytest
 import yaml
 
 import timo_sim
-from timo_sim.sweep.cluster import cluster_executor
-from timo_sim.sweep.jobs import jobs_of, run_job
+from timo_sim.sweep.jobs import run_job
 from timo_sim.sweep.plan import read_plan
 from timo_sim.sweep.store import Store
-from timo_sim.sweep.table import table_of
+from timo_sim.sweep.workers import cluster_executor
 
 COMMAND = [sys.executable, '-c', 'from timo_sim.cli import main; main(prog_name="timo_sim")']
 ROOT = Path(__file__).resolve().parents[1]
@@ -253,10 +252,10 @@ def _other_columns(part):
          'of other columns'])
 def test_a_part_that_is_not_whole_is_done_again(write, tmp_path, damage):
     plan = read_plan(write(random={**RANDOM, 'count': 2}))
-    jobs = [*jobs_of(plan.scene, plan.duration, plan.count, plan.variations())]
+    jobs = [*plan.jobs()]
     store = Store(tmp_path / 'study.parquet', plan)
     for job in jobs:
-        store.add(job, table_of(job, plan.names, run_job(job)))
+        store.add(job, run_job(job))
     part, _ = sorted((tmp_path / 'study.parquet.parts').glob('*.parquet'))
     intact = part.read_bytes()
     damage(part)

@@ -31,5 +31,5 @@ def sweep(file, output, workers, scheduler):
     """
     from timo_sim.scene.parameter import ParameterError
     with one_line_for_errors(ParameterError):
-        from timo_sim.sweep.sweep import run_sweep
+        from timo_sim.sweep.store import run_sweep
         run_sweep(file, output, workers, scheduler)

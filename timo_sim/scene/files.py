@@ -63,12 +63,7 @@ def read_parameter_file(path):
 
     """
     path = scene_file(path)
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
-    except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
-        # PyYAML raises nearly anything for a tag on a value that does not suit it.
-        reason = ' '.join(str(error).split())
-        raise ParameterError(f'{path} is not a YAML file: {reason}') from None
+    content = read_yaml(path)
     values = {}
     sections = content.items() if isinstance(content, dict) else ()
     for node, section in sections:
@@ -77,6 +72,16 @@ def read_parameter_file(path):
     if not values:
         raise ParameterError(f'{path} must have parameters under timo_sim: ros__parameters:')
     return values
+
+
+def read_yaml(path):
+    """Return what a YAML file says, or raise ParameterError."""
+    try:
+        return yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+    except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
+        # PyYAML raises nearly anything for a tag on a value that does not suit it.
+        reason = ' '.join(str(error).split())
+        raise ParameterError(f'{path} is not a YAML file: {reason}') from None
 
 
 def flatten(values, prefix=''):
