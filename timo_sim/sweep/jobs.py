@@ -56,7 +56,7 @@ class Job(NamedTuple):
 
 
 def jobs_of(scene, duration, count, variations, names):
-    """Divide a sweep of `count` runs into jobs, whose size does not depend on who works on them."""
+    """Divide a sweep of `count` runs into jobs, whatever the number of workers."""
     steps = max(1, whole_ratio('duration', duration, 'integrator.step', scene.step))
     length = max(1, min(_RUNS, _STEPS // steps, math.ceil(count / _FEWEST_JOBS)))
     rest = iter(variations)
