@@ -24,8 +24,8 @@ from timo_sim.log.series import Collector, Series
 from timo_sim.messages.cdr import CdrError, TYPES
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.outputs import outputs
-from timo_sim.scene.compatibility import current
 from timo_sim.scene.parameter import ParameterError
+from timo_sim.scene.parameters import current
 from timo_sim.scene.scene import load_scene
 
 _BLOCK = 1024 * 1024    # [B] of messages at once where there are no chunks

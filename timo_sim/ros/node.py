@@ -26,9 +26,9 @@ from timo_sim.ros.parameters import (
 from timo_sim.ros.run_log import RunLog
 from timo_sim.ros.services import offer_services
 from timo_sim.ros.topics import LateOutlet, MotionOutlet, Outlet
+from timo_sim.scene.build import implausible
 from timo_sim.scene.parameter import LATEST, SCENE, whole_ratio
 from timo_sim.scene.parameters import changed, PARAMETERS
-from timo_sim.scene.plausibility import implausible
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.simulator import Simulator
 

@@ -22,20 +22,7 @@ _FOLDERS = [_ABOVE[0] / 'config', *(prefix / 'share/timo_sim/config' for prefix 
 
 
 def scene_file(source):
-    """
-    Return the path of a scene's file.
-
-    Parameters
-    ----------
-    source : str or Path
-        A path, or the name of an installed scene, such as 'paper'.
-
-    Raises
-    ------
-    FileNotFoundError
-        If it is neither; the text lists the names.
-
-    """
+    """Return the path of a scene's file, or raise FileNotFoundError with the known names."""
     path = Path(source)
     if path.is_file() or path.suffix or path.name != str(source):
         return path
@@ -49,18 +36,9 @@ def scene_file(source):
 
 def read_parameter_file(path):
     """
-    Read the values for the node `timo_sim` from a ROS parameter file.
+    Return the values for the node `timo_sim` in a ROS parameter file, unchecked, by dotted name.
 
-    Parameters
-    ----------
-    path : str or Path
-        A file, or the name of an installed scene, see `scene_file`.
-
-    Returns
-    -------
-    dict
-        Unchecked values by dotted name.
-
+    The file is given by its path or, where it is an installed scene, its name.
     """
     path = scene_file(path)
     content = read_yaml(path)

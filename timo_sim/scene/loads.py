@@ -37,37 +37,42 @@ def _times(first, count, step):
     return times
 
 
+class Term:
+    """
+    A part of a load.
+
+    `jumps()` are the times at which it jumps [s], `stages(first, count, step)` its values at the
+    stages of steps first, first + 1, ..., shape (count, 3).
+    """
+
+    def jumps(self):
+        return ()
+
+
 @dataclass(frozen=True)
-class Harmonic:
+class Harmonic(Term):
     """amplitude sin(2 pi frequency t + phase); frequency in [Hz], phase in [rad]."""
 
     amplitude: float
     frequency: float
     phase: float
 
-    def jumps(self):
-        """Return the times of the jumps [s]."""
-        return ()
-
     def stages(self, first, count, step):
-        """Return the values at the stages of steps first, first + 1, ..., shape (count, 3)."""
         angle = 2.0 * np.pi * self.frequency * _times(first, count, step) + self.phase
         return self.amplitude * np.sin(angle)
 
 
 @dataclass(frozen=True)
-class Piecewise:
+class Piecewise(Term):
     """value[i] from time[i] [s] until time[i + 1], the last for ever, and 0 before time[0]."""
 
     time: tuple
     value: tuple
 
     def jumps(self):
-        """Return the times of the jumps [s]."""
         return self.time
 
     def stages(self, first, count, step):
-        """Return the values at the stages of steps first, first + 1, ..., shape (count, 3)."""
         begins = np.rint(np.array(self.time) / step)
         piece = np.searchsorted(begins, np.arange(first, first + count), side='right')
         values = np.append(0.0, self.value)[piece]
@@ -75,18 +80,16 @@ class Piecewise:
 
 
 @dataclass(frozen=True)
-class Table:
+class Table(Term):
     """Linear between (time[i] [s], value[i]); held before and after; a jump is a time twice."""
 
     time: tuple
     value: tuple
 
     def jumps(self):
-        """Return the times of the jumps [s]."""
         return tuple(a for a, b in zip(self.time, self.time[1:]) if a == b)
 
     def stages(self, first, count, step):
-        """Return the values at the stages of steps first, first + 1, ..., shape (count, 3)."""
         times = _times(first, count, step)
         knots = np.array(self.time)
         # A knot on a step boundary is there to the last bit, for the choice of side below.
@@ -109,18 +112,12 @@ class Drive:
     The angle of a driven shaft: quintic between points, then at the last speed for ever.
 
     Two neighbours share angle, speed and acceleration at the point where they meet.
-
-    Attributes
-    ----------
-    time, angle, speed, acceleration : tuple
-        Points [s], [rad], [rad/s], [rad/s2]; the first at 0, the last without acceleration.
-
     """
 
-    time: tuple
-    angle: tuple
-    speed: tuple
-    acceleration: tuple
+    time: tuple          # [s], the first 0
+    angle: tuple         # [rad]
+    speed: tuple         # [rad/s]
+    acceleration: tuple  # [rad/s2], the last 0
 
     def stages(self, first, count, step):
         """Return angle, speed and acceleration at the stages of steps, shape (count, 3, 3)."""
