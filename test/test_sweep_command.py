@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 
+from click.testing import CliRunner
 import dask
 from distributed import Client, LocalCluster
 import numpy as np
@@ -23,6 +24,7 @@ import pytest
 import yaml
 
 import timo_sim
+from timo_sim.cli import main
 from timo_sim.sweep.jobs import run_job
 from timo_sim.sweep.plan import read_plan
 from timo_sim.sweep.store import Store
@@ -178,9 +180,9 @@ def test_bad_input_ends_with_one_line_and_code_2(write, tmp_path):
     (tmp_path / 'broken.yaml').write_text('scene: [')
     for path, words in ((write(grid={'model.modes': [-1]}), 'model.modes must be'),
                         (tmp_path / 'broken.yaml', 'broken.yaml is not a YAML file')):
-        code, output, errors = end(start(tmp_path, path))
-        assert code == 2 and output == '' and errors.count('\n') == 1
-        assert errors.startswith('timo_sim: ') and words in errors
+        result = CliRunner().invoke(main, ['sweep', str(path)])
+        assert result.exit_code == 2 and result.output.count('\n') == 1
+        assert result.output.startswith('timo_sim: ') and words in result.output
     code, _, errors = end(start(tmp_path, 'nowhere.yaml'))
     assert code == 2 and "'nowhere.yaml' does not exist" in errors
 
