@@ -34,6 +34,8 @@ sim: $(VENV)/.run
 		-p duration:=10.0 -p record_file:=$(RUN) 2>&1 | sed 's/^\[[A-Z]*\] \[[0-9.]*\] //'
 	@echo "next: 'make picture' draws the arm; README.md shows how to command the node"
 
+# The processes of pytest fill the cores: threads of BLAS would only wait for each other.
+test test-lowest test-without-ros: export OPENBLAS_NUM_THREADS := 1
 PYTEST := -m pytest test --numprocesses 3 --dist loadfile
 test: $(VENV)/.test graphics
 	@$(BIN)/python $(PYTEST)

@@ -19,6 +19,8 @@ import tempfile
 import pytest
 
 from oracles.references import read
+import timo_sim
+from timo_sim.jit.code_store import lock
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / 'config' / 'paper.yaml'
@@ -36,6 +38,13 @@ def own_domain():
 
 # Tests talk to nobody but themselves: neither to other runs nor to a worker process beside them.
 os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(own_domain()))
+
+
+@pytest.fixture(scope='session', autouse=True)
+def waves():
+    """Compile what every model needs in one process of the tests, while the others wait for it."""
+    with lock('waves.lock'):
+        timo_sim.load_scene({})
 
 
 @pytest.fixture(scope='session')

@@ -152,15 +152,16 @@ def test_inputs_are_those_that_do_anything(values, inputs):
 
 
 def test_selection_and_state_space():
-    model = timo_sim.linearize(timo_sim.load_scene({'model.modes': 2}))
+    model = timo_sim.linearize(timo_sim.load_scene({}))
     chosen = model.select(['torque_N_m'], ['tip_transverse_m', 'shaft_rad'])
     system = chosen.state_space()
-    assert system.B.shape == (10, 1) and system.C.shape == (2, 10)
+    assert system.B.shape == (12, 1) and system.C.shape == (2, 12)
     assert np.array_equal(system.C, model.C[[6, 2]])
     assert model.states == (
-        'carrier_x_m', 'carrier_y_m', 'shaft_rad', 'mode_1_m_sqrt_kg', 'mode_2_m_sqrt_kg',
+        'carrier_x_m', 'carrier_y_m', 'shaft_rad',
+        *(f'mode_{n}_m_sqrt_kg' for n in (1, 2, 3)),
         'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s', 'shaft_velocity_rad_per_s',
-        'mode_1_rate_m_sqrt_kg_per_s', 'mode_2_rate_m_sqrt_kg_per_s')
+        *(f'mode_{n}_rate_m_sqrt_kg_per_s' for n in (1, 2, 3)))
     with pytest.raises(timo_sim.ParameterError, match="output 'tip' is none of carrier_x_m, "):
         model.select(outputs=['tip'])
 

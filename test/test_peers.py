@@ -14,8 +14,8 @@ import pytest
 from oracles import peers
 import timo_sim
 
-SCENE = {'model.formulation': 'newton', 'model.modes': 1, 'initial.shaft_velocity': 1.0,
-         'initial.modal_rates': [0.3],
+SCENE = {'model.formulation': 'newton', 'model.modes': 2, 'initial.shaft_velocity': 1.0,
+         'initial.modal_rates': [0.3, 0.0],
          'load.torque.harmonic.amplitude': [5.0], 'load.torque.harmonic.frequency': [1.0],
          'load.force_x.piecewise.time': [0.2], 'load.force_x.piecewise.value': [4.0]}
 DURATION = 0.4

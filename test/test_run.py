@@ -15,10 +15,12 @@ import subprocess
 import sys
 import termios
 
+from click.testing import CliRunner
 import numpy as np
 import pytest
 
 import timo_sim
+from timo_sim.cli import main
 
 
 def test_shapes_and_kinematics(paper):
@@ -99,16 +101,30 @@ def test_xi_must_be_on_the_arm(paper):
             run.position(xi)
 
 
-LONG_RUN = ('import timo_sim; scene = timo_sim.load_scene({"integrator.step": 1e-5, '
-            '"model.modes": 0, "initial.shaft_velocity": 1.0}); '
-            'timo_sim.simulate(scene, SECONDS, sample_every=1000)')
+@pytest.mark.parametrize('arguments, words', [
+    (['papr'], 'did you mean paper?'),
+    (['paper', '--set', 'model.mode=2'], 'did you mean model.modes?'),
+    (['paper', '--duration', '0.1', '-o', 'run.txt'], 'must end with .parquet or .csv')])
+def test_what_the_command_refuses(arguments, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(main, ['simulate', *arguments])
+    assert result.exit_code == 2 and words in result.output
+
+
+SHORT_AND_LONG = """
+import timo_sim
+scene = timo_sim.load_scene({
+    'integrator.step': 1e-5, 'model.modes': 0, 'initial.shaft_velocity': 1.0})
+for seconds in (0.01, 50.0):
+    print('begins', flush=True)
+    timo_sim.simulate(scene, seconds, sample_every=1000)
+"""
 
 
 def test_progress_bar_on_a_terminal_for_long_runs_only():
-    assert b'step/s' in _on_terminal(LONG_RUN.replace('SECONDS', '50.0'))
-    assert b'step/s' not in _on_terminal(LONG_RUN.replace('SECONDS', '0.01'))
-    piped = subprocess.run([sys.executable, '-c', LONG_RUN.replace('SECONDS', '50.0')],
-                           capture_output=True, check=True)
+    _, short, long = _on_terminal(SHORT_AND_LONG).split(b'begins')
+    assert b'step/s' not in short and b'step/s' in long
+    piped = subprocess.run([sys.executable, '-c', SHORT_AND_LONG], capture_output=True, check=True)
     assert piped.stderr == b''
 
 

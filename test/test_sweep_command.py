@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 
+from click.testing import CliRunner
 import dask
 from distributed import Client, LocalCluster
 import numpy as np
@@ -23,11 +24,11 @@ import pytest
 import yaml
 
 import timo_sim
-from timo_sim.sweep.cluster import cluster_executor
-from timo_sim.sweep.jobs import jobs_of, run_job
+from timo_sim.cli import main
+from timo_sim.sweep.jobs import run_job
 from timo_sim.sweep.plan import read_plan
 from timo_sim.sweep.store import Store
-from timo_sim.sweep.table import table_of
+from timo_sim.sweep.workers import cluster_executor
 
 COMMAND = [sys.executable, '-c', 'from timo_sim.cli import main; main(prog_name="timo_sim")']
 ROOT = Path(__file__).resolve().parents[1]
@@ -179,9 +180,9 @@ def test_bad_input_ends_with_one_line_and_code_2(write, tmp_path):
     (tmp_path / 'broken.yaml').write_text('scene: [')
     for path, words in ((write(grid={'model.modes': [-1]}), 'model.modes must be'),
                         (tmp_path / 'broken.yaml', 'broken.yaml is not a YAML file')):
-        code, output, errors = end(start(tmp_path, path))
-        assert code == 2 and output == '' and errors.count('\n') == 1
-        assert errors.startswith('timo_sim: ') and words in errors
+        result = CliRunner().invoke(main, ['sweep', str(path)])
+        assert result.exit_code == 2 and result.output.count('\n') == 1
+        assert result.output.startswith('timo_sim: ') and words in result.output
     code, _, errors = end(start(tmp_path, 'nowhere.yaml'))
     assert code == 2 and "'nowhere.yaml' does not exist" in errors
 
@@ -253,10 +254,10 @@ def _other_columns(part):
          'of other columns'])
 def test_a_part_that_is_not_whole_is_done_again(write, tmp_path, damage):
     plan = read_plan(write(random={**RANDOM, 'count': 2}))
-    jobs = [*jobs_of(plan.scene, plan.duration, plan.count, plan.variations())]
+    jobs = [*plan.jobs()]
     store = Store(tmp_path / 'study.parquet', plan)
     for job in jobs:
-        store.add(job, table_of(job, plan.names, run_job(job)))
+        store.add(job, run_job(job))
     part, _ = sorted((tmp_path / 'study.parquet.parts').glob('*.parquet'))
     intact = part.read_bytes()
     damage(part)

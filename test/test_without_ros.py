@@ -68,14 +68,6 @@ def test_simulate_draws_logs_and_tabulates(python, tmp_path):
     assert (tmp_path / 'run.parquet').exists()
 
 
-def test_what_simulate_refuses(python):
-    assert 'did you mean paper?' in python('-m', 'timo_sim', 'simulate', 'papr', code=2)
-    assert 'did you mean model.modes?' in python(
-        '-m', 'timo_sim', 'simulate', 'paper', '--set', 'model.mode=2', code=2)
-    assert 'must end with .parquet or .csv' in python(
-        '-m', 'timo_sim', 'simulate', 'paper', '--duration', '0.1', '-o', 'run.txt', code=2)
-
-
 def test_a_divergent_run_is_written_and_has_code_1(python, tmp_path):
     (tmp_path / 'scene.yaml').write_text('/**:\n  ros__parameters: ' + json.dumps({
         'integrator.step': 0.01, 'initial.shaft_velocity': 100.0,

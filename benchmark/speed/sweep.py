@@ -27,7 +27,7 @@ from benchmark import ROOT
 from benchmark.command import parser
 from benchmark.speed.timing import product
 import timo_sim
-from timo_sim.sweep.local import LocalExecutor
+from timo_sim.sweep.workers import LocalExecutor
 
 PAPER = ROOT / 'config' / 'paper.yaml'
 DURATION, STEP, TARGET = 10.0, 0.01, 20.0

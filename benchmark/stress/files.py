@@ -89,16 +89,14 @@ def runs_without_a_cache(folder):
 
 def sweep_parts(folder, count, generator):
     """Damage the parts of a sweep."""
-    from timo_sim.sweep.jobs import jobs_of, run_job
+    from timo_sim.sweep.jobs import run_job
     from timo_sim.sweep.plan import read_plan
     from timo_sim.sweep.store import Store
-    from timo_sim.sweep.table import table_of
     tally, plan = Tally('part of a sweep flipped, cut, replaced'), read_plan(
         ROOT / 'config' / 'sweep.yaml')
     store = Store(folder / 'sweep.parquet', plan)
-    job = next(jobs_of(plan.scene, plan.duration, plan.count, plan.variations()))
-    table = table_of(job, plan.names, run_job(job))
-    store.add(job, table)
+    job = next(plan.jobs())
+    store.add(job, run_job(job))
     part, = (folder / 'sweep.parquet.parts').glob('*.parquet')
     intact, expected = part.read_bytes(), store._read(part)
     for number in range(count):

@@ -88,7 +88,7 @@ def vibrating(formulation, **overrides):
     return timo_sim.load_scene(values, {'initial.modal_rates': rates})
 
 
-@pytest.mark.parametrize('modes', [0, 1, 3, 8])
+@pytest.mark.parametrize('modes', [0, 1, 3, 12])
 def test_exact_conserves_energy_and_momentum(modes):
     scene = vibrating('exact', **{
         'model.modes': modes, 'initial.carrier_x_velocity': 0.4,
@@ -252,7 +252,7 @@ def test_an_arm_described_in_pieces_moves_as_the_uniform_arm(formulation, paper)
     values = {'model.formulation': formulation, 'model.modes': 5, 'integrator.step': 0.005}
     whole = timo_sim.simulate(timo_sim.load_scene(paper, values), 2.0)
     split = timo_sim.simulate(timo_sim.load_scene(paper, {
-        **values, 'arm.profile.position': [0.0, 0.6, 2.0],
+        **values, 'arm.profile.position': [0.0, 0.8, 2.0],
         'arm.profile.density': [2710.0, 2710.0, 2710.0]}), 2.0)
     # The nodes of `exact` differ: 1e-6 of a deflection of 0.09 m.
     limit = 1e-7 if formulation == 'exact' else 1e-11
@@ -262,7 +262,7 @@ def test_an_arm_described_in_pieces_moves_as_the_uniform_arm(formulation, paper)
 
 def test_a_tapered_arm_conserves_energy_and_momentum():
     scene = vibrating('exact', **{
-        'model.modes': 4, 'arm.profile.position': [0.0, 1.2, 1.2, 2.0],
+        'model.modes': 5, 'arm.profile.position': [0.0, 1.2, 1.2, 2.0],
         'arm.profile.height': [0.03, 0.02, 0.015, 0.01], 'initial.shaft_velocity': 1.5})
     run = timo_sim.simulate(scene, 5.0)
     energy, momentum = run.energy(), run.momentum()

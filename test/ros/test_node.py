@@ -228,8 +228,8 @@ def test_diagnostics_report_state_energy_and_real_time_factor(start, client):
 
 def test_divergence_pauses_with_the_reason(start, client):
     node = start(real_time_factor=0.0, record=False, **{
-        'integrator.step': 0.01, 'model.modes': 10, 'initial.shaft_velocity': 1e4,
-        'initial.modal_rates': '[9.0,9.0,9.0,9.0,9.0,9.0,9.0,9.0,9.0,9.0]'})
+        'integrator.step': 0.01, 'model.modes': 12, 'initial.shaft_velocity': 1e4,
+        'initial.modal_rates': f'{[9.0] * 12}'})
     health = client.collect(DiagnosticArray, '/diagnostics')
     client.wait(lambda: health and health[-1].status[0].level == DiagnosticStatus.ERROR,
                 'an error in diagnostics')

@@ -266,7 +266,7 @@ def sweep(file, output, workers, scheduler):
 
     A sweep that was stopped goes on where it was when the command is given again.
     """
-    from timo_sim.sweep.sweep import run_sweep
+    from timo_sim.sweep.store import run_sweep
     run_sweep(file, output, workers, scheduler)
 
 

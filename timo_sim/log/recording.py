@@ -24,8 +24,8 @@ from timo_sim.log.writer import Chunk
 from timo_sim.messages.cdr import CdrError
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.outputs import outputs
-from timo_sim.scene.compatibility import current
 from timo_sim.scene.parameter import ParameterError
+from timo_sim.scene.parameters import current
 from timo_sim.scene.scene import load_scene
 
 _WRAP = 2**32  # steps after which a sequence number starts again

@@ -83,6 +83,7 @@ class Health:
 
     def _message(self, snapshot, pace):
         counters, integration = self.counters(), self._simulator.integration
+        error = self._simulator.estimated_error  # before the warning, which it may be
         grown = [name for name, count in counters.items() if count > self._before.get(name, 0)]
         self._before = counters
         state = 'paused' if self._loop.paused else 'running'
@@ -101,7 +102,7 @@ class Health:
             'sim_time_s': snapshot.nanoseconds / NANOSECONDS,
             'real_time_factor': f'{pace:.4f}',
             'energy_J': snapshot.energy,
-            'estimated_tip_error_m': f'{simulator.estimated_error:.2g}',
+            'estimated_tip_error_m': f'{error:.2g}',
             'split_steps': integration.splits,
             'log': self._log.path or 'off',
             **counters}.items()]

@@ -26,9 +26,9 @@ from timo_sim.ros.parameters import (
     declare_parameters, on_set, resolved_scene, steps_between_messages)
 from timo_sim.ros.run_log import RunLog
 from timo_sim.ros.topics import LateOutlet, MotionOutlet
+from timo_sim.scene.build import implausible
 from timo_sim.scene.parameter import LATEST, ParameterError, SCENE, short, whole_ratio
 from timo_sim.scene.parameters import changed, PARAMETERS
-from timo_sim.scene.plausibility import implausible
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.simulator import Simulator
 
@@ -174,14 +174,16 @@ class SimNode(Node):
         return self._loop.tick(now, self._stop)
 
     def _close(self, wall_time):
+        error = self._simulator.estimated_error
         self._health.pass_on_warning()
         if self._live:
             self._live.close()
         pace = self._loop.pace
         report = (f'simulated {self.steps * self._step:.6g} s in {wall_time:.3f} s, '
                   f'{pace.overruns} overruns, {pace.dropped_steps * self._step:.6g} s dropped')
-        self._log.close({**self._peak.note(), **{
-            name: str(count) for name, count in self._health.counters().items()}})
+        self._log.close({
+            **self._peak.note(), 'estimated_tip_error_m': f'{error:.3g}',
+            **{name: str(count) for name, count in self._health.counters().items()}})
         if self._log.path:
             report += f'; log: {self._log.path}'
         self.get_logger().info(report)

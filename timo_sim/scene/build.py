@@ -6,16 +6,21 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""From checked values to the parts of a scene: bodies, constraints, loads."""
+"""From checked values to the parts of a scene: bodies, constraints, loads; doubts about values."""
 
 from bisect import bisect_left
 from dataclasses import fields
+import math
 
 import numpy as np
 
 from timo_sim.physics.arm.bodies import Beam, Constraints, Manipulator, Section
 from timo_sim.scene.loads import CHANNELS, Drive, Harmonic, Load, Piecewise, Table
 from timo_sim.scene.parameter import ParameterError, short, whole_ratio
+
+# Of solids; in between nothing is said.
+_PLAUSIBLE = {'young_modulus': (1e5, 2e12, 'Pa'), 'density': (10.0, 25000.0, 'kg/m3')}
+_LEAST_SLENDERNESS = 3.0  # a Timoshenko beam of one or two heights is a block
 
 
 def manipulator_of(values):
@@ -39,18 +44,8 @@ def motor_constants(values):
     Return what a DC motor without inductance makes of a voltage V at its terminals.
 
     `n k/R V - (n k)^2/R theta'` is its torque on the shaft: torque constant k, resistance R, gear
-    ratio n; the second term is the back-EMF's.
-
-    Parameters
-    ----------
-    values : dict
-        The scene's, by name.
-
-    Returns
-    -------
-    gain, drag : float
-        [N m/V], [N m s/rad]; 0 without a motor.
-
+    ratio n; the second term is the back-EMF's. The two factors [N m/V], [N m s/rad] are returned,
+    0 without a motor.
     """
     resistance, constant = values['motor.dc.resistance'], values['motor.dc.torque_constant']
     if not resistance:
@@ -93,6 +88,29 @@ def check_counts(values):
                 f'model.modes = {modes}')
             raise ParameterError(f'{name} must have {expected} elements for {cause}, got '
                                  f'{len(values[name])}')
+
+
+def implausible(values):
+    """Return what to say of values that keep their rules but are hardly meant, or None."""
+    def each(name):
+        return values.get(f'arm.profile.{name}') or (values[f'arm.{name}'],)
+
+    found = []
+    for name, (low, high, unit) in _PLAUSIBLE.items():
+        found += [f'arm.{name} = {value:g} {unit} is that of no solid'
+                  for value in each(name) if not low <= value <= high][:1]
+    young, shear, height = min(each('young_modulus')), max(each('shear_modulus')), max(
+        each('height'))
+    if young < shear:
+        found.append(f'arm.shear_modulus = {shear:g} Pa is above arm.young_modulus = {young:g} Pa')
+    if values['arm.length'] < _LEAST_SLENDERNESS * height:
+        found.append(f'arm.length = {values["arm.length"]:g} m is less than '
+                     f'{_LEAST_SLENDERNESS:g} times arm.height = {height:g} m')
+    angle = values['initial.shaft']
+    if abs(angle) > 2.0 * math.pi:
+        found.append(f'initial.shaft = {angle:g} rad is more than a turn; in degrees it would be '
+                     f'{math.radians(angle):.4g} rad')
+    return 'is this meant? ' + '; '.join(found) if found else None
 
 
 def _arm(values):

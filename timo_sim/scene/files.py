@@ -22,20 +22,7 @@ _FOLDERS = [_ABOVE[0] / 'config', *(prefix / 'share/timo_sim/config' for prefix 
 
 
 def scene_file(source):
-    """
-    Return the path of a scene's file.
-
-    Parameters
-    ----------
-    source : str or Path
-        A path, or the name of an installed scene, such as 'paper'.
-
-    Raises
-    ------
-    FileNotFoundError
-        If it is neither; the text lists the names.
-
-    """
+    """Return the path of a scene's file, or raise FileNotFoundError with the known names."""
     path = Path(source)
     if path.is_file() or path.suffix or path.name != str(source):
         return path
@@ -49,26 +36,12 @@ def scene_file(source):
 
 def read_parameter_file(path):
     """
-    Read the values for the node `timo_sim` from a ROS parameter file.
+    Return the values for the node `timo_sim` in a ROS parameter file, unchecked, by dotted name.
 
-    Parameters
-    ----------
-    path : str or Path
-        A file, or the name of an installed scene, see `scene_file`.
-
-    Returns
-    -------
-    dict
-        Unchecked values by dotted name.
-
+    The file is given by its path or, where it is an installed scene, its name.
     """
     path = scene_file(path)
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
-    except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
-        # PyYAML raises nearly anything for a tag on a value that does not suit it.
-        reason = ' '.join(str(error).split())
-        raise ParameterError(f'{path} is not a YAML file: {reason}') from None
+    content = read_yaml(path)
     values = {}
     sections = content.items() if isinstance(content, dict) else ()
     for node, section in sections:
@@ -77,6 +50,16 @@ def read_parameter_file(path):
     if not values:
         raise ParameterError(f'{path} must have parameters under timo_sim: ros__parameters:')
     return values
+
+
+def read_yaml(path):
+    """Return what a YAML file says, or raise ParameterError."""
+    try:
+        return yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+    except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
+        # PyYAML raises nearly anything for a tag on a value that does not suit it.
+        reason = ' '.join(str(error).split())
+        raise ParameterError(f'{path} is not a YAML file: {reason}') from None
 
 
 def flatten(values, prefix=''):

@@ -43,53 +43,53 @@ def _times(first, count, step):
 _NO_BREAKS = np.zeros(0)
 
 
-class _Smooth:
-    """A term without breaks inside a step."""
+class Term:
+    """
+    A part of a load.
+
+    `jumps()` are the times at which it jumps [s]. For steps first, first + 1, ... of some size,
+    `stages` are its values at their stages, shape (count, 3); `breaks` the places in and around
+    them at which it jumps or bends, counted in steps, ascending; `parabolas` those with a bend
+    inside, and what they see, see `moments.parabolas`.
+    """
+
+    def jumps(self):
+        return ()
 
     def breaks(self, first, count, step):
-        """Return where in some steps it jumps or bends, counted in steps, a sorted array."""
         return _NO_BREAKS
 
     def parabolas(self, first, count, step):
-        """Return no steps."""
         return (), None
 
 
 @dataclass(frozen=True)
-class Harmonic(_Smooth):
+class Harmonic(Term):
     """amplitude sin(2 pi frequency t + phase); frequency in [Hz], phase in [rad]."""
 
     amplitude: float
     frequency: float
     phase: float
 
-    def jumps(self):
-        """Return the times of the jumps [s]."""
-        return ()
-
     def stages(self, first, count, step):
-        """Return the values at the stages of steps first, first + 1, ..., shape (count, 3)."""
         angle = 2.0 * np.pi * self.frequency * _times(first, count, step) + self.phase
         return self.amplitude * np.sin(angle)
 
 
 @dataclass(frozen=True)
-class Piecewise(_Smooth):
+class Piecewise(Term):
     """value[i] from time[i] [s] until time[i + 1], the last for ever, and 0 before time[0]."""
 
     time: tuple
     value: tuple
 
     def jumps(self):
-        """Return the times of the jumps [s]."""
         return self.time
 
     def breaks(self, first, count, step):
-        """Return where it jumps, counted in steps."""
         return np.rint(np.array(self.time) / step)
 
     def stages(self, first, count, step):
-        """Return the values at the stages of steps first, first + 1, ..., shape (count, 3)."""
         piece = np.searchsorted(self.breaks(first, count, step), np.arange(first, first + count),
                                 side='right')
         values = np.append(0.0, self.value)[piece]
@@ -97,14 +97,13 @@ class Piecewise(_Smooth):
 
 
 @dataclass(frozen=True)
-class Table:
+class Table(Term):
     """Linear between (time[i] [s], value[i]); held before and after; a jump is a time twice."""
 
     time: tuple
     value: tuple
 
     def jumps(self):
-        """Return the times of the jumps [s]."""
         return tuple(a for a, b in zip(self.time, self.time[1:]) if a == b)
 
     @functools.cached_property
@@ -121,7 +120,6 @@ class Table:
         return np.where(position == np.rint(position), position * step, time[part]), value[part]
 
     def stages(self, first, count, step):
-        """Return the values at the stages of steps first, first + 1, ..., shape (count, 3)."""
         times = _times(first, count, step)
         knots, value = self._pieces(first, count, step)
         right = np.stack([np.searchsorted(knots, times[:, 0], side='right'),
@@ -133,34 +131,26 @@ class Table:
         return value[low] + share * (value[high] - value[low])
 
     def breaks(self, first, count, step):
-        """Return where it jumps or bends, counted in steps, around some steps."""
         return on_boundaries(self._pieces(first, count, step)[0] / step)
 
     def parabolas(self, first, count, step):
-        """Return the steps with a knot inside, and what they see, see `moments.parabolas`."""
         knots, value = self._pieces(first, count, step)
         return parabolas(lambda at: np.interp(at * step, knots, value),
                          on_boundaries(knots / step), 1, first, count)
 
 
 @dataclass(frozen=True)
-class Drive:
+class Drive(Term):
     """
     The angle of a driven shaft: quintic between points, then at the last speed for ever.
 
     Two neighbours share angle, speed and acceleration at the point where they meet.
-
-    Attributes
-    ----------
-    time, angle, speed, acceleration : tuple
-        Points [s], [rad], [rad/s], [rad/s2]; the first at 0, the last without acceleration.
-
     """
 
-    time: tuple
-    angle: tuple
-    speed: tuple
-    acceleration: tuple
+    time: tuple          # [s], the first 0
+    angle: tuple         # [rad]
+    speed: tuple         # [rad/s]
+    acceleration: tuple  # [rad/s2], the last 0
 
     @functools.cached_property
     def _curve(self):
@@ -186,11 +176,9 @@ class Drive:
         return self._at(_times(first, count, step))
 
     def breaks(self, first, count, step):
-        """Return where its points are, counted in steps."""
         return on_boundaries(np.array(self.time) / step)
 
     def parabolas(self, first, count, step):
-        """Return the steps with a point inside, and what they see, see `moments.parabolas`."""
         return parabolas(lambda at: self._at(at * step), self.breaks(first, count, step), 5, first,
                          count)
 

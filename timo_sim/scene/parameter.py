@@ -33,41 +33,19 @@ class ModelWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Parameter:
-    """
-    A parameter and its rule.
+    """A parameter and its rule."""
 
-    Attributes
-    ----------
-    name : str
-        Dotted name.
-    default : bool, int, float, str or tuple of float
-        Its type is the parameter's type.
-    unit, meaning : str
-    low, high : float
-        Range of the value, or of each element.
-    open_low : bool
-        Whether `low` itself is excluded.
-    choices : tuple of str
-    scope : str
-        SCENE: part of the physics. NODE: the node's own.
-    runtime : bool
-        Whether the node lets it be set while it runs.
-    finite : bool
-        Whether infinity is refused.
-
-    """
-
-    name: str
-    default: object
+    name: str                # dotted
+    default: object          # bool, int, float, str or tuple of float, which is its type
     unit: str
     meaning: str
-    low: float = -math.inf
+    low: float = -math.inf   # range of the value, or of each element
     high: float = math.inf
-    open_low: bool = False
-    choices: tuple = ()
-    scope: str = SCENE
-    runtime: bool = False
-    finite: bool = True
+    open_low: bool = False   # whether `low` itself is excluded
+    choices: tuple = ()      # of texts
+    scope: str = SCENE       # part of the physics, or NODE: the node's own
+    runtime: bool = False    # whether the node lets it be set while it runs
+    finite: bool = True      # whether infinity is refused
 
     @property
     def rule(self):
@@ -88,16 +66,10 @@ class Parameter:
 
     def check(self, value):
         """
-        Return the value as the parameter's type.
+        Return the value as the parameter's type, or raise ParameterError.
 
         A whole number is accepted for a float, and so is a text like '70.5e9', which is how YAML
         1.1 reads a number without a sign in the exponent.
-
-        Raises
-        ------
-        ParameterError
-            If the value breaks the rule.
-
         """
         try:
             if isinstance(self.default, tuple):
@@ -110,13 +82,9 @@ class Parameter:
                 return self._checked_number(value)
             if isinstance(value, np.generic):
                 value = value.item()
-            if type(value) is not type(self.default):
-                raise ValueError
-            if self.choices and value not in self.choices:
-                raise ValueError
-            if isinstance(value, str) and '\0' in value:
-                raise ValueError
-            if isinstance(value, int) and not self.low <= value <= self.high:
+            if (type(value) is not type(self.default) or self.choices and value not in self.choices
+                    or isinstance(value, str) and '\0' in value
+                    or isinstance(value, int) and not self.low <= value <= self.high):
                 raise ValueError
             return value
         except (ValueError, TypeError, OverflowError):
@@ -151,14 +119,9 @@ def did_you_mean(name, names):
 
 def whole_ratio(name, value, unit_name, unit):
     """
-    Return how many times `unit` fits into `value`, a whole number.
+    Return how many times `unit` fits into `value`, a whole number, or raise ParameterError.
 
-    Raises
-    ------
-    ParameterError
-        If it is not whole to a millionth of a unit, or the rounding of the ratio; the message
-        holds the ratio.
-
+    It is whole to a millionth of a unit, or the rounding of the ratio.
     """
     ratio = value / unit
     count = round(ratio) if math.isfinite(ratio) else 0

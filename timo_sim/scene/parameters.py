@@ -209,25 +209,10 @@ DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
 
 def check(values, source):
     """
-    Check a set of values.
+    Return values by dotted name as their types.
 
-    Parameters
-    ----------
-    values : dict
-        Value of each dotted name.
-    source : str
-        Where they come from, for the message.
-
-    Returns
-    -------
-    dict
-        The values as their types.
-
-    Raises
-    ------
-    ParameterError
-        If a name is unknown or a value breaks its rule.
-
+    A name that is unknown or a value that breaks its rule is a ParameterError, which says the
+    source, a text.
     """
     checked = {}
     for name, value in values.items():
@@ -248,6 +233,17 @@ def check_runtime(values, later):
     if fixed:
         raise ParameterError(f'{fixed[0]} = {short(later[fixed[0]])} cannot be set while a '
                              f'simulation runs, where it is {short(values[fixed[0]])}')
+
+
+# 0.2.0 renamed these. Before, a limit of 0 meant that there was none; today it is refused.
+_RENAMED = {'motor.dc.gear': 'motor.dc.gear_ratio', 'step_count': 'steps_per_call'}
+_LIMITS = [name for name, parameter in PARAMETERS.items() if not parameter.finite]
+
+
+def current(values):
+    """Return values as an older version logged them, by their present names and meanings."""
+    return {_RENAMED.get(name, name): math.inf if name in _LIMITS and value == 0.0 else value
+            for name, value in values.items()}
 
 
 def changed(values):

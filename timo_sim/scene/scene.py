@@ -22,13 +22,16 @@ import numpy as np
 from timo_sim.physics.arm.bodies import Constraints, Manipulator
 from timo_sim.physics.equations import formulation_class
 from timo_sim.physics.equations.base import Formulation
-from timo_sim.scene.build import check_counts, constraints_of, load_of, manipulator_of
+from timo_sim.scene.build import (
+    check_counts, constraints_of, implausible, load_of, manipulator_of)
 from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import Load
 from timo_sim.scene.parameter import ModelWarning, ParameterError, SCENE, whole_ratio
 from timo_sim.scene.parameters import changed, check, DELAYS, PARAMETERS
-from timo_sim.scene.plausibility import implausible
 from timo_sim.scene.summary import html_table
+
+_POSITION = [f'initial.{joint}' for joint in ('carrier_x', 'carrier_y', 'shaft')]
+_VELOCITY = [f'{name}_velocity' for name in _POSITION]
 
 
 @dataclass(frozen=True, repr=False)
@@ -89,22 +92,9 @@ class Scene:
 
     def vary(self, overrides: Mapping[str, Any]) -> Scene:
         """
-        Return the scene with other values of some parameters.
+        Return the scene with other values of some parameters, by (nested or dotted) name.
 
-        Parameters
-        ----------
-        overrides : dict
-            Values by (nested or dotted) name.
-
-        Returns
-        -------
-        Scene
-
-        Raises
-        ------
-        ParameterError
-            As `load_scene`.
-
+        A name or value that is refused is a ParameterError, as of `load_scene`.
         """
         return scene_from({**self.values, **check(flatten(overrides), 'override')})
 
@@ -148,13 +138,10 @@ class Scene:
         if self.values['motor.shaft'] == 'driven':
             raise ParameterError('motor.shaft = driven starts at the beginning of motor.drive, '
                                  'not at the state of a run')
-        (x, y), (vx, vy) = run.carrier[sample].tolist(), run.carrier_velocity[sample].tolist()
+        position, velocity = run.motion[sample].reshape(2, -1).tolist()
         return self.vary({
-            'initial.carrier_x': x, 'initial.carrier_y': y, 'initial.carrier_x_velocity': vx,
-            'initial.carrier_y_velocity': vy, 'initial.shaft': float(run.shaft[sample]),
-            'initial.shaft_velocity': float(run.shaft_velocity[sample]),
-            'initial.modal_coordinates': run.q[sample].tolist(),
-            'initial.modal_rates': run.qdot[sample].tolist()})
+            **dict(zip(_POSITION, position)), **dict(zip(_VELOCITY, velocity)),
+            'initial.modal_coordinates': position[3:], 'initial.modal_rates': velocity[3:]})
 
     def __getstate__(self):
         # Without the formulation, which another process makes again.
@@ -163,10 +150,8 @@ class Scene:
     def initial_motion(self) -> np.ndarray:
         """Return the motion at t = 0, shape (2 (3 + N),), see `physics.layout`."""
         rest = np.zeros(self.values['model.modes'])
-        position, velocity = (
-            [[self.values[f'initial.{joint}{kind}'] for joint in ('carrier_x', 'carrier_y',
-                                                                  'shaft')]
-             for kind in ('', '_velocity')])
+        position, velocity = ([self.values[name] for name in names]
+                              for names in (_POSITION, _VELOCITY))
         if self.load.drive is not None:
             position[2], velocity[2], _ = self.load.drive.stages(0, 1, self.step)[0, 0]
         q = self.values['initial.modal_coordinates'] or rest
@@ -270,7 +255,9 @@ def scene_from(values):
                              f'cannot be split, got {values["integrator.tolerance"]:g}')
     try:
         with np.errstate(over='raise', divide='raise', invalid='raise'):
-            finite = _is_finite(scene)
+            formulation, motion = scene.build(), scene.initial_motion()
+            finite = np.isfinite(formulation.linear).all() and (
+                not motion[3:].any() or np.isfinite(formulation.energy(motion[np.newaxis])[0]))
     except ArithmeticError:
         finite = False
     except ValueError as error:
@@ -281,10 +268,3 @@ def scene_from(values):
         raise ParameterError('the values of this scene are too large or too small together: no '
                              'finite equations of motion, or no finite initial energy')
     return scene
-
-
-def _is_finite(scene):
-    # Whether equations of motion and initial energy are finite.
-    formulation, motion = scene.build(), scene.initial_motion()
-    return np.isfinite(formulation.linear).all() and (
-        not motion[3:].any() or np.isfinite(formulation.energy(motion[np.newaxis])[0]))

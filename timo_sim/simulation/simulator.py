@@ -165,9 +165,9 @@ class Simulator:
 
     def snapshot(self, load=None, tip_acceleration=None):
         """Return what messages need of the motion now, until the next step."""
-        load = self.load.tolist() if load is None else load
         return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
-                        load, tip_acceleration or self.tip_acceleration)
+                        self.load.tolist() if load is None else load,
+                        tip_acceleration or self.tip_acceleration)
 
     def tip_acceleration(self):
         """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
@@ -253,8 +253,7 @@ class Simulator:
                 self.integration, self._table, actuators, self._state, self.load, first + done,
                 part, sample_every, done, motions, heat)
             done += reached
-            if reached < part or not self._bend() <= (
-                    _MOST_BENT * self.scene.manipulator.arm.length):
+            if reached < part or not self._bend() <= _MOST_BENT * self.model.reach[2]:
                 self._give_up(before, count, commanded)
         self.steps += count
         self.load = self.load.copy()
@@ -265,9 +264,8 @@ class Simulator:
     def estimated_error(self):
         """Largest distance that the tip is estimated to have had from where it belongs [m]."""
         if not self._resting:
-            self.integration.errors.conclude(
-                self._state, self.load, self._table.tabulate(self._actuators),
-                self.steps - self._origin)
+            tabulate, number = self._table.tabulate(self._actuators), self.steps - self._origin
+            self.integration.errors.conclude(self._state, self.load, tabulate, number)
             self._look_for_warnings()
         return self.integration.errors.tip + self.integration.friction_drift
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A job of a sweep: runs one after another, and what is kept of each."""
+"""A job of a sweep: runs one after another, and the rows of its table that they become."""
 
 import itertools
 import math
@@ -15,7 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.runs.simulate import sampled_run
-from timo_sim.scene.parameter import whole_ratio
+from timo_sim.scene.files import flatten
+from timo_sim.scene.parameter import ParameterError, whole_ratio
+from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.simulation.resolution import resolved
 
 # Steps and runs of a job: a fraction of a second, so that little is lost with a worker, and the
@@ -50,45 +52,20 @@ class Job(NamedTuple):
     scene: object      # Scene
     duration: float    # [s]
     variations: tuple  # of dictionaries of overrides
+    names: tuple       # of the parameters that have a column
 
 
-class Outcome(NamedTuple):
-    """What n runs gave."""
-
-    numbers: np.ndarray  # (n, len(SUMMARY)), NaN for a run that failed
-    warnings: list       # why a run should not be trusted, or '', see `Run.warning`
-    reasons: list        # why it failed, or ''
-
-
-def jobs_of(scene, duration, count, variations):
-    """
-    Divide a sweep into jobs.
-
-    What is in a job does not depend on who works on it.
-
-    Parameters
-    ----------
-    scene : Scene
-    duration : float
-        [s]
-    count : int
-        Number of runs.
-    variations : iterable of dict
-
-    Yields
-    ------
-    Job
-
-    """
+def jobs_of(scene, duration, count, variations, names):
+    """Divide a sweep of `count` runs into jobs, whatever the number of workers."""
     steps = max(1, whole_ratio('duration', duration, 'integrator.step', scene.step))
     length = max(1, min(_RUNS, _STEPS // steps, math.ceil(count / _FEWEST_JOBS)))
     rest = iter(variations)
     for first in range(0, count, length):
-        yield Job(first, scene, duration, tuple(itertools.islice(rest, length)))
+        yield Job(first, scene, duration, tuple(itertools.islice(rest, length)), tuple(names))
 
 
-def summary(run):
-    """Return the numbers of `SUMMARY` of a run, a tuple."""
+def _summary(run):
+    # The numbers of `SUMMARY`.
     tip = run.model.at([run.scene.manipulator.arm.length])
     deflection = run.model.centre_line(run.q, tip)[:, 0, 1]
     rotation = run.model.section_rotation(run.q, tip)[:, 0]
@@ -104,20 +81,43 @@ def run_job(job):
 
     Returns
     -------
-    Outcome
-        A run that fails, for whatever its values lead to, is a row with a reason.
+    dict of ndarray
+        A row for each run: `run`, its number; the varied parameters; the numbers of `SUMMARY`,
+        NaN for a run that failed; `warning` and `reason`, texts or ''.
 
     """
     numbers = np.full((len(job.variations), len(SUMMARY)), np.nan)
-    warnings, reasons = [], []
-    for row, variation in zip(numbers, job.variations):
-        warning, reason = None, ''
+    table = {'run': job.first + np.arange(len(job.variations))}
+    flat = [flatten(variation) for variation in job.variations]
+    for name in job.names:
+        table[name] = _cells(PARAMETERS[name], [values.get(name, job.scene.values[name])
+                                                for values in flat])
+    table.update((column.name, numbers[:, k]) for k, column in enumerate(SUMMARY))
+    table['warning'], table['reason'] = np.full((2, len(flat)), '', dtype=object)
+    for row, variation in enumerate(job.variations):
         try:
             with np.errstate(all='ignore'):
                 run = sampled_run(*resolved(job.scene.vary(variation), job.duration))
-                warning, row[:] = run.warning, summary(run)
+                table['warning'][row] = run.warning or ''
+                numbers[row] = _summary(run)
         except (ArithmeticError, ValueError, MemoryError) as error:
-            reason = ' '.join(str(error).split()) or type(error).__name__
-        warnings.append(warning or '')
-        reasons.append(reason)
-    return Outcome(numbers, warnings, reasons)
+            table['reason'][row] = ' '.join(str(error).split()) or type(error).__name__
+    return table
+
+
+def _cells(parameter, values):
+    # A value that breaks its rule is missing: NaN or None; the reason of its row names it.
+    cells = []
+    for value in values:
+        try:
+            cells.append(parameter.check(value))
+        except ParameterError:
+            cells.append(None)
+    kind = type(parameter.default)
+    if kind is float:
+        return np.array(cells, dtype=float)
+    if kind is int and None not in cells:
+        return np.array(cells)
+    column = np.empty(len(cells), dtype=object)
+    column[:] = cells
+    return column

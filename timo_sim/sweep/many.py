@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.scene.parameter import ParameterError, whole_ratio
+from timo_sim.scene.files import flatten
+from timo_sim.scene.parameter import ParameterError, SCENE
+from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.scene.scene import Scene
 from timo_sim.sweep.jobs import jobs_of, run_job
-from timo_sim.sweep.table import joined, table_of, varied
+from timo_sim.sweep.workers import executor_of
 
 
 def simulate_many(scene: Scene, variations: Iterable[Mapping[str, Any]], duration: float,
@@ -71,26 +73,18 @@ def simulate_many(scene: Scene, variations: Iterable[Mapping[str, Any]], duratio
     variations = list(variations)
     if not variations:
         raise ParameterError('variations must have at least one element, got none')
-    whole_ratio('duration', duration, 'integrator.step', scene.step)
-    names = varied(variations)
-    jobs = jobs_of(scene, duration, len(variations), variations)
+    # In order of appearance; a name that is no parameter is the reason of its row.
+    names = [name for name in {name: None for each in variations for name in flatten(each)}
+             if name in PARAMETERS and PARAMETERS[name].scope == SCENE]
+    jobs = jobs_of(scene, duration, len(variations), variations, names)
     with executor_of(workers, scheduler) as executor:
-        return joined([table_of(job, names, outcome)
-                       for job, outcome in outcomes(executor, jobs)])
+        tables = [table for _, table in done(executor, jobs)]
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
-def executor_of(workers=None, scheduler=None):
-    """Return who works: an executor with its `width`, to be used as a context."""
-    if scheduler is None:
-        from timo_sim.sweep.local import LocalExecutor
-        return LocalExecutor(workers)
-    from timo_sim.sweep.cluster import cluster_executor
-    return cluster_executor(scheduler)
-
-
-def outcomes(executor, jobs):
+def done(executor, jobs):
     """
-    Yield each job with its outcome, in their order.
+    Yield each job with its table, in their order.
 
     No more jobs are made than keep all workers busy, so that memory stays bounded.
     """

@@ -16,45 +16,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from timo_sim.scene.files import flatten
-from timo_sim.scene.parameter import ParameterError, SCENE, whole_ratio
+from timo_sim.scene.files import flatten, read_yaml
+from timo_sim.scene.parameter import Parameter, ParameterError, SCENE, whole_ratio
 from timo_sim.scene.parameters import check, PARAMETERS
 from timo_sim.scene.scene import load_scene, Scene
+from timo_sim.sweep.jobs import jobs_of
 from timo_sim.version import __version__
 
 _KINDS = ('runs', 'grid', 'random')
 _ENTRIES = ('scene', 'parameters', 'duration', *_KINDS)
+_DURATION = Parameter('duration', 1.0, 's', 'of each run', low=0.0, open_low=True)
+_RANDOM = {'seed': Parameter('random: seed', 0, '', 'what values are drawn from', low=0),
+           'count': Parameter('random: count', 1, '', 'number of runs', low=1)}
 
 
 @dataclass(frozen=True)
 class Plan:
-    """
-    What a sweep does.
-
-    Attributes
-    ----------
-    scene : Scene
-    duration : float
-        [s]
-    names : list of str
-        The parameters that vary.
-    count : int
-        Number of runs.
-    kind : str
-        `runs`, `grid` or `random`.
-    given : list or dict
-        What the file says about these.
-
-    """
+    """What a sweep does."""
 
     scene: Scene
-    duration: float
-    names: list
-    count: int
-    kind: str
-    given: Any
+    duration: float  # [s]
+    names: list      # of the parameters that vary
+    count: int       # number of runs
+    kind: str        # one of _KINDS
+    given: Any       # what the file says about it
 
     def variations(self):
         """Yield the overrides of each run, the same ones each time."""
@@ -68,6 +54,10 @@ class Plan:
             for _ in range(self.count):
                 yield {name: np.asarray(random.uniform(*ends)).tolist()
                        for name, ends in self.given['ranges'].items()}
+
+    def jobs(self):
+        """Yield the jobs of the sweep, the same ones each time."""
+        return jobs_of(self.scene, self.duration, self.count, self.variations(), self.names)
 
     @property
     def fingerprint(self):
@@ -88,10 +78,7 @@ def read_plan(path):
         If a file cannot be read.
 
     """
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterError(f'{path} is not a YAML file: {error}') from None
+    content = read_yaml(path)
     try:
         return _plan(content, Path(path).parent)
     except ParameterError as error:
@@ -106,16 +93,14 @@ def _plan(content, folder):
     if len(kinds) != 1 or 'scene' not in content:
         raise ParameterError('a sweep must have a scene and one of runs, grid, random; got '
                              + ', '.join(content))
-    scene = content['scene']
+    scene, kind = content['scene'], kinds[0]
     if not isinstance(scene, (str, dict)):
         raise ParameterError(f'scene must be the name of a file, or parameters, got {scene!r}')
     scene = load_scene(folder / scene if isinstance(scene, str) else scene,
                        _mapping('parameters', content.get('parameters') or {}))
-    duration = _number('duration', content.get('duration'))
+    duration = _DURATION.check(content.get('duration'))
     whole_ratio('duration', duration, 'integrator.step', scene.step)
-    kind = kinds[0]
-    read = {'runs': _runs, 'grid': _grid, 'random': _random}[kind]
-    names, count = read(content[kind])
+    names, count = {'runs': _runs, 'grid': _grid, 'random': _random}[kind](content[kind])
     return Plan(scene, duration, names, count, kind, content[kind])
 
 
@@ -138,12 +123,10 @@ def _grid(given):
 
 
 def _random(given):
-    if set(_mapping('random', given)) != {'seed', 'count', 'ranges'}:
+    if set(_mapping('random', given)) != {*_RANDOM, 'ranges'}:
         raise ParameterError(f'random must have seed, count and ranges, got {list(given)}')
-    for name in ('seed', 'count'):
-        if type(given[name]) is not int or given[name] < (name == 'count'):
-            raise ParameterError(f'random: {name} must be a whole number >= '
-                                 f'{int(name == "count")}, got {given[name]!r}')
+    for name, parameter in _RANDOM.items():
+        parameter.check(given[name])
     for name, ends in _mapping('random: ranges', given['ranges']).items():
         try:
             low, high = np.array(ends, dtype=float)
@@ -161,16 +144,6 @@ def _mapping(entry, given):
     if not isinstance(given, dict):
         raise ParameterError(f'{entry} must be parameters with values, got {given!r}')
     return given
-
-
-def _number(entry, given):
-    try:
-        number = float(given) if not isinstance(given, bool) else math.nan
-    except (TypeError, ValueError):
-        number = math.nan
-    if not 0.0 < number < math.inf:
-        raise ParameterError(f'{entry} must be a finite number > 0 s, got {given!r}')
-    return number
 
 
 def _check(entry, values):

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-The result of a sweep on disk: Parquet, one part for each job until all are there.
+A sweep from its file to its Parquet file, which is one part for each job until all are there.
 
 A part appears under its name only when it is whole. A sweep that was killed goes on with the parts
 that are missing; each job is in the result once.
@@ -16,18 +16,65 @@ that are missing; each job is in the result once.
 import hashlib
 from pathlib import Path
 import shutil
+import time
 
 import numpy as np
 import pyarrow
 from pyarrow import compute, parquet
+from tqdm import tqdm
 
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.sweep.jobs import SUMMARY
+from timo_sim.sweep.many import done
+from timo_sim.sweep.plan import read_plan
+from timo_sim.sweep.workers import executor_of
 
 _TYPES = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(),
           str: pyarrow.string(), tuple: pyarrow.list_(pyarrow.float64())}
 _ROW_GROUP = 64  # parts
+
+
+def run_sweep(file, output=None, workers=None, scheduler=None):
+    """
+    Do the sweep of a file, or what is missing of it.
+
+    Parameters
+    ----------
+    file : str
+        See config/sweep.yaml.
+    output : str, optional
+        Parquet file.
+    workers, scheduler
+        As for `simulate_many`.
+
+    Raises
+    ------
+    ParameterError, OSError
+        As `read_plan` and `Store`.
+    ConnectionError
+        As `simulate_many`.
+
+    """
+    plan = read_plan(file)
+    output = output or Path(file).with_suffix('.parquet').name
+    store = Store(output, plan)
+    start = time.monotonic()
+    with executor_of(workers, scheduler) as executor, tqdm(
+            total=plan.count, unit='run', disable=None) as bar:
+
+        def missing():
+            for job in plan.jobs():
+                if store.has(job):
+                    bar.update(len(job.variations))
+                else:
+                    yield job
+
+        for job, table in done(executor, missing()):
+            store.add(job, table)
+            bar.update(len(job.variations))
+    failed = store.finish()
+    print(f'{plan.count} runs in {time.monotonic() - start:.1f} s, {failed} failed: {output}')
 
 
 class Store:

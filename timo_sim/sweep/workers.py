@@ -6,15 +6,10 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""
-Worker processes of this machine.
-
-Not those of `multiprocessing`: these need no `if __name__ == '__main__'` in the caller's script,
-have one BLAS thread each from the start, and one that is killed loses nothing.
-"""
+"""Who works on a sweep: processes of this machine, or a Dask cluster."""
 
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 import os
 import pickle
 import signal
@@ -26,9 +21,40 @@ _ATTEMPTS = 3  # processes that may die over the same call
 _ONE_THREAD = dict.fromkeys(('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'), '1')
 
 
+def executor_of(workers=None, scheduler=None):
+    """Return who works: an executor with its `width`, to be used as a context."""
+    return LocalExecutor(workers) if scheduler is None else cluster_executor(scheduler)
+
+
+@contextmanager
+def cluster_executor(address):
+    """
+    Yield an executor of the Dask scheduler at an address, such as `tcp://host:8786`.
+
+    The scheduler repeats the calls of a worker that dies, and computes results anew that died with
+    it; one call gives one result. If it cannot be reached, that is a ConnectionError.
+    """
+    from distributed import Client
+    try:
+        client = Client(address, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ConnectionError(f'no Dask scheduler at {address}: {error}') from None
+    with client:
+        executor = client.get_executor(pure=False)
+        executor.width = max(1, sum(client.nthreads().values()))
+        try:
+            yield executor
+        finally:
+            executor.shutdown(wait=False)
+
+
 class LocalExecutor:
     """
     Calls in processes of their own, one for each of some threads that wait for them.
+
+    They are not those of `multiprocessing`: they need no `if __name__ == '__main__'` in the
+    caller's script, have one BLAS thread each from the start, and one that is killed loses
+    nothing.
 
     Parameters
     ----------
