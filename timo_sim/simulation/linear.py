@@ -18,7 +18,8 @@ from timo_sim.scene.parameter import did_you_mean, ParameterError
 from timo_sim.scene.scene import Scene
 from timo_sim.scene.summary import html_table
 
-# Differences of fourth order over this part of the arm's length, or of a radian.
+# Differences of fourth order: over this part of the arm's length, or turn of its most turned
+# section [rad]. Where the tip is heavy it hardly moves, and says nothing of how far the arm bends.
 _SHIFT = 1e-3
 _STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
 _INPUTS = {f'{channel}_{"N_m" if "torque" in channel else "N"}': column
@@ -182,7 +183,10 @@ def linearize(scene: Scene, at: np.ndarray | None = None) -> LinearModel:
     _check(at, formulation.rate(state, load))
     free = np.array([*axes, *range(2 + first, half)], dtype=int)
     free, half = np.concatenate([free, half + free]), len(free)
-    steps = np.tile(_SHIFT * formulation.manipulator.arm.length / formulation.reach, 2)
+    modes, xi = formulation.modes, formulation.points.xi
+    turn = np.max(np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi)), axis=0)
+    length = formulation.manipulator.arm.length
+    steps = np.tile(_SHIFT * np.concatenate([[length, length, 1.0], 1.0 / turn]), 2)
 
     def jacobian(function):
         return _jacobian(function, at, steps, free)
