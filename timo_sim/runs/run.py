@@ -18,10 +18,11 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 
 from timo_sim.physics.equations.base import Formulation
-from timo_sim.physics.layout import FORCE_X, FORCE_Y, MotionFields, TORQUE
+from timo_sim.physics.layout import LOADS, MotionFields
 from timo_sim.scene.scene import Scene
 from timo_sim.scene.summary import html_table
 from timo_sim.simulation.energy import integral
+from timo_sim.simulation.joints import applied, joints_of_run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -174,21 +175,55 @@ class Run(MotionFields):
         What acts on the joints, shape (n, 3).
 
         Forces on the carrier in world axes [N] and torque on the shaft [N m] at the end of the
-        last step; at the first sample at the beginning of the first step.
+        last step; at the first sample at the beginning of the first step. Of a free joint what
+        loads and commands apply; of one that is held, locked or driven what its constraint does
+        besides these: its torque, or force, is what a brake or drive must be able to give.
         """
         if self.recording is not None:
             joints = self.recording.read('joint_states')['joint_states']
             return joints.values[np.searchsorted(joints.ns, np.rint(self.t * 1e9)), 6:9]
+        effort, constrained = applied(self._loads(), self.shaft), self.model.constrained
+        if not constrained.any():
+            return effort
+        return np.where(constrained, self._joints.reactions, effort)
+
+    def root_moment(self) -> np.ndarray:
+        """
+        Return the bending moment in the arm at its root, shape (n,) [N m].
+
+        From the balance of the shaft, which converges much faster with the modes than curvatures.
+
+        Raises
+        ------
+        ValueError
+            For a log, which does not say all loads.
+
+        """
+        return self._joints.root_moment
+
+    def root_strain(self) -> np.ndarray:
+        """Return the strain of the outer fibre at the root, shape (n,), as `root_moment`."""
+        return self._joints.root_strain
+
+    @cached_property
+    def _joints(self):
+        if self.recording is not None:
+            raise ValueError('a log does not say all loads: replay it with record_sensors = true '
+                             'for ~/root_strain')
+        return joints_of_run(self.scene, self.motion, self._loads())
+
+    def _loads(self):
+        # What acts at the samples, Coulomb friction left out, (n, 14).
         load, step = self.scene.load, self.scene.step
-        columns, effort = [FORCE_X, FORCE_Y, TORQUE], np.empty((len(self.t), 3))
+        loads = np.empty((len(self.t), LOADS))
         first, last = np.rint(self.t[[0, -1]] / step).astype(int)
         every = (last - first) // max(len(self.t) - 1, 1) or 1
         for k in range(0, len(self.t), _BLOCK):
             count = min(_BLOCK, len(self.t) - k)
             table = load.stages(first + k * every - 1, (count - 1) * every + 1, step)
-            effort[k:k + count] = table[::every, -1, columns]
-        effort[0] = load.stages(first, 1, step)[0, 0, columns]
-        return effort
+            loads[k:k + count] = table[::every, -1]
+        loads[0] = load.stages(first, 1, step)[0, 0]
+        return loads
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return what the node would publish, as columns with units in their names, (n,) each."""

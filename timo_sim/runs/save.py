@@ -53,9 +53,10 @@ def _motion_outputs(run):
 
 def _snapshots(run):
     steps = np.rint(run.t / run.scene.step).astype(int).tolist()
-    for step, motion, effort in zip(steps, run.motion, run.effort.tolist()):
+    for step, motion, effort in zip(steps, run.motion, run.effort):
+        # Before the first step nothing has acted, but constraints hold.
+        shown = effort if step else np.where(run.model.constrained, effort, 0.0)
         load = [0.0] * LOADS
-        if step:  # before the first step nothing has acted
-            load[FORCE_X], load[FORCE_Y], load[TORQUE] = effort
+        load[FORCE_X], load[FORCE_Y], load[TORQUE] = shown.tolist()
         yield Snapshot(run.scene, run.model, step, round(step * run.scene.step * 1e9), motion,
                        load)

@@ -19,6 +19,7 @@ from timo_sim.scene.parameter import whole_ratio
 from timo_sim.scene.parameters import check_runtime
 from timo_sim.simulation import model_warnings
 from timo_sim.simulation.actuators import Actuators, commanded_load
+from timo_sim.simulation.joints import joints_of_state
 from timo_sim.simulation.load_table import LoadTable
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.sensors import Sensors
@@ -126,7 +127,7 @@ class Simulator:
             self.integration.warm_up(self._state, self.load)
             if messages:
                 self.model.tip(motion)
-            if messages and not compiled:
+            if messages and not compiled or self.model.constrained.any():
                 self.model.rate(self._state, self.load)
 
     @property
@@ -147,9 +148,7 @@ class Simulator:
     @property
     def sensors(self):
         """What the sensors read now: encoder, root_strain, tip_acceleration, gyro."""
-        state, load = self._state.copy(), self.integration.acting(self.load)
-        return Sensors(self.snapshot(
-            tip_acceleration=lambda: self.integration.tip_acceleration(state, load)))
+        return Sensors(self.snapshot(state=self._state.copy()))
 
     @property
     def deflection(self):
@@ -158,14 +157,16 @@ class Simulator:
 
     @property
     def effort(self):
-        """What acted last: force x and y on the carrier [N], torque on the shaft [N m], (3,)."""
+        """Efforts of carrier x, y [N] and shaft [N m], shape (3,), see `Snapshot.effort`."""
         return np.array(self.snapshot().effort)
 
-    def snapshot(self, load=None, tip_acceleration=None):
-        """Return what messages need of the motion now, until the next step."""
+    def snapshot(self, load=None, state=None):
+        """Return what messages need of the motion now, until the next step, or of a kept state."""
         load = self.load.tolist() if load is None else load
+        acts = (self.integration, self._state if state is None else state,
+                self.integration.acting(self.load))
         return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
-                        load, tip_acceleration or self.tip_acceleration)
+                        load, acts)
 
     def tip_acceleration(self):
         """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""

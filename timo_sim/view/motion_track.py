@@ -64,9 +64,11 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
         *joint_traces(trace, motion[:, :3], motion[:, half:half + 3], effort),
         trace('modal', modes, lambda part: motion[part, 3:half])]
     energy = _in_blocks(formulation.energy, motion)
-    pushed = any(scene.load.terms[channel] for channel in CHANNELS if channel.startswith('tip'))
-    known = scene.values['motor.shaft'] != 'driven' and (
-        heat is not None or not scene.friction.any())
+    # What constraints do is part of the effort, a torque on a driven shaft besides is not.
+    unseen = 'torque' if scene.values['motor.shaft'] == 'driven' else 'tip'
+    pushed = any(scene.load.terms[channel] for channel in CHANNELS
+                 if channel.startswith(('tip', unseen)))
+    known = heat is not None or not scene.friction.any()
     if balanced and known and not pushed:
         done = work(ns, motion[:, :3], motion[:, half:half + 3], effort)
         done -= integral(ns, _in_blocks(formulation.dissipation, motion))
@@ -79,7 +81,7 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
         traces += [trace('energy', ('energy', 'first energy + work - losses'),
                          curves.__getitem__),
                    trace('balance', ('energy - work + losses',), balance.__getitem__)]
-    else:  # also because the torque of a driven shaft is not known, nor Coulomb friction's heat
+    else:  # also because Coulomb friction's heat is not known
         traces.append(trace('energy', ('energy',), energy[:, np.newaxis].__getitem__))
     return Track(name, ns, poses, [entry for entry in traces if entry.names], body_of(scene),
                  _note(scene, ns))

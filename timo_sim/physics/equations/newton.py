@@ -45,6 +45,7 @@ import numpy as np
 
 from timo_sim.physics.equations.base import Formulation
 from timo_sim.physics.equations.newton_functions import Tables
+from timo_sim.physics.layout import rotate, tip_force, TIP_TORQUE
 
 
 class Laws(NamedTuple):
@@ -110,7 +111,8 @@ class Newton(Formulation):
             # it is not in the equations.
             weak = self.gram / np.outer(self.modes.omega, self.modes.omega)
             self.speed_limit = 1.0 / np.sqrt(np.linalg.eigvalsh(weak)[-1])
-        laws, base_mass = self.laws(), self.manipulator.base_mass
+        self._laws = laws = self.laws()
+        base_mass = self.manipulator.base_mass
         stiffness, damping = self.modes.omega**2, 2.0 * self.damping * self.modes.omega
         free, axes = slice(self.first, None), len(self.axes)
         inverse = np.linalg.inv(laws.matrix[free, free])
@@ -142,6 +144,26 @@ class Newton(Formulation):
         half = self.size // 2
         free = np.concatenate([self.axes, np.arange(2 + self.first, half)])
         return np.concatenate([motion[free], motion[half + free]])
+
+    def effort(self, motions, accelerations, loads):
+        """Return what rows of the shaft and of the carrier, with P(0), V(0), ask for (T37)."""
+        half, laws, theta = self.size // 2, self._laws, motions[:, 2]
+        q, omega, qdot = motions[:, 3:half], motions[:, half + 2], motions[:, half + 3:]
+        alpha, beta = rotate(-theta, *accelerations[:, :2].T)
+        tip_1, tip_2 = rotate(-theta, *tip_force(loads, theta))
+        stress = self.tables.stiffness * q + self.tables.damping * qdot
+        z = accelerations[:, 2:]
+        axial = (-self.arm_mass * alpha + z[:, 0] * (q @ laws.axial) + tip_1
+                 + 2.0 * omega * (qdot @ laws.axial) + omega**2 * self.lever)
+        shear = (-laws.shear_mass * beta - z @ laws.shear_row + stress @ laws.shear_stress
+                 + omega**2 * (q @ laws.shear_softening) + laws.tip_share * tip_2)
+        tip_moment = laws.tip_share * (
+            loads[:, TIP_TORQUE] + self.tables.length * tip_2 - (q @ self.tables.sway) * tip_1)
+        torque = (z @ laws.matrix[0] + laws.column[0] * beta - omega**2 * (q @ laws.softening[0])
+                  + stress @ laws.stress[0] - tip_moment)
+        root_x, root_y = rotate(theta, axial, shear)
+        return np.column_stack([self.tables.base_mass * accelerations[:, 0] - root_x,
+                                self.tables.base_mass * accelerations[:, 1] - root_y, torque])
 
     def centre_line(self, q, points):
         """Return the points (xi, w)."""
