@@ -19,7 +19,6 @@ from timo_sim.scene.parameter import whole_ratio
 from timo_sim.scene.parameters import check_runtime
 from timo_sim.simulation import model_warnings
 from timo_sim.simulation.actuators import Actuators, commanded_load
-from timo_sim.simulation.joints import joints_of_state
 from timo_sim.simulation.load_table import LoadTable
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.sensors import Sensors

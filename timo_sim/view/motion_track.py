@@ -16,6 +16,9 @@ from timo_sim.view.bag_track import of_bag
 from timo_sim.view.track import (
     BLOCK, Body, joint_traces, POINTS, Poses, span, Trace, Track, TrackError)
 
+# Commands whose work is not in the efforts of joints: the others on a driven shaft.
+_UNSEEN = ('~/tip_wrench', '~/motor_torque', '~/motor_voltage', '~/joint_command', '~/commands')
+
 
 def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=None):
     """
@@ -115,8 +118,7 @@ def of_recording(recording, name):
         If what a shape needs is not on it.
 
     """
-    scene, series = recording.scene, recording.read(
-        'joint_states', '~/modal_state', '~/tip_wrench')
+    scene, series = recording.scene, recording.read('joint_states', '~/modal_state', *_UNSEEN)
     joints = series.get('joint_states')
     if joints is None or not len(joints.ns):
         raise TrackError(f'{recording.path} has no joint_states: there is nothing to show')
@@ -130,10 +132,13 @@ def of_recording(recording, name):
         np.searchsorted(joints.ns, ns, side='right') - 1)
     resets = np.searchsorted(step, recording.resets, side='right') - 1
     resets += step[resets] < recording.resets
+    driven = scene.values['motor.shaft'] == 'driven'
+    unseen = any(topic in series and len(series[topic].ns)
+                 for topic in (_UNSEEN if driven else _UNSEEN[:1]))
     return of_motion(name, scene, ns, motion, joints.values[place, 6:9],
                      resets[(0 < resets) & (resets < len(ns))],
-                     not recording.changes and ('~/tip_wrench' not in series
-                                                or not len(series['~/tip_wrench'].ns)))
+                     not (recording.changes or unseen
+                          or driven and recording.facts.get('timo_sim') == '0.1.0'))
 
 
 def _in_blocks(function, values, *more):
