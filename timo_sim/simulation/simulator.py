@@ -8,8 +8,6 @@
 
 """A scene that is advanced in time: loads are tabulated, steps integrated, trouble told."""
 
-import math
-
 import numpy as np
 
 from timo_sim.jit.code_store import compiling, is_compiled
@@ -126,7 +124,8 @@ class Simulator:
             self.integration.warm_up(self._state, self.load)
             if messages:
                 self.model.tip(motion)
-            if messages and not compiled or self.model.constrained.any():
+            warned = np.isfinite(self.model.speed_limit)
+            if warned or messages and (not compiled or self.model.constrained.any()):
                 self.model.rate(self._state, self.load)
 
     @property
@@ -250,8 +249,8 @@ class Simulator:
             self._give_up(before, count, commanded)
         self.steps += count
         self.load = load.copy()
-        self.warning = self.warning or model_warnings.after_steps(
-            self.scene, self.integration, self.t, self._largest_speed(motions))
+        self.warning = model_warnings.after_steps(
+            self.scene, self.integration, self.t, self._state, self.load, motions, self.warning)
         return motions, heat
 
     def _rests(self, count, commanded):
@@ -282,13 +281,6 @@ class Simulator:
         error, alarming = self.integration.estimate_error(self._state, loads)
         if alarming:
             self.warning = model_warnings.inaccurate_step(self.scene, self.t, error)
-
-    def _largest_speed(self, motions):
-        # Of the shaft, at samples and end; 0 where it does not matter [rad/s].
-        if math.isinf(self.model.speed_limit):
-            return 0.0
-        samples = Motion(motions).shaft_velocity
-        return max(abs(self.motion.shaft_velocity), np.abs(samples).max(initial=0.0))
 
     def _bend(self):
         # Deflection by all modes together [m].

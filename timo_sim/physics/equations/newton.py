@@ -39,13 +39,14 @@ left out. Of a driven shaft theta'' is given, and its row is left out too. The s
 without what is held or driven.
 """
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from timo_sim.physics.equations.base import Formulation
 from timo_sim.physics.equations.newton_functions import Tables
-from timo_sim.physics.layout import rotate, tip_force, TIP_TORQUE
+from timo_sim.physics.layout import ANGLE, rotate, SPEED, tip_force, TIP_TORQUE
 
 
 class Laws(NamedTuple):
@@ -164,6 +165,30 @@ class Newton(Formulation):
         root_x, root_y = rotate(theta, axial, shear)
         return np.column_stack([self.tables.base_mass * accelerations[:, 0] - root_x,
                                 self.tables.base_mass * accelerations[:, 1] - root_y, torque])
+
+    @cached_property
+    def _tension(self):
+        # Stiffness of the first mode by a force on the tip, an acceleration, a squared speed.
+        xi = self.quadrature.nodes
+        slope = self.modes.rotation(xi)[:, 0] + self.modes.shear(xi)[:, 0]
+        inboard = self.points.integral.T @ slope**2
+        mass = self.point_mass
+        return np.array([inboard[-1], -mass @ inboard, (mass * self.points.xi) @ inboard])
+
+    def axial_share(self, state, load):
+        """
+        Return the stiffness by the axial force, which is left out, over the first mode's (T39).
+
+        At a state and a load that acts; negative in compression, below -1 the arm buckles.
+        """
+        half, axes = len(state) // 2, list(self.axes)
+        angle, speed = (load[ANGLE], load[SPEED]) if self.first else (
+            state[len(axes)], state[half + len(axes)])
+        acceleration = np.zeros(2)
+        acceleration[axes] = self.rate(state, load)[half:half + len(axes)]
+        alpha, _ = rotate(-angle, *acceleration)
+        pull, _ = rotate(-angle, *np.ravel(tip_force(load[np.newaxis], np.array([angle]))))
+        return float(self._tension @ [pull, alpha, speed**2] / self.modes.omega[0]**2)
 
     def centre_line(self, q, points):
         """Return the points (xi, w)."""
