@@ -30,6 +30,9 @@ from timo_sim.scene.parameters import changed, check, DELAYS, PARAMETERS
 from timo_sim.scene.plausibility import implausible
 from timo_sim.scene.summary import html_table
 
+# Of `model.static_modes`, as the modes are told.
+_STATIC = {'none': (), 'force': ('force',), 'torque': ('torque',), 'both': ('force', 'torque')}
+
 
 @dataclass(frozen=True, repr=False)
 class Scene:
@@ -78,7 +81,8 @@ class Scene:
         count = self.values['model.modes']
         damping = np.array(self.values['arm.damping_ratio'] or 0.0)
         return formulation_class(self.values['model.formulation'])(
-            self.manipulator, count, damping, self.constraints)
+            self.manipulator, count, damping, self.constraints,
+            static=_STATIC[self.values['model.static_modes']])
 
     @property
     def friction(self) -> np.ndarray:

@@ -51,6 +51,8 @@ class Formulation(ABC):
     constraints : Constraints
     nodes : int, optional
         Number of quadrature nodes; by default as many as `node_count` finds good.
+    static : tuple of str
+        See `modes_of`.
 
     Attributes
     ----------
@@ -67,9 +69,10 @@ class Formulation(ABC):
 
     speed_limit = math.inf
 
-    def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None):
+    def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
+                 static=()):
         self.manipulator, self.constraints = manipulator, constraints
-        self.modes = modes_of(manipulator, count)
+        self.modes = modes_of(manipulator, count, static)
         self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (count,))
         self.size = 2 * (3 + count)
         # The first of the coordinates theta, q_1..q_N that is free, and the free axes.
