@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING
 from timo_sim.version import __version__
 
 if TYPE_CHECKING:
-    from timo_sim.runs.run import open_log, Run
+    from timo_sim.runs.open_log import open_log
+    from timo_sim.runs.run import Run
     from timo_sim.runs.simulate import simulate
     from timo_sim.scene.parameter import ModelWarning, ParameterError
     from timo_sim.scene.scene import load_scene, project_on_modes, Scene
@@ -40,7 +41,7 @@ _MODULES = {
     'choose_resolution': 'simulation.resolution',
     'linearize': 'simulation.linear',
     'load_scene': 'scene.scene',
-    'open_log': 'runs.run',
+    'open_log': 'runs.open_log',
     'project_on_modes': 'scene.scene',
     'simulate': 'runs.simulate',
     'simulate_many': 'sweep.many',

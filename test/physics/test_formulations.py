@@ -8,6 +8,8 @@
 
 """The formulations against the finite-element reference, rigid bodies and conservation laws."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -269,3 +271,29 @@ def test_a_tapered_arm_conserves_energy_and_momentum():
     assert np.abs(run.deflection(ARM_LENGTH)[:, 1]).max() > 0.02
     assert np.abs(energy / energy[0] - 1).max() < 1e-7
     assert np.abs(momentum - momentum[0]).max() < 1e-11
+
+
+# Force along the arm over Euler's load of the clamped arm, deflection by a force across it.
+@pytest.mark.parametrize('name', ['newton', 'newton_rigid_axial'])
+@pytest.mark.parametrize('axial, across, silent', [
+    (0.0, 10.0, True), (-0.02, 10.0, True), (-0.3, 10.0, False), (0.3, 10.0, False),
+    (-1.55, 0.0, False), (-0.95, 1.0, False), (0.0, 120.0, False)])
+def test_newton_tells_where_axial_force_and_deflection_count(name, axial, across, silent):
+    """It is silent where `exact` agrees to a thousandth of the arm's length, and only there."""
+    base = {'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,
+            'arm.damping_ratio': [0.7], 'model.modes': 2}
+    arm = timo_sim.load_scene(base).manipulator.arm
+    euler = np.pi**2 * arm.section.bending_stiffness / (4.0 * arm.length**2)
+    forces = {f'load.tip_force_{axis}.piecewise': {'time': [0.0], 'value': [force]}
+              for axis, force in (('x', axial * euler), ('y', across))}
+    runs = []
+    for formulation in (name, 'exact'):
+        scene = timo_sim.load_scene({**base, 'model.formulation': formulation, **forces})
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter('always')
+            runs.append(timo_sim.simulate(scene, 4.0))
+        expected = silent or formulation == 'exact'
+        assert len(told) == (not expected) and (expected or 'axial force' in str(told[0].message))
+    newton, exact = (run.deflection(arm.length)[-1, 1] for run in runs)
+    if across:  # a straight arm stays so, whatever presses it
+        assert (abs(newton - exact) < 1e-3 * arm.length) == silent

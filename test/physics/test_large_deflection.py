@@ -36,6 +36,7 @@ def test_exact_agrees_with_the_elastica(modes, rotation, deflection):
     assert elastica.LENGTH * error[2] < 2.0 * deflection + 2e-6
 
 
-def test_newton_does_not():
-    run, truth = elastica.compare(3, LOAD, 'newton')
+def test_newton_does_not_and_says_so():
+    with pytest.warns(timo_sim.ModelWarning, match='take model.formulation exact'):
+        run, truth = elastica.compare(3, LOAD, 'newton')
     assert elastica.LENGTH * np.abs(run - truth)[1] > 0.5

@@ -122,6 +122,10 @@ def test_energy_balance_closes(run, paper):
 
     # Of samples at 500 Hz under loads of 4 Hz: Simpson's rule has (0.05)^4 / 2880.
     assert worst(run) < 1e-6
+    driven = timo_sim.load_scene('spin_up')
+    assert worst(timo_sim.simulate(driven, 10.0)) < 1e-6
+    pushed = driven.vary({'load.torque.piecewise': {'time': [0.0], 'value': [1.0]}})
+    assert of_run(timo_sim.simulate(pushed, 0.1)).trace('balance') is None
     damped = timo_sim.load_scene(paper, {'arm.damping_ratio': [0.02]})
     track = of_run(timo_sim.simulate(damped, 3.0))
     assert np.all(np.diff(track.trace('balance').values[::10, 0]) < 1e-9)

@@ -108,6 +108,12 @@ def rotate(theta, x, y):
     return cosine * x - sine * y, sine * x + cosine * y
 
 
+def tip_force(loads, theta):
+    """Return the force on the tip in world axes by loads, (n, 14), and shaft angles, (n,) [N]."""
+    x, y = rotate(theta, loads[:, TIP_I], loads[:, TIP_II])
+    return x + loads[:, TIP_X], y + loads[:, TIP_Y]
+
+
 def place(origin_x, origin_y, theta, x, y):
     """Return the world position of a point x, y of axes turned by theta about an origin [m]."""
     cosine, sine = math.cos(theta), math.sin(theta)

@@ -24,6 +24,7 @@ from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.scene.scene import Scene
 from timo_sim.scene.summary import html_table
 from timo_sim.simulation.energy import integral
+from timo_sim.simulation.joints import applied, joints_of_run
 from timo_sim.simulation.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -149,21 +150,55 @@ class Run(MotionFields):
         What acts on the joints, shape (n, 3).
 
         Forces on the carrier in world axes [N] and torque on the shaft [N m] at the end of the
-        last step; at the first sample at the beginning of the first step.
+        last step; at the first sample at the beginning of the first step. Of a free joint what
+        loads and commands apply; of one that is held, locked or driven what its constraint does
+        besides these: its torque, or force, is what a brake or drive must be able to give.
         """
         if self.recording is not None:
             joints = self.recording.read('joint_states')['joint_states']
             return joints.values[np.searchsorted(joints.ns, np.rint(self.t * 1e9)), 6:9]
+        effort, constrained = applied(self._loads(), self.shaft), self.model.constrained
+        if not constrained.any():
+            return effort
+        return np.where(constrained, self._joints.reactions, effort)
+
+    def root_moment(self) -> np.ndarray:
+        """
+        Return the bending moment in the arm at its root, shape (n,) [N m].
+
+        From the balance of the shaft, which converges much faster with the modes than curvatures.
+
+        Raises
+        ------
+        ValueError
+            For a log, which does not say all loads.
+
+        """
+        return self._joints.root_moment
+
+    def root_strain(self) -> np.ndarray:
+        """Return the strain of the outer fibre at the root, shape (n,), as `root_moment`."""
+        return self._joints.root_strain
+
+    @cached_property
+    def _joints(self):
+        if self.recording is not None:
+            raise ValueError('a log does not say all loads: replay it with record_sensors = true '
+                             'for ~/root_strain')
+        return joints_of_run(self.scene, self.motion, self._loads())
+
+    def _loads(self):
+        # What acts at the samples, Coulomb friction left out, (n, 14).
         load, step = self.scene.load, self.scene.step
-        columns, effort = [FORCE_X, FORCE_Y, TORQUE], np.empty((len(self.t), 3))
+        loads = np.empty((len(self.t), LOADS))
         first, last = np.rint(self.t[[0, -1]] / step).astype(int)
         every = (last - first) // max(len(self.t) - 1, 1) or 1
         for k in range(0, len(self.t), _BLOCK):
             count = min(_BLOCK, len(self.t) - k)
             table = load.stages(first + k * every - 1, (count - 1) * every + 1, step)
-            effort[k:k + count] = table[::every, -1, columns]
-        effort[0] = load.stages(first, 1, step)[0, 0, columns]
-        return effort
+            loads[k:k + count] = table[::every, -1]
+        loads[0] = load.stages(first, 1, step)[0, 0]
+        return loads
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return what the node would publish, as columns with units in their names, (n,) each."""
@@ -230,10 +265,11 @@ class Run(MotionFields):
 
     def _snapshots(self):
         steps = np.rint(self.t / self.scene.step).astype(int).tolist()
-        for step, motion, effort in zip(steps, self.motion, self.effort.tolist()):
+        for step, motion, effort in zip(steps, self.motion, self.effort):
+            # Before the first step nothing has acted, but constraints hold.
+            shown = effort if step else np.where(self.model.constrained, effort, 0.0)
             load = [0.0] * LOADS
-            if step:  # before the first step nothing has acted
-                load[FORCE_X], load[FORCE_Y], load[TORQUE] = effort
+            load[FORCE_X], load[FORCE_Y], load[TORQUE] = shown.tolist()
             yield Snapshot(self.scene, self.model, step, round(step * self.scene.step * 1e9),
                            motion, load)
 
@@ -247,43 +283,3 @@ class Run(MotionFields):
     @staticmethod
     def _pick(xi, values):
         return values[:, 0] if np.ndim(xi) == 0 else values
-
-
-def open_log(path: str | Path, node: str | None = None) -> Run:
-    """
-    Open a log of the node, or of `Run.save`, as a run.
-
-    Parameters
-    ----------
-    path : str or Path
-    node : str, optional
-        Fully qualified name of the node, needed for a file of several.
-
-    Returns
-    -------
-    Run
-        Its samples are the messages of joint_states; `run.recording.topics` has all topics.
-
-    Raises
-    ------
-    LogError
-        If the file is no log, or does not say which scene it is of.
-
-    Examples
-    --------
-    >>> import timo_sim
-    >>> path = timo_sim.simulate(timo_sim.load_scene('paper'), 1.0).save('run.mcap')
-    >>> timo_sim.open_log(path).shaft.shape
-    (1001,)
-
-    """
-    from timo_sim.log.records import LogError
-    from timo_sim.log.recording import Recording
-    recording = Recording(path, node)
-    if recording.scene is None:
-        raise LogError(f'{recording.index.name} is a plain bag, which says nothing of the scene: '
-                       'timo_sim export makes a table of it')
-    _, ns, motion = recording.motion()
-    scene = recording.scene
-    heat = np.full(len(ns), np.nan) if scene.friction.any() else np.zeros(len(ns))
-    return Run(scene, scene.build(), 1e-9 * ns, motion, heat, None, recording.summary, recording)

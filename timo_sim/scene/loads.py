@@ -166,7 +166,7 @@ class Drive(Term):
         motion = np.stack([self.angle[-1] + self.speed[-1] * beyond, self.speed[-1] + zero, zero],
                           axis=-1)
         within = beyond < 0.0
-        if within.any():
+        if len(self.time) > 1 and within.any():
             for order in range(3):
                 motion[within, order] = self._curve(time[within], order)
         return motion

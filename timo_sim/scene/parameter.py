@@ -125,7 +125,8 @@ def whole_ratio(name, value, unit_name, unit):
     """
     ratio = value / unit
     count = round(ratio) if math.isfinite(ratio) else 0
-    if abs(ratio - count) > max(1e-6, 1e-15 * ratio) or not math.isfinite(ratio):
+    near = abs(ratio - count) <= max(1e-6, 1e-15 * ratio) and (count or not value)
+    if not near or not math.isfinite(ratio):
         raise ParameterError(f'{name} = {value:.12g} must be a whole multiple of '
                              f'{unit_name} = {unit:.12g}, the ratio is {ratio:.15g}')
     return count

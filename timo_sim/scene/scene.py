@@ -32,6 +32,8 @@ from timo_sim.scene.summary import html_table
 
 _POSITION = [f'initial.{joint}' for joint in ('carrier_x', 'carrier_y', 'shaft')]
 _VELOCITY = [f'{name}_velocity' for name in _POSITION]
+# Of `model.static_modes`, as the modes are told.
+_STATIC = {'none': (), 'force': ('force',), 'torque': ('torque',), 'both': ('force', 'torque')}
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,7 +83,8 @@ class Scene:
         count = self.values['model.modes']
         damping = np.array(self.values['arm.damping_ratio'] or 0.0)
         return formulation_class(self.values['model.formulation'])(
-            self.manipulator, count, damping, self.constraints)
+            self.manipulator, count, damping, self.constraints,
+            static=_STATIC[self.values['model.static_modes']])
 
     @property
     def friction(self) -> np.ndarray:

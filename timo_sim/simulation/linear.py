@@ -17,8 +17,10 @@ from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameter import did_you_mean, ParameterError
 from timo_sim.scene.scene import Scene
 from timo_sim.scene.summary import html_table
+from timo_sim.simulation.joints import Joints
 
-# Differences of fourth order over this part of the arm's length, or of a radian.
+# Differences of fourth order: over this part of the arm's length, or turn of its most turned
+# section [rad]. Where the tip is heavy it hardly moves, and says nothing of how far the arm bends.
 _SHIFT = 1e-3
 _STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
 _INPUTS = {f'{channel}_{"N_m" if "torque" in channel else "N"}': column
@@ -182,7 +184,10 @@ def linearize(scene: Scene, at: np.ndarray | None = None) -> LinearModel:
     _check(at, formulation.rate(state, load))
     free = np.array([*axes, *range(2 + first, half)], dtype=int)
     free, half = np.concatenate([free, half + free]), len(free)
-    steps = np.tile(_SHIFT * formulation.manipulator.arm.length / formulation.reach, 2)
+    modes, xi = formulation.modes, formulation.points.xi
+    turn = np.max(np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi)), axis=0)
+    length = formulation.manipulator.arm.length
+    steps = np.tile(_SHIFT * np.concatenate([[length, length, 1.0], 1.0 / turn]), 2)
 
     def jacobian(function):
         return _jacobian(function, at, steps, free)
@@ -201,10 +206,14 @@ def linearize(scene: Scene, at: np.ndarray | None = None) -> LinearModel:
 
     outputs = _Outputs(formulation)
     c = jacobian(outputs.values)
-    # Of the tip's velocity the rates are those of the coordinates and what these do.
+    d = np.zeros((len(c) + 1, len(inputs)))
+    # Two outputs are made by loads and by accelerations, of which A and B have the rows.
+    columns = [_INPUTS[name] for name in inputs]
+    strain = outputs.strain(at, accelerations=np.eye(formulation.size // 2)[free[:half]])
+    c[outputs.root_strain] += strain @ a[half:]
+    d[outputs.root_strain] = strain @ b[half:] + outputs.strain(at, loads=np.eye(LOADS)[columns])
     across = jacobian(lambda motion: outputs.across(motion, at[2]))[:, :half]
-    c = np.vstack([c, across @ a[half:]])
-    d = np.vstack([np.zeros((len(c) - 1, len(inputs))), across @ b[half:]])
+    c, d[-1] = np.vstack([c, across @ a[half:]]), across @ b[half:]
     return LinearModel(a, b, c, d, _state_names(axes, first, len(formulation.modes)),
                        tuple(inputs), (*outputs.names, 'tip_acceleration_m_per_s2'))
 
@@ -236,18 +245,27 @@ class _Outputs:
              'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain',
              'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
              'shaft_velocity_rad_per_s')
+    root_strain = names.index('root_strain')
 
     def __init__(self, formulation):
         self._formulation, self._half = formulation, formulation.size // 2
         self._tip = formulation.at([formulation.manipulator.arm.length])
 
     def values(self, motion):
-        """Return the values of `names` in a motion."""
+        """Return the values of `names` in a motion, where nothing accelerates."""
         base, rates = motion[:3], motion[self._half:self._half + 3]
         along, sideways, rotation = self._formulation.tip(motion)
         return np.concatenate([
             base, self._world(motion), [along, sideways, rotation],
-            [self._formulation.root_strain @ motion[3:self._half]], rates])
+            self.strain(motion, loads=np.zeros((1, LOADS))), rates])
+
+    def strain(self, motion, accelerations=None, loads=None):
+        """Return the strain at the root for each of some accelerations, or loads, shape (k,)."""
+        count = len(loads if accelerations is None else accelerations)
+        accelerations, loads = (np.zeros((count, size)) if given is None else given
+                                for given, size in ((accelerations, self._half), (loads, LOADS)))
+        return Joints(self._formulation, np.tile(motion, (count, 1)), accelerations,
+                      loads).root_strain
 
     def across(self, motion, angle):
         """Return where the tip is along axis II of a shaft at an angle, shape (1,) [m]."""

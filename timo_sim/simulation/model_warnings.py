@@ -8,14 +8,18 @@
 
 """When a run is not to be trusted: the conditions, and texts that say what to do."""
 
+import math
 from typing import Any
 
 import numpy as np
 
 from timo_sim.physics.integrate.split import FINEST
+from timo_sim.physics.layout import Motion
 
 # Part of the period of a harmonic load that a step may cover: its three values then are the load.
 _MOST_OF_A_PERIOD = 0.25
+# How far what `newton` leaves out may move the tip, in arm lengths.
+_MOST_LEFT_OUT = 1e-3
 # How far joints may drift in steps with dry friction, in arm lengths.
 _MOST_DRIFT = _MOST_ERROR = 3e-4  # of the arm's length
 
@@ -44,9 +48,9 @@ def unseen_load(scene):
             f'{_MOST_OF_A_PERIOD / frequency:.2g} s')
 
 
-def after_steps(scene, steps, time, speed):
+def after_steps(scene, steps, time, state, load, motions, warning):
     """
-    Return the warning of what has happened in some steps, or None.
+    Return the warning of a run after some steps, or None: the first, but what is unstable wins.
 
     Parameters
     ----------
@@ -54,12 +58,21 @@ def after_steps(scene, steps, time, speed):
     steps : Steps
     time : float
         At their end [s].
-    speed : float
-        Largest shaft speed at their samples and their end [rad/s].
+    state : ndarray, shape (m,)
+    load : ndarray, shape (14,)
+        At their end.
+    motions : ndarray, shape (n, 2 (3 + N))
+        At their samples.
+    warning : str or None
+        Of the run before them.
 
     """
-    if speed > steps.model.speed_limit:
-        return _fast_shaft(scene, steps.model, speed)
+    if not math.isinf(steps.model.speed_limit):
+        motions = np.vstack([motions, steps.motion(state, load)])
+        warning = _fast_shaft(scene, steps.model, motions) or warning or _left_out(
+            scene, steps.model, time, steps.model.axial_share(state, steps.acting(load)), motions)
+    if warning:
+        return warning
     if not steps.errors.tip <= _MOST_ERROR * scene.manipulator.arm.length:
         return _inaccurate_steps(scene, steps, time)
     if steps.unresolved:
@@ -76,11 +89,27 @@ def _inaccurate_steps(scene, steps, time):
             f'take a smaller integrator.step{remedy}')
 
 
-def _fast_shaft(scene, model, speed):
+def _fast_shaft(scene, model, motions):
+    speed = np.abs(Motion(motions).shaft_velocity).max()
+    if not speed > model.speed_limit:
+        return None
     return (f'at {speed:.3g} rad/s the shaft is faster than {model.speed_limit:.3g} rad/s, where '
             f'the arm loses its stiffness in model.formulation '
             f'{scene.values["model.formulation"]}, which has no centrifugal '
             'stiffening: take model.formulation exact')
+
+
+def _left_out(scene, model, time, share, motions):
+    length = scene.manipulator.arm.length
+    deflection = np.abs(Motion(motions).q @ model.tip_point.deflection[:, 0]).max()
+    # The share makes the arm softer or stiffer; that the arm shortens is of third order in w.
+    if (abs(share) * deflection + (1.0 + share) * deflection**3 / length**2
+            <= (1.0 + share) * _MOST_LEFT_OUT * length):
+        return None
+    return (f'before t = {time:.6g} s the tip is bent by {deflection:.2g} m and the axial force '
+            f'changes the stiffness of the arm by {round(100.0 * share)} %: model.formulation '
+            f'{scene.values["model.formulation"]} leaves out what that does, take '
+            'model.formulation exact')
 
 
 def _unresolved_steps(steps, time):

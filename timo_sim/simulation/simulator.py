@@ -8,8 +8,6 @@
 
 """A scene that is advanced in time: loads are tabulated, steps integrated, trouble told."""
 
-import math
-
 import numpy as np
 
 from timo_sim.jit.code_store import compiling, is_compiled
@@ -128,7 +126,8 @@ class Simulator:
             self.integration.warm_up(self._state, self.load)
             if messages:
                 self.model.tip(motion)
-            if messages and not compiled:
+            warned = np.isfinite(self.model.speed_limit)
+            if warned or messages and (not compiled or self.model.constrained.any()):
                 self.model.rate(self._state, self.load)
 
     @property
@@ -149,9 +148,7 @@ class Simulator:
     @property
     def sensors(self):
         """What the sensors read now: encoder, root_strain, tip_acceleration, gyro."""
-        state, load = self._state.copy(), self.integration.acting(self.load)
-        return Sensors(self.snapshot(
-            tip_acceleration=lambda: self.integration.tip_acceleration(state, load)))
+        return Sensors(self.snapshot(state=self._state.copy()))
 
     @property
     def deflection(self):
@@ -160,14 +157,16 @@ class Simulator:
 
     @property
     def effort(self):
-        """What acted last: force x and y on the carrier [N], torque on the shaft [N m], (3,)."""
+        """Efforts of carrier x, y [N] and shaft [N m], shape (3,), see `Snapshot.effort`."""
         return np.array(self.snapshot().effort)
 
-    def snapshot(self, load=None, tip_acceleration=None):
-        """Return what messages need of the motion now, until the next step."""
+    def snapshot(self, load=None, state=None):
+        """Return what messages need of the motion now, until the next step, or of a kept state."""
+        load = self.load.tolist() if load is None else load
+        acts = (self.integration, self._state if state is None else state,
+                self.integration.acting(self.load))
         return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
-                        self.load.tolist() if load is None else load,
-                        tip_acceleration or self.tip_acceleration)
+                        load, acts)
 
     def tip_acceleration(self):
         """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
@@ -257,7 +256,7 @@ class Simulator:
                 self._give_up(before, count, commanded)
         self.steps += count
         self.load = self.load.copy()
-        self._look_for_warnings(self._largest_speed(motions))
+        self._look_for_warnings(motions)
         return motions, heat
 
     @property
@@ -266,12 +265,12 @@ class Simulator:
         if not self._resting:
             tabulate, number = self._table.tabulate(self._actuators), self.steps - self._origin
             self.integration.errors.conclude(self._state, self.load, tabulate, number)
-            self._look_for_warnings()
+            self._look_for_warnings(np.empty((0, self.model.size)))
         return self.integration.errors.tip + self.integration.friction_drift
 
-    def _look_for_warnings(self, speed=0.0):
-        self.warning = self.warning or model_warnings.after_steps(
-            self.scene, self.integration, self.t, speed)
+    def _look_for_warnings(self, motions):
+        self.warning = model_warnings.after_steps(
+            self.scene, self.integration, self.t, self._state, self.load, motions, self.warning)
 
     def _rests(self, count, commanded):
         # Whether these steps would leave the state as it is, to the last bit.
@@ -284,13 +283,6 @@ class Simulator:
             motions[:] = self.motion.values
         self.steps += count
         return motions, heat
-
-    def _largest_speed(self, motions):
-        # Of the shaft, at samples and end; 0 where it does not matter [rad/s].
-        if math.isinf(self.model.speed_limit):
-            return 0.0
-        samples = Motion(motions).shaft_velocity
-        return max(abs(self.motion.shaft_velocity), np.abs(samples).max(initial=0.0))
 
     def _bend(self):
         # Deflection by all modes together [m].

@@ -16,6 +16,7 @@ from timo_sim.messages.outputs import NANOSECONDS
 from timo_sim.messages.sensors import SENSORS
 from timo_sim.physics.layout import (
     FORCE_I, FORCE_II, FORCE_X, FORCE_Y, place, rotate, TORQUE)
+from timo_sim.simulation.joints import joints_of_state
 from timo_sim.simulation.sensors import reading
 
 _SENSORS = {sensor.name: (number, sensor) for number, sensor in enumerate(SENSORS)}
@@ -35,8 +36,9 @@ class Snapshot:
         See `physics.layout`.
     load : list of float, length 14
         What acted at the end of the last step, see `physics.layout`.
-    tip_acceleration : function() -> ndarray, optional
-        Returns the acceleration of the tip in world axes [m/s2].
+    acts : tuple of Steps, ndarray (m,) and ndarray (14,), optional
+        The time steps, the state and all that acts on it, for what needs accelerations; without
+        it the load is all that acts on the joints.
 
     Attributes
     ----------
@@ -45,9 +47,8 @@ class Snapshot:
 
     """
 
-    def __init__(self, scene, model, step, nanoseconds, motion, load, tip_acceleration=None):
-        self._scene, self._model, self._load = scene, model, load
-        self._world_acceleration = tip_acceleration
+    def __init__(self, scene, model, step, nanoseconds, motion, load, acts=None):
+        self._scene, self._model, self._load, self._acts = scene, model, load, acts
         self.step, self.nanoseconds, self.motion = step, nanoseconds, motion
         self.time = divmod(nanoseconds, NANOSECONDS)
         self._values = motion.tolist()
@@ -68,12 +69,25 @@ class Snapshot:
         """Modal coordinates [m sqrt(kg)], then their rates [m sqrt(kg)/s]."""
         return self._values[3:self._half] + self._values[self._half + 3:]
 
+    @cached_property
+    def _joints(self):
+        integration, state, acting = self._acts
+        return joints_of_state(integration, self.motion, state, acting)
+
     @property
     def effort(self):
-        """Forces on the carrier in world axes [N] and torque on the shaft [N m]."""
+        """
+        Forces on the carrier in world axes [N] and torque on the shaft [N m].
+
+        Of a free joint what commands and loads apply; of another what holds or drives it besides.
+        """
         load = self._load
-        return (*place(load[FORCE_X], load[FORCE_Y], self._values[2], load[FORCE_I],
-                       load[FORCE_II]), load[TORQUE])
+        effort = (*place(load[FORCE_X], load[FORCE_Y], self._values[2], load[FORCE_I],
+                         load[FORCE_II]), load[TORQUE])
+        constrained = self._model.constrained
+        if self._acts is None or not constrained.any():
+            return effort
+        return tuple(np.where(constrained, self._joints.reactions[0], effort).tolist())
 
     @cached_property
     def tip(self):
@@ -83,7 +97,7 @@ class Snapshot:
     @property
     def root_strain(self):
         """Strain of the outer fibre at the root."""
-        return float(self._model.root_strain @ self.motion[3:self._half])
+        return float(self._joints.root_strain[0])
 
     @property
     def tip_turning(self):
@@ -94,7 +108,8 @@ class Snapshot:
     @property
     def tip_acceleration(self):
         """Acceleration of the tip along the axes of the end effector [m/s2]."""
-        x, y = self._world_acceleration().tolist()
+        integration, state, acting = self._acts
+        x, y = integration.tip_acceleration(state, acting).tolist()
         return rotate(-(self._values[2] + self.tip[2]), x, y)
 
     def sensor(self, name):

@@ -20,14 +20,19 @@ _FREQUENCIES = 4000
 def plot(run):
     """Return a Figure of a Run: curves over time, and the arm in the plane."""
     length = run.scene.manipulator.arm.length
-    figure = Figure(figsize=(12, 7), layout='constrained')
-    axes = figure.subplot_mosaic([['tip', 'plane'], ['shaft', 'plane'], ['carrier', 'plane']],
-                                 width_ratios=[3, 2])
     curves = {
         'tip': ('tip deflection [m]', {'axial': run.deflection(length)[:, 0],
                                        'transverse': run.deflection(length)[:, 1]}),
         'shaft': ('shaft angle [rad]', {'theta': run.shaft}),
         'carrier': ('carrier [m]', {'x': run.carrier[:, 0], 'y': run.carrier[:, 1]})}
+    held = run.model.constrained
+    if held[:2].any():
+        curves['force'] = 'holding force [N]', {
+            axis: run.effort[:, k] for k, axis in enumerate('xy') if held[k]}
+    if held[2]:
+        curves['torque'] = 'holding torque [N m]', {'torque': run.effort[:, 2]}
+    figure = Figure(figsize=(12, 1 + 2 * len(curves)), layout='constrained')
+    axes = figure.subplot_mosaic([[name, 'plane'] for name in curves], width_ratios=[3, 2])
     for name, (label, lines) in curves.items():
         for (line, values), colour in zip(lines.items(), _COLOURS):
             axes[name].plot(run.t, values, color=colour, label=line)
@@ -35,7 +40,7 @@ def plot(run):
         axes[name].grid(alpha=0.3)
         if len(lines) > 1:
             axes[name].legend(fontsize='small')
-    axes['carrier'].set(xlabel='time [s]')
+    axes[[*curves][-1]].set(xlabel='time [s]')
 
     xi = np.linspace(0.0, length, _POINTS)
     shapes = run.position(xi)

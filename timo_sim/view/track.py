@@ -20,6 +20,8 @@ from timo_sim.simulation.energy import integral, work
 
 _POINTS = 41     # of the centre line that is drawn
 _BLOCK = 1024    # samples that are worked out at once: what they need stays near the processor
+# Commands whose work is not in the efforts of joints: the others on a driven shaft.
+_UNSEEN = ('~/tip_wrench', '~/motor_torque', '~/motor_voltage', '~/joint_command', '~/commands')
 
 
 class TrackError(ValueError):
@@ -120,7 +122,7 @@ def of_recording(recording, name):
     shape needs is not on it.
     """
     scene, series = recording.scene, recording.read(
-        'joint_states', '~/modal_state', '~/tip_wrench')
+        'joint_states', '~/modal_state', *_UNSEEN)
     joints = series.get('joint_states')
     if joints is None or not len(joints.ns):
         raise TrackError(f'{recording.path} has no joint_states: there is nothing to show')
@@ -134,10 +136,13 @@ def of_recording(recording, name):
         np.searchsorted(joints.ns, ns, side='right') - 1)
     resets = np.searchsorted(step, recording.resets, side='right') - 1
     resets += step[resets] < recording.resets
+    driven = scene.values['motor.shaft'] == 'driven'
+    unseen = any(topic in series and len(series[topic].ns)
+                 for topic in (_UNSEEN if driven else _UNSEEN[:1]))
     return of_motion(name, scene, ns, motion, joints.values[place, 6:9],
                      resets[(0 < resets) & (resets < len(ns))],
-                     not recording.changes and ('~/tip_wrench' not in series
-                                                or not len(series['~/tip_wrench'].ns)))
+                     not (recording.changes or unseen
+                          or driven and recording.facts.get('timo_sim') == '0.1.0'))
 
 
 def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=None):
@@ -179,10 +184,11 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
     if half > 3:
         traces.append(Trace('modal', tuple(f'q{n}' for n in range(1, half - 2)), ns, modal))
     energy = _in_blocks(formulation.energy, motion)
-    pushed = any(scene.load.terms[channel] for channel in CHANNELS if channel.startswith('tip'))
-    # Neither the torque of a driven shaft is known nor, without `heat`, that of Coulomb friction.
-    known = scene.values['motor.shaft'] != 'driven' and (
-        heat is not None or not scene.friction.any())
+    # What constraints do is part of the effort, a torque on a driven shaft besides is not.
+    unseen = 'torque' if scene.values['motor.shaft'] == 'driven' else 'tip'
+    pushed = any(scene.load.terms[channel] for channel in CHANNELS
+                 if channel.startswith(('tip', unseen)))
+    known = heat is not None or not scene.friction.any()
     if balanced and known and not pushed:
         done = work(ns, motion[:, :3], motion[:, half:half + 3], effort)
         done -= integral(ns, _in_blocks(formulation.dissipation, motion))

@@ -15,11 +15,12 @@ import numpy as np
 from timo_sim.jit.constants import pack
 from timo_sim.physics.arm.galerkin import frequencies, GalerkinModes
 from timo_sim.physics.arm.quadrature import Quadrature
+from timo_sim.physics.arm.static_modes import StaticModes
 from timo_sim.physics.arm.waves import bisect, boundary_conditions, Constants, fields
 
 
 @functools.lru_cache(maxsize=16)
-def modes_of(manipulator, count):
+def modes_of(manipulator, count, static=()):
     """
     Return the lowest modes of a manipulator's arm, both spectra together.
 
@@ -30,13 +31,18 @@ def modes_of(manipulator, count):
     manipulator : Manipulator
     count : int
         Number of modes N.
+    static : tuple of str
+        Loads on the tip whose static shapes take the place of the last modes, 'force', 'torque'.
 
     Returns
     -------
-    UniformModes or GalerkinModes
+    UniformModes, GalerkinModes or StaticModes
         The closed form where there is one.
 
     """
+    if count and static:
+        static = static[:count]
+        return StaticModes(manipulator, modes_of(manipulator, count - len(static)), static)
     kind = UniformModes if manipulator.arm.uniform else GalerkinModes
     return kind(manipulator, count)
 

@@ -51,6 +51,8 @@ class Formulation(ABC):
     constraints : Constraints
     nodes : int, optional
         Number of quadrature nodes; by default as many as `node_count` finds good.
+    static : tuple of str
+        See `modes_of`.
 
     Attributes
     ----------
@@ -67,14 +69,18 @@ class Formulation(ABC):
 
     speed_limit = math.inf
 
-    def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None):
+    def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
+                 static=()):
         self.manipulator, self.constraints = manipulator, constraints
-        self.modes = modes_of(manipulator, count)
+        self.modes = modes_of(manipulator, count, static)
         self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (count,))
         self.size = 2 * (3 + count)
         # The first of the coordinates theta, q_1..q_N that is free, and the free axes.
         self.first = int(constraints.driven)
         self.axes = np.array(constraints.free_axes, dtype=np.int64)
+        # Of carrier x, y and shaft, which are held, locked or driven.
+        self.constrained = np.array([*(axis not in self.axes for axis in range(2)),
+                                     constraints.driven])
         self.anchor = np.array([position or 0.0 for position in constraints.carrier])
         self.quadrature = Quadrature(manipulator.arm.breaks, nodes or self.node_count(count))
         # The points that carry mass: the nodes and the tip.
@@ -127,6 +133,15 @@ class Formulation(ABC):
     def centre_line_rate(self, q, qdot, points):
         """Return the rate of `centre_line` in the turning axes, shape (n, p, 2) [m/s]."""
 
+    @abstractmethod
+    def effort(self, motions, accelerations, loads):
+        """
+        Return what must act on carrier and shaft, friction included, for accelerations (T37).
+
+        Motions, accelerations of their 3 + N coordinates, loads of which those on the tip act:
+        n of each; forces in world axes [N] and torque [N m], shape (n, 3).
+        """
+
     @cached_property
     def reach(self):
         """Shift of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, sizes, (3 + N,)."""
@@ -160,13 +175,6 @@ class Formulation(ABC):
         rate = np.empty(len(state))
         rate_once(self.packed, state, load, rate)
         return self.linear @ state + rate
-
-    @cached_property
-    def root_strain(self):
-        """Strain of the outer fibre at the root per modal coordinate, shape (N,)."""
-        root = np.zeros(1)
-        height = np.ravel(self.manipulator.arm.at(root).height)[0]
-        return 0.5 * height * self.modes.curvature(root)[0]
 
     @cached_property
     def tip_point(self):

@@ -47,6 +47,7 @@ import numpy as np
 
 from timo_sim.physics.equations.base import Formulation
 from timo_sim.physics.equations.exact_functions import Tables
+from timo_sim.physics.layout import tip_force, TIP_TORQUE
 
 
 class Exact(Formulation):
@@ -111,6 +112,32 @@ class Exact(Formulation):
         shearing = self._relative(qdot) @ self.tables.shear
         return np.stack([(-b * turning - sine * shearing) @ points.integral,
                          (a * turning + cosine * shearing) @ points.integral], axis=-1)
+
+    def effort(self, motions, accelerations, loads):
+        """Return the rates of momentum, those by loads on the tip left out (T37)."""
+        half, table, body = self.size // 2, self.tables, self.manipulator
+        cosine, sine, a, b = self._slopes(motions[:, 2:half])
+        rates, second = motions[:, half + 2:], accelerations[:, 2:]
+        turning, shearing = rates @ table.rotation, rates @ table.shear
+        turn, shear = second @ table.rotation, second @ table.shear
+        to_points = self.points.integral
+        x, y = a @ to_points, b @ to_points
+        # Second derivatives of the slopes, integrated to the points of mass.
+        pull_x = self.point_mass * (accelerations[:, :1] + (
+            -b * turn - sine * shear
+            - turning * (a * turning + 2.0 * cosine * shearing)) @ to_points)
+        pull_y = self.point_mass * (accelerations[:, 1:2] + (
+            a * turn + cosine * shear
+            - turning * (b * turning + 2.0 * sine * shearing)) @ to_points)
+        section = second[:, :1] + second[:, 1:] @ self.points.rotation
+        force = tip_force(loads, motions[:, 2])
+        pull_x[:, -1] -= force[0]
+        pull_y[:, -1] -= force[1]
+        return np.column_stack([
+            body.base_mass * accelerations[:, 0] + pull_x.sum(axis=1),
+            body.base_mass * accelerations[:, 1] + pull_y.sum(axis=1),
+            body.shaft_inertia * accelerations[:, 2] + section @ self.point_inertia
+            + (x * pull_y - y * pull_x).sum(axis=1) - loads[:, TIP_TORQUE]])
 
     @staticmethod
     def _relative(q):

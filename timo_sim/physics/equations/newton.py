@@ -39,12 +39,14 @@ left out. Of a driven shaft theta'' is given, and its row is left out too. The s
 without what is held or driven.
 """
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from timo_sim.physics.equations.base import Formulation
 from timo_sim.physics.equations.newton_functions import Tables
+from timo_sim.physics.layout import ANGLE, rotate, SPEED, tip_force, TIP_TORQUE
 
 
 class Laws(NamedTuple):
@@ -110,7 +112,8 @@ class Newton(Formulation):
             # it is not in the equations.
             weak = self.gram / np.outer(self.modes.omega, self.modes.omega)
             self.speed_limit = 1.0 / np.sqrt(np.linalg.eigvalsh(weak)[-1])
-        laws, base_mass = self.laws(), self.manipulator.base_mass
+        self._laws = laws = self.laws()
+        base_mass = self.manipulator.base_mass
         stiffness, damping = self.modes.omega**2, 2.0 * self.damping * self.modes.omega
         free, axes = slice(self.first, None), len(self.axes)
         inverse = np.linalg.inv(laws.matrix[free, free])
@@ -142,6 +145,50 @@ class Newton(Formulation):
         half = self.size // 2
         free = np.concatenate([self.axes, np.arange(2 + self.first, half)])
         return np.concatenate([motion[free], motion[half + free]])
+
+    def effort(self, motions, accelerations, loads):
+        """Return what rows of the shaft and of the carrier, with P(0), V(0), ask for (T37)."""
+        half, laws, theta = self.size // 2, self._laws, motions[:, 2]
+        q, omega, qdot = motions[:, 3:half], motions[:, half + 2], motions[:, half + 3:]
+        alpha, beta = rotate(-theta, *accelerations[:, :2].T)
+        tip_1, tip_2 = rotate(-theta, *tip_force(loads, theta))
+        stress = self.tables.stiffness * q + self.tables.damping * qdot
+        z = accelerations[:, 2:]
+        axial = (-self.arm_mass * alpha + z[:, 0] * (q @ laws.axial) + tip_1
+                 + 2.0 * omega * (qdot @ laws.axial) + omega**2 * self.lever)
+        shear = (-laws.shear_mass * beta - z @ laws.shear_row + stress @ laws.shear_stress
+                 + omega**2 * (q @ laws.shear_softening) + laws.tip_share * tip_2)
+        tip_moment = laws.tip_share * (
+            loads[:, TIP_TORQUE] + self.tables.length * tip_2 - (q @ self.tables.sway) * tip_1)
+        torque = (z @ laws.matrix[0] + laws.column[0] * beta - omega**2 * (q @ laws.softening[0])
+                  + stress @ laws.stress[0] - tip_moment)
+        root_x, root_y = rotate(theta, axial, shear)
+        return np.column_stack([self.tables.base_mass * accelerations[:, 0] - root_x,
+                                self.tables.base_mass * accelerations[:, 1] - root_y, torque])
+
+    @cached_property
+    def _tension(self):
+        # Stiffness of the first mode by a force on the tip, an acceleration, a squared speed.
+        xi = self.quadrature.nodes
+        slope = self.modes.rotation(xi)[:, 0] + self.modes.shear(xi)[:, 0]
+        inboard = self.points.integral.T @ slope**2
+        mass = self.point_mass
+        return np.array([inboard[-1], -mass @ inboard, (mass * self.points.xi) @ inboard])
+
+    def axial_share(self, state, load):
+        """
+        Return the stiffness by the axial force, which is left out, over the first mode's (T39).
+
+        At a state and a load that acts; negative in compression, below -1 the arm buckles.
+        """
+        half, axes = len(state) // 2, list(self.axes)
+        angle, speed = (load[ANGLE], load[SPEED]) if self.first else (
+            state[len(axes)], state[half + len(axes)])
+        acceleration = np.zeros(2)
+        acceleration[axes] = self.rate(state, load)[half:half + len(axes)]
+        alpha, _ = rotate(-angle, *acceleration)
+        pull, _ = rotate(-angle, *np.ravel(tip_force(load[np.newaxis], np.array([angle]))))
+        return float(self._tension @ [pull, alpha, speed**2] / self.modes.omega[0]**2)
 
     def centre_line(self, q, points):
         """Return the points (xi, w)."""

@@ -24,7 +24,7 @@ _BENT = 1e-5  # [rad]
 
 class RunError:
     """
-    The estimated error of a run, see doc/theory.md (T38).
+    The estimated error of a run, see doc/theory.md (T42).
 
     Steps between which no load jumps are told by their defects. Where loads jump every few steps,
     one step in a while is done in halves, too, and stands for those that are unseen.

@@ -203,16 +203,20 @@ class Steps:
 
         The difference of its velocity along the flow, good to 1e-9 in ordinary motion.
         """
+        motions, shift = self.flow(state, load)
+        before, after = self.model.velocities(motions, self.model.tip_point)[0][:, 0]
+        return (after - before) / (2.0 * shift)
+
+    def flow(self, state, load):
+        """Return motions just before and after a state, (2, 2 (3 + N)), half their time [s]."""
         model, drift = self.model, np.zeros(LOADS)
         drift[ANGLE], drift[SPEED] = load[SPEED], load[ACCELERATION]
         rate, half = model.rate(state, load), model.size // 2
         speed = self._observe(state, load)[half + 2:]
         turning = np.abs(speed[0] + speed[1:] @ model.points.rotation).max()
         shift = _TURN / (_TURN + turning)
-        motions = np.array([self._observe(state + side * rate, load + side * drift)
-                            for side in (-shift, shift)])
-        before, after = model.velocities(motions, model.tip_point)[0][:, 0]
-        return (after - before) / (2.0 * shift)
+        return np.array([self._observe(state + side * rate, load + side * drift)
+                         for side in (-shift, shift)]), shift
 
     def _observe(self, state, load):
         motions = np.empty((1, self.model.size))
