@@ -74,6 +74,23 @@ def test_a_step_allocates_nothing(paper, formulation):
     assert allocations(500) == allocations(10)
 
 
+@pytest.mark.parametrize('values', [{}, {'integrator.tolerance': 1e-6},
+                                    {'motor.coulomb_friction': 1.0}], ids=str)
+def test_loads_and_states_of_other_shapes_are_refused(values):
+    simulator = Simulator(timo_sim.load_scene(values))
+    steps, state, load = simulator.integration, simulator._state, simulator.load
+
+    def advance(state, load, shape):
+        return steps.advance(state, load, lambda first, count, parts: np.zeros((parts, *shape)),
+                             0, 1, 0, 0, *steps.samples(0, 0))
+
+    assert advance(state, load, (4, 14))[0] == 1
+    for wrong in ((state, load, (4, 8)), (state, load, (3, 14)), (state, load[:8].copy(), (4, 14)),
+                  (state[:-2].copy(), load, (4, 14))):
+        with pytest.raises(ValueError, match='a step takes a state of its model'):
+            advance(*wrong)
+
+
 RUN = """
 import timo_sim
 for modes in {}:

@@ -18,7 +18,7 @@ import numpy as np
 from timo_sim.jit.constants import local
 from timo_sim.jit.decorators import entry_point, inlined, inner, strict
 from timo_sim.physics.equations.functions import observe, rate
-from timo_sim.physics.layout import AFTER, END, MIDDLE, START
+from timo_sim.physics.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
 
 
 @inner
@@ -51,6 +51,15 @@ def is_finite(vector):
         if not np.isfinite(vector[i]):
             return False
     return True
+
+
+@strict
+def check(state, load, loads, propagator):
+    """Raise ValueError if a state or loads have other shapes than the compiled step reads."""
+    if len(state) != len(propagator.whole) or len(load) != LOADS or (
+            loads.shape[1] != STEP_LOADS or loads.shape[2] != LOADS):
+        raise ValueError('a step takes a state of its model, a load of shape (14,) and loads of '
+                         'shape (steps, 4, 14)')
 
 
 @inlined
@@ -115,6 +124,7 @@ def advance(tables, propagator, state, load, loads, sample_every, done, samples,
         Steps done; fewer than given if the state is no longer finite.
 
     """
+    check(state, load, loads, propagator)
     size = propagator.whole
     now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
     combined = local((size,))
@@ -172,6 +182,8 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
         Steps of these that are done, the first ones included.
 
     """
+    check(state, load, loads, whole)
+    check(state, load, of_halves, halves)
     size = whole.whole
     now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
     combined = local((size,))

@@ -22,7 +22,7 @@ import numpy as np
 from timo_sim.jit.constants import local, pack
 from timo_sim.jit.decorators import entry_point, inlined
 from timo_sim.physics.equations.functions import observe
-from timo_sim.physics.integrate.etdrk4 import copy, is_finite, one_step
+from timo_sim.physics.integrate.etdrk4 import check, copy, is_finite, one_step
 from timo_sim.physics.integrate.friction_events import (
     COLUMNS, fit, JOINTS, Joints, solve)
 from timo_sim.physics.integrate.steps import Steps
@@ -109,6 +109,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, sample_eve
         Receives the heat with each sample.
 
     """
+    check(state, load, loads, propagator)
     size, three = propagator.whole, joints.limit
     now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
     combined = local((size,))
