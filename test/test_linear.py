@@ -290,3 +290,24 @@ def test_bode_diagram_from_the_command_line(tmp_path):
 def test_what_moves_is_no_equilibrium(values):
     with pytest.raises(timo_sim.ParameterError, match='about an equilibrium'):
         timo_sim.linearize(timo_sim.load_scene(values))
+
+
+@pytest.mark.parametrize('values', [
+    {}, {'model.modes': 5}, {'model.formulation': 'newton'}, {'carrier.held': 'x'},
+    {'motor.shaft': 'locked', 'end_effector.mass': 0.0, 'end_effector.inertia': 0.0}], ids=str)
+@pytest.mark.parametrize('ratios', [[0.01], [0.02, 0.005, 0.01]], ids=str)
+def test_damping_ratios_of_the_whole_manipulator(values, ratios):
+    count = values.get('model.modes', 3)
+    ratios = ratios if len(ratios) == 1 else [*ratios, *[0.003] * (count - 3)]
+    poles = timo_sim.linearize(timo_sim.load_scene({
+        **values, 'arm.damping_ratio': ratios, 'arm.damping_of': 'system'})).poles()
+    poles = poles[poles.imag > 1.0]
+    assert len(poles) == count
+    assert -poles.real / np.abs(poles) == pytest.approx(
+        np.broadcast_to(ratios, count), rel=0.02)
+
+
+def test_damping_ratios_that_no_clamped_modes_give_are_refused():
+    with pytest.raises(timo_sim.ParameterError, match='mode 1 would need a ratio of -0.008'):
+        timo_sim.load_scene({'motor.shaft_inertia': 1e-3, 'arm.damping_ratio': [0.01],
+                             'model.modes': 5, 'arm.damping_of': 'system'})

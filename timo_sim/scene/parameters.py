@@ -103,6 +103,9 @@ _ALL = [
     _profile('shear_modulus', 'Pa'),
     Parameter('arm.damping_ratio', (), '', 'modal damping ratios: none, one for all modes, or one '
               'for each', low=0.0, high=1.0, runtime=True),
+    Parameter('arm.damping_of', 'clamped', '', 'whose vibrations have these ratios: those of the '
+              'arm clamped at the shaft, or of the whole manipulator (system), whose frequencies '
+              'are higher', choices=('clamped', 'system')),
     _positive('carrier.mass', 5.0, 'kg', 'mass of the carrier'),
     _not_negative('carrier.viscous_friction', 0.0, 'N s/m', 'force against the carrier per speed, '
                   'along world x and y', runtime=True),

@@ -26,7 +26,7 @@ from timo_sim.scene.build import (
     check_counts, constraints_of, implausible, load_of, manipulator_of)
 from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import Load
-from timo_sim.scene.parameter import ModelWarning, ParameterError, SCENE, whole_ratio
+from timo_sim.scene.parameter import ModelWarning, ParameterError, SCENE, short, whole_ratio
 from timo_sim.scene.parameters import changed, check, DELAYS, PARAMETERS
 from timo_sim.scene.summary import html_table
 
@@ -80,11 +80,23 @@ class Scene:
 
     @cached_property
     def _formulation(self):
-        count = self.values['model.modes']
-        damping = np.array(self.values['arm.damping_ratio'] or 0.0)
-        return formulation_class(self.values['model.formulation'])(
-            self.manipulator, count, damping, self.constraints,
-            static=_STATIC[self.values['model.static_modes']])
+        values, damping = self.values, np.array(self.values['arm.damping_ratio'] or 0.0)
+
+        def model(damping):
+            return formulation_class(values['model.formulation'])(
+                self.manipulator, values['model.modes'], damping, self.constraints,
+                static=_STATIC[values['model.static_modes']])
+
+        if values['arm.damping_of'] == 'clamped' or not damping.any():
+            return model(damping)
+        from timo_sim.physics.equations.system_damping import clamped_ratios
+        ratios = clamped_ratios(model(0.0), damping)
+        if ratios.min() < 0.0:
+            raise ParameterError(
+                'arm.damping_of = system must be possible with damping of the clamped modes, but '
+                f'mode {np.argmin(ratios) + 1} would need a ratio of {ratios.min():.2g} for '
+                f'arm.damping_ratio = {short(list(values["arm.damping_ratio"]))}')
+        return model(ratios)
 
     @property
     def friction(self) -> np.ndarray:
