@@ -31,7 +31,7 @@ SILENT_ONCE = [
 
 @pytest.mark.parametrize('differences', SILENT_ONCE, ids=str)
 def test_what_was_silent_once(differences):
-    for verdict, error, reason in judge({**PLAIN, **differences}):
+    for verdict, error, reason, _ in judge({**PLAIN, **differences}):
         assert verdict != 'silent', (error, reason)
 
 
@@ -40,11 +40,11 @@ def test_no_cell_is_wrong_and_silent():
               if cell['modes'] == 3 and cell['carrier'] != 'held']
     found = [judge(cell) for cell in chosen]
     for cell, verdicts in zip(chosen, found):
-        for verdict, error, reason in verdicts:
+        for verdict, error, reason, _ in verdicts:
             assert verdict != 'silent', (cell, error)
             assert bool(reason) or verdict == 'accurate'
     given, within = zip(*found)
-    assert sum(verdict == 'accurate' for verdict, _, _ in within) > 0.95 * len(chosen)
-    errors = [[error for _, error, _ in verdicts if math.isfinite(error)]
+    assert sum(verdict == 'accurate' for verdict, *_ in within) > 0.95 * len(chosen)
+    errors = [[error for _, error, *_ in verdicts if math.isfinite(error)]
               for verdicts in (given, within)]
     assert np.median(errors[1]) < np.median(errors[0])

@@ -45,12 +45,13 @@ LEVELS = {
     'slenderness': [100.0, 4.0, 10.0, 50.0, 500.0],  # length over height
     'tip mass': [1.0, 0.0, 10.0, 100.0],             # arm masses
     'tip inertia': [0.01, 0.0, 1.0, 100.0],          # masses of the arm times its length squared
-    'carrier': [10.0, 1e-3, 1e6, 'held'],            # [kg]
+    'carrier': [10.0, 1e-3, 1e6, 'held', 'held x'],  # [kg]
     'damping': [0.0, 0.01, 0.1, 1.0],                # ratio of all modes
     'load': ['none', 'resonance 1', 'near resonance 1', 'resonance 2', 'resonance 3', 'torque',
-             'impulse'],
+             'impulse', 'spike'],
     'friction': ['none', 'viscous', 'stiff', 'dry', 'sticky'],  # of carrier and shaft
 }
+HELD = {'held': 'both', 'held x': 'x'}
 VERDICTS = ['accurate', 'flagged', 'refused', 'silent']
 DURATION = 2.0  # [s]
 # Without loads and damping, at 1 ms.
@@ -86,7 +87,7 @@ def cells(count, seed=1):
 
 
 def _is_compiled(cell):
-    kind = 'held' if cell['carrier'] == 'held' else 'free'
+    kind = 'held' if cell['carrier'] in HELD else 'free'
     return cell['modes'] in _COMPILED.get((cell['formulation'], kind), LEVELS['modes'])
 
 
@@ -101,7 +102,7 @@ def scene_of(cell, step, tolerance=0.0):
         'end_effector.inertia': mass * LENGTH**2 * cell['tip inertia'],
         'motor.mass': 0.0, 'initial.shaft_velocity': cell['speed'],
         'arm.damping_ratio': [cell['damping']],
-        **({'carrier.held': 'both'} if cell['carrier'] == 'held' else
+        **({'carrier.held': HELD[cell['carrier']]} if cell['carrier'] in HELD else
            {'carrier.mass': cell['carrier']})}
     scene = timo_sim.load_scene(values)
     formulation = scene.build()
@@ -109,14 +110,14 @@ def scene_of(cell, step, tolerance=0.0):
         shape = np.zeros(cell['modes'])
         shape[0] = cell['vibration'] / formulation.reach[3]
         values['initial.modal_coordinates'] = shape.tolist()
-    values.update(_load(cell['load'], formulation, mass))
+    values.update(_load(cell['load'], formulation, mass, cell['step']))
     values.update(_friction(cell['friction'], mass))
     if cell['friction'] in ('dry', 'sticky'):  # whose steps cannot be split
         values['integrator.tolerance'] = 0.0
     return timo_sim.load_scene(values)
 
 
-def _load(kind, formulation, mass):
+def _load(kind, formulation, mass, step):
     torque = 0.3 * mass * LENGTH**2
     if kind == 'none':
         return {}
@@ -126,6 +127,10 @@ def _load(kind, formulation, mass):
     if kind == 'impulse':
         return {'load.torque.piecewise.time': [0.1, 0.12],
                 'load.torque.piecewise.value': [20.0 * torque, 0.0]}
+    if kind == 'spike':  # inside one of the cell's steps, and then one of its reference's
+        begin = (round(0.1 / step) + 0.13) * step
+        return {'load.torque.table.time': [begin, begin + 0.3 * step, begin + 0.4 * step],
+                'load.torque.table.value': [0.0, torque / step, 0.0]}
     vibrating = np.sort(np.linalg.eigvals(formulation.linear).imag)
     vibrating = vibrating[vibrating > 1.0]  # carrier and shaft do not
     number = int(kind[-1]) - 1
@@ -148,13 +153,21 @@ def _friction(kind, mass):
 
 
 def tip(scene, steps, every):
-    """Return the path of the tip, shape (n, 2) [m], and the run's warning."""
+    """Return the path of the tip, shape (n, 2) [m], the run's warning and estimated error [m]."""
     run = sampled_run(scene, steps, every)
-    return run.position(LENGTH), run.warning
+    return run.position(LENGTH), run.warning, run.stats['estimated_tip_error_m']
 
 
 def judge(cell):
-    """Return for fixed steps, and for split ones, what became of a cell, and its error [m]."""
+    """
+    Return what became of a cell, for fixed steps and for split ones.
+
+    Returns
+    -------
+    list of tuple
+        Verdict, error [m], reason, estimated error [m].
+
+    """
     step = cell['step']
     # Less time for what costs more: a step takes about N^2.
     most = _MOST / max(1.0, cell['modes'] / 3.0)**2
@@ -164,20 +177,20 @@ def judge(cell):
     try:
         fixed = scene_of(cell, step)
     except timo_sim.ParameterError as error:
-        return [('refused', math.nan, str(error))] * 2
-    reference, doubt = _reference(cell, step / 10.0, 10 * steps, 10 * every)
+        return [('refused', math.nan, str(error), math.nan)] * 2
+    reference, doubt, _ = _reference(cell, step / 10.0, 10 * steps, 10 * every)
     found = []
     for scene in fixed, scene_of(cell, step, TOLERANCE):
         try:
-            path, warning = tip(scene, steps, every)
+            path, warning, estimate = tip(scene, steps, every)
         except timo_sim.DivergenceError as error:
-            found.append(('refused', math.nan, str(error)))
+            found.append(('refused', math.nan, str(error), math.nan))
             continue
         error = math.inf if reference is None else np.abs(path - reference).max()
         # A reference with a warning cannot tell a wrong run from a right one.
         verdict = ('accurate' if error <= ACCURATE else 'flagged' if warning or doubt else
                    'silent')
-        found.append((verdict, error, warning or ''))
+        found.append((verdict, error, warning or '', estimate))
     return found
 
 
@@ -185,7 +198,7 @@ def _reference(cell, step, steps, every):
     try:
         return tip(scene_of(cell, step, TOLERANCE / 1000.0), steps, every)
     except timo_sim.DivergenceError:
-        return None, None
+        return None, None, None
 
 
 def matrix(count, seed=1):
@@ -197,12 +210,16 @@ def rows(quick=False):
     """Yield the rows of the matrix, for steps as they are given and with a tolerance."""
     names = 'steps as given', f'with integrator.tolerance = {TOLERANCE:g} m'
     for name, found in zip(names, matrix(40 if quick else 400)):
-        tally = Counter(verdict for verdict, _, _ in found)
-        false = sum(verdict == 'accurate' and bool(warning) for verdict, _, warning in found)
-        errors = [error for verdict, error, _ in found if verdict == 'accurate']
+        tally = Counter(verdict for verdict, *_ in found)
+        false = sum(verdict == 'accurate' and bool(warning) for verdict, _, warning, _ in found)
+        errors = [error for verdict, error, *_ in found if verdict == 'accurate']
+        ratios = np.array([estimate / error for _, error, _, estimate in found
+                           if 1e-6 * LENGTH < error < LENGTH])
+        near = np.mean((0.2 < ratios) & (ratios < 5.0)) if len(ratios) else math.nan
         yield (name, len(found), *(tally[verdict] for verdict in VERDICTS),
                f'{false} of the accurate ones carry a warning; median of their errors '
-               f'{np.median(errors):.1e} m')
+               f'{np.median(errors):.1e} m; the estimated error is within a factor of five of '
+               f'{100 * near:.0f} % of the {len(ratios)} errors above 1e-6 arm lengths')
 
 
 def long_rows(quick=False):
