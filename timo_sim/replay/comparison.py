@@ -58,7 +58,7 @@ def compare(segments, scene, columns):
     """
     count = other = 0
     result = []
-    for output in outputs(scene.values['model.modes']):
+    for output in outputs(scene.modal_count):
         topic = output.name
         done = [segment for segment in segments
                 if topic in segment.logged and topic in segment.replayed]

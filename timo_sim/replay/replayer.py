@@ -48,7 +48,7 @@ class Replay:
         self.simulator.warm_up()
         self.diverged = None
         self._segments, self._sink = segments, sink
-        self._outputs = {output.name: output for output in outputs(scene.values['model.modes'])}
+        self._outputs = {output.name: output for output in outputs(scene.modal_count)}
 
     def run(self, report=lambda count: None):
         """Do it; `report` receives how many further steps are done."""

@@ -99,7 +99,7 @@ class SimNode(Node):
         return (entry for entry in super().subscriptions if not entry.raw)
 
     def _made_outlets(self, scene):
-        outlets = [self._outlet(output) for output in outputs(scene.values['model.modes'])
+        outlets = [self._outlet(output) for output in outputs(scene.modal_count)
                    if output.name != '/clock' or self._values['publish_clock']]
         if self._values['publish_arm_shape']:
             outlets.append(arm_shape(self, self._simulator.model))

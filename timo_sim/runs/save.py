@@ -47,7 +47,7 @@ def columns_of(run):
 
 def _motion_outputs(run):
     # What is read off the motion alone: sensors need the simulator.
-    return [output for output in outputs(run.scene.values['model.modes'])
+    return [output for output in outputs(run.scene.modal_count)
             if output.columns and not output.delay]
 
 
