@@ -26,7 +26,7 @@ METADATA := pyproject.toml setup.py setup.cfg
 
 .PHONY: sim test test-lowest test-without-ros graphics gallery picture paper benchmark \
 	benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
-	references stability stress stress-quick clean
+	references stability stretch stress stress-quick clean
 
 sim: $(VENV)/.run
 	@mkdir -p $(dir $(RUN))
@@ -92,6 +92,9 @@ benchmark-control: $(VENV)/.plot
 
 benchmark-latency: $(VENV)/.benchmark
 	@$(BIN)/python -m benchmark.speed.latency
+
+stretch: $(VENV)/.benchmark
+	@$(BIN)/python -m benchmark.accuracy.stretch
 
 stress: $(VENV)/.benchmark
 	@$(BIN)/python -m benchmark.stress

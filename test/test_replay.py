@@ -143,6 +143,15 @@ def test_modes_where_the_log_has_none(tmp_path):
     assert step.tolist() == list(range(0, 101, 10)) and motion.shape == (11, 10)
 
 
+def test_an_arm_that_stretches_replays_to_the_last_bit(tmp_path):
+    run = timo_sim.simulate(timo_sim.load_scene({
+        'model.axial_modes': 2, 'initial.shaft_velocity': 5.0}), 0.1, sample_every=10)
+    run.save(tmp_path / 'soft.mcap')
+    assert np.array_equal(Recording(tmp_path / 'soft.mcap').motion()[2], run.motion)
+    assert run.motion.shape == (11, 2 * (3 + 3 + 2))
+    assert 'same to the last bit' in call('replay', tmp_path / 'soft.mcap')
+
+
 def test_another_time_step_and_one_that_does_not_fit(log, tmp_path):
     text = call('replay', log, '--set', 'integrator.step=0.0005', '-o', tmp_path / 'fine.mcap')
     assert '2 commands and 0 resets in 1 s' in text

@@ -37,6 +37,7 @@ class Scene:
     duration: float     # [s]
     period: float       # of the reference [s]
     drive: tuple | None
+    arm: str            # of the reference
     columns: dict = field(default_factory=dict)
 
     def load(self, overrides=None):
@@ -51,10 +52,11 @@ class Scene:
 
 SCENES = [
     Scene('paper', "the paper's scene, Table 4, 10 s", ROOT / 'config' / 'paper.yaml', 10.0,
-          0.01, None),
-    Scene('torque', 'torque steps, +20, -20, 0 N m, 5 s', TORQUE, 5.0, 0.01, None),
+          0.01, None, 'that stretches (E A of its section)'),
+    Scene('torque', 'torque steps, +20, -20, 0 N m, 5 s', TORQUE, 5.0, 0.01, None,
+          'that stretches (E A of its section)'),
     Scene('spin_up', 'spin-up of a 10 m arm, 20 s', ROOT / 'config' / 'spin_up.yaml', 20.0, 0.02,
-          spin_up()),
+          spin_up(), 'that does not stretch'),
 ]
 
 

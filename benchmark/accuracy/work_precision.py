@@ -168,7 +168,7 @@ def main():
         plot(scene, cases, pictures / f'{scene.name}.png')
         sections.append(f'## {scene.title[0].upper()}{scene.title[1:]}\n\n'
                         f'![Run time against error](benchmark/{scene.name}.png)\n\n{table}\n\n'
-                        f'Reference: {comment}\n')
+                        f'Reference, an arm {scene.arm}: {comment}\n')
         record[scene.name] = {
             'reference': comment, 'goals': GOALS, 'ratios': ratios,
             'cases': [{'method': case.method, 'settings': case.settings, 'errors': case.errors,

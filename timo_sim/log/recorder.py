@@ -184,7 +184,7 @@ class NewLog(Recorder):
         namespace = node.rpartition('/')[0]
         channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
         self._topics, self._peak = {}, Peak()
-        for output in outputs(scene.values['model.modes']):
+        for output in outputs(scene.modal_count):
             name = output.name
             topic = (name if name.startswith('/') else
                      node + name[1:] if name.startswith('~') else f'{namespace}/{name}')

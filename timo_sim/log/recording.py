@@ -158,7 +158,7 @@ class Recording:
             raise LogError(f'{self.index.name} has no joint_states of {self.name}')
         joints, modes = found['joint_states'], found.get('~/modal_state')
         if modes is None:
-            if self.scene is None or self.scene.values['model.modes']:
+            if self.scene is None or self.scene.modal_count:
                 raise LogError(f'{self.index.name} has no modal_state of {self.name}')
             return joints.step, joints.ns, joints.values[:, :6]
         first, second = common(joints.ns, modes.ns)

@@ -146,7 +146,7 @@ class Replay:
         self.simulator.warm_up()
         self.diverged = None
         self._segments, self._log = segments, log
-        self._outputs = {output.name: output for output in outputs(scene.values['model.modes'])}
+        self._outputs = {output.name: output for output in outputs(scene.modal_count)}
 
     def run(self, report=lambda count: None):
         """Do it; `report` receives how many further steps are done."""
@@ -206,7 +206,7 @@ class Replay:
 def _compare(segments, scene, topics):
     """Return how many numbers are in the log, how many of them differ, and the Differences."""
     count, other, result = 0, 0, []
-    for output in outputs(scene.values['model.modes']):
+    for output in outputs(scene.modal_count):
         topic = output.name
         parts = [(segment, slice(segment.done[topic])) for segment in segments
                  if topic in segment.logged and topic in segment.replayed]

@@ -65,7 +65,7 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
 
     """
     found = recording.topics
-    known = {output.name: output for output in outputs(scene.values['model.modes'])}
+    known = {output.name: output for output in outputs(scene.modal_count)}
     commands = [(number, found[command.name]) for number, command in enumerate(COMMANDS)
                 if command.name in found]
     motions = {name: series for name, series in found.items() if name in known and len(series.ns)}

@@ -83,7 +83,7 @@ class SimNode(Node):
         self._simulator.warm_up(self.get_logger().info, messages=True)
         self._log, self._peak = RunLog(self.get_logger()), Peak()
         self._commands = Commands(self, values['motor.dc.resistance'] > 0.0)
-        self._outlets = self._made_outlets()
+        self._outlets = self._made_outlets(scene)
         self._loop = Loop(self._simulator, values, self._commands, self._outlets, self._log,
                           self.get_logger(), end)
         self._health = Health(self, self._simulator, self._loop, self._commands, self._log,
@@ -99,8 +99,8 @@ class SimNode(Node):
         """Those that an executor serves: all but the commands."""
         return (entry for entry in super().subscriptions if not entry.raw)
 
-    def _made_outlets(self):
-        outlets = [self._outlet(output) for output in outputs(self._values['model.modes'])
+    def _made_outlets(self, scene):
+        outlets = [self._outlet(output) for output in outputs(scene.modal_count)
                    if output.name != '/clock' or self._values['publish_clock']]
         try:
             if self._values['publish_arm_shape']:

@@ -260,7 +260,7 @@ class Run(MotionFields):
 
     def _outputs(self):
         # What is read off the motion alone: sensors need the simulator.
-        return [output for output in outputs(self.scene.values['model.modes'])
+        return [output for output in outputs(self.scene.modal_count)
                 if output.columns and not output.delay]
 
     def _snapshots(self):

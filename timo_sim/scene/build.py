@@ -68,15 +68,23 @@ def constraints_of(values):
     for name, reason in still.items():
         if values[name] != 0.0:
             raise ParameterError(f'{name} must be 0 with {reason}, got {values[name]}')
-    if held == 'both' and shaft != 'free' and values['model.modes'] == 0:
+    if held == 'both' and shaft != 'free' and modal_count(values) == 0:
         raise ParameterError(f'nothing can move: carrier.held = both, motor.shaft = {shaft}, '
                              'model.modes = 0')
     return Constraints(tuple(carrier), shaft != 'free')
 
 
+def modal_count(values):
+    """Return the number of modal coordinates of a scene's values, axial ones included."""
+    return values['model.modes'] + values['model.axial_modes']
+
+
 def check_counts(values):
-    """Raise ParameterError if a list has not as many elements as there are modes."""
-    modes = values['model.modes']
+    """Raise ParameterError if numbers of modes do not fit the formulation, or lists them."""
+    modes, axial = modal_count(values), values['model.axial_modes']
+    if axial and values['model.formulation'] != 'exact':
+        raise ParameterError('model.axial_modes must be 0 with model.formulation = '
+                             f'{values["model.formulation"]}, got {axial}')
     if values['model.accuracy'] > 0.0:
         modes = 0  # to be chosen: what has an element for each mode cannot be given
     for name, allowed in (('arm.damping_ratio', (0, 1, modes)),
@@ -85,7 +93,8 @@ def check_counts(values):
         if len(values[name]) not in allowed:
             expected = ' or '.join(str(count) for count in sorted(set(allowed)))
             cause = 'a stated model.accuracy' if values['model.accuracy'] else (
-                f'model.modes = {modes}')
+                f'model.modes = {values["model.modes"]}' + (
+                    f' and model.axial_modes = {axial}' if axial else ''))
             raise ParameterError(f'{name} must have {expected} elements for {cause}, got '
                                  f'{len(values[name])}')
 

@@ -156,6 +156,9 @@ _ALL = [
     Parameter('model.modes', 3, '', 'number of assumed modes; 0 is a rigid arm', low=0, high=40),
     Parameter('model.static_modes', 'none', '', 'loads on the end effector whose static shapes '
               'take the place of the last modes', choices=('none', 'force', 'torque', 'both')),
+    Parameter('model.axial_modes', 0, '', 'number of modes in which the arm stretches, behind the '
+              'others in all lists of modes; 0: it does not; > 0 with formulation exact only',
+              low=0, high=3),
     _not_negative('model.accuracy', 0.0, 'm', 'tip error for which model.modes and '
                   'integrator.step are chosen, instead of given; 0: they are given'),
     Parameter('integrator.step', 0.001, 's', 'time step', low=1e-9, high=1000.0),

@@ -23,7 +23,7 @@ from timo_sim.physics.arm.bodies import Constraints, Manipulator
 from timo_sim.physics.equations import formulation_class
 from timo_sim.physics.equations.base import Formulation
 from timo_sim.scene.build import (
-    check_counts, constraints_of, implausible, load_of, manipulator_of)
+    check_counts, constraints_of, implausible, load_of, manipulator_of, modal_count)
 from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import Load
 from timo_sim.scene.parameter import ModelWarning, ParameterError, SCENE, short, whole_ratio
@@ -68,11 +68,16 @@ class Scene:
     def __repr__(self) -> str:
         values = self.values
         return (f'<Scene: arm of {values["arm.length"]:g} m, {values["model.formulation"]} with '
-                f'N = {values["model.modes"]}, h = {1e3 * self.step:g} ms, '
+                f'N = {self.modal_count}, h = {1e3 * self.step:g} ms, '
                 f'{len(changed(values))} parameters not as by default>')
 
     def _repr_html_(self) -> str:
         return html_table(repr(self)[1:-1], changed(self.values))
+
+    @property
+    def modal_count(self) -> int:
+        """Number of modal coordinates: of modes in bending, then of axial ones."""
+        return modal_count(self.values)
 
     def build(self) -> Formulation:
         """Return the formulation of the equations of motion that the scene asks for, kept."""
@@ -85,7 +90,7 @@ class Scene:
         def model(damping):
             return formulation_class(values['model.formulation'])(
                 self.manipulator, values['model.modes'], damping, self.constraints,
-                static=_STATIC[values['model.static_modes']])
+                static=_STATIC[values['model.static_modes']], axial=values['model.axial_modes'])
 
         if values['arm.damping_of'] == 'clamped' or not damping.any():
             return model(damping)
@@ -147,9 +152,9 @@ class Scene:
         if abs(run.t[sample] - t) > 1e-9 * max(1.0, abs(t)):
             raise ParameterError(f't = {t:g} s must be the time of a sample, the nearest is '
                                  f'{run.t[sample]:.12g} s')
-        if run.q.shape[1] != self.values['model.modes']:
-            raise ParameterError(f'the run must have model.modes = {self.values["model.modes"]}, '
-                                 f'got {run.q.shape[1]}')
+        if run.q.shape[1] != self.modal_count:
+            raise ParameterError(f'the run must have {self.modal_count} modal coordinates, as '
+                                 f'many as the scene, got {run.q.shape[1]}')
         if self.values['motor.shaft'] == 'driven':
             raise ParameterError('motor.shaft = driven starts at the beginning of motor.drive, '
                                  'not at the state of a run')
@@ -164,7 +169,7 @@ class Scene:
 
     def initial_motion(self) -> np.ndarray:
         """Return the motion at t = 0, shape (2 (3 + N),), see `physics.layout`."""
-        rest = np.zeros(self.values['model.modes'])
+        rest = np.zeros(self.modal_count)
         position, velocity = ([self.values[name] for name in names]
                               for names in (_POSITION, _VELOCITY))
         if self.load.drive is not None:

@@ -72,21 +72,23 @@ class Joints:
 
     @property
     def root_strain(self):
-        """Strain of the outer fibre at the root, shape (n,)."""
-        per_moment, per_rate = root_strain(self._model)
+        """Strain of the outer fibre at the root, axial strain included, shape (n,)."""
+        per_moment, per_q, per_rate = root_strain(self._model)
         half = self._motions.shape[1] // 2
-        return per_moment * self.root_moment - self._motions[:, half + 3:] @ per_rate
+        return per_moment * self.root_moment + self._motions[:, 3:half] @ per_q + (
+            self._motions[:, half + 3:] @ per_rate)
 
 
 def root_strain(model):
-    """Return the strain of the outer fibre per moment at the root, and what rates take of it."""
+    """Return the strain of the outer fibre per moment at the root, per q and per rate of q."""
     root, modes = np.zeros(1), model.modes
     section = model.manipulator.arm.at(root)
     height, stiffness = (np.ravel(value)[0] for value in (
         section.height, section.bending_stiffness))
+    axial = modes.stretch(root)[0] if model.axial else np.zeros(len(modes))
     # Damping has a moment of its own beside that of the strain, here in the modes' curvature.
-    return (0.5 * height / stiffness,
-            0.5 * height * modes.curvature(root)[0] * 2.0 * model.damping / modes.omega)
+    return (0.5 * height / stiffness, axial,
+            -0.5 * height * modes.curvature(root)[0] * 2.0 * model.damping / modes.omega)
 
 
 def _accelerations(integration, state, load):

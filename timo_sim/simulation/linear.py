@@ -185,7 +185,8 @@ def linearize(scene: Scene, at: np.ndarray | None = None) -> LinearModel:
     free = np.array([*axes, *range(2 + first, half)], dtype=int)
     free, half = np.concatenate([free, half + free]), len(free)
     modes, xi = formulation.modes, formulation.points.xi
-    turn = np.max(np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi)), axis=0)
+    turn = np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
+    turn = np.max(turn + np.abs(modes.stretch(xi)) if formulation.axial else turn, axis=0)
     length = formulation.manipulator.arm.length
     steps = np.tile(_SHIFT * np.concatenate([[length, length, 1.0], 1.0 / turn]), 2)
 

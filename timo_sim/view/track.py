@@ -126,7 +126,7 @@ def of_recording(recording, name):
     joints = series.get('joint_states')
     if joints is None or not len(joints.ns):
         raise TrackError(f'{recording.path} has no joint_states: there is nothing to show')
-    if scene is None or scene.values['model.modes'] and '~/modal_state' not in series:
+    if scene is None or scene.modal_count and '~/modal_state' not in series:
         return _of_bag(recording, name, joints)
     step, ns, motion = recording.motion(series)
     if not len(ns):

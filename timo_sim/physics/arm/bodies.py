@@ -70,6 +70,11 @@ class Section:
         return self.young_modulus * self.second_moment
 
     @property
+    def axial_stiffness(self):
+        """Axial stiffness E A [N]."""
+        return self.young_modulus * self.area
+
+    @property
     def shear_stiffness(self):
         """Shear stiffness kappa G A [N]."""
         return self.shear_correction * self.shear_modulus * self.area

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.jit.constants import pack
+from timo_sim.physics.arm.axial import AxialModes
 from timo_sim.physics.arm.bodies import Constraints
 from timo_sim.physics.arm.modes import modes_of
 from timo_sim.physics.arm.quadrature import Quadrature
@@ -36,7 +37,8 @@ class Formulation(ABC):
     """
     Equations of motion of a manipulator in N assumed modes.
 
-    A *motion* is an array of size 2 (3 + N), the same for all formulations:
+    The N modes are those in bending and, where the arm stretches, axial ones behind them. A
+    *motion* is an array of size 2 (3 + N), the same for all formulations:
     `[x_c, y_c, theta, q_1..q_N, d/dt of each]`, carrier in world axes [m], shaft angle [rad],
     modal coordinates [m sqrt(kg)]. A *state* is what a formulation integrates: its coordinates,
     without those that are constrained, then as many momenta or rates; m in all.
@@ -45,23 +47,21 @@ class Formulation(ABC):
     ----------
     manipulator : Manipulator
     count : int
-        Number of assumed modes N; 0 is a rigid arm.
+        Number of assumed modes in bending; 0 is a rigid arm.
     damping : float or array_like, shape (N,)
         Modal damping ratios zeta_n.
     constraints : Constraints
     nodes : int, optional
         Number of quadrature nodes; by default as many as `node_count` finds good.
-    static : tuple of str
-        See `modes_of`.
+    static, axial : tuple of str, int
+        See `modes_of`; number of axial modes, in formulations that know them.
 
     Attributes
     ----------
     linear : ndarray, shape (m, m)
         Constant linear part of the state's rate; the compiled rate is the rest.
-    tables : NamedTuple
-        Constants of the compiled functions.
-    packed : packed constants
-        The same, as these functions take them.
+    tables, packed : NamedTuple, packed constants
+        Constants of the compiled functions, and as these take them.
     speed_limit : float
         Shaft speed from which on the equations are unstable, whatever the step [rad/s].
 
@@ -70,19 +70,22 @@ class Formulation(ABC):
     speed_limit = math.inf
 
     def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
-                 static=()):
+                 static=(), axial=0):
         self.manipulator, self.constraints = manipulator, constraints
-        self.modes = modes_of(manipulator, count, static)
-        self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (count,))
-        self.size = 2 * (3 + count)
+        self.modes, self.axial = modes_of(manipulator, count, static), axial
+        if axial:
+            self.modes = AxialModes(self.modes, manipulator, axial, constraints)
+        self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (len(self.modes),))
+        self.size = 2 * (3 + len(self.modes))
         # The first of the coordinates theta, q_1..q_N that is free, and the free axes.
         self.first = int(constraints.driven)
         self.axes = np.array(constraints.free_axes, dtype=np.int64)
         # Of carrier x, y and shaft, which are held, locked or driven.
-        self.constrained = np.array([*(axis not in self.axes for axis in range(2)),
-                                     constraints.driven])
+        self.constrained = np.array([*(k not in self.axes for k in (0, 1)), constraints.driven])
         self.anchor = np.array([position or 0.0 for position in constraints.carrier])
-        self.quadrature = Quadrature(manipulator.arm.breaks, nodes or self.node_count(count))
+        # Three times: so that the strains of axial modes are resolved.
+        self.quadrature = Quadrature(manipulator.arm.breaks,
+                                     nodes or self.node_count(max(count, 3 * axial)))
         # The points that carry mass: the nodes and the tip.
         self.points = self.at(self.quadrature.points)
         self.point_mass, self.point_inertia = manipulator.inertia(self.quadrature)

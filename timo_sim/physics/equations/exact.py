@@ -11,7 +11,8 @@ The `exact` formulation: geometrically exact kinematics on assumed strain modes.
 
 Numbers (T..) are those of doc/theory.md, section 6.
 
-Section rotation and shear strain are expanded in the modes and the arm is inextensible. With the
+Section rotation and shear strain are expanded in the modes and the arm is inextensible, but for
+its axial modes, if it has any: `exact_stretch` has what they add (T43), (T44). With the
 shaft angle as coordinate q_0 (`Phi_0 = 1`, `Gamma_0 = 0`) and `Gamma_n = W_n' - Phi_n`,
 
     phi = sum Phi_i q_i     gamma = sum Gamma_i q_i     i = 0..N                (T19)
@@ -43,10 +44,12 @@ given: p_0 is struck out, and the other momenta keep their share `M_i0 q_0'` (T2
 acceleration is not needed.
 """
 
+from functools import cached_property
+
 import numpy as np
 
 from timo_sim.physics.equations.base import Formulation
-from timo_sim.physics.equations.exact_functions import Tables
+from timo_sim.physics.equations.exact_functions import StretchTables, Tables
 from timo_sim.physics.layout import tip_force, TIP_TORQUE
 
 
@@ -64,14 +67,18 @@ class Exact(Formulation):
 
         rotation = np.column_stack([np.ones_like(nodes), modes.rotation(nodes)])
         shear = np.column_stack([np.zeros_like(nodes), modes.shear(nodes)])
+        self._stretch = np.zeros_like(shear.T)
+        if self.axial:
+            self._stretch[1:] = modes.stretch(nodes).T
         at_points = np.column_stack([np.ones_like(self.points.xi), self.points.rotation.T])
         rotary = at_points.T @ (self.point_inertia[:, np.newaxis] * at_points)
         rotary[0, 0] += self.manipulator.shaft_inertia
 
-        # Straight arm: C along the arm is 0, across it Phi + Gamma; along which axis it lies is
+        # Straight arm: C along the arm is E, across it Phi + Gamma; along which axis it lies is
         # not known, so the mean kernel stands for both.
-        slope, free = rotation + shear, slice(self.first, None)
-        inverse = np.linalg.inv((rotary + slope.T @ kernel.mean(axis=0) @ slope)[free, free])
+        slope, free, mean = rotation + shear, slice(self.first, None), kernel.mean(axis=0)
+        matrix = rotary + slope.T @ mean @ slope + self._stretch @ mean @ self._stretch.T
+        inverse = np.linalg.inv(matrix[free, free])
         stiffness = np.append(0.0, modes.omega**2)
         damping = np.append(self.manipulator.shaft_friction, 2.0 * self.damping * modes.omega)
 
@@ -83,52 +90,76 @@ class Exact(Formulation):
         linear[half + axes:, half + axes:] = -damping[free, np.newaxis] * inverse
         if axes != 1:
             kernel = kernel[:1]
-        return Tables(self.mass, kernel, lever, rotation.T, shear.T, rotary, inverse, damping,
-                      self.manipulator.carrier_friction, self.axes, self.anchor,
-                      self.points.integral[:, -1], at_points[-1]), linear
+        tables = Tables(self.mass, kernel, lever, rotation.T, shear.T, rotary, inverse, damping,
+                        self.manipulator.carrier_friction, self.axes, self.anchor,
+                        self.points.integral[:, -1], at_points[-1])
+        if self.axial:
+            # Of the axial coordinates, the state has rates in place of momenta.
+            last = slice(-self.axial, None)
+            places = slice(half - self.axial, half)
+            rate = -inverse[last, last] * [[stiffness[last]], [damping[last]]]
+            linear[last] = 0.0
+            linear[last, places], linear[last, last] = rate
+            inverse[last, last] = np.eye(self.axial)
+            linear[places, last] = inverse[last, last]
+            return StretchTables._make([*tables, self._stretch[last], stiffness, rate]), linear
+        return tables, linear
+
+    @cached_property
+    def reach(self):
+        """Of an axial mode, the shift of the tip along the arm."""
+        reach, tip = super().reach, [self.manipulator.arm.length]
+        if self.axial:
+            reach[3:] += np.abs(self.modes.displacement(tip))[0]
+        return reach
 
     def state(self, motion):
         """Return the state that belongs to a motion."""
         half, table = self.size // 2, self.tables
         coordinates, speed = motion[2:half], motion[half + 2:]
         cosine, sine, a, b = self._slopes(coordinates)
-        slope = np.stack([-b * table.rotation - sine * table.shear,
-                          a * table.rotation + cosine * table.shear])
+        slope = np.stack([-b * table.rotation - sine * table.shear + cosine * self._stretch,
+                          a * table.rotation + cosine * table.shear + sine * self._stretch])
         matrix = table.rotary + np.sum(slope @ table.kernel @ slope.transpose(0, 2, 1), axis=0)
         centre = motion[:2] + np.array([a, b]) @ table.lever
         momentum = table.mass * (motion[half:half + 2] + speed @ slope @ table.lever)
+        momenta = matrix @ speed
+        momenta[len(momenta) - self.axial:] = speed[len(speed) - self.axial:]
         return np.concatenate([centre[self.axes], coordinates[self.first:],
-                               momentum[self.axes], (matrix @ speed)[self.first:]])
+                               momentum[self.axes], momenta[self.first:]])
 
     def centre_line(self, q, points):
         """Return the integral of the slopes from the root."""
-        _, _, a, b = self._slopes(self._relative(q))
+        a, b = self._slopes(self._relative(q))[2:]
         return np.stack([a @ points.integral, b @ points.integral], axis=-1)
 
     def centre_line_rate(self, q, qdot, points):
         """Return the integral of the slopes' rates."""
         cosine, sine, a, b = self._slopes(self._relative(q))
-        turning = self._relative(qdot) @ self.tables.rotation
-        shearing = self._relative(qdot) @ self.tables.shear
-        return np.stack([(-b * turning - sine * shearing) @ points.integral,
-                         (a * turning + cosine * shearing) @ points.integral], axis=-1)
+        turning, shearing, stretching = (self._relative(qdot) @ field for field in (
+            self.tables.rotation, self.tables.shear, self._stretch))
+        return np.stack([
+            (-b * turning - sine * shearing + cosine * stretching) @ points.integral,
+            (a * turning + cosine * shearing + sine * stretching) @ points.integral], axis=-1)
 
     def effort(self, motions, accelerations, loads):
         """Return the rates of momentum, those by loads on the tip left out (T37)."""
         half, table, body = self.size // 2, self.tables, self.manipulator
         cosine, sine, a, b = self._slopes(motions[:, 2:half])
         rates, second = motions[:, half + 2:], accelerations[:, 2:]
-        turning, shearing = rates @ table.rotation, rates @ table.shear
-        turn, shear = second @ table.rotation, second @ table.shear
+        turning, shearing, stretching = (
+            rates @ field for field in (table.rotation, table.shear, self._stretch))
+        turn, shear, stretch = (
+            second @ field for field in (table.rotation, table.shear, self._stretch))
         to_points = self.points.integral
         x, y = a @ to_points, b @ to_points
         # Second derivatives of the slopes, integrated to the points of mass.
         pull_x = self.point_mass * (accelerations[:, :1] + (
-            -b * turn - sine * shear
-            - turning * (a * turning + 2.0 * cosine * shearing)) @ to_points)
+            -b * turn - sine * shear + cosine * stretch
+            - turning * (a * turning + 2.0 * (cosine * shearing + sine * stretching))) @ to_points)
         pull_y = self.point_mass * (accelerations[:, 1:2] + (
-            a * turn + cosine * shear
-            - turning * (b * turning + 2.0 * sine * shearing)) @ to_points)
+            a * turn + cosine * shear + sine * stretch
+            - turning * (b * turning + 2.0 * (sine * shearing - cosine * stretching))) @ to_points)
         section = second[:, :1] + second[:, 1:] @ self.points.rotation
         force = tip_force(loads, motions[:, 2])
         pull_x[:, -1] -= force[0]
@@ -147,5 +178,6 @@ class Exact(Formulation):
     def _slopes(self, coordinates):
         # Cosine and sine of phi, and a, b, at the nodes, shape (..., n_g) each.
         phi, gamma = coordinates @ self.tables.rotation, coordinates @ self.tables.shear
-        cosine, sine = np.cos(phi), np.sin(phi)
-        return cosine, sine, cosine - gamma * sine, sine + gamma * cosine
+        cosine, sine, stretch = np.cos(phi), np.sin(phi), coordinates @ self._stretch
+        return (cosine, sine, cosine - gamma * sine + stretch * cosine,
+                sine + gamma * cosine + stretch * sine)

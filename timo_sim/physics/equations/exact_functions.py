@@ -7,40 +7,21 @@
 # language governing permissions and limitations under the License.
 
 """
-Constants and compiled functions of the `exact` formulation.
+Compiled functions of the `exact` formulation.
 
 Numbers (T..) are those of doc/theory.md, section 6; the text of `exact` has the equations.
 """
 
-from typing import NamedTuple
-
-import numpy as np
-
 from timo_sim.jit.constants import local
 from timo_sim.jit.decorators import inlined, inner
 from timo_sim.physics.equations import functions
+from timo_sim.physics.equations.exact_stretch import (
+    known_rates, stretch_forces, stretch_slopes, stretch_tip)
+from timo_sim.physics.equations.exact_tables import StretchTables, Tables
 from timo_sim.physics.equations.sincos import sincos
 from timo_sim.physics.layout import (
     ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, SPEED, TIP_I, TIP_II, TIP_TORQUE,
     TIP_X, TIP_Y, TORQUE)
-
-
-class Tables(NamedTuple):
-    """Constants of the compiled functions; N modes, n_g quadrature nodes, n free q_i."""
-
-    mass: float            # m_t
-    kernel: np.ndarray     # K for x and for y, (2, n_g, n_g), or for both, (1, n_g, n_g)
-    lever: np.ndarray      # d / m_t, (n_g,)
-    rotation: np.ndarray   # Phi_i at the nodes, (1 + N, n_g)
-    shear: np.ndarray      # Gamma_i at the nodes, (1 + N, n_g)
-    rotary: np.ndarray     # Xi_ij = int J Phi_i Phi_j, the shaft's J_m included, (1 + N, 1 + N)
-    straight: np.ndarray   # M^-1 of the straight arm, (n, n)
-    damping: np.ndarray    # c_s, then 2 zeta_i omega_i, (1 + N,)
-    drag: float            # c_c
-    axes: np.ndarray       # along which the carrier is free
-    anchor: np.ndarray     # where it is held, (2,)
-    reach: np.ndarray      # from nodal values to their integral over the arm, (n_g,)
-    turn: np.ndarray       # Phi_i at the tip, (1 + N,)
 
 
 @inner
@@ -65,10 +46,11 @@ def _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2):
         for j in range(nodes):
             c1[i, j] = -b[j] * rotation[i, j] - sine[j] * shear[i, j]
             c2[i, j] = a[j] * rotation[i, j] + cosine[j] * shear[i, j]
+    stretch_slopes(tables, coordinate, cosine, sine, a, b, c1, c2)
 
 
 @inner
-def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed):
+def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors):
     """Set the images K C1, K C2 and q', the solution of M q' = p (T23), (T28)."""
     kernel, rotary = tables.kernel, tables.rotary
     count, nodes = c1.shape
@@ -113,6 +95,7 @@ def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed):
             mass[i, k] = factor[i]
     for i in range(first, count):
         speed[i] *= inverse[i]
+    known_rates(tables, state, mass, inverse, speed, factors)
     for k in range(count - 1, first - 1, -1):
         for i in range(first, k):
             speed[i] -= mass[k, i] * speed[k]
@@ -182,6 +165,7 @@ def _set_moments(tables, load, forces, cosine, sine, a, b, image_1, image_2, spe
     return moment
 
 
+@functions.rate.of(StretchTables)
 @functions.rate.of(Tables)
 def _rate(tables, state, load, out):
     """Write what the linear part leaves of the state's rate."""
@@ -192,8 +176,9 @@ def _rate(tables, state, load, out):
     cosine, sine, a, b = local((lever,)), local((lever,)), local((lever,)), local((lever,))
     c1, c2 = local((rotation, lever)), local((rotation, lever))
     image_1, image_2 = local((rotation, lever)), local((rotation, lever))
+    factors = local((rotation, rotation))
     _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2)
-    _set_speed(tables, state, load, c1, c2, image_1, image_2, speed)
+    _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors)
     momenta, half = len(state) - count, len(state) // 2
     coordinates = momenta - half
 
@@ -218,8 +203,11 @@ def _rate(tables, state, load, out):
                 total += rotation[i, j] * script_a[j] + shear[i, j] * script_b[j]
         total += tables.turn[i] * load[TIP_TORQUE]
         out[momenta + i] = total - tables.damping[i] * out[coordinates + i]
+    stretch_forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordinate,
+                   speed, factors, out)
 
 
+@functions.observe.of(StretchTables)
 @functions.observe.of(Tables)
 def _observe(tables, state, load, out):
     """Write the motion of a state."""
@@ -229,8 +217,9 @@ def _observe(tables, state, load, out):
     cosine, sine, a, b = local((lever,)), local((lever,)), local((lever,)), local((lever,))
     c1, c2 = local((rotation, lever)), local((rotation, lever))
     image_1, image_2 = local((rotation, lever)), local((rotation, lever))
+    factors = local((rotation, rotation))
     _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2)
-    _set_speed(tables, state, load, c1, c2, image_1, image_2, speed)
+    _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors)
     half = len(out) // 2
     for i in range(count):
         out[2 + i] = coordinate[i]
@@ -247,6 +236,7 @@ def _observe(tables, state, load, out):
         out[half + axis] = _carrier_rate(tables, state, k, derivative, speed)
 
 
+@functions.tip.of(StretchTables)
 @functions.tip.of(Tables)
 def _tip(tables, motion, out):
     """Write where the tip is: the slopes' integral, as seen from the shaft."""
@@ -265,3 +255,4 @@ def _tip(tables, motion, out):
         out[1] += (sine + gamma * cosine) * reach[j]
     for i in range(1, count):
         out[2] += motion[2 + i] * tables.turn[i]
+    stretch_tip(tables, motion, out)

@@ -158,10 +158,8 @@ class RunError:
         states, load = np.zeros((1 + half, size)), np.zeros(LOADS)
         np.fill_diagonal(states[1:], bent)
         motions = np.array([self._steps.motion(state, load) for state in states])
-        change = (motions[1:] - motions[0]) / bent[:, np.newaxis]
-        reach = np.concatenate([[model.manipulator.arm.length], model.tip_point.deflection[:, 0]])
+        tips = model.world(motions, model.tip_point)[:, 0]
+        change = ((tips[1:] - tips[0]) / bent[:, np.newaxis]).T
         shift = np.zeros((4, half))
-        shift[:2, :carrier] = change[:carrier, :2].T
-        shift[2:, carrier:] = change[carrier:, :2].T
-        shift[3, carrier:] += change[carrier:, 2:3 + count] @ reach
+        shift[:2, :carrier], shift[2:, carrier:] = change[:, :carrier], change[:, carrier:]
         return shift

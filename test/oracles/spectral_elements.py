@@ -1,0 +1,177 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+The manipulator with an extensible arm by spectral elements: a reference for all constraints.
+
+Positions and section angles at Gauss-Lobatto nodes, in world axes, are the unknowns, so that the
+mass matrix is diagonal and constant and all nonlinearity is in the strains,
+
+    e = r' . t - 1     gamma = r' . n     kappa = phi'     t = (cos phi, sin phi), n normal to it
+
+(Simo and Vu-Quoc 1986); neither modes nor momenta nor turning axes are there. Stoermer-Verlet
+steps, short enough for the fastest wave of the mesh, are far below the error of the mesh. It
+knows no friction and no damping.
+"""
+
+import numba
+import numpy as np
+from numpy.polynomial import legendre
+
+from timo_sim.physics.layout import (
+    ANGLE, FORCE_I, FORCE_X, SPEED, TIP_I, TIP_TORQUE, TIP_X, TORQUE)
+
+_CHUNK = 20000  # steps whose loads are in memory
+
+
+def simulate(scene, period, samples, order=10, elements=2, courant=0.5,
+             stretch=1.0):
+    """
+    Simulate a scene that starts as a straight arm.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its modes and step are not used; its loads jump at samples only.
+    period : float
+        From sample to sample [s].
+    samples : int
+    order, elements : int
+        Polynomial order of an element, and their number; each span of a varying section has as
+        many.
+    courant : float
+        Step over the limit of stability.
+    stretch : float
+        Factor of the axial compliance.
+
+    Returns
+    -------
+    carrier, shaft, tip, rotation : ndarray, shapes (samples + 1, 2), (samples + 1,)
+        Carrier and tip in world axes [m], angles of shaft and end effector [rad].
+
+    """
+    body = scene.manipulator
+    breaks = np.concatenate([np.linspace(*ends, elements, endpoint=False) for ends in
+                             zip(body.arm.breaks, body.arm.breaks[1:])] + [[body.arm.length]])
+    x, weights, derivative = _rule(order)
+    jacobian = 0.5 * np.diff(breaks)
+    xi = breaks[:-1, np.newaxis] + jacobian[:, np.newaxis] * (x + 1.0)
+    inner = breaks[:-1, np.newaxis] + jacobian[:, np.newaxis] * ((1.0 - 1e-12) * x + 1.0)
+    stiffness, mass = np.empty((3, *xi.shape)), np.zeros((len(jacobian) * order + 1, 3))
+    for k, places in enumerate(inner):
+        section, share = body.arm.at(places), jacobian[k] * weights
+        stiffness[:, k] = [share * section.young_modulus * section.area / stretch,
+                           share * section.shear_stiffness, share * section.bending_stiffness]
+        mass[k * order:(k + 1) * order + 1] += np.multiply.outer(share, [1.0, 1.0, 0.0]) * (
+            np.ravel(section.mass_per_length * np.ones_like(x))[:, np.newaxis])
+        mass[k * order:(k + 1) * order + 1, 2] += share * section.inertia_per_length
+    mass[0] += [body.base_mass, body.base_mass, body.shaft_inertia]
+    mass[-1] += [body.end_effector_mass, body.end_effector_mass, body.end_effector_inertia]
+    inverse = 1.0 / mass
+    inverse[0, [k for k in range(2) if k not in scene.constraints.free_axes]] = 0.0
+    if scene.constraints.driven:
+        inverse[0, 2] = 0.0
+
+    motion = scene.initial_motion()
+    half, line = len(motion) // 2, np.unique(xi.round(13))
+    angle, spin = motion[2], motion[half + 2]
+    along = np.array([np.cos(angle), np.sin(angle)])
+    q = np.column_stack([motion[:2] + np.outer(line, along), np.full(len(line), angle)])
+    v = np.column_stack([motion[half:half + 2] + spin * np.outer(line, [-along[1], along[0]]),
+                         np.full(len(line), spin)])
+    step = courant * _limit(q, inverse, derivative, jacobian, stiffness)
+    count = int(np.ceil(period / step))
+    step, found = period / count, [(q[0].copy(), q[-1].copy())]
+    for sample in range(samples):
+        for first in range(0, count, _CHUNK):
+            loads = scene.load.stages(sample * count + first, min(_CHUNK, count - first), step)
+            _advance(q, v, loads, step, inverse, derivative, jacobian, stiffness,
+                     scene.constraints.driven)
+        found.append((q[0].copy(), q[-1].copy()))
+    root, tip = np.moveaxis(np.array(found), 1, 0)
+    return root[:, :2], root[:, 2], tip[:, :2], tip[:, 2]
+
+
+def _rule(order):
+    # Gauss-Lobatto nodes and weights in [-1, 1], and the derivative of the polynomial there.
+    last = np.eye(order + 1)[order]
+    x = np.concatenate([[-1.0], np.sort(legendre.legroots(legendre.legder(last))), [1.0]])
+    weights = 2.0 / (order * (order + 1) * legendre.legval(x, last)**2)
+    values = legendre.legvander(x, order)
+    slopes = np.column_stack([legendre.legval(x, legendre.legder(unit))
+                              for unit in np.eye(order + 1)])
+    return x, weights, slopes @ np.linalg.inv(values)
+
+
+def _limit(q, inverse, derivative, jacobian, stiffness):
+    # Longest stable step: 2 over the highest frequency, by power iteration on the straight arm.
+    shift, size, force = np.random.default_rng(1).standard_normal(q.shape), 1.0, np.empty_like(q)
+    for _ in range(300):
+        shift /= np.abs(shift).max()
+        change = np.zeros_like(q)
+        for side in (1.0, -1.0):
+            _force(q + side * 1e-6 * shift, derivative, jacobian, stiffness, force)
+            change -= side * inverse * force / 2e-6
+        size, shift = np.abs(change).max(), change
+    return 2.0 / np.sqrt(1.1 * size)
+
+
+@numba.njit(fastmath=True)
+def _force(q, derivative, jacobian, stiffness, out):
+    out[:] = 0.0
+    n = len(derivative)
+    for k in range(len(jacobian)):
+        base = k * (n - 1)
+        stress = np.empty((3, n))
+        for i in range(n):
+            x = y = bend = 0.0
+            for j in range(n):
+                x += derivative[i, j] * q[base + j, 0]
+                y += derivative[i, j] * q[base + j, 1]
+                bend += derivative[i, j] * q[base + j, 2]
+            x, y, bend = x / jacobian[k], y / jacobian[k], bend / jacobian[k]
+            c, s = np.cos(q[base + i, 2]), np.sin(q[base + i, 2])
+            stretch, shear = c * x + s * y, c * y - s * x
+            axial = stiffness[0, k, i] * (stretch - 1.0)
+            across = stiffness[1, k, i] * shear
+            stress[0, i] = (axial * c - across * s) / jacobian[k]
+            stress[1, i] = (axial * s + across * c) / jacobian[k]
+            stress[2, i] = stiffness[2, k, i] * bend / jacobian[k]
+            out[base + i, 2] -= axial * shear - across * stretch
+        for part in range(3):
+            for j in range(n):
+                total = 0.0
+                for i in range(n):
+                    total += derivative[i, j] * stress[part, i]
+                out[base + j, part] -= total
+
+
+@numba.njit
+def _push(force, q, load):
+    c, s = np.cos(q[0, 2]), np.sin(q[0, 2])
+    for node, x, i, torque in ((0, FORCE_X, FORCE_I, TORQUE), (-1, TIP_X, TIP_I, TIP_TORQUE)):
+        force[node, 0] += load[x] + c * load[i] - s * load[i + 1]
+        force[node, 1] += load[x + 1] + s * load[i] + c * load[i + 1]
+        force[node, 2] += load[torque]
+
+
+@numba.njit
+def _advance(q, v, loads, step, inverse, derivative, jacobian, stiffness, driven):
+    inner = np.empty_like(q)
+    _force(q, derivative, jacobian, stiffness, inner)
+    for k in range(len(loads)):
+        force = inner.copy()
+        _push(force, q, loads[k, 0])
+        v += 0.5 * step * inverse * force
+        q += step * v
+        if driven:
+            q[0, 2], v[0, 2] = loads[k, 2, ANGLE], loads[k, 2, SPEED]
+        _force(q, derivative, jacobian, stiffness, inner)
+        force = inner.copy()
+        _push(force, q, loads[k, 2])
+        v += 0.5 * step * inverse * force

@@ -1,0 +1,150 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Arms that stretch: closed forms of the rod, conserved quantities, spectral elements."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from oracles import references, spectral_elements
+import timo_sim
+from timo_sim.simulation.simulator import Simulator
+
+HELD = {'carrier.held': 'both', 'initial.shaft': 0.0}
+SPINNING = {'initial.shaft_velocity': 10.0, 'load.tip_force_y.piecewise.time': [0.0, 0.1],
+            'load.tip_force_y.piecewise.value': [20.0, 0.0]}
+DRIVEN = {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 1.0],
+          'motor.drive.angle': [0.0, 5.0], 'motor.drive.speed': [0.0, 10.0],
+          'motor.drive.acceleration': [0.0, 0.0]}
+TAPERED = {'arm.profile.position': [0.0, 0.8, 0.8, 2.0],
+           'arm.profile.height': [0.04, 0.03, 0.02, 0.02]}
+
+
+def scene_of(*parts, **values):
+    merged = {'model.axial_modes': 1}
+    for part in parts:
+        merged.update(part)
+    return timo_sim.load_scene({**merged, **values})
+
+
+@pytest.mark.parametrize('mass', [0.0, 2.0, 50.0])
+def test_three_modes_have_the_first_frequency_of_the_rod(mass):
+    """`beta l tan(beta l) = m_b / m_e`, and pi/2 without an end effector."""
+    scene = scene_of(HELD, **{'model.axial_modes': 3, 'end_effector.mass': mass})
+    section, length = scene.manipulator.arm.section, 2.0
+    ratio = section.mass_per_length * length / max(mass, 1e-300)
+    root = brentq(lambda x: x * np.sin(x) - ratio * np.cos(x), 1e-9, np.pi / 2) if mass else (
+        np.pi / 2)
+    omega = root / length * np.sqrt(section.young_modulus / section.density)
+    assert scene.build().modes.omega[3] == pytest.approx(omega, rel=3e-7)
+
+
+@pytest.mark.parametrize('mass', [0.0, 2.0])
+def test_one_mode_stretches_as_centrifugal_forces_do(mass):
+    """At rest in the turning axes: `E A u' = w^2 int M xi` from there to the tip."""
+    scene = scene_of(HELD, **{'end_effector.mass': mass})
+    model, section, length, speed = scene.build(), scene.manipulator.arm.section, 2.0, 10.0
+    xi = np.linspace(0.0, length, 9)
+    line, stiffness = section.mass_per_length, section.young_modulus * section.area
+    strain = speed**2 * (line * (length**2 - xi**2) / 2.0 + mass * length) / stiffness
+    shape = model.modes.displacement(model.quadrature.points)[:, -1]
+    load = speed**2 * (model.point_mass * model.points.xi) @ shape
+    q = load / model.modes.omega[-1]**2
+    assert q * model.modes.stretch(xi)[:, -1] == pytest.approx(strain, rel=1e-9)
+
+
+def test_a_rod_hangs_on_its_accelerated_root():
+    """The second mode makes that exact: `E A u' = -a int M` for a constant acceleration a."""
+    scene = scene_of(TAPERED, **{'model.axial_modes': 2})
+    model, arm = scene.build(), scene.manipulator.arm
+    nodes = model.quadrature.nodes
+    loads = model.modes.displacement(model.points.xi)[:, -2:].T @ model.point_mass
+    strain = model.modes.stretch(nodes)[:, -2:] @ (loads / model.modes.omega[-2:]**2)
+    outboard = model.arm_mass - model.points.integral.T[:-1] @ arm.at(nodes).mass_per_length
+    section = arm.at(nodes)
+    assert strain * section.young_modulus * section.area == pytest.approx(outboard, rel=1e-9)
+
+
+@pytest.mark.parametrize('values', [{}, TAPERED], ids=['uniform', 'tapered'])
+def test_a_free_arm_that_stretches_conserves_energy_and_momentum(values):
+    """An arm as soft as rubber, which a spin makes longer by some percent."""
+    scene = scene_of(values, **{
+        'arm.young_modulus': 1e8, 'arm.shear_modulus': 4e7, 'initial.shaft_velocity': 6.0,
+        'initial.modal_rates': [0.5, 0.1, 0.0, 0.3], 'initial.carrier_x_velocity': 0.4,
+        **({'arm.profile.young_modulus': [1e8] * 4} if values else {})})
+    run = timo_sim.simulate(scene, 5.0)
+    energy, momentum = run.energy(), run.momentum()
+    assert np.abs(run.deflection(2.0)[:, 0]).max() > 0.01
+    assert np.abs(energy / energy[0] - 1.0).max() < 1e-6
+    assert np.abs(momentum / momentum[0] - 1.0).max() < 1e-11
+
+
+def test_damping_takes_the_energy_that_is_lost():
+    scene = scene_of(HELD, **{'initial.shaft_velocity': 6.0, 'arm.young_modulus': 1e8,
+                              'arm.shear_modulus': 4e7, 'arm.damping_ratio': [0.05]})
+    run = timo_sim.simulate(scene, 1.0)
+    energy, lost = run.energy(), run.dissipated()
+    assert lost[-1] > 0.002 * energy[0]
+    assert np.abs(energy + lost - energy[0]).max() < 1e-5 * energy[0]
+
+
+# Least effect of the stretch and largest error, in lengths. The errors are those of the step and
+# of five modes in bending; with one axis held 4e-6 are left with eight.
+@pytest.mark.parametrize('values, step, effect, limit', [
+    ({'carrier.held': 'both', **SPINNING}, 0.005, 2e-4, 1e-5),
+    (SPINNING, 0.005, 1e-4, 1e-5),
+    ({'carrier.held': 'x', **SPINNING}, 0.0005, 1e-4, 3e-5),
+    (DRIVEN, 0.005, 1e-5, 3e-6),
+], ids=['held', 'free', 'x held', 'driven'])
+@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # of the first step's ringing
+def test_one_axial_mode_moves_as_spectral_elements(values, step, effect, limit):
+    scene = scene_of(values, **{'model.modes': 5, 'integrator.step': step})
+    tip = spectral_elements.simulate(scene, 0.05, 30)[2]
+    off = [np.linalg.norm(timo_sim.simulate(each, 1.5, round(0.05 / step)).position(2.0) - tip,
+                          axis=1).max() / 2.0
+           for each in (scene.vary({'model.axial_modes': 0}), scene)]
+    assert off[0] > effect
+    assert off[1] < limit
+
+
+def test_spectral_elements_are_the_stored_reference_but_for_the_stretch(spin_up):
+    """The arm of Simo and Vu-Quoc; the reference of exudyn is extrapolated to no stretch."""
+    scene = timo_sim.load_scene(spin_up)
+    stored = references.read('spin_up')[1]['w_l_m'][:351:5]
+    off = []
+    for stretch in (1.0, 0.1):
+        _, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 70, order=8, stretch=stretch)
+        off.append(np.abs(np.cos(shaft) * tip[:, 1] - np.sin(shaft) * tip[:, 0] - stored).max())
+    assert off[0] > 2e-5
+    assert off[1] == pytest.approx(off[0] / 10.0, rel=0.05)
+
+
+@pytest.mark.parametrize('formulation', ['newton', 'newton_root_stress'])
+def test_axial_modes_are_refused_where_the_arm_cannot_stretch(formulation):
+    with pytest.raises(timo_sim.ParameterError, match='model.axial_modes must be 0 with '
+                       f'model.formulation = {formulation}, got 1'):
+        scene_of(**{'model.formulation': formulation})
+
+
+def test_axial_coordinates_are_the_last_of_all_lists():
+    scene = scene_of(**{'initial.modal_coordinates': [0.0, 0.0, 0.0, 1e-3],
+                        'arm.damping_ratio': [0.0, 0.0, 0.0, 0.02]})
+    model = scene.build()
+    along, across, rotation = model.tip(scene.initial_motion())
+    assert along - 2.0 == pytest.approx(1e-3 * model.modes.displacement([2.0])[0, 3])
+    assert across == rotation == 0.0
+    # A gauge at the root sees it: strain E(0) q and no bending.
+    strain = Simulator(scene).snapshot().root_strain
+    assert strain == pytest.approx(1e-3 * model.modes.stretch(np.zeros(1))[0, 3])
+    linear = timo_sim.linearize(scene.vary({'initial.modal_coordinates': []}))
+    assert linear.states[6] == 'mode_4_m_sqrt_kg'
+    assert linear.frequencies()[-1] == pytest.approx(415.26, abs=0.02)
+    with pytest.raises(timo_sim.ParameterError, match='0 or 1 or 4 elements for model.modes = 3 '
+                       'and model.axial_modes = 1'):
+        scene.vary({'arm.damping_ratio': [0.0] * 3})

@@ -1,0 +1,155 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+What axial modes add to the compiled functions of the `exact` formulation.
+
+Numbers (T..) are those of doc/theory.md, section 6. For an arm that does not stretch, the
+functions declared here are empty.
+"""
+
+from timo_sim.jit.constants import local
+from timo_sim.jit.decorators import dispatch
+from timo_sim.physics.equations.exact_tables import StretchTables, Tables
+from timo_sim.physics.equations.sincos import sincos
+from timo_sim.physics.layout import ACCELERATION, TIP_TORQUE, TORQUE
+
+
+@dispatch
+def stretch_slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
+    """Add the axial strain to a, b (T20), C1 and C2 (T21)."""
+
+
+@dispatch
+def known_rates(tables, state, mass, inverse, speed, factors):
+    """Set the rates of the axial coordinates, which are part of the state; keep L and 1/D."""
+
+
+@dispatch
+def stretch_forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordinate, speed,
+                   factors, out):
+    """Add what the axial strain adds to dT/dq (T26); write the axial accelerations (T43)."""
+
+
+@dispatch
+def stretch_tip(tables, motion, out):
+    """Add the axial strain to where the tip is, as seen from the shaft."""
+
+
+for declared in (stretch_slopes, known_rates, stretch_forces, stretch_tip):
+    declared.of(Tables)(declared)
+
+
+@stretch_slopes.of(StretchTables)
+def _slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
+    rotation, stretch = tables.rotation, tables.stretch
+    count, nodes = rotation.shape
+    axial = count - len(stretch)
+    for j in range(nodes):
+        strain = 0.0
+        for i in range(axial, count):
+            strain += coordinate[i] * stretch[i - axial, j]
+            c1[i, j] = cosine[j] * stretch[i - axial, j]
+            c2[i, j] = sine[j] * stretch[i - axial, j]
+        a[j] += strain * cosine[j]
+        b[j] += strain * sine[j]
+        for i in range(axial):
+            c1[i, j] -= strain * sine[j] * rotation[i, j]
+            c2[i, j] += strain * cosine[j] * rotation[i, j]
+
+
+@known_rates.of(StretchTables)
+def _rates(tables, state, mass, inverse, speed, factors):
+    count = len(speed)
+    axial = count - len(tables.stretch)
+    for i in range(count - len(tables.straight), count):
+        for j in range(i):
+            factors[i, j] = mass[i, j]
+        factors[i, i] = inverse[i]
+    for i in range(axial, count):
+        speed[i] = state[len(state) - count + i]
+        for j in range(axial, i):
+            mass[i, j] = 0.0  # the rates of other axial coordinates are as given
+
+
+@stretch_forces.of(StretchTables)
+def _forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordinate, speed,
+            factors, out):
+    rotation, shear, stretch, lever = tables.rotation, tables.shear, tables.stretch, tables.lever
+    count, nodes = rotation.shape
+    first, axial, momenta = count - len(tables.straight), count - len(stretch), len(out) - count
+    push_x, push_y, tip_x, tip_y = forces
+    across, bent_1, bent_2 = local((lever,)), local((lever,)), local((lever,))
+    for j in range(nodes):
+        g_across = 0.0
+        turning = 0.0
+        shearing = 0.0
+        slope_1 = 0.0
+        slope_2 = 0.0
+        for i in range(count):
+            g_across += speed[i] * (cosine[j] * image_2[i, j] - sine[j] * image_1[i, j])
+            slope_1 += speed[i] * c1[i, j]
+            slope_2 += speed[i] * c2[i, j]
+            turning += speed[i] * rotation[i, j]
+            shearing += speed[i] * shear[i, j]
+        stretching = 0.0
+        for i in range(axial, count):
+            stretching += speed[i] * stretch[i - axial, j]
+        across[j] = stretching * g_across
+        bent_1[j] = -turning * (slope_2 + cosine[j] * shearing + sine[j] * stretching)
+        bent_2[j] = turning * (slope_1 - sine[j] * shearing + cosine[j] * stretching)
+    force = local((rotation,))
+    for i in range(first, count):
+        total = 0.0
+        added = 0.0
+        for j in range(nodes):
+            added += rotation[i, j] * across[j]
+            work_x = tables.reach[j] * tip_x - lever[j] * push_x
+            work_y = tables.reach[j] * tip_y - lever[j] * push_y
+            total += (work_x * c1[i, j] + work_y * c2[i, j] - image_1[i, j] * bent_1[j]
+                      - image_2[i, j] * bent_2[j])
+        # Of the shaft, T does not depend on the angle unless one axis is held.
+        if i or len(tables.axes) == 1:
+            out[momenta + i] += added
+        total += (tables.turn[i] * load[TIP_TORQUE] - tables.stiffness[i] * coordinate[i]
+                  - tables.damping[i] * speed[i])
+        if i == 0:
+            total += load[TORQUE]
+        for j in range(first):
+            total -= factors[i, j] * load[ACCELERATION]
+        force[i] = total
+    # M q'' = force, with M = L D L^T of `_set_speed`, for the last q''.
+    for k in range(first, count):
+        for i in range(k + 1, count):
+            force[i] -= factors[i, k] * force[k]
+    for k in range(count - 1, axial - 1, -1):
+        force[k] *= factors[k, k]
+        for i in range(k + 1, count):
+            force[k] -= factors[i, k] * force[i]
+    for i in range(len(stretch)):
+        total = force[axial + i]
+        for j in range(len(stretch)):
+            total -= (tables.axial_rate[0, i, j] * coordinate[axial + j]
+                      + tables.axial_rate[1, i, j] * speed[axial + j])
+        out[momenta + axial + i] = total
+
+
+@stretch_tip.of(StretchTables)
+def _tip(tables, motion, out):
+    rotation, stretch, reach = tables.rotation, tables.stretch, tables.reach
+    count, nodes = rotation.shape
+    axial = count - len(stretch)
+    for j in range(nodes):
+        phi = 0.0
+        for i in range(1, axial):
+            phi += motion[2 + i] * rotation[i, j]
+        sine, cosine = sincos(phi)
+        for i in range(axial, count):
+            strain = motion[2 + i] * stretch[i - axial, j]
+            out[0] += strain * cosine * reach[j]
+            out[1] += strain * sine * reach[j]

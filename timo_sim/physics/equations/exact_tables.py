@@ -1,0 +1,40 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Constants of the compiled functions of the `exact` formulation."""
+
+from collections import namedtuple
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Tables(NamedTuple):
+    """Constants of the compiled functions; N modes, n_g quadrature nodes, n free q_i."""
+
+    mass: float            # m_t
+    kernel: np.ndarray     # K for x and for y, (2, n_g, n_g), or for both, (1, n_g, n_g)
+    lever: np.ndarray      # d / m_t, (n_g,)
+    rotation: np.ndarray   # Phi_i at the nodes, (1 + N, n_g)
+    shear: np.ndarray      # Gamma_i at the nodes, (1 + N, n_g)
+    rotary: np.ndarray     # Xi_ij = int J Phi_i Phi_j, the shaft's J_m included, (1 + N, 1 + N)
+    straight: np.ndarray   # M^-1 of the straight arm, (n, n)
+    damping: np.ndarray    # c_s, then 2 zeta_i omega_i, (1 + N,)
+    drag: float            # c_c
+    axes: np.ndarray       # along which the carrier is free
+    anchor: np.ndarray     # where it is held, (2,)
+    reach: np.ndarray      # from nodal values to their integral over the arm, (n_g,)
+    turn: np.ndarray       # Phi_i at the tip, (1 + N,)
+
+
+# The same for an arm that stretches, whose last A coordinates are axial, and
+# - stretch: E_i of these at the nodes, (A, n_g);
+# - stiffness: omega_i^2, (1 + N,);
+# - axial_rate: what the linear part has for their accelerations per q_i and q_i', (2, A, A).
+StretchTables = namedtuple(  # type: ignore[misc]
+    'StretchTables', (*Tables._fields, 'stretch', 'stiffness', 'axial_rate'))
