@@ -155,7 +155,7 @@ def _friction(kind, mass):
 def tip(scene, steps, every):
     """Return the path of the tip, shape (n, 2) [m], the run's warning and estimated error [m]."""
     run = sampled_run(scene, steps, every)
-    return run.position(LENGTH), run.warning, run.stats['estimated_tip_error_m']
+    return run.position(LENGTH), run.warning, run.stats['step_error_m']
 
 
 def judge(cell):

@@ -148,3 +148,26 @@ def test_axial_coordinates_are_the_last_of_all_lists():
     with pytest.raises(timo_sim.ParameterError, match='0 or 1 or 4 elements for model.modes = 3 '
                        'and model.axial_modes = 1'):
         scene.vary({'arm.damping_ratio': [0.0] * 3})
+
+
+@pytest.mark.parametrize('values', [
+    {**HELD, 'initial.shaft_velocity': 10.0}, {'initial.shaft_velocity': 10.0},
+    {'carrier.held': 'x', 'initial.shaft_velocity': 10.0},
+    {**HELD, **TAPERED, 'initial.shaft_velocity': 15.0},
+    {**HELD, 'load.torque.piecewise.time': [0.0, 1.0], 'load.torque.piecewise.value': [60.0, 0.0]},
+    {**HELD, **DRIVEN}], ids=str)
+def test_the_estimate_without_axial_modes_is_what_one_of_them_changes(values):
+    runs = [timo_sim.simulate(timo_sim.load_scene({
+        'model.modes': 5, 'model.axial_modes': count, **values}), 3.0, 10) for count in (0, 1)]
+    change = np.linalg.norm(runs[0].position(2.0) - runs[1].position(2.0), axis=1).max()
+    assert change / 5.0 < runs[0].stats['stretch_error_m'] < 2.0 * change
+    assert runs[1].stats['stretch_error_m'] == 0.0
+
+
+def test_stretch_that_matters_is_told():
+    fast = {**HELD, 'model.modes': 5, 'initial.shaft_velocity': 10.0}
+    with pytest.warns(timo_sim.ModelWarning, match='an arm that stretches: take model.axial_modes'):
+        timo_sim.simulate(timo_sim.load_scene(fast), 4.0)
+    assert timo_sim.simulate(timo_sim.load_scene(fast), 1.0).warning is None
+    assert timo_sim.simulate(timo_sim.load_scene({**fast, 'model.axial_modes': 1}),
+                             4.0).warning is None

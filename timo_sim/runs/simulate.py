@@ -97,6 +97,8 @@ def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=No
         samples, integration = slice(count // sample_every + 1), simulator.integration
         stats = {'steps': simulator.steps, 'wall_time_s': time.monotonic() - begun,
                  'estimated_tip_error_m': simulator.estimated_error,
+                 'step_error_m': integration.errors.tip,
+                 'stretch_error_m': simulator.stretch.tip,
                  'split_steps': integration.splits, 'unresolved_steps': integration.unresolved,
                  'friction_drift_m': integration.friction_drift}
         return Run(scene, simulator.model, np.arange(samples.stop) * sample_every * scene.step,

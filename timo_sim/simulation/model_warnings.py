@@ -18,7 +18,7 @@ from timo_sim.physics.layout import Motion
 
 # Part of the period of a harmonic load that a step may cover: its three values then are the load.
 _MOST_OF_A_PERIOD = 0.25
-# How far what `newton` leaves out may move the tip, in arm lengths.
+# How far what `newton`, or an arm that does not stretch, leaves out may move the tip [lengths].
 _MOST_LEFT_OUT = 1e-3
 # How far joints may drift in steps with dry friction, in arm lengths.
 _MOST_DRIFT = _MOST_ERROR = 3e-4  # of the arm's length
@@ -48,7 +48,7 @@ def unseen_load(scene):
             f'{_MOST_OF_A_PERIOD / frequency:.2g} s')
 
 
-def after_steps(scene, steps, time, state, load, motions, warning):
+def after_steps(scene, steps, stretch, time, state, load, motions, warning):
     """
     Return the warning of a run after some steps, or None: the first, but what is unstable wins.
 
@@ -56,6 +56,7 @@ def after_steps(scene, steps, time, state, load, motions, warning):
     ----------
     scene : Scene
     steps : Steps
+    stretch : StretchError
     time : float
         At their end [s].
     state : ndarray, shape (m,)
@@ -75,6 +76,8 @@ def after_steps(scene, steps, time, state, load, motions, warning):
         return warning
     if not steps.errors.tip <= _MOST_ERROR * scene.manipulator.arm.length:
         return _inaccurate_steps(scene, steps, time)
+    if stretch.tip > _MOST_LEFT_OUT * scene.manipulator.arm.length:
+        return _stretching(scene, stretch, time)
     if steps.unresolved:
         return _unresolved_steps(steps, time)
     # Steps are too long for events in them, or to hold a joint still: doc/theory.md, (T35).
@@ -87,6 +90,13 @@ def _inaccurate_steps(scene, steps, time):
     remedy = '' if scene.friction.any() else ', or let them be split by an integrator.tolerance'
     return (f'by t = {time:.6g} s the steps have put the tip about {steps.errors.tip:.1g} m off: '
             f'take a smaller integrator.step{remedy}')
+
+
+def _stretching(scene, stretch, time):
+    exact = scene.values['model.formulation'] == 'exact'
+    return (f'by t = {time:.6g} s the tip is about {stretch.tip:.1g} m from that of an arm that '
+            f'stretches: take {"" if exact else "model.formulation exact with "}'
+            'model.axial_modes 1')
 
 
 def _fast_shaft(scene, model, motions):

@@ -13,7 +13,7 @@ import numpy as np
 from timo_sim.jit.code_store import compiling, is_compiled
 from timo_sim.physics.integrate import steps_of
 from timo_sim.physics.integrate.run_error import CHUNK
-from timo_sim.physics.layout import Motion
+from timo_sim.physics.layout import ANGLE, Motion
 from timo_sim.scene.parameter import whole_ratio
 from timo_sim.scene.parameters import check_runtime
 from timo_sim.simulation import model_warnings
@@ -22,6 +22,7 @@ from timo_sim.simulation.load_table import advance_by_pieces, LoadTable
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.sensors import Sensors
 from timo_sim.simulation.snapshot import Snapshot
+from timo_sim.simulation.stretch import StretchError
 
 COMPILING = 'compiling once for a model of this size, this takes some seconds'
 # The error of a step is estimated at the start, after so many steps, twice as many, and so on up
@@ -70,6 +71,7 @@ class Simulator:
         self.scene, self.model = scene, scene.build()
         self.integration = steps_of(self.model, scene.step, scene.values['integrator.tolerance'],
                                     scene.friction)
+        self.stretch = StretchError(self.model)
 
     def __repr__(self):
         return f'<Simulator at t = {self.t:.6g} s (step {self.steps}) of {self.scene!r}>'
@@ -80,6 +82,7 @@ class Simulator:
         self._state = self.model.state(motion)
         self.integration.memory[:] = 0.0
         self.integration.errors.reset()
+        self.stretch.reset()
         # Without speeds, deflection, loads and drive nothing changes until the first command.
         self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any())
         self._origin = self.steps
@@ -101,10 +104,11 @@ class Simulator:
         check_runtime(self.scene.values, scene.values)
         first = self.steps - self._origin
         self._actuators = Actuators(scene.values, first, self._actuators.reached(first))
-        earlier = self.integration
+        earlier, stretch = self.integration, self.stretch
         earlier.errors.cut(self._state, self.load)
         self._take(scene)
         self.integration.follow(earlier)
+        self.stretch = stretch
         self._resting = self._resting and not scene.load
         self._table = LoadTable(scene)
         self.warning = model_warnings.unseen_load(scene)
@@ -113,9 +117,8 @@ class Simulator:
         """
         Compile, or load from disk, what `advance` calls.
 
-        With `messages` what messages need as well; what only sensors call is compiled, too, but
-        loaded only when one is asked. Of what takes some seconds `tell`, a function(str), hears
-        before.
+        With `messages` what messages and sensors need as well. Of what takes some seconds `tell`,
+        a function(str), hears before.
         """
         constants, self._warm = self.integration.constants, True
         compiled = is_compiled(*constants)
@@ -244,14 +247,14 @@ class Simulator:
             actuators = self._actuators
             if actuators.command(commanded, first):
                 self.integration.errors.cut(self._state, self.load)
-        motions, heat = self.integration.samples(count, sample_every)
-        done = 0
+        (motions, heat), done = self.integration.samples(count, sample_every), 0
         while done < count:
-            part = min(count - done, CHUNK)
+            part, angle = min(count - done, CHUNK), self._angle
             reached, self.load = advance_by_pieces(
                 self.integration, self._table, actuators, self._state, self.load, first + done,
                 part, sample_every, done, motions, heat)
             done += reached
+            self.stretch.add(self._angle - angle, reached * self.scene.step)
             if reached < part or not self._bend() <= _MOST_BENT * self.model.reach[2]:
                 self._give_up(before, count, commanded)
         self.steps += count
@@ -266,11 +269,16 @@ class Simulator:
             tabulate, number = self._table.tabulate(self._actuators), self.steps - self._origin
             self.integration.errors.conclude(self._state, self.load, tabulate, number)
             self._look_for_warnings(np.empty((0, self.model.size)))
-        return self.integration.errors.tip + self.integration.friction_drift
+        return self.integration.errors.tip + self.integration.friction_drift + self.stretch.tip
+
+    @property
+    def _angle(self):
+        return self.load[ANGLE] if self.model.first else self._state[len(self.model.axes)]
 
     def _look_for_warnings(self, motions):
         self.warning = model_warnings.after_steps(
-            self.scene, self.integration, self.t, self._state, self.load, motions, self.warning)
+            self.scene, self.integration, self.stretch, self.t, self._state, self.load, motions,
+            self.warning)
 
     def _rests(self, count, commanded):
         # Whether these steps would leave the state as it is, to the last bit.
@@ -289,8 +297,7 @@ class Simulator:
         modes, half = self.model.reach[3:], len(self._state) // 2
         return np.abs(self._state[half - len(modes):half]) @ modes
 
-    def _give_up(self, before, count, commanded):
-        # Go to the last good state and say what it is.
+    def _give_up(self, before, count, commanded):  # go to the last good state, say what it is
         self._state, self.load, self.integration.memory = before
         self.integration.errors.give_up()
         if count > 1:

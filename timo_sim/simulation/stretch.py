@@ -1,0 +1,61 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""How far the tip is off because the arm of a formulation does not stretch."""
+
+import math
+
+import numpy as np
+
+
+class StretchError:
+    """
+    An estimate for the straight arm that turns, see doc/theory.md, section 6.
+
+    Centrifugal forces lengthen the arm by `omega^2 lengthening`, and its inertia about the point
+    about which it turns grows by the share `omega^2 growth`: a free shaft then lags by
+    `growth int omega^3 dt`.
+
+    Parameters
+    ----------
+    model : Formulation
+
+    Attributes
+    ----------
+    tip : float
+        Largest distance of the tip from that of an arm that stretches so far [m].
+
+    """
+
+    def __init__(self, model):
+        self._free, self.tip, self._lag = not model.first, 0.0, 0.0
+        body, points, nodes = model.manipulator, model.points, model.quadrature.nodes
+        mass, xi = model.point_mass, points.xi
+        # It turns about the mass centre, the root, or the point half-way with one axis held.
+        centre = 0.5 * len(model.axes) * (mass @ xi) / model.mass
+        lever = mass * (xi - centre)
+        outboard = np.where(xi > nodes[:, np.newaxis], lever, 0.0).sum(axis=1)
+        stiffness = np.broadcast_to(body.arm.at(nodes).axial_stiffness, nodes.shape)
+        shift = (outboard / stiffness) @ points.integral
+        inertia = (body.shaft_inertia + model.point_inertia.sum() + lever @ (xi - centre)
+                   + body.base_mass * centre**2)
+        if model.axial:
+            shift[:] = 0.0  # it does stretch
+        self._growth, self._lengthening = 2.0 * (lever @ shift) / inertia, shift[-1]
+        self._reach = body.arm.length - centre
+
+    def reset(self):
+        """Begin anew."""
+        self.tip = self._lag = 0.0
+
+    def add(self, turn, duration):
+        """Count a turn of the shaft [rad] within a time [s]."""
+        speed = turn / duration if duration else 0.0
+        self._lag += self._free * self._growth * speed**3 * duration
+        self.tip = max(self.tip, math.hypot(self._reach * self._lag,
+                                            self._lengthening * speed**2))
