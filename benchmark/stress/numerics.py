@@ -45,12 +45,14 @@ LEVELS = {
     'slenderness': [100.0, 4.0, 10.0, 50.0, 500.0],  # length over height
     'tip mass': [1.0, 0.0, 10.0, 100.0],             # arm masses
     'tip inertia': [0.01, 0.0, 1.0, 100.0],          # masses of the arm times its length squared
-    'carrier': [10.0, 1e-3, 1e6, 'held', 'held x'],  # [kg]
+    'carrier': [10.0, 1e-3, 1e6, 'held'],            # [kg]
     'damping': [0.0, 0.01, 0.1, 1.0],                # ratio of all modes
     'load': ['none', 'resonance 1', 'near resonance 1', 'resonance 2', 'resonance 3', 'torque',
-             'impulse', 'spike'],
+             'impulse'],
     'friction': ['none', 'viscous', 'stiff', 'dry', 'sticky'],  # of carrier and shaft
 }
+# Besides, where all else is plain or one of these steps.
+MORE = {'carrier': ['held x'], 'load': ['spike']}
 HELD = {'held': 'both', 'held x': 'x'}
 VERDICTS = ['accurate', 'flagged', 'refused', 'silent']
 DURATION = 2.0  # [s]
@@ -75,6 +77,8 @@ def cells(count, seed=1):
     found = [plain]
     for name, levels in LEVELS.items():
         found += [{**plain, name: level} for level in levels[1:]]
+    found += [{**plain, 'step': step, name: level} for name, levels in MORE.items()
+              for level in levels for step in LEVELS['step']]
     random = np.random.default_rng(seed)
     pairs = [{**plain, a: x, b: y} for a, b in itertools.combinations(LEVELS, 2)
              for x in LEVELS[a][1:] for y in LEVELS[b][1:]]

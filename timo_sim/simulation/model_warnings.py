@@ -72,18 +72,18 @@ def after_steps(scene, steps, stretch, time, state, load, motions, warning):
         motions = np.vstack([motions, steps.motion(state, load)])
         warning = _fast_shaft(scene, steps.model, motions) or warning or _left_out(
             scene, steps.model, time, steps.model.axial_share(state, steps.acting(load)), motions)
-    if warning:
+    if warning and warning != stretch.told:  # what steps do is more than what stretch does
         return warning
     if not steps.errors.tip <= _MOST_ERROR * scene.manipulator.arm.length:
         return _inaccurate_steps(scene, steps, time)
-    if stretch.tip > _MOST_LEFT_OUT * scene.manipulator.arm.length:
-        return _stretching(scene, stretch, time)
     if steps.unresolved:
         return _unresolved_steps(steps, time)
     # Steps are too long for events in them, or to hold a joint still: doc/theory.md, (T35).
     if steps.friction_drift > _MOST_DRIFT * scene.manipulator.arm.length:
         return _friction_drift(steps, time)
-    return None
+    if not stretch.told and stretch.tip > _MOST_LEFT_OUT * scene.manipulator.arm.length:
+        stretch.told = _stretching(scene, stretch, time)
+    return stretch.told
 
 
 def _inaccurate_steps(scene, steps, time):

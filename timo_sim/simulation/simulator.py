@@ -254,9 +254,9 @@ class Simulator:
                 self.integration, self._table, actuators, self._state, self.load, first + done,
                 part, sample_every, done, motions, heat)
             done += reached
-            self.stretch.add(self._angle - angle, reached * self.scene.step)
             if reached < part or not self._bend() <= _MOST_BENT * self.model.reach[2]:
                 self._give_up(before, count, commanded)
+            self.stretch.add(self._angle - angle, part * self.scene.step)
         self.steps += count
         self.load = self.load.copy()
         self._look_for_warnings(motions)

@@ -29,11 +29,14 @@ class StretchError:
     ----------
     tip : float
         Largest distance of the tip from that of an arm that stretches so far [m].
+    told : str or None
+        The warning of it.
 
     """
 
     def __init__(self, model):
-        self._free, self.tip, self._lag = not model.first, 0.0, 0.0
+        self._free = not model.first
+        self.reset()
         body, points, nodes = model.manipulator, model.points, model.quadrature.nodes
         mass, xi = model.point_mass, points.xi
         # It turns about the mass centre, the root, or the point half-way with one axis held.
@@ -51,7 +54,7 @@ class StretchError:
 
     def reset(self):
         """Begin anew."""
-        self.tip = self._lag = 0.0
+        self.tip, self._lag, self.told = 0.0, 0.0, None
 
     def add(self, turn, duration):
         """Count a turn of the shaft [rad] within a time [s]."""
