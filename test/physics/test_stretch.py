@@ -153,8 +153,8 @@ def test_axial_coordinates_are_the_last_of_all_lists():
 @pytest.mark.parametrize('values', [
     {**HELD, 'initial.shaft_velocity': 10.0}, {'initial.shaft_velocity': 10.0},
     {'carrier.held': 'x', 'initial.shaft_velocity': 10.0},
-    {**HELD, 'load.torque.piecewise.time': [0.0, 1.0], 'load.torque.piecewise.value': [60.0, 0.0]}],
-    ids=str)
+    {**HELD, 'load.torque.piecewise.time': [0.0, 1.0],
+     'load.torque.piecewise.value': [60.0, 0.0]}], ids=str)
 def test_the_estimate_without_axial_modes_is_what_one_of_them_changes(values):
     runs = [timo_sim.simulate(timo_sim.load_scene({
         'model.modes': 5, 'model.axial_modes': count, **values}), 3.0, 10) for count in (0, 1)]
