@@ -242,7 +242,8 @@ def test_formulation_is_its_equations_written_out(formulation, constraints):
     assert error <= 5e-9 * np.abs(forces).max()
 
 
-@pytest.mark.parametrize('constraints', CONSTRAINTS)
+@pytest.mark.parametrize('constraints', [
+    'free', 'x held', 'carrier held', 'shaft driven, x held'])
 def test_an_arm_that_stretches_is_its_equations_written_out(constraints):
     """They are Lagrange's; `timo_sim` has momenta, and rates of the axial coordinates."""
     scene = scene_of('exact', constraints, **STRETCHING)
