@@ -20,8 +20,8 @@ _NANOSECONDS = 1000000000
 _MOST_TIMES = 500000  # messages whose times are looked at one by one
 _MOST_CHUNKS = 40      # that are read where no summary tells the peak
 # The last is what version 0.1 wrote for the one before it.
-_COUNTERS = ('refused_commands', 'stale_commands', 'overruns', 'dropped_time_s',
-             'unresolved_steps', 'coarse_steps')
+_COUNTERS = ('estimated_tip_error_m', 'refused_commands', 'stale_commands', 'overruns',
+             'dropped_time_s', 'unresolved_steps', 'coarse_steps')
 
 
 def info(file):
