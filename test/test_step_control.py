@@ -156,6 +156,7 @@ def test_commands_that_change_often_are_estimated_by_some_steps():
             if parts == 1:
                 estimate = simulator.integration.errors.tip if simulator.estimated_error else 0.0
         error = np.linalg.norm(paths[0] - paths[1])
+        # One step stands for those between two looks, whose errors add up or cancel unseen.
         assert error / 10.0 < estimate < 300.0 * error
 
 

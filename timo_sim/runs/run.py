@@ -53,7 +53,9 @@ class Run(MotionFields):
     warning : str or None
         Why the run should not be trusted, and what to do.
     stats : dict
-        Steps, wall time, largest estimated error of a step, steps that were split, ...
+        Steps, wall time, steps that were split, and the largest estimated error of the tip [m],
+        `estimated_tip_error_m`: the sum of `step_error_m`, `friction_drift_m` and
+        `stretch_error_m`. What the number of modes and the formulation leave out is not in it.
     recording : Recording or None
         Of a log: all its topics, commands included.
 
