@@ -99,7 +99,7 @@ def test_damping_takes_the_energy_that_is_lost():
 @pytest.mark.parametrize('values, step, effect, limit', [
     ({'carrier.held': 'both', **SPINNING}, 0.005, 2e-4, 1e-5),
     (SPINNING, 0.005, 1e-4, 1e-5),
-    ({'carrier.held': 'x', **SPINNING}, 0.0005, 1e-4, 3e-5),
+    ({'carrier.held': 'x', **SPINNING}, 0.001, 1e-4, 3e-5),
     (DRIVEN, 0.005, 1e-5, 3e-6),
 ], ids=['held', 'free', 'x held', 'driven'])
 @pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # of the first step's ringing

@@ -59,13 +59,13 @@ def inlined(function):
     return numba.njit(**_OPTIONS, inline='always')(function)
 
 
-def dispatch(declaration):
+def dispatch(declaration, otherwise=None):
     """
     Declare a function whose body is chosen, at compile time, by the fields of its first argument.
 
     A compiled function that takes other compiled functions as arguments cannot be kept on disk;
     one that calls a declared function can. `@declared.of(Fields)` above a body adds it for the
-    packed constants of a NamedTuple.
+    packed constants of a NamedTuple; for those without any, there is one `otherwise`.
     """
     bodies = {}
 
@@ -76,7 +76,7 @@ def dispatch(declaration):
         return add
 
     def choose(*types):
-        return bodies.get(frozenset(getattr(types[0], 'fields', ())))
+        return bodies.get(frozenset(getattr(types[0], 'fields', ())), otherwise)
 
     setattr(choose, '__signature__', inspect.signature(declaration))
     # The body becomes part of its callers: code that is linked may be compiled, and so rounded,
@@ -84,3 +84,8 @@ def dispatch(declaration):
     overload(declaration, jit_options={**_OPTIONS, 'forceinline': True})(choose)
     declaration.of = of
     return declaration
+
+
+def optional(declaration):
+    """Declare a function as `dispatch` does; where no other body is added, it is the body."""
+    return dispatch(declaration, declaration)

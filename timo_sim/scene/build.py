@@ -71,7 +71,8 @@ def constraints_of(values):
     if held == 'both' and shaft != 'free' and modal_count(values) == 0:
         raise ParameterError(f'nothing can move: carrier.held = both, motor.shaft = {shaft}, '
                              'model.modes = 0')
-    return Constraints(tuple(carrier), shaft != 'free')
+    return Constraints(tuple(carrier), shaft != 'free',
+                       values['initial.shaft'] if shaft == 'locked' else None)
 
 
 def modal_count(values):

@@ -198,11 +198,14 @@ class Constraints:
         along that axis.
     driven : bool
         Whether the shaft follows an angle that is given in the load, instead of a torque.
+    locked : float or None
+        That angle, if it never changes [rad].
 
     """
 
     carrier: tuple = (None, None)
     driven: bool = False
+    locked: float | None = None
 
     @property
     def free_axes(self):

@@ -62,12 +62,14 @@ class Formulation(ABC):
         Constant linear part of the state's rate; the compiled rate is the rest.
     tables, packed : NamedTuple, packed constants
         Constants of the compiled functions, and as these take them.
+    sectors : int
+        Sectors of half a turn with a linear part each, see `Exact.in_sector`; of most models none.
     speed_limit : float
         Shaft speed from which on the equations are unstable, whatever the step [rad/s].
 
     """
 
-    speed_limit = math.inf
+    sectors, speed_limit = 0, math.inf
 
     def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
                  static=(), axial=0):
@@ -268,12 +270,8 @@ class Formulation(ABC):
         """
         Return how points of the centre line move.
 
-        Returns
-        -------
-        velocity : ndarray, shape (n, p, 2)
-            In world axes [m/s].
-        turning : ndarray, shape (n, p)
-            Angular velocity of the sections [rad/s].
+        Velocity in world axes, shape (n, p, 2) [m/s], and angular velocity of the sections,
+        shape (n, p) [rad/s].
 
         """
         half = self.size // 2

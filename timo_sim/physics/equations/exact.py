@@ -39,18 +39,20 @@ axis a kernel, `K = D^T diag(m) D - d d^T / m_t` of the masses about their centr
 
 A carrier held along an axis takes the mass centre's place there: its coordinate and momentum are
 struck out, and the kernel is the one about the root, without `d d^T / m_t` (T27). With one axis
-held the kernels differ, and T depends on the shaft angle too. Of a driven shaft q_0 and q_0' are
-given: p_0 is struck out, and the other momenta keep their share `M_i0 q_0'` (T28); its
-acceleration is not needed.
+held the kernels differ, T depends on the shaft angle too, and the state has rates q_i' in place of
+momenta (T44). Of a driven shaft q_0 and q_0' are given: p_0 is struck out, and the other momenta keep
+their share `M_i0 q_0'` (T28); its acceleration is needed only where the state has rates.
 """
 
 from functools import cached_property
+import math
 
 import numpy as np
 
 from timo_sim.physics.equations.base import Formulation
-from timo_sim.physics.equations.exact_functions import StretchTables, Tables
-from timo_sim.physics.layout import tip_force, TIP_TORQUE
+from timo_sim.physics.equations import exact_functions  # noqa: F401: ties them to the tables
+from timo_sim.physics.equations.exact_tables import RateTables, SECTORS, Tables
+from timo_sim.physics.layout import ANGLE, tip_force, TIP_TORQUE
 
 
 class Exact(Formulation):
@@ -73,36 +75,65 @@ class Exact(Formulation):
         at_points = np.column_stack([np.ones_like(self.points.xi), self.points.rotation.T])
         rotary = at_points.T @ (self.point_inertia[:, np.newaxis] * at_points)
         rotary[0, 0] += self.manipulator.shaft_inertia
-
-        # Straight arm: C along the arm is E, across it Phi + Gamma; along which axis it lies is
-        # not known, so the mean kernel stands for both.
-        slope, free, mean = rotation + shear, slice(self.first, None), kernel.mean(axis=0)
-        matrix = rotary + slope.T @ mean @ slope + self._stretch @ mean @ self._stretch.T
-        inverse = np.linalg.inv(matrix[free, free])
-        stiffness = np.append(0.0, modes.omega**2)
         damping = np.append(self.manipulator.shaft_friction, 2.0 * self.damping * modes.omega)
 
-        axes, half = len(self.axes), len(self.axes) + len(inverse)
+        turns = len(self.axes) == 1
+        # So many of the last coordinates have rates in place of momenta.
+        self._rated = self.axial or turns * (len(rotary) - self.first)
+        locked = self.constraints.locked
+        self.sectors = SECTORS if turns and self._rated and locked is None else 0
+        self._kernel, self._slope = kernel, rotation + shear
+        tables = Tables(self.mass, kernel if turns else kernel[:1], lever, rotation.T, shear.T,
+                        rotary, np.empty(0), damping, self.manipulator.carrier_friction, self.axes,
+                        self.anchor, self.points.integral[:, -1], at_points[-1])
+        return self._with_linear_part(tables, locked if turns else None)
+
+    def sector(self, state, load):
+        """Return the number of the sector in which the shaft is."""
+        angle = load[ANGLE] if self.first else state[len(self.axes)]
+        return math.floor(angle * (SECTORS / math.pi)) % SECTORS
+
+    def in_sector(self, number):
+        """Return tables and linear part of the straight arm in the middle of a sector."""
+        tables, linear = self._with_linear_part(Tables._make(self.tables[:len(Tables._fields)]),
+                                                (number + 0.5) * np.pi / SECTORS)
+        return tables._replace(sector=number), linear
+
+    def _with_linear_part(self, tables, angle):
+        # Of the straight arm C along the arm is E, across it Phi + Gamma; where it is not known
+        # along which axis the arm lies, the mean kernel stands for both.
+        slope, stretch, kernel = self._slope.T, self._stretch, self._kernel
+        if angle is None:
+            mean = kernel.mean(axis=0)
+            matrix = tables.rotary + slope @ mean @ slope.T + stretch @ mean @ stretch.T
+        else:
+            cosine, sine = np.cos(angle), np.sin(angle)
+            x, y = cosine * stretch - sine * slope, sine * stretch + cosine * slope
+            matrix = tables.rotary + x @ kernel[0] @ x.T + y @ kernel[1] @ y.T
+        matrix = matrix[self.first:, self.first:]
+        inverse = straight = np.linalg.inv(matrix)
+        stiffness, damping = np.append(0.0, self.modes.omega**2), tables.damping
+        if self._rated:
+            # Rates of the last coordinates are as given; the others' are those for their momenta.
+            own, last = slice(len(matrix) - self._rated), slice(len(matrix) - self._rated, None)
+            straight = np.eye(len(matrix))
+            straight[own, own] = np.linalg.inv(matrix[own, own])
+            straight[own, last] = -straight[own, own] @ matrix[own, last]
+
+        axes, half = len(self.axes), len(self.axes) + len(straight)
         linear = np.zeros((2 * half, 2 * half))
         linear[:axes, half:half + axes] = np.eye(axes) / self.mass
-        linear[axes:half, half + axes:] = inverse
-        linear[half + axes:, axes:half] = -np.diag(stiffness[free])
-        linear[half + axes:, half + axes:] = -damping[free, np.newaxis] * inverse
-        if axes != 1:
-            kernel = kernel[:1]
-        tables = Tables(self.mass, kernel, lever, rotation.T, shear.T, rotary, inverse, damping,
-                        self.manipulator.carrier_friction, self.axes, self.anchor,
-                        self.points.integral[:, -1], at_points[-1])
-        if self.axial:
-            # Of the axial coordinates, the state has rates in place of momenta.
-            last = slice(-self.axial, None)
-            places = slice(half - self.axial, half)
+        linear[axes:half, half + axes:] = straight
+        linear[half + axes:, axes:half] = -np.diag(stiffness[self.first:])
+        linear[half + axes:, half + axes:] = -damping[self.first:, np.newaxis] * straight
+        tables = tables._replace(straight=straight)
+        if self._rated:
+            last = slice(-self._rated, None)
             rate = -inverse[last, last] * [[stiffness[last]], [damping[last]]]
             linear[last] = 0.0
-            linear[last, places], linear[last, last] = rate
-            inverse[last, last] = np.eye(self.axial)
-            linear[places, last] = inverse[last, last]
-            return StretchTables._make([*tables, self._stretch[last], stiffness, rate]), linear
+            linear[last, half - self._rated:half], linear[last, last] = rate
+            tables = RateTables._make([*tables, stretch[len(stretch) - self.axial:], stiffness,
+                                       rate.transpose(1, 0, 2), -1])
         return tables, linear
 
     @cached_property
@@ -124,7 +155,7 @@ class Exact(Formulation):
         centre = motion[:2] + np.array([a, b]) @ table.lever
         momentum = table.mass * (motion[half:half + 2] + speed @ slope @ table.lever)
         momenta = matrix @ speed
-        momenta[len(momenta) - self.axial:] = speed[len(speed) - self.axial:]
+        momenta[len(momenta) - self._rated:] = speed[len(speed) - self._rated:]
         return np.concatenate([centre[self.axes], coordinates[self.first:],
                                momentum[self.axes], momenta[self.first:]])
 

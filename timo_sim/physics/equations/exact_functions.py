@@ -15,9 +15,9 @@ Numbers (T..) are those of doc/theory.md, section 6; the text of `exact` has the
 from timo_sim.jit.constants import local
 from timo_sim.jit.decorators import inlined, inner
 from timo_sim.physics.equations import functions
-from timo_sim.physics.equations.exact_stretch import (
-    known_rates, stretch_forces, stretch_slopes, stretch_tip)
-from timo_sim.physics.equations.exact_tables import StretchTables, Tables
+from timo_sim.physics.equations.exact_rates import (
+    known_rates, rated, stretch_forces, stretch_slopes, stretch_tip)
+from timo_sim.physics.equations.exact_tables import RateTables, Tables
 from timo_sim.physics.equations.sincos import sincos
 from timo_sim.physics.layout import (
     ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, SPEED, TIP_I, TIP_II, TIP_TORQUE,
@@ -165,7 +165,7 @@ def _set_moments(tables, load, forces, cosine, sine, a, b, image_1, image_2, spe
     return moment
 
 
-@functions.rate.of(StretchTables)
+@functions.rate.of(RateTables)
 @functions.rate.of(Tables)
 def _rate(tables, state, load, out):
     """Write what the linear part leaves of the state's rate."""
@@ -193,7 +193,7 @@ def _rate(tables, state, load, out):
     script_a, script_b = local((lever,)), local((lever,))
     moment = _set_moments(tables, load, forces, cosine, sine, a, b, image_1, image_2, speed,
                           script_a, script_b)
-    for i in range(first, count):
+    for i in range(first, count - rated(tables)):
         # Unless one axis is held, T does not depend on the shaft angle: left out, not summed to
         # round-off.
         total = moment
@@ -207,7 +207,7 @@ def _rate(tables, state, load, out):
                    speed, factors, out)
 
 
-@functions.observe.of(StretchTables)
+@functions.observe.of(RateTables)
 @functions.observe.of(Tables)
 def _observe(tables, state, load, out):
     """Write the motion of a state."""
@@ -236,7 +236,7 @@ def _observe(tables, state, load, out):
         out[half + axis] = _carrier_rate(tables, state, k, derivative, speed)
 
 
-@functions.tip.of(StretchTables)
+@functions.tip.of(RateTables)
 @functions.tip.of(Tables)
 def _tip(tables, motion, out):
     """Write where the tip is: the slopes' integral, as seen from the shaft."""

@@ -36,5 +36,11 @@ class Tables(NamedTuple):
 # - stretch: E_i of these at the nodes, (A, n_g);
 # - stiffness: omega_i^2, (1 + N,);
 # - axial_rate: what the linear part has for their accelerations per q_i and q_i', (2, A, A).
-StretchTables = namedtuple(  # type: ignore[misc]
-    'StretchTables', (*Tables._fields, 'stretch', 'stiffness', 'axial_rate'))
+# With one axis of the carrier held, each of so many sectors of half a turn has its linear part.
+SECTORS = 16
+
+# Where the last R coordinates have rates in place of momenta (T44): the axial strain of the last A
+# at the nodes, (A, n_g); omega_i^2, (1 + N,); the linear part of the accelerations, (R, 2, R); the
+# sector of the shaft angle for which it is, -1: any.
+RateTables = namedtuple(  # type: ignore[misc]
+    'RateTables', (*Tables._fields, 'stretch', 'stiffness', 'linear_rate', 'sector'))

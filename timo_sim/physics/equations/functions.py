@@ -13,7 +13,7 @@ An integrator calls `rate` and `observe` by these names; numba chooses the body 
 constants, `rate.of(Tables)`.
 """
 
-from timo_sim.jit.decorators import dispatch, entry_point
+from timo_sim.jit.decorators import dispatch, entry_point, optional
 
 
 @dispatch
@@ -30,6 +30,12 @@ def rate(tables, state, load, out):
         Columns as in `layout`.
 
     """
+
+
+@optional
+def holds(tables, state, load):
+    """Return whether the linear part, of which the constants know, is that for this state."""
+    return True
 
 
 @dispatch

@@ -17,7 +17,7 @@ import numpy as np
 
 from timo_sim.jit.constants import local
 from timo_sim.jit.decorators import entry_point, inlined, inner, strict
-from timo_sim.physics.equations.functions import observe, rate
+from timo_sim.physics.equations.functions import holds, observe, rate
 from timo_sim.physics.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
 
 
@@ -93,7 +93,7 @@ def one_step(tables, propagator, now, start, middle, end, half, following, combi
 @entry_point
 def advance(tables, propagator, state, load, loads, sample_every, done, samples, states, rates):
     """
-    Integrate over a run of equal steps.
+    Integrate over a run of equal steps, as long as the linear part holds.
 
     Parameters
     ----------
@@ -121,7 +121,8 @@ def advance(tables, propagator, state, load, loads, sample_every, done, samples,
     Returns
     -------
     int
-        Steps done; fewer than given if the state is no longer finite.
+        Steps done; fewer than given if the state is no longer finite, or the constants do not hold
+        for it.
 
     """
     check(state, load, loads, propagator)
@@ -146,6 +147,9 @@ def advance(tables, propagator, state, load, loads, sample_every, done, samples,
         copy(rate_0, rates[k])
         copy(stage, now)
         load = loads[k, AFTER]
+        if k + 1 < len(loads) and not holds(tables, now, load):
+            copy(now, state)
+            return k + 1
     copy(now, state)
     return len(loads)
 
@@ -194,7 +198,7 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
     for k in range(first, steps + 1):
         if sample_every and (done + k) % sample_every == 0:
             observe(tables, now, load, samples[(done + k) // sample_every])
-        if k == steps:
+        if k == steps or k > first and not holds(tables, now, load):
             break
         coarse = differences[k]
         copy(now, begin)
@@ -224,4 +228,4 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
         copy(stage, now)
         load = loads[k, AFTER]
     copy(now, state)
-    return steps
+    return k

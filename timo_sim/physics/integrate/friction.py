@@ -21,7 +21,7 @@ import numpy as np
 
 from timo_sim.jit.constants import local, pack
 from timo_sim.jit.decorators import entry_point, inlined
-from timo_sim.physics.equations.functions import observe
+from timo_sim.physics.equations.functions import holds, observe
 from timo_sim.physics.integrate.etdrk4 import check, copy, is_finite, one_step
 from timo_sim.physics.integrate.friction_events import (
     COLUMNS, fit, JOINTS, Joints, solve)
@@ -91,8 +91,8 @@ def _add_drift(joints, side, travel, path, friction):
 
 
 @entry_point
-def advance(tables, propagator, joints, friction, state, load, loads, sample_every, done, samples,
-            heat):
+def advance(tables, propagator, joints, friction, state, load, loads, first, sample_every, done,
+            samples, heat):
     """
     Integrate over a run of equal steps with friction, as `etdrk4.advance` does without.
 
@@ -126,16 +126,16 @@ def advance(tables, propagator, joints, friction, state, load, loads, sample_eve
     motion, pushed = np.empty(samples.shape[1]), np.empty((STAGES, LOADS))
     _clear(mobility, going)
     copy(state, now)
-    for k in range(len(loads) + 1):
+    for k in range(first, len(loads) + 1):
         observe(tables, now, load, motion)
-        if k > 0:
+        if k > first:
             _add_heat(joints, motion, place, speed, r, slope, friction)
         for i in range(JOINTS):
             place[i], speed[i] = motion[i], motion[len(motion) // 2 + i]
         if sample_every and (done + k) % sample_every == 0:
             copy(motion, samples[(done + k) // sample_every])
             heat[(done + k) // sample_every] = friction[_HEAT]
-        if k == len(loads):
+        if k == len(loads) or k > first and not holds(tables, now, load):
             break
 
         for trial in range(_TRIALS):
@@ -170,7 +170,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, sample_eve
         copy(acting, friction[:JOINTS])
         load = loads[k, AFTER]
     copy(now, state)
-    return len(loads)
+    return k
 
 
 class FrictionSteps(Steps):
@@ -219,8 +219,9 @@ class FrictionSteps(Steps):
         self._observe(state, load)  # estimates of the error leave friction out
 
     def _integrate(self, state, load, loads, sample_every, sampled, motions, heat):
-        return advance(self.model.packed, self.propagator(), self._joints, self.memory, state,
-                       load, loads, sample_every, sampled, motions, heat)
+        return self._by_sectors(state, load, loads, 0, lambda part, first, load: advance(
+            part.packed, part.propagator(), self._joints, self.memory, state, load, loads, first,
+            sample_every, sampled, motions, heat))
 
     def acting(self, load):
         """Return a load with what friction adds to it, shape (14,)."""

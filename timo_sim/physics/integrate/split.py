@@ -50,7 +50,7 @@ class SplitSteps(Steps):
     @property
     def constants(self):
         """The packed constants for whose sizes machine code is needed, a list."""
-        return [self.model.packed, self.propagator(), self.propagator(1)]
+        return [self.model.packed, self._part.propagator(), self._part.propagator(1)]
 
     def warm_up(self, state, load):
         """Compile, or load from disk, what is called besides `motion`."""
@@ -71,10 +71,11 @@ class SplitSteps(Steps):
         self.largest_error = max(self.largest_error, errors[0])
         return done, loads[-1, AFTER] if count else load
 
-    def _advance_within(self, tolerance, level, state, load, *rest):
-        return etdrk4.advance_within(
-            self.model.packed, self.propagator(level), self.propagator(level + 1),
-            self._shift, tolerance, state, load, *rest)
+    def _advance_within(self, tolerance, level, state, load, loads, of_halves, done, *rest):
+        return self._by_sectors(
+            state, load, loads, done, lambda part, first, load: etdrk4.advance_within(
+                part.packed, part.propagator(level), part.propagator(level + 1), self._shift,
+                tolerance, state, load, loads, of_halves, first, *rest))
 
     def _split(self, state, load, number, tabulate, difference, errors):
         """Do one step in parts; return whether the state is still finite."""

@@ -22,6 +22,21 @@ NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
 _TURN = 1e-5  # [rad]
 
 
+class LinearPart:
+    """Packed constants of a model, and the matrices of its steps, by one linear part."""
+
+    def __init__(self, packed, linear, step):
+        self.packed, self.linear, self._step, self._propagators = packed, linear, step, {}
+
+    def propagator(self, level=0):
+        """Return the matrices of a step divided by 2^level, packed constants."""
+        if level not in self._propagators:
+            pair = propagators(self.linear, self._step / 2**level)
+            for number, matrices in enumerate(pair, start=level):
+                self._propagators[number] = pack(matrices)
+        return self._propagators[level]
+
+
 class Steps:
     """
     Equal steps of a model, each done once.
@@ -52,7 +67,7 @@ class Steps:
         self.model, self.step = model, step
         self.memory = np.zeros(0)
         self.splits, self.unresolved = 0, 0
-        self._propagators = {}
+        self._part, self._sectors = LinearPart(model.packed, model.linear, step), {}
         self._no_samples = np.empty((0, model.size)), np.zeros(0)
         self.errors, self._constant = RunError(self), np.empty((1, STEP_LOADS, LOADS))
 
@@ -81,18 +96,10 @@ class Steps:
             earlier.memory, earlier.splits, earlier.unresolved)
         self.errors.go_on(earlier.errors)
 
-    def propagator(self, level=0):
-        """Return the matrices of a step divided by 2^level, packed constants."""
-        if level not in self._propagators:
-            pair = propagators(self.model.linear, self.step / 2**level)
-            for number, matrices in enumerate(pair, start=level):
-                self._propagators[number] = pack(matrices)
-        return self._propagators[level]
-
     @property
     def constants(self):
         """The packed constants for whose sizes machine code is needed, a list."""
-        return [self.model.packed, self.propagator()]
+        return [self.model.packed, self._part.propagator()]
 
     def warm_up(self, state, load):
         """Compile, or load from disk, what is called besides `motion`."""
@@ -156,8 +163,34 @@ class Steps:
         return self._step(0, state, load, loads, sample_every, sampled, motions,
                           *self.errors.rest)
 
-    def _step(self, level, state, load, loads, *rest):
-        return etdrk4.advance(self.model.packed, self.propagator(level), state, load, loads, *rest)
+    def _step(self, level, state, load, loads, sample_every, sampled, motions, states, rates):
+        def integrate(part, first, load):
+            done = first + etdrk4.advance(
+                part.packed, part.propagator(level), state, load, loads[first:], sample_every,
+                sampled + first, motions, states[first:], rates[first:])
+            if part is not self._part:  # rates are kept beside the linear part of all sectors
+                rates[first:done] += states[first:done] @ (part.linear - self.model.linear).T
+            return done
+        return self._by_sectors(state, load, loads, 0, integrate)
+
+    def _by_sectors(self, state, load, loads, done, integrate):
+        """
+        Integrate with the linear part of each sector through which the shaft turns.
+
+        With `integrate`, a function(LinearPart, int, ndarray) -> int: from steps done and the load
+        there to steps done. No more are, if the last call did none.
+        """
+        if not self.model.sectors:
+            return integrate(self._part, done, load)
+        while True:
+            number = self.model.sector(state, load)
+            if number not in self._sectors:
+                tables, linear = self.model.in_sector(number)
+                self._sectors[number] = LinearPart(pack(tables), linear, self.step)
+            begun, done = done, integrate(self._sectors[number], done, load)
+            if done in (begun, len(loads)):
+                return done
+            load = loads[done - 1, AFTER]
 
     def follow_errors(self, error, states, rates, load, weight):
         """

@@ -7,49 +7,71 @@
 # language governing permissions and limitations under the License.
 
 """
-What axial modes add to the compiled functions of the `exact` formulation.
+What the compiled functions of `exact` add where coordinates have rates in place of momenta.
 
-Numbers (T..) are those of doc/theory.md, section 6. For an arm that does not stretch, the
-functions declared here are empty.
+Numbers (T..) are those of doc/theory.md, section 6. These are the axial coordinates or,
+with one axis of the carrier held and no axial ones, all that are free.
 """
 
+import math
+
 from timo_sim.jit.constants import local
-from timo_sim.jit.decorators import dispatch
-from timo_sim.physics.equations.exact_tables import StretchTables, Tables
+from timo_sim.jit.decorators import inner, optional
+from timo_sim.physics.equations import functions
+from timo_sim.physics.equations.exact_tables import RateTables, SECTORS
 from timo_sim.physics.equations.sincos import sincos
-from timo_sim.physics.layout import ACCELERATION, TIP_TORQUE, TORQUE
+from timo_sim.physics.layout import ACCELERATION, ANGLE, TIP_TORQUE, TORQUE
 
 
-@dispatch
+@inner
+def sector(angle):
+    """Return the number of the sector in which a shaft angle lies."""
+    number = math.floor(angle * (SECTORS / math.pi))
+    return number - SECTORS * math.floor(number / SECTORS)
+
+
+@optional
 def stretch_slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
     """Add the axial strain to a, b (T20), C1 and C2 (T21)."""
 
 
-@dispatch
+@optional
 def known_rates(tables, state, mass, inverse, speed, factors):
-    """Set the rates of the axial coordinates, which are part of the state; keep L and 1/D."""
+    """Set the rates that are part of the state; keep L and 1/D of the mass matrix."""
 
 
-@dispatch
+@optional
+def rated(tables):
+    """Return how many of the last coordinates have rates in place of momenta."""
+    return 0
+
+
+@optional
 def stretch_forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordinate, speed,
                    factors, out):
-    """Add what the axial strain adds to dT/dq (T26); write the axial accelerations (T43)."""
+    """Add what the axial strain adds to dT/dq (T26); write the accelerations (T44)."""
 
 
-@dispatch
+@optional
 def stretch_tip(tables, motion, out):
     """Add the axial strain to where the tip is, as seen from the shaft."""
 
 
-for declared in (stretch_slopes, known_rates, stretch_forces, stretch_tip):
-    declared.of(Tables)(declared)
+@functions.holds.of(RateTables)
+def _holds(tables, state, load):
+    if tables.sector < 0:
+        return True
+    driven = len(tables.rotation) > len(tables.straight)
+    return sector(load[ANGLE] if driven else state[len(tables.axes)]) == tables.sector
 
 
-@stretch_slopes.of(StretchTables)
+@stretch_slopes.of(RateTables)
 def _slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
     rotation, stretch = tables.rotation, tables.stretch
     count, nodes = rotation.shape
     axial = count - len(stretch)
+    if axial == count:
+        return
     for j in range(nodes):
         strain = 0.0
         for i in range(axial, count):
@@ -63,26 +85,32 @@ def _slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
             c2[i, j] += strain * cosine[j] * rotation[i, j]
 
 
-@known_rates.of(StretchTables)
+@rated.of(RateTables)
+def _rated(tables):
+    return len(tables.linear_rate)
+
+
+@known_rates.of(RateTables)
 def _rates(tables, state, mass, inverse, speed, factors):
     count = len(speed)
-    axial = count - len(tables.stretch)
+    own = count - len(tables.linear_rate)
     for i in range(count - len(tables.straight), count):
         for j in range(i):
             factors[i, j] = mass[i, j]
         factors[i, i] = inverse[i]
-    for i in range(axial, count):
+    for i in range(own, count):
         speed[i] = state[len(state) - count + i]
-        for j in range(axial, i):
-            mass[i, j] = 0.0  # the rates of other axial coordinates are as given
+        for j in range(own, i):
+            mass[i, j] = 0.0  # other rates of the state are as given
 
 
-@stretch_forces.of(StretchTables)
+@stretch_forces.of(RateTables)
 def _forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordinate, speed,
             factors, out):
     rotation, shear, stretch, lever = tables.rotation, tables.shear, tables.stretch, tables.lever
     count, nodes = rotation.shape
     first, axial, momenta = count - len(tables.straight), count - len(stretch), len(out) - count
+    own = count - len(tables.linear_rate)
     push_x, push_y, tip_x, tip_y = forces
     across, bent_1, bent_2 = local((lever,)), local((lever,)), local((lever,))
     for j in range(nodes):
@@ -114,7 +142,7 @@ def _forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordi
             total += (work_x * c1[i, j] + work_y * c2[i, j] - image_1[i, j] * bent_1[j]
                       - image_2[i, j] * bent_2[j])
         # Of the shaft, T does not depend on the angle unless one axis is held.
-        if i or len(tables.axes) == 1:
+        if i < own and (i or len(tables.axes) == 1):
             out[momenta + i] += added
         total += (tables.turn[i] * load[TIP_TORQUE] - tables.stiffness[i] * coordinate[i]
                   - tables.damping[i] * speed[i])
@@ -127,23 +155,25 @@ def _forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordi
     for k in range(first, count):
         for i in range(k + 1, count):
             force[i] -= factors[i, k] * force[k]
-    for k in range(count - 1, axial - 1, -1):
+    for k in range(count - 1, own - 1, -1):
         force[k] *= factors[k, k]
         for i in range(k + 1, count):
             force[k] -= factors[i, k] * force[i]
-    for i in range(len(stretch)):
-        total = force[axial + i]
-        for j in range(len(stretch)):
-            total -= (tables.axial_rate[0, i, j] * coordinate[axial + j]
-                      + tables.axial_rate[1, i, j] * speed[axial + j])
-        out[momenta + axial + i] = total
+    for i in range(own, count):
+        total = force[i]
+        for j in range(own, count):
+            total -= (tables.linear_rate[i - own, 0, j - own] * coordinate[j]
+                      + tables.linear_rate[i - own, 1, j - own] * speed[j])
+        out[momenta + i] = total
 
 
-@stretch_tip.of(StretchTables)
+@stretch_tip.of(RateTables)
 def _tip(tables, motion, out):
     rotation, stretch, reach = tables.rotation, tables.stretch, tables.reach
     count, nodes = rotation.shape
     axial = count - len(stretch)
+    if axial == count:
+        return
     for j in range(nodes):
         phi = 0.0
         for i in range(1, axial):

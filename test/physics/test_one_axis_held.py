@@ -1,0 +1,95 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A carrier held along one axis: inertia depends on the shaft angle, so does the linear part."""
+
+import numpy as np
+import pytest
+import timo_sim
+from timo_sim.physics.layout import ANGLE, LOADS
+
+HEAVY = {'end_effector.mass': 60.0, 'end_effector.inertia': 12.0, 'initial.shaft_velocity': 2.0,
+         'model.modes': 5, 'initial.modal_rates': [0.5, 0.0, 0.0, 0.0, 0.0]}
+SPINNING = {'initial.shaft_velocity': 10.0, 'initial.modal_rates': [0.5, 0.0, 0.0]}
+
+
+def scene_of(held, step, values):
+    return timo_sim.load_scene({'carrier.held': held, 'integrator.step': step, **values})
+
+
+def jacobian(model, angle):
+    """Return the derivative of a model's rate at rest, but for that by the shaft angle."""
+    motion = np.zeros(model.size)
+    motion[2] = angle
+    rest, load = model.state(motion), np.zeros(LOADS)
+    half = len(rest) // 2
+    size = 1e-6 * np.concatenate([np.ones(half - len(model.modes)), 1.0 / model.modes.omega,
+                                  np.ones(half)])
+    return np.column_stack([
+        (model.rate(rest + shift, load) - model.rate(rest - shift, load)) / (2.0 * shift.sum())
+        for shift in np.diag(size)])
+
+
+def assert_is_jacobian(linear, model, angle):
+    found = jacobian(model, angle)
+    found[:, len(model.axes)] = 0.0  # with the angle, the axes of the deflection turn
+    np.testing.assert_allclose(linear, found, rtol=1e-6, atol=1e-6 * np.abs(found).max())
+
+
+@pytest.mark.parametrize('held', ['x', 'y'])
+@pytest.mark.parametrize('damping', [0.0, 0.02])
+def test_the_linear_part_of_a_sector_is_that_of_the_equations(held, damping):
+    model = scene_of(held, 0.001, {'arm.damping_ratio': [damping]}).build()
+    for number in range(model.sectors):
+        angle = (number + 0.5) * np.pi / model.sectors
+        assert model.sector(model.state(np.r_[0.0, 0.0, angle, np.zeros(model.size - 3)]),
+                            np.zeros(LOADS)) == number
+        assert_is_jacobian(model.in_sector(number)[1], model, angle)
+
+
+@pytest.mark.parametrize('angle', [0.0, 0.4, 2.0])
+def test_the_linear_part_of_a_locked_shaft_is_that_of_the_equations(angle):
+    model = scene_of('x', 0.001, {'motor.shaft': 'locked', 'initial.shaft': angle}).build()
+    assert model.sectors == 0
+    load, state = np.zeros(LOADS), np.zeros(len(model.linear))
+    load[ANGLE], state[len(model.axes)] = angle, 1e-6 / model.modes.omega[0]
+    np.testing.assert_allclose(model.rate(state, load), model.linear @ state, rtol=1e-6,
+                               atol=1e-6 * np.abs(model.linear @ state).max())
+
+
+# Along x, the tip throws the light carrier to and fro, and bends the arm by a tenth of its length.
+@pytest.mark.parametrize('held, limit', [('x', 1e-6), ('y', 2e-4)])
+def test_a_heavy_tip_does_not_need_small_steps(held, limit):
+    """With momenta in the state, 5 ms diverge within a few steps."""
+    tips = [timo_sim.simulate(scene_of(held, step, HEAVY), 0.3).position(2.0)[-1]
+            for step in (0.005, 0.0005)]
+    assert np.linalg.norm(tips[1] - tips[0]) < limit
+
+
+def test_steps_are_of_fourth_order_through_the_sectors():
+    tips = [timo_sim.simulate(scene_of('x', step, SPINNING), 1.0).position(2.0)[-1]
+            for step in (0.004, 0.002, 0.0002)]
+    errors = [np.linalg.norm(tip - tips[-1]) for tip in tips[:-1]]
+    assert errors[0] < 1e-5
+    assert 9.0 < errors[0] / errors[1] < 40.0
+
+
+@pytest.mark.parametrize('values', [
+    {}, {'integrator.tolerance': 1e-9}, {'motor.coulomb_friction': 1.0},
+    {'motor.shaft': 'driven', 'initial.shaft_velocity': 0.0, 'motor.drive.time': [0.0, 0.2],
+     'motor.drive.angle': [0.0, 2.0], 'motor.drive.speed': [0.0, 5.0],
+     'motor.drive.acceleration': [0.0, 0.0]},
+], ids=['steps', 'tolerance', 'friction', 'driven'])
+def test_it_does_not_matter_how_many_steps_are_done_at_once(values):
+    scene = scene_of('y', 0.002, {**SPINNING, **values})
+    whole, single = timo_sim.Simulator(scene), timo_sim.Simulator(scene)
+    motions, _ = whole.advance(200, sample_every=1)
+    for expected in motions[1:]:
+        single.advance(1)
+        np.testing.assert_array_equal(single.motion.values, expected)
+    assert np.ptp(motions[:, 2]) > 1.0  # through five sectors at least
