@@ -40,8 +40,8 @@ axis a kernel, `K = D^T diag(m) D - d d^T / m_t` of the masses about their centr
 A carrier held along an axis takes the mass centre's place there: its coordinate and momentum are
 struck out, and the kernel is the one about the root, without `d d^T / m_t` (T27). With one axis
 held the kernels differ, T depends on the shaft angle too, and the state has rates q_i' in place of
-momenta (T44). Of a driven shaft q_0 and q_0' are given: p_0 is struck out, and the other momenta keep
-their share `M_i0 q_0'` (T28); its acceleration is needed only where the state has rates.
+momenta (T44). Of a driven shaft q_0 and q_0' are given: p_0 is struck out, and the other momenta
+keep their share `M_i0 q_0'` (T28); its acceleration is needed only where the state has rates.
 """
 
 from functools import cached_property
