@@ -71,8 +71,9 @@ def test_energy_is_balanced_whatever_the_samples(tmp_path):
         'load.torque.harmonic.amplitude': [5.0], 'load.torque.harmonic.frequency': [1.5],
         'initial.modal_rates': [0.0, 1.0, 0.3, 0.0]})
     dense = timo_sim.simulate(scene, 5.0)
-    done = np.append(0.0, np.cumsum(work(np.rint(1e9 * dense.t), dense.motion[:, 2:3],
-                                         dense.shaft_velocity[:, np.newaxis], dense.effort[:, 2:])))
+    done = work(np.rint(1e9 * dense.t), dense.motion[:, 2:3],
+                dense.shaft_velocity[:, np.newaxis], dense.effort[:, 2:])
+    done = np.append(0.0, np.cumsum(done))
     thin = timo_sim.simulate(scene, 5.0, sample_every=50)
     for run in dense, thin, timo_sim.open_log(thin.save(tmp_path / 'run.mcap')):
         every = round(run.t[1] / 0.001)

@@ -140,13 +140,8 @@ class Run(MotionFields):
         Return what viscous friction and modal damping have taken so far, shape (n,) [J].
 
         With samples that are some steps apart the run is simulated again for what happens between
-        them. A run with commands or resets cannot be: it is taken from the samples alone.
-
-        Warns
-        -----
-        ModelWarning
-            If such samples are too far apart for 1e-3 of it.
-
+        them. A run with commands or resets cannot be: it is taken from the samples alone, with a
+        ModelWarning if they are too far apart for 1e-3 of it.
         """
         taken, doubt = dissipated(self.scene, self.t, self.motion)
         if doubt:
