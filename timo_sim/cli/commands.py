@@ -225,7 +225,7 @@ def simulate(scene, duration, settings, output, rate, view, png):
     from timo_sim.scene.scene import load_scene
     from timo_sim.simulation.resolution import resolved
     from timo_sim.simulation.model_warnings import DivergenceError
-    scene, steps = resolved(load_scene(scene, _parsed(settings)), duration)
+    scene, steps = resolved(load_scene(scene, _parsed(settings)), duration, click.echo)
     if rate:
         every = whole_ratio('1/integrator.step', 1.0 / scene.step, '--rate', rate)
     else:

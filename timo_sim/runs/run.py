@@ -14,16 +14,18 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
+import warnings
 
 import numpy as np
 
 from timo_sim.messages.outputs import outputs, with_angles
 from timo_sim.physics.equations.base import Formulation
 from timo_sim.physics.layout import FORCE_X, FORCE_Y, LOADS, MotionFields, TORQUE
+from timo_sim.scene.parameter import ModelWarning
 from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.scene.scene import Scene
 from timo_sim.scene.summary import html_table
-from timo_sim.simulation.energy import integral
+from timo_sim.simulation.energy import dissipated
 from timo_sim.simulation.joints import applied, joints_of_run
 from timo_sim.simulation.snapshot import Snapshot
 
@@ -134,9 +136,19 @@ class Run(MotionFields):
         return self.model.energy(self.motion)
 
     def dissipated(self) -> np.ndarray:
-        """Return what viscous friction and modal damping have taken so far, shape (n,) [J]."""
-        taken = integral(np.rint(self.t * 1e9), self.model.dissipation(self.motion))
-        return np.append(0.0, np.cumsum(taken))
+        """
+        Return what viscous friction and modal damping have taken so far, shape (n,) [J].
+
+        With samples that are some steps apart the run is simulated again for what happens between
+        them. A run with commands or resets cannot be: it is taken from the samples alone, with a
+        ModelWarning if they are too far apart for 1e-3 of it.
+        """
+        taken, doubt = dissipated(self.scene, self.t, self.motion)
+        if doubt:
+            warnings.warn('what friction and damping have taken is known from samples too far '
+                          'apart, and the run cannot be simulated again: take more samples',
+                          ModelWarning, stacklevel=2)
+        return taken
 
     def momentum(self) -> np.ndarray:
         """

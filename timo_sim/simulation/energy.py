@@ -10,6 +10,12 @@
 
 import numpy as np
 
+from timo_sim.physics.integrate.run_error import CHUNK
+from timo_sim.simulation.model_warnings import DivergenceError
+from timo_sim.simulation.simulator import Simulator
+
+_MOST_DOUBT = 1e-3  # of what is taken
+
 
 def work(ns, position, velocity, force):
     """
@@ -68,3 +74,60 @@ def integral(ns, power):
         slope = np.gradient(power, np.asarray(ns) * 1e-9, edge_order=2)
         done -= duration**2 / 12.0 * np.diff(slope)
     return done
+
+
+def dissipated(scene, t, motions):
+    """
+    Return what viscous friction and modal damping have taken since the first sample.
+
+    Between samples that are some steps apart, the run is done again. If that gives other motions,
+    because of commands, it is the integral by the samples.
+
+    Parameters
+    ----------
+    scene : Scene
+    t : ndarray, shape (n,)
+        [s]
+    motions : ndarray, shape (n, 2 (3 + N))
+
+    Returns
+    -------
+    taken : ndarray, shape (n,)
+        [J]
+    doubt : bool
+        Whether the samples are too far from each other to tell.
+
+    """
+    power, steps = scene.build().dissipation(motions), np.rint(t / scene.step).astype(int)
+    every = steps[1] if len(t) > 1 else 1
+    if every > 1 and power.any() and np.array_equal(steps, every * np.arange(len(t))):
+        found = _power_of_steps(scene, every, motions)
+        if found is not None:
+            return _since_start(1e9 * scene.step * np.arange(len(found)), found)[::every], False
+    ns = np.rint(t * 1e9)
+    taken, coarse = _since_start(ns, power), _since_start(ns[::2], power[::2])
+    doubt = np.diff(steps).max(initial=1) > 1 and (
+        np.abs(taken[::2] - coarse).max() > _MOST_DOUBT * taken.max())
+    return taken, doubt
+
+
+def _since_start(ns, power):
+    return np.append(0.0, np.cumsum(integral(ns, power)))
+
+
+def _power_of_steps(scene, every, motions):
+    # At the start and after each step [W], or None if that is not what these samples are of.
+    simulator, last = Simulator(scene), every * (len(motions) - 1)
+    simulator.warm_up()
+    power = np.empty(last + 1)
+    for k in range(0, last, CHUNK):
+        count = min(CHUNK, last - k)
+        try:
+            again = simulator.advance(count, sample_every=1)[0]
+        except DivergenceError:
+            return None
+        power[k:k + count + 1] = simulator.model.dissipation(again)
+        if not np.array_equal(again[-k % every::every],
+                              motions[-(-k // every):(k + count) // every + 1]):
+            return None
+    return power

@@ -8,36 +8,72 @@
 
 """The resolution, modes and step, that a stated tip error needs."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
+import math
 from typing import NamedTuple
+import warnings
 
 import numpy as np
 
 from timo_sim.physics.layout import Motion
-from timo_sim.scene.parameter import ParameterError, whole_ratio
+from timo_sim.scene.parameter import ModelWarning, ParameterError, whole_ratio
 from timo_sim.scene.scene import Scene, scene_from
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.simulator import Simulator
 
+SIZES = (3, 5, 8, 10, 12)      # numbers of modes: few, as each has to be compiled once
 STEPS = (0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)  # to choose from [s]
-PERIOD = 0.02                      # of the samples that are compared [s]
-HORIZON, LONGEST = 10.0, 60.0      # sim time looked at, if none is said, and at most [s]
-RICH_MODES, RICH_STEP = 12, 0.0005  # what stands for the truth
-MOST_MODES = 8                     # with up to these, the truth is much closer to itself
-MARGIN = 2.0                       # of the choice to the stated error
+TRUE_STEPS = STEPS[3:]         # of what stands for the truth [s]
+GRID, PERIOD = 0.02, 0.001     # multiple of all steps; least time between samples [s]
+HORIZON, LONGEST = 10.0, 30.0  # sim time looked at, if none is said, and at most [s]
+MARGIN, AGREEMENT = 2.0, 20.0  # of the stated error to the choice's, and to the truth's
+LEAST_GROWTH, MOST_GROWTH = 0.5, 2.0  # power of time with which errors are extrapolated
+MOST_STEPS = 200000            # of a longer run that are compared with halves
+_BLOCK = 1024                  # samples that are worked out at once
 
 
 class Resolution(NamedTuple):
-    """A scene with its modes and step chosen, and the estimated tip error [m]."""
+    """
+    A scene with its modes and step chosen.
+
+    Attributes
+    ----------
+    scene : Scene
+    estimate : float
+        Of the tip error until the end of the run [m].
+    looked_at : float
+        Sim time over which it was found; beyond that it is extrapolated [s].
+    until : float
+        Sim time at which the error is the stated one if it grows at least with time [s].
+    warning : str or None
+        Of what modes and steps do not mend.
+
+    """
 
     scene: Scene
     estimate: float
+    looked_at: float
+    until: float
+    warning: str | None
 
     def __str__(self):
         values, model = self.scene.values, self.scene.build()
         return (f'N = {values["model.modes"]} modes, n_g = {len(model.quadrature.nodes)} '
                 f'nodes, h = {1e3 * self.scene.step:g} ms: estimated tip error '
-                f'{self.estimate:.1e} m')
+                f'{self.estimate:.1e} m, by a look at {self.looked_at:g} s; below the stated one '
+                f'until about {self.until:.2g} s' + (f'; {self.warning}' if self.warning else ''))
+
+
+class _Path(NamedTuple):
+    """Where a run's tip is in the world and in the arm frame, (n, 2, 2) [m], after the start."""
+
+    tip: np.ndarray
+    stride: int           # PERIODs from one to the next
+    rest: np.ndarray      # what the deflection has of modes n, n + 1, ..., at most (N,) [m]
+    error: float          # of the steps, as the run estimates it [m]
+    simulator: Simulator
 
 
 def choose_resolution(scene: Scene, duration: float = 0.0,
@@ -45,17 +81,18 @@ def choose_resolution(scene: Scene, duration: float = 0.0,
     """
     Choose modes and step of a scene for the tip error that it states in `model.accuracy`.
 
-    The scene's own motion is simulated with many modes and small steps. The choice is the least
-    N, and the largest h for it, with which the tip's position in the world and its deflection in
-    the arm frame stay within half the stated error of that run. It holds for that motion;
-    where commands follow, the scene's own loads should be as rough as they are. What a
-    formulation itself leaves out is not part of it.
+    The scene's own motion is compared with a reference of 12 modes, at a step from which a larger
+    one differs by less than a twentieth of the stated error; of fewer modes, if there is no such
+    step. The choice is the least N, and the largest h for it, with which the tip's position in
+    the world and its deflection in the arm frame stay within half the stated error and the run
+    does not warn of its steps. It holds for that motion; where commands follow, the scene's own
+    loads should be as rough as they are. What a formulation itself leaves out is not part of it.
 
     Parameters
     ----------
     scene : Scene
     duration : float
-        Sim time to look at; 0: 10 s; at most 60 s are [s].
+        Sim time of the run, of which 30 s are compared; 0: 10 s [s].
     fits : function(float) -> bool
         Whether a step [s] suits the caller.
 
@@ -66,45 +103,62 @@ def choose_resolution(scene: Scene, duration: float = 0.0,
     Raises
     ------
     ParameterError
-        If the scene is at rest, or no choice reaches the stated error.
+        If the scene is at rest, or no choice reaches the stated error; the text says why.
 
     Examples
     --------
     >>> import timo_sim
     >>> scene = timo_sim.load_scene('paper', {'model.accuracy': 1e-3})
     >>> timo_sim.choose_resolution(scene, duration=1.0).scene.values['model.modes']
-    2
+    3
 
     """
     goal = scene.values['model.accuracy']
-    span = max(1, round(min(duration or HORIZON, LONGEST) / PERIOD))
-    shares, truth = _tip(_with(scene, RICH_MODES, RICH_STEP), span)
-    if truth is None or np.ptp(truth, axis=1).max() == 0.0:
-        raise ParameterError(f'model.accuracy = {goal:g} m needs a scene that moves by its own '
-                             'loads or initial motion, and stays finite')
-    best = np.inf
-    for modes in range(_enough(shares, goal), MOST_MODES + 1):
-        for step in STEPS:
-            if not fits(step):
+    span = max(1, round(min(duration or HORIZON, LONGEST) / GRID))
+    longer = max(1.0, duration / LONGEST)
+    rich, truth, truth_error = _reference(scene, span, goal / AGREEMENT / longer)
+    sizes, best, limited_by = SIZES[:SIZES.index(rich)], (np.inf, 0, 0.0), {}
+    # What the reference has of higher modes is a guess that spares the trial of fewer.
+    for modes in [size for size in sizes if truth.rest[size] <= goal] or sizes[-1:]:
+        limited_by[modes], before = 'the steps', None
+        for step in filter(fits, STEPS):
+            path = _path(scene, modes, step, span)
+            if path is None:
                 continue
-            try:
-                choice = _with(scene, modes, step)
-            except ParameterError:  # a load that jumps inside such a step
-                continue
-            _, ours = _tip(choice, span)
-            error = np.inf if ours is None else np.linalg.norm(ours - truth, axis=2).max()
-            best = min(best, error)
-            if error <= goal / MARGIN:
-                return Resolution(choice, float(error))
-            if step <= 0.001 and error > goal:  # of the modes: smaller steps will not help
+            (apart, growth), run = _apart(path, truth), path
+            # Where modes converge as slowly as 1/N^2, the reference is off by (N/N_r)^2 of this.
+            estimate = (apart / (1.0 - (modes / rich)**2) + truth_error) * longer**growth
+            enough = MARGIN * estimate <= goal
+            if enough and longer > 1.0:  # a mode may grow, still unseen
+                whole = round(min(duration, MOST_STEPS * step) / GRID)
+                runs = [_path(scene, modes, step, whole, parts) for parts in (1, 2)]
+                run, estimate = runs[0] or path, estimate + (
+                    _apart(*runs)[0] if all(runs) else np.inf)
+            error = max(MARGIN * estimate, run.error)
+            if error <= goal and (truth.simulator.warning or not run.simulator.warning):
+                until = max(span * GRID, duration) * (goal / estimate)**(1.0 / max(growth, 1.0))
+                return Resolution(run.simulator.scene, estimate, span * GRID, until,
+                                  _of_stretch(run.simulator, goal))
+            best = min(best, (error, modes, step))
+            if not enough and before and _apart(path, before)[0] < 0.25 * apart:
+                limited_by[modes] = 'the modes'
                 break
-    raise ParameterError(f'model.accuracy = {goal:g} m is not reached, but {MARGIN * best:.1e} m '
-                         f'is, with up to {MOST_MODES} modes')
+            before = path
+    error, modes, step = best
+    if not modes:
+        raise _refused(scene, f'needs a step of at most {STEPS[0]:g} s at which loads jump, of '
+                       'which the duration is a multiple, and with which no run diverges')
+    more = '' if rich == SIZES[-1] else (
+        f', and with more than {rich} no steps down to {1e3 * STEPS[-1]:g} ms agree')
+    raise _refused(scene, f'is not reached, but {error:.1e} m is, with N = {modes} and '
+                   f'h = {1e3 * step:g} ms: {limited_by[modes]} limit it{more}')
 
 
-def resolved(scene, duration):
+def resolved(scene, duration, tell=None):
     """
     Return the scene, with modes and step chosen if it asks for that, and its number of steps.
+
+    What is chosen `tell`, a function(str), hears; without it there is a ModelWarning if need be.
 
     Raises
     ------
@@ -112,33 +166,94 @@ def resolved(scene, duration):
         If the duration does not fit the step, or no choice is good enough.
 
     """
-    if scene.values['model.accuracy']:
-        scene = choose_resolution(scene, duration).scene
+    goal = scene.values['model.accuracy']
+    if goal:
+        choice = choose_resolution(scene, duration, lambda step: _fits(duration, step))
+        if tell:
+            tell(f'model.accuracy = {goal:g} m: {choice}')
+        elif choice.warning:
+            warnings.warn(choice.warning, ModelWarning, stacklevel=3)
+        scene = choice.scene
     return scene, whole_ratio('duration', duration, 'integrator.step', scene.step)
 
 
-def _with(scene, modes, step):
-    return scene_from({**scene.values, 'model.accuracy': 0.0, 'model.modes': modes,
-                       'integrator.step': step})
-
-
-def _tip(scene, span):
-    # The modes' shares in the tip deflection, shape (n, N) [m], and the tip in the world and
-    # in the arm frame, shape (2, n, 2) [m], or None if the run diverges.
-    simulator, sample_every = Simulator(scene), round(PERIOD / scene.step)
-    simulator.warm_up()
-    model = simulator.model
+def _fits(duration, step):
     try:
-        motions = simulator.advance(span * sample_every, sample_every=sample_every)[0]
+        return whole_ratio('duration', duration, 'integrator.step', step) >= 0
+    except ParameterError:
+        return False
+
+
+def _reference(scene, span, agreement):
+    # What stands for the truth: its number of modes, path and error by its steps [m].
+    closest = np.inf
+    for modes in SIZES[:0:-1]:
+        before = None
+        for step in TRUE_STEPS:
+            path = _path(scene, modes, step, span)
+            if path and not np.ptp(path.tip, axis=0).any():
+                raise _refused(scene, 'needs a scene that moves by its own loads or initial '
+                               'motion')
+            if path and before:
+                apart, _ = _apart(path, before)
+                if apart <= agreement:
+                    return modes, path, apart / 3.0  # it falls at least with h^2
+                closest = min(closest, apart)
+            before = path
+    raise _refused(scene, 'needs a reference, but with steps down to '
+                   f'{1e3 * STEPS[-1]:g} ms all runs diverge' + (
+                       '' if np.isinf(closest) else f' or differ by {closest:.1e} m'))
+
+
+def _refused(scene, why):
+    return ParameterError(f'model.accuracy = {scene.values["model.accuracy"]:g} m {why}')
+
+
+def _path(scene, modes, step, span, parts=1):
+    # None if the scene cannot have this size and step, or its run is none of it.
+    try:
+        scene = scene_from({**scene.values, 'model.accuracy': 0.0, 'model.modes': modes,
+                            'integrator.step': step / parts})
+    except ParameterError:  # a load that jumps inside such a step
+        return None
+    simulator, stride = Simulator(scene), max(1, round(step / PERIOD))
+    if simulator.warning:  # a load that such steps do not see
+        return None
+    simulator.warm_up()
+    model, every = simulator.model, round(stride * PERIOD / step) * parts
+    tip, count = model.tip_point, round(span * GRID / PERIOD) // stride
+    path, rest = np.empty((count, 2, 2)), np.zeros(len(model.modes))
+    try:
+        for k in range(0, count, _BLOCK):
+            size = min(_BLOCK, count - k)
+            motions = simulator.advance(size * every, sample_every=every)[0][1:]
+            q = Motion(motions).q
+            path[k:k + size, 0] = model.world(motions, tip)[:, 0]
+            path[k:k + size, 1] = model.centre_line(q, tip)[:, 0]
+            shares = np.cumsum((q * tip.deflection[:, 0])[:, ::-1], axis=1)[:, ::-1]
+            rest = np.maximum(rest, np.abs(shares).max(axis=0))
     except DivergenceError:
-        return None, None
-    tip, q = model.tip_point, Motion(motions).q
-    return q * tip.deflection[:, 0], np.stack([model.world(motions, tip)[:, 0],
-                                               model.centre_line(q, tip)[:, 0]])
+        return None
+    error = simulator.estimated_error - simulator.stretch.tip
+    return _Path(path, stride, rest, error, simulator)
 
 
-def _enough(shares, goal):
-    # The first N without whose rest of the modes the deflection is within the goal: a guess that
-    # spares the trial of fewer.
-    rest = np.abs(np.cumsum(shares[:, ::-1], axis=1)).max(axis=0)[::-1]
-    return min(int(np.argmax(np.append(rest, 0.0) <= goal)), MOST_MODES)
+def _apart(one, other):
+    # Largest distance of two tips [m], and the power of time with which it grows.
+    common = math.lcm(one.stride, other.stride)
+    first, second = (path.tip[common // path.stride - 1::common // path.stride]
+                     for path in (one, other))
+    apart = np.linalg.norm(first - second, axis=2).max(axis=1)
+    early, late = apart[:(len(apart) + 1) // 2].max(), apart.max()
+    growth = math.log2(late / early) if early > 0.0 else 0.0
+    return float(late), min(max(growth, LEAST_GROWTH), MOST_GROWTH)
+
+
+def _of_stretch(simulator, goal):
+    off, scene = simulator.stretch.tip, simulator.scene
+    if off <= goal:
+        return None
+    exact = scene.values['model.formulation'] == 'exact'
+    return (f'an arm that stretches is {off:.1e} m away by t = {simulator.t:g} s, more than the '
+            f'stated model.accuracy: take {"" if exact else "model.formulation exact with "}'
+            'model.axial_modes 1')
