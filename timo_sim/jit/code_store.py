@@ -121,7 +121,8 @@ class CodeStore:
         self._code = function.__code__.co_code
 
     def _path(self, signature, codegen):
-        key = repr((self._code, signature, codegen.magic_tuple()))
+        fields = [[*getattr(kind, 'fields', ())] for kind in signature]
+        key = repr((self._code, signature, fields, codegen.magic_tuple()))
         return store_directory() / f'{self._name}-{hashlib.sha256(key.encode()).hexdigest()}.code'
 
     def load_overload(self, signature, target):
