@@ -25,6 +25,7 @@ import hashlib
 
 import numba
 from numba.core import types
+from numba.core.types import containers
 
 
 def _name_by_contents(kind):
@@ -34,7 +35,7 @@ def _name_by_contents(kind):
 
 def correct_names():
     """Let numba name records, nested arrays and NamedTuples by their contents."""
-    for kind in (types.Record, types.NestedArray, types.NamedTuple):
+    for kind in (types.Record, types.NestedArray, containers.NamedTuple):
         setattr(kind, 'mangling_args', property(_name_by_contents))
 
 
