@@ -23,6 +23,7 @@ import timo_sim
 from timo_sim.jit import code_store
 from timo_sim.jit.code_store import is_compiled, lock, size_mark
 from timo_sim.jit.decorators import entry_point, FASTMATH
+from timo_sim.physics.equations.functions import rate_once
 from timo_sim.physics.equations.sincos import sincos
 from timo_sim.simulation.load_table import LoadTable
 from timo_sim.simulation.simulator import Simulator
@@ -89,6 +90,15 @@ def test_loads_and_states_of_other_shapes_are_refused(values):
                   (state[:-2].copy(), load, (4, 14))):
         with pytest.raises(ValueError, match='a step takes a state of its model'):
             advance(*wrong)
+
+
+def test_single_rates_have_one_code_for_all_sizes():
+    counts = set()
+    for values in ({}, {'model.modes': 1}, {'carrier.held': 'x'}, {'motor.shaft': 'locked'}):
+        scene = timo_sim.load_scene(values)
+        timo_sim.linearize(scene, at=np.zeros(scene.build().size))
+        counts.add(len(rate_once.signatures))
+    assert len(counts) == 1
 
 
 RUN = """

@@ -16,7 +16,7 @@ solved at once and integrated by SciPy's DOP853. The scene has a shear modulus s
 matters as much as bending, a spinning shaft, and loads.
 """
 
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -140,13 +140,18 @@ def solve(scene, equations):
     return motion[:, :half], forces
 
 
+@cache
+def integrals(model):
+    """Return the kernel and the lever of the masses, and the strains of the modes at the nodes."""
+    nodes, to_points, mass = model.quadrature.nodes, model.points.integral.T, model.point_mass
+    rotation, shear = model.modes.rotation(nodes).T, model.modes.shear(nodes).T
+    return (to_points.T @ (mass[:, np.newaxis] * to_points), to_points.T @ mass, rotation, shear,
+            model.modes.stretch(nodes).T if model.axial else np.zeros_like(shear))
+
+
 def exact(model, t, theta, q, om, qdot):
     body, points = model.manipulator, model.points
-    nodes = model.quadrature.nodes
-    to_points, mass = points.integral.T, model.point_mass
-    kernel, lever = to_points.T @ (mass[:, np.newaxis] * to_points), to_points.T @ mass
-    rotation, shear = model.modes.rotation(nodes).T, model.modes.shear(nodes).T
-    stretch = model.modes.stretch(nodes).T if model.axial else np.zeros_like(shear)
+    kernel, lever, rotation, shear, stretch = integrals(model)
     coupling = points.rotation @ model.point_inertia
     rotary = (points.rotation * model.point_inertia) @ points.rotation.T
     (phi, gamma, e), (phi_t, gamma_t, e_t) = (

@@ -14,6 +14,7 @@ import math
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
+from numba.np.arrayobj import _empty_nd_impl
 import numpy as np
 
 
@@ -41,6 +42,12 @@ def pack(fields):
     return packed[()]
 
 
+def of_any_size(fields):
+    """Return a NamedTuple of numbers and arrays for which all sizes share one machine code."""
+    values = (np.array(value, order='C') for value in fields)
+    return fields._make(value if value.ndim else value.item() for value in values)
+
+
 @intrinsic
 def local(_, like):
     """
@@ -49,12 +56,19 @@ def local(_, like):
     Parameters
     ----------
     like : tuple of arrays
-        Of packed constants; the new array is as long along each axis as one of them along its
-        first. It is not initialised.
+        Of constants; the new array is as long along each axis as one of them along its first. It
+        is not initialised. Where the constants are not packed, it is allocated.
 
     """
-    shape = tuple(array.shape[0] for array in like)
-    kind = types.Array(types.float64, len(shape), 'C')
+    kind = types.Array(types.float64, len(like), 'C')
+    packed = all(isinstance(array, types.NestedArray) for array in like)
+    shape = tuple(array.shape[0] for array in like) if packed else ()
+
+    def allocate(context, builder, signature, arguments):
+        arrays = (context.make_array(array)(context, builder, value) for array, value in zip(
+            like, cgutils.unpack_tuple(builder, arguments[0])))
+        lengths = [builder.extract_value(array.shape, 0) for array in arrays]
+        return _empty_nd_impl(context, builder, kind, lengths)._getvalue()
 
     def generate(context, builder, signature, arguments):
         size = ir.Constant(ir.IntType(64), max(1, math.prod(shape)))
@@ -68,4 +82,4 @@ def local(_, like):
             itemsize=number(8), meminfo=None)
         return array._getvalue()
 
-    return kind(like), generate
+    return kind(like), generate if packed else allocate

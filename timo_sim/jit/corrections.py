@@ -12,7 +12,8 @@ Corrections to numba, without which machine code depends on what a process has d
 Names: numba names machine code after the types of its arguments: records by the order in which a
 process has met them, nested arrays without their shape. Two sizes that are compiled in different
 processes and loaded from disk into one process would then call each other's code. Here the names
-depend on the contents of the types.
+depend on the contents of the types. So do those for a NamedTuple, which numba names without its
+fields.
 
 Powers: numba compiles `x**2` as a function of its own, once in a process, with the fast math of
 whoever uses it first. The last bits would depend on whether the first user is compiled or loaded
@@ -24,15 +25,17 @@ import hashlib
 
 import numba
 from numba.core import types
+from numba.core.types import containers
 
 
 def _name_by_contents(kind):
-    return f'{type(kind).__name__}{hashlib.sha256(kind.name.encode()).hexdigest()[:16]}', ()
+    contents = f'{kind.name} {" ".join(getattr(kind, "fields", ()))}'
+    return f'{type(kind).__name__}{hashlib.sha256(contents.encode()).hexdigest()[:16]}', ()
 
 
 def correct_names():
-    """Let numba name records and nested arrays by their contents."""
-    for kind in (types.Record, types.NestedArray):
+    """Let numba name records, nested arrays and NamedTuples by their contents."""
+    for kind in (types.Record, types.NestedArray, containers.NamedTuple):
         setattr(kind, 'mangling_args', property(_name_by_contents))
 
 

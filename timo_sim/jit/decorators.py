@@ -27,7 +27,8 @@ correct_names()
 # meaning, so that a diverged state is still seen ('fast' would assume them away).
 FASTMATH = {'reassoc', 'contract', 'nsz'}
 # A division by zero gives Inf or NaN, too, and raises nothing.
-_OPTIONS = {'fastmath': FASTMATH, 'error_model': 'numpy'}
+# Wrappers for C would be optimised with a copy of the function in them.
+_OPTIONS = {'fastmath': FASTMATH, 'error_model': 'numpy', 'no_cfunc_wrapper': True}
 
 
 def entry_point(function):

@@ -19,9 +19,12 @@ step and `I_j = int s^j p ds`,
     p(1)   =    3 I_0 - 24 I_1 + 30 I_2
 """
 
+from functools import cache
+
 import numpy as np
 
 _PARABOLA = np.array([[9.0, -36.0, 30.0], [-1.5, 15.0, -15.0], [3.0, -24.0, 30.0]])
+_gauss = cache(np.polynomial.legendre.leggauss)
 NEAR = 1e-6  # [steps] what is as near to the boundary of a step as this lies on it
 
 
@@ -62,14 +65,16 @@ def parabolas(function, breaks, degree, first, count):
 
     """
     inside = breaks[(first < breaks) & (breaks < first + count) & (breaks != np.floor(breaks))]
+    if not len(inside):
+        return inside.astype(int), np.zeros((0, 3, *function(inside).shape[1:]))
     steps = np.unique(np.floor(inside))
     edges = np.unique(np.concatenate([inside, steps, steps + 1.0]))
     # Of the pieces between these edges, those in a step with a break.
     owner = np.searchsorted(steps, edges[:-1], side='right') - 1
-    within = edges[:-1] < steps[owner] + 1.0 if len(steps) else np.zeros(0, dtype=bool)
+    within = edges[:-1] < steps[owner] + 1.0
     low, high, owner = edges[:-1][within], edges[1:][within], owner[within]
     # Gauss's rule, exact for such a polynomial times s^2.
-    nodes, weights = np.polynomial.legendre.leggauss((degree + 4) // 2)
+    nodes, weights = _gauss((degree + 4) // 2)
     at = low[:, np.newaxis] + (high - low)[:, np.newaxis] * (0.5 + 0.5 * nodes)
     share = 0.5 * (high - low)[:, np.newaxis] * weights
     s = at - steps[owner][:, np.newaxis]

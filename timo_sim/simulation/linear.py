@@ -255,9 +255,10 @@ class _Outputs:
     def values(self, motion):
         """Return the values of `names` in a motion, where nothing accelerates."""
         base, rates = motion[:3], motion[self._half:self._half + 3]
-        along, sideways, rotation = self._formulation.tip(motion)
+        q = motion[np.newaxis, 3:self._half]
         return np.concatenate([
-            base, self._world(motion), [along, sideways, rotation],
+            base, self._world(motion), self._formulation.centre_line(q, self._tip)[0, 0],
+            self._formulation.section_rotation(q, self._tip)[0],
             self.strain(motion, loads=np.zeros((1, LOADS))), rates])
 
     def strain(self, motion, accelerations=None, loads=None):

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from timo_sim.jit.constants import pack
+from timo_sim.jit.constants import of_any_size, pack
 from timo_sim.physics.arm.axial import AxialModes
 from timo_sim.physics.arm.bodies import Constraints
 from timo_sim.physics.arm.modes import modes_of
@@ -94,7 +94,7 @@ class Formulation(ABC):
         self.arm_mass = self.point_mass.sum()
         self.mass = manipulator.base_mass + self.arm_mass
         self.tables, self.linear = self.build()
-        self.packed = pack(self.tables)
+        self.packed, self._of_any_size = pack(self.tables), of_any_size(self.tables)
 
     @staticmethod
     def node_count(count):
@@ -178,7 +178,7 @@ class Formulation(ABC):
     def rate(self, state, load):
         """Return the rate of a state under a load, linear part included, shape (m,)."""
         rate = np.empty(len(state))
-        rate_once(self.packed, state, load, rate)
+        rate_once(self._of_any_size, state, load, rate)
         return self.linear @ state + rate
 
     @cached_property
