@@ -98,6 +98,7 @@ def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=No
         stats = {'steps': simulator.steps, 'wall_time_s': time.monotonic() - begun,
                  'estimated_tip_error_m': simulator.estimated_error,
                  'step_error_m': integration.errors.tip,
+                 'modes_error_m': integration.errors.modes.tip,
                  'stretch_error_m': simulator.stretch.tip,
                  'split_steps': integration.splits, 'unresolved_steps': integration.unresolved,
                  'friction_drift_m': integration.friction_drift}

@@ -76,6 +76,8 @@ def after_steps(scene, steps, stretch, time, state, load, motions, warning):
         return warning
     if not steps.errors.tip <= _MOST_ERROR * scene.manipulator.arm.length:
         return _inaccurate_steps(scene, steps, time)
+    if not steps.errors.modes.tip <= _MOST_ERROR * scene.manipulator.arm.length:
+        return _few_modes(scene, steps, time)
     if steps.unresolved:
         return _unresolved_steps(steps, time)
     # Steps are too long for events in them, or to hold a joint still: doc/theory.md, (T35).
@@ -90,6 +92,11 @@ def _inaccurate_steps(scene, steps, time):
     remedy = '' if scene.friction.any() else ', or let them be split by an integrator.tolerance'
     return (f'by t = {time:.6g} s the steps have put the tip about {steps.errors.tip:.1g} m off: '
             f'take a smaller integrator.step{remedy}')
+
+
+def _few_modes(scene, steps, time):
+    return (f'by t = {time:.6g} s what {scene.values["model.modes"]} modes leave out has put the '
+            f'tip about {steps.errors.modes.tip:.1g} m off: take more model.modes')
 
 
 def _stretching(scene, stretch, time):

@@ -187,6 +187,7 @@ class FrictionSteps(Steps):
 
     """
 
+    keeps_states = False
     least = sys.maxsize  # rates jump where a joint stops or breaks away
 
     def __init__(self, model, step, limit):

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What the steps of a run have got wrong, as seen at the tip; it costs a few percent of them."""
+"""What steps and modes of a run have got wrong, as seen at the tip; it costs a few percent."""
 
 from functools import cached_property
 import math
@@ -14,12 +14,15 @@ import math
 import numpy as np
 
 from timo_sim.physics.integrate.global_error import GlobalError
+from timo_sim.physics.integrate.modes_error import ModesError
 from timo_sim.physics.layout import ANGLE, LOADS, rotate, START
 
 CHUNK = 1024  # steps that are kept
 _COST = 128  # steps that pay for an estimate
 _OF_STEP = 16.0 / 15.0  # so much more than from its halves a step differs from the truth
 _BENT = 1e-5  # [rad]
+_FEW = 128  # steps of which the states are not kept
+_LOOK = 16  # steps that pay for a look at the modes
 
 
 class RunError:
@@ -36,7 +39,9 @@ class RunError:
     Attributes
     ----------
     tip : float
-        Largest distance of the tip from where it belongs so far [m].
+        Largest distance of the tip from where the equations have it so far [m].
+    modes : ModesError
+        What the model's modes leave out.
     unseen : int
         Steps of which the error is not known.
 
@@ -44,7 +49,7 @@ class RunError:
 
     def __init__(self, steps):
         self._steps, self._error = steps, GlobalError(steps.model.linear, steps.step)
-        self.tip, self.unseen = 0.0, 0
+        self.tip, self.unseen, self.modes, self._unlooked = 0.0, 0, ModesError(steps), 0
         # Of the steps since the last cut: how many, and the states and rates at their starts.
         self._open, self._credit = 0, CHUNK
         self._states, self._rates = np.zeros((2, CHUNK + 1, len(steps.model.linear)))
@@ -52,12 +57,14 @@ class RunError:
     def reset(self):
         """Begin anew."""
         self.tip, self.unseen, self._open, self._credit = 0.0, 0, 0, CHUNK
-        self._error.error[:] = 0.0
+        self._unlooked, self._error.error[:] = 0, 0.0
+        self.modes.reset()
 
     def go_on(self, earlier):
         """Go on where an earlier one, of a model of the same size, has ended."""
         self.tip, self.unseen = earlier.tip, earlier.unseen
         self._error.error = earlier._error.error
+        self.modes.go_on(earlier.modes)
 
     def give_up(self):
         """Forget the steps since the last cut."""
@@ -66,7 +73,7 @@ class RunError:
     @property
     def room(self):
         """Steps that can be done at once."""
-        return CHUNK - self._open
+        return (CHUNK if self._steps.keeps_states else _FEW) - self._open
 
     @property
     def rest(self):
@@ -94,6 +101,7 @@ class RunError:
 
         """
         count, self._open = self._open, 0
+        self._look_at_modes(state, load, count)
         if not (smooth and count >= self._steps.least and self._pay()):
             self.unseen += count * smooth
             self._error.grow(count)
@@ -126,8 +134,16 @@ class RunError:
         """Estimate the error of all steps so far, if need be by the next one, `number`."""
         self._credit = CHUNK
         self.cut(state, load)
+        self._look_at_modes(state, load, 0, 1)
         if self.unseen:
             self.look(state, tabulate, number, 0)
+
+    def _look_at_modes(self, state, load, count, least=_LOOK):
+        self._unlooked += count
+        if self._unlooked >= least:
+            before = self._states[count - 1] if count and self._steps.keeps_states else None
+            self.modes.look(state, before, load, self._unlooked)
+            self._unlooked = 0
 
     def _pay(self):
         # Whether an estimate is not too much beside the steps since the last.
@@ -136,7 +152,7 @@ class RunError:
         return enough
 
     def _note(self, errors, states, load):
-        model, shift = self._steps.model, self._tip_shift @ errors[..., :errors.shape[-1] // 2].T
+        model, shift = self._steps.model, self.tip_shift @ errors[..., :errors.shape[-1] // 2].T
         x, y = shift[2:]
         if shift[:2].any():
             x, y = rotate(np.asarray(load[ANGLE] if model.first else states[..., len(model.axes)]),
@@ -145,12 +161,21 @@ class RunError:
         self.tip = max(self.tip, largest if math.isfinite(largest) else math.inf)
 
     @cached_property
-    def _tip_shift(self):
+    def motions(self):
+        """What coordinates of a state mean for those of a motion, linearised, (3 + N, m / 2)."""
+        return self._linearised[0]
+
+    @cached_property
+    def tip_shift(self):
         """
         What an error in the coordinates of a state means for the tip, shape (4, m / 2).
 
         Of the straight arm: x and y in world axes, then along and across the shaft.
         """
+        return self._linearised[1]
+
+    @cached_property
+    def _linearised(self):
         model, size = self._steps.model, self._states.shape[1]
         half, carrier, count = size // 2, len(model.axes), len(model.modes)
         turn = np.abs(model.points.rotation).max(axis=1, initial=0.0)
@@ -162,4 +187,4 @@ class RunError:
         change = ((tips[1:] - tips[0]) / bent[:, np.newaxis]).T
         shift = np.zeros((4, half))
         shift[:2, :carrier], shift[2:, carrier:] = change[:, :carrier], change[:, carrier:]
-        return shift
+        return ((motions[1:] - motions[0])[:, :model.size // 2] / bent[:, np.newaxis]).T, shift

@@ -40,7 +40,7 @@ class SplitSteps(Steps):
 
     """
 
-    least = 1
+    least, keeps_states = 1, False
 
     def __init__(self, model, step, tolerance):
         super().__init__(model, step)

@@ -20,6 +20,7 @@ from timo_sim.physics.layout import (
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
 _TURN = 1e-5  # [rad]
+_MANY = 64  # steps that pay for a look at the most bent of them
 
 
 class LinearPart:
@@ -61,6 +62,7 @@ class Steps:
     """
 
     tolerance = 0.0
+    keeps_states = True  # at the start of each step, in `errors.rest`
     least = LEAST  # steps without breaks that tell their error
 
     def __init__(self, model, step):
@@ -157,7 +159,10 @@ class Steps:
 
     def _do(self, state, load, tabulate, first, count, *samples):
         loads = tabulate(first, count, 1)
-        return self._integrate(state, load, loads, *samples), loads[-1, AFTER] if count else load
+        done = self._integrate(state, load, loads, *samples)
+        if done >= _MANY and self.keeps_states:
+            self.errors.modes.look_for_peak(self.errors.rest[0][:done], loads[:done, START])
+        return done, loads[-1, AFTER] if count else load
 
     def _integrate(self, state, load, loads, sample_every, sampled, motions, heat):
         return self._step(0, state, load, loads, sample_every, sampled, motions,
