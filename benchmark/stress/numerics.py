@@ -31,7 +31,7 @@ import numpy as np  # noqa: E402
 from benchmark import ROOT  # noqa: E402
 from benchmark.command import parser  # noqa: E402
 from benchmark.stress.scenes import cell  # noqa: E402
-from benchmark.stress.truth import judge, SEEN, VERDICTS  # noqa: E402
+from benchmark.stress.truth import judge, SEEN, shares, VERDICTS  # noqa: E402
 from oracles.linear_beam import LinearBeam  # noqa: E402
 import timo_sim  # noqa: E402
 from timo_sim.runs.simulate import sampled_run  # noqa: E402
@@ -210,6 +210,8 @@ def main():
         print(json.dumps(cell(number, given.seed)._asdict(), indent=1))
         for each in judged(number, given.seed):
             print(json.dumps(each))
+        print('changes of the tip as steps, stretch and modes are refined in turn [lengths]:',
+              json.dumps(shares(cell(number, given.seed))))
     if given.only:
         return
     begun = time.monotonic()

@@ -12,7 +12,7 @@ What the scenes of the stress test are judged by, and the verdict.
 A scene is run with its step, and with an `integrator.tolerance`; its tip is compared with
 
 - finer: the same equations with twelve modes (`newton` and its relatives: eight; a rigid arm stays
-  one), steps of a tenth that are split to a thousandth of the tolerance (with dry friction steps
+  one), steps of a tenth that are split to a hundredth of the tolerance (with dry friction steps
   of a twentieth), and, `exact`, an arm that stretches;
 - exact: the same of `exact`, for `newton` and its relatives;
 - elements: spectral elements of an arm that stretches (`test/oracles/spectral_elements.py`).
@@ -24,9 +24,9 @@ A run is
 - refused: a ParameterError or a DivergenceError says why;
 - silent: none of these. There must be none;
 - open: not told apart, since the reference is not known to a third of the distance: it is run
-  again with twice its step, and begun with a tip that is 1e-9 lengths off. Scenes that make 1e-5
-  lengths or more of that at the same step are `sensitive`: of them no run knows where the
-  tip will be.
+  again with fewer modes, twice its step, and a tip that begins 1e-9 lengths off. Scenes that make
+  1e-5 lengths or more of that with the same modes and step are `sensitive`: of them no run
+  knows where the tip will be.
 """
 
 from functools import cached_property
@@ -42,6 +42,7 @@ ACCURATE, SEEN, TOLERANCE = 1e-3, 1e-6, 1e-6  # [lengths]
 VERDICTS = ['accurate', 'flagged', 'refused', 'silent', 'open']
 _PUSH, _SENSITIVE = 1e-9, 1e-5  # [lengths]
 _MODES = {'exact': (12, 3), 'newton': (8, 0)}  # of the reference, in bending and axial
+_FEWER = {'exact': (8, 3), 'newton': (6, 0)}  # to see how far it may be off
 _ORDER, _ELEMENTS = 10, 2  # of the spectral elements
 _MOST_STEPS = 1e7  # of the finite elements of a scene
 
@@ -92,32 +93,52 @@ def _verdict(cell, against, reference, path, stats, warning):
             'estimate': (stats['estimated_tip_error_m'] - apart) / cell.values['arm.length']}
 
 
+def shares(cell):
+    """
+    Return how far the tip moves when one thing after another is made as in the reference.
+
+    Returns
+    -------
+    dict of str to float
+        [lengths], by 'steps', 'stretch' and 'modes'.
+
+    """
+    values, most = cell.values, _MODES[family(cell)]
+    finer, path = _Finer(cell, family(cell)), _run(cell, {})[0]
+    size, found = [values['model.modes'], values['model.axial_modes']], {}
+    for name, size in (('steps', size), ('stretch', (size[0], most[1])), ('modes', most)):
+        earlier, path = path, finer.path_of(size, finer.parts)
+        found[name] = math.nan if earlier is None else finer.distance(path, earlier)
+    return found
+
+
 class _Finer:
     """The reference by more modes and smaller steps."""
 
     def __init__(self, cell, formulation):
         self._cell, self._formulation = cell, formulation
-        self.path = self._path(20 if _is_dry(cell) else 10)
+        self.parts = 20 if _is_dry(cell) else 10  # of a step
+        self.path = self.path_of(_MODES[formulation], self.parts)
 
-    def distance(self, path):
-        """Return the largest distance of a path, shape (n, 2) [m], nan without a reference."""
-        if self.path is None or path is None:
+    def distance(self, path, other=None):
+        """Return the largest distance of a path, (n, 2) [m], in lengths; nan if there is none."""
+        other = self.path if other is None else other
+        if other is None or path is None:
             return math.nan
-        return float(np.linalg.norm(path - self.path, axis=1).max()
-                     / self._cell.values['arm.length'])
+        return float(np.linalg.norm(path - other, axis=1).max() / self._cell.values['arm.length'])
 
     @cached_property
     def doubt(self):
         """How far the reference may be off [lengths], and whether the scene is sensitive."""
-        parts = 20 if _is_dry(self._cell) else 10
-        doubt = self.distance(self._path(parts // 2, _PUSH))
-        if doubt < SEEN / 3.0:
+        doubt = self.distance(self.path_of(_FEWER[self._formulation], self.parts // 2, _PUSH))
+        if doubt < _SENSITIVE:
             return doubt, False
-        return doubt, not self.distance(self._path(parts, _PUSH)) < _SENSITIVE
+        pushed = self.path_of(_MODES[self._formulation], self.parts, _PUSH)
+        return doubt, not self.distance(pushed) < _SENSITIVE
 
-    def _path(self, parts, push=0.0):
-        # In so many parts of a step, begun with a tip that is pushed [lengths].
-        values, (modes, axial) = self._cell.values, _MODES[self._formulation]
+    def path_of(self, size, parts, push=0.0):
+        """Return the path with modes in bending and axial ones, begun with a push [lengths]."""
+        values, (modes, axial) = self._cell.values, size
         if not values['model.modes']:
             modes = axial = 0
         rest = np.zeros(modes + axial)
@@ -128,7 +149,7 @@ class _Finer:
                    'initial.modal_coordinates': rest.tolist(),
                    'integrator.step': values['integrator.step'] / parts,
                    'integrator.tolerance': 0.0 if _is_dry(self._cell) else (
-                       1e-3 * TOLERANCE * values['arm.length'] * 10 / parts)}
+                       1e-2 * TOLERANCE * values['arm.length'] * 10 / parts)}
         if push and modes:
             reach = timo_sim.load_scene({**values, **changes}).build().reach[3]
             rest[0] += push * values['arm.length'] / reach
