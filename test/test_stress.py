@@ -30,6 +30,19 @@ def plain(steps=200, step=0.01, bend=0.01, **changes):
                        max(1, steps // 20), False)
 
 
+def at_resonance(number, ratio, **changes):
+    """Return a Cell whose torque has the frequency of a vibration, or that ratio of it."""
+    cell = plain(**changes)
+    scene = timo_sim.load_scene(cell.values)
+    found = np.sort(np.linalg.eigvals(scene.build().linear).imag)
+    found = found[found > 1.0]  # carrier and shaft do not vibrate
+    arm = scene.manipulator.arm
+    return cell._replace(values={
+        **cell.values,
+        'load.torque.harmonic.amplitude': [0.3 * arm.section.mass_per_length * arm.length**3],
+        'load.torque.harmonic.frequency': [ratio * found[number - 1] / (2.0 * np.pi)]})
+
+
 # What was wrong and silent once: with an embedded estimate of third order, or looked at too late.
 SILENT_ONCE = [
     plain(**{'model.formulation': 'newton', 'arm.height': 0.2, 'end_effector.mass': 21.68,
@@ -38,10 +51,17 @@ SILENT_ONCE = [
              'end_effector.inertia': 21680.0, 'carrier.mass': 1e-3, 'arm.damping_ratio': [1.0],
              'load.torque.piecewise.time': [0.0, 0.2],
              'load.torque.piecewise.value': [65.0, 0.0]}, step=0.02, bend=1e-3, steps=100),
-    plain(**{'model.modes': 5}, bend=1.0)]
+    plain(**{'model.modes': 5}, bend=1.0),
+    at_resonance(1, 1.05, step=0.005, steps=400, **{
+        'model.formulation': 'newton', 'arm.height': 0.04, 'end_effector.mass': 0.0,
+        'carrier.mass': 1e-3, 'initial.shaft_velocity': 0.0, 'arm.damping_ratio': [0.01]}),
+    at_resonance(2, 1.0, step=0.001, steps=2000, bend=1.0, **{
+        'model.modes': 5, 'end_effector.mass': 216.8, 'end_effector.inertia': 0.0,
+        'carrier.mass': 1e6, 'initial.shaft_velocity': 0.0, 'arm.damping_ratio': [0.1]})]
 
 
-@pytest.mark.parametrize('cell', SILENT_ONCE, ids=['thick', 'light carrier', 'strong bend'])
+@pytest.mark.parametrize('cell', SILENT_ONCE, ids=[
+    'thick', 'light carrier', 'strong bend', 'beside resonance', 'at resonance'])
 def test_what_was_silent_once(cell):
     for found in truth.judge(cell):
         assert found['verdict'] != 'silent' or found['against'] == 'exact', found
@@ -66,6 +86,24 @@ def test_all_parameters_vary_and_a_number_is_the_same_scene():
     for cell in cells:
         timo_sim.load_scene(cell.values)
         assert cell.steps % cell.every == 0
+
+
+def test_what_steps_do_wrong_is_told():
+    """Against the same modes at a tenth of the step: what is left out otherwise is not seen."""
+    cells = [scenes.cell(number, seed=2) for number in range(8 * len(scenes.KINDS))]
+    seen = []
+    for cell in cells:
+        values = cell.values
+        if (values['model.modes'], values['carrier.held'], values['motor.shaft']) != (
+                3, 'none', 'free') or values['model.axial_modes'] or cell.kind == 'dry':
+            continue
+        path, _, warning = truth._run(cell, {})
+        if path is not None:
+            finer = truth._Finer(cell, truth.family(cell))
+            error = finer.distance(path, finer.path_of((3, 0), finer.parts))
+            assert warning or error < truth.ACCURATE, (cell, error)
+            seen.append(error)
+    assert len(seen) > 20 and np.median(seen) < 1e-5
 
 
 def without_a_word(monkeypatch):

@@ -118,7 +118,11 @@ class _Finer:
     def __init__(self, cell, formulation):
         self._cell, self._formulation = cell, formulation
         self.parts = 20 if _is_dry(cell) else 10  # of a step
-        self.path = self.path_of(_MODES[formulation], self.parts)
+
+    @cached_property
+    def path(self):
+        """Where the tip is, shape (n, 2) [m], or None if the reference fails."""
+        return self.path_of(_MODES[self._formulation], self.parts)
 
     def distance(self, path, other=None):
         """Return the largest distance of a path, (n, 2) [m], in lengths; nan if there is none."""
