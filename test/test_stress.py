@@ -148,6 +148,6 @@ def test_a_push_that_grows_is_no_silent_error():
 
 @pytest.mark.parametrize('number', range(6))
 def test_linear_models_of_heavy_tips(number):
-    """They converge with the modes, down to the elements' round-off where tips are heavy."""
+    """They converge with the modes, down to the elements' round-off beside a heavy tip."""
     few, many = (np.array(numerics.linear_errors(number, modes)) for modes in (3, 8))
-    assert (many < np.maximum(1e-3, 0.1 * few)).all() and few.max() < 0.01
+    assert (many < np.maximum(1e-4, 0.1 * few)).all() and few.max() < 0.01
