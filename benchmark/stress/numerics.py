@@ -170,8 +170,8 @@ def linear_errors(number, modes, seed=1):
     frequencies = omega[0] * np.geomspace(0.1, omega[1] / omega[0], 40) / (2.0 * np.pi)
     found = timo_sim.linearize(scene).select([cause], list(OUTPUTS)).frequency_response(
         frequencies)[:, :, 0]
-    expected = np.array([[beam.response(cause, frequency)[name] for name in OUTPUTS]
-                         for frequency in frequencies])
+    expected = [beam.response(cause, frequency) for frequency in frequencies]
+    expected = np.array([[each[name] for name in OUTPUTS] for each in expected])
     size = np.maximum(np.abs(expected), 0.01 * np.median(np.abs(expected), axis=0))
     return (np.abs(found - expected) / size).max(axis=0)
 
