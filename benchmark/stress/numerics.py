@@ -7,16 +7,11 @@
 # language governing permissions and limitations under the License.
 
 """
-Stress test of the numerics: scenes from the corners of what can be asked for.
+Stress test of the numerics: random scenes (`scenes.py`) against references (`truth.py`).
 
-Each cell is a scene drawn from `LEVELS`, besides all that differ from the first of each in one
-or two of them. It is run with its fixed step, and with an `integrator.tolerance`; the tip is
-compared with a run at a tenth of the step and a thousandth of the tolerance. A cell is
-
-- accurate: the tip stays within a thousandth of the arm's length of the reference;
-- flagged: it does not, and the run says so (`ModelWarning`), or its reference does;
-- refused: a ParameterError or a DivergenceError says why;
-- silent: none of these. There must be none.
+All that is found goes to run/stress_cells.jsonl, and what is silent or badly estimated is listed;
+`python -m benchmark.stress.numerics --seed 1 --only 17` does number 17 of a seed alone. Besides:
+linear models of arms with heavy tips, and an hour without loads.
 """
 
 import os
@@ -24,38 +19,26 @@ for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
     os.environ[threads] = '1'
 
 from collections import Counter  # noqa: E402
-import itertools  # noqa: E402
+from concurrent.futures import ProcessPoolExecutor  # noqa: E402
+import functools  # noqa: E402
+import json  # noqa: E402
 import math  # noqa: E402
+import multiprocessing  # noqa: E402
+import time  # noqa: E402
 
 import numpy as np  # noqa: E402
 
+from benchmark import ROOT  # noqa: E402
 from benchmark.command import parser  # noqa: E402
+from benchmark.stress.scenes import cell  # noqa: E402
+from benchmark.stress.truth import judge, SEEN, shares, VERDICTS  # noqa: E402
+from oracles.linear_beam import LinearBeam  # noqa: E402
 import timo_sim  # noqa: E402
 from timo_sim.runs.simulate import sampled_run  # noqa: E402
 
-LENGTH = 2.0  # of the arm [m]
-ACCURATE, TOLERANCE = 1e-3 * LENGTH, 1e-6 * LENGTH  # [m]
-# The first level of each is that of the plain scene.
-LEVELS = {
-    'modes': [3, 0, 1, 5, 8, 12, 20, 40],
-    'formulation': ['exact', 'newton'],
-    'step': [0.01, 1e-4, 1e-3, 5e-3, 0.02],          # [s]
-    'speed': [1.0, 0.0, 10.0, 30.0, 100.0],          # of the shaft [rad/s]
-    'vibration': [0.01, 1e-3, 0.1, 1.0],             # of the tip, in the first mode [m]
-    'slenderness': [100.0, 4.0, 10.0, 50.0, 500.0],  # length over height
-    'tip mass': [1.0, 0.0, 10.0, 100.0],             # arm masses
-    'tip inertia': [0.01, 0.0, 1.0, 100.0],          # masses of the arm times its length squared
-    'carrier': [10.0, 1e-3, 1e6, 'held'],            # [kg]
-    'damping': [0.0, 0.01, 0.1, 1.0],                # ratio of all modes
-    'load': ['none', 'resonance 1', 'near resonance 1', 'resonance 2', 'resonance 3', 'torque',
-             'impulse'],
-    'friction': ['none', 'viscous', 'stiff', 'dry', 'sticky'],  # of carrier and shaft
-}
-# Besides, where all else is plain or one of these steps.
-MORE = {'carrier': ['held x'], 'load': ['spike']}
-HELD = {'held': 'both', 'held x': 'x'}
-VERDICTS = ['accurate', 'flagged', 'refused', 'silent']
-DURATION = 2.0  # [s]
+CELLS = 1020  # in full
+_FACTOR = 5.0  # between an estimated error and the true one
+LISTED = ROOT / 'run' / 'stress_cells.jsonl'
 # Without loads and damping, at 1 ms.
 _DRIFT = {'initial.carrier_x_velocity': 0.4, 'initial.carrier_y_velocity': -0.3}
 FREE = {
@@ -66,164 +49,131 @@ FREE = {
     'shaft 30 rad/s': {**_DRIFT, 'initial.shaft_velocity': 30.0,
                        'initial.modal_rates': [5.0, 1.0, 0.0]},
 }
-# Sizes that are compiled: others would take minutes for nothing new.
-_COMPILED = {('exact', 'held'): (3,), ('newton', 'held'): (3,), ('newton', 'free'): (3, 8)}
-_MOST = 40000  # steps of a reference, for three modes
+_CAUSES = ('torque_N_m', 'force_y_N', 'tip_force_y_N', 'tip_torque_N_m')
+OUTPUTS = ('tip_y_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain')
 
 
-def cells(count, seed=1):
-    """Return the plain scene, all that differ in one or two levels up to `count`, and others."""
-    plain = {name: levels[0] for name, levels in LEVELS.items()}
-    found = [plain]
-    for name, levels in LEVELS.items():
-        found += [{**plain, name: level} for level in levels[1:]]
-    found += [{**plain, 'step': step, name: level} for name, levels in MORE.items()
-              for level in levels for step in LEVELS['step']]
-    random = np.random.default_rng(seed)
-    pairs = [{**plain, a: x, b: y} for a, b in itertools.combinations(LEVELS, 2)
-             for x in LEVELS[a][1:] for y in LEVELS[b][1:]]
-    random.shuffle(pairs)
-    found += pairs[:max(0, count // 3)]
-    while len(found) < count:
-        found.append({name: levels[random.integers(len(levels))]
-                      for name, levels in LEVELS.items()})
-    return [cell for cell in found[:count] if _is_compiled(cell)]
-
-
-def _is_compiled(cell):
-    kind = 'held' if cell['carrier'] in HELD else 'free'
-    return cell['modes'] in _COMPILED.get((cell['formulation'], kind), LEVELS['modes'])
-
-
-def scene_of(cell, step, tolerance=0.0):
-    """Return the scene of a cell."""
-    mass = 2710.0 * LENGTH * 0.02 * LENGTH / cell['slenderness']
-    values = {
-        'model.formulation': cell['formulation'], 'model.modes': cell['modes'],
-        'integrator.step': step, 'integrator.tolerance': tolerance,
-        'arm.length': LENGTH, 'arm.height': LENGTH / cell['slenderness'],
-        'end_effector.mass': mass * cell['tip mass'],
-        'end_effector.inertia': mass * LENGTH**2 * cell['tip inertia'],
-        'motor.mass': 0.0, 'initial.shaft_velocity': cell['speed'],
-        'arm.damping_ratio': [cell['damping']],
-        **({'carrier.held': HELD[cell['carrier']]} if cell['carrier'] in HELD else
-           {'carrier.mass': cell['carrier']})}
-    scene = timo_sim.load_scene(values)
-    formulation = scene.build()
-    if cell['modes']:
-        shape = np.zeros(cell['modes'])
-        shape[0] = cell['vibration'] / formulation.reach[3]
-        values['initial.modal_coordinates'] = shape.tolist()
-    values.update(_load(cell['load'], formulation, mass, cell['step']))
-    values.update(_friction(cell['friction'], mass))
-    if cell['friction'] in ('dry', 'sticky'):  # whose steps cannot be split
-        values['integrator.tolerance'] = 0.0
-    return timo_sim.load_scene(values)
-
-
-def _load(kind, formulation, mass, step):
-    torque = 0.3 * mass * LENGTH**2
-    if kind == 'none':
-        return {}
-    if kind == 'torque':
-        return {'load.torque.piecewise.time': [0.0, 0.2],
-                'load.torque.piecewise.value': [torque, 0.0]}
-    if kind == 'impulse':
-        return {'load.torque.piecewise.time': [0.1, 0.12],
-                'load.torque.piecewise.value': [20.0 * torque, 0.0]}
-    if kind == 'spike':  # inside one of the cell's steps, and then one of its reference's
-        begin = (round(0.1 / step) + 0.13) * step
-        return {'load.torque.table.time': [begin, begin + 0.3 * step, begin + 0.4 * step],
-                'load.torque.table.value': [0.0, torque / step, 0.0]}
-    vibrating = np.sort(np.linalg.eigvals(formulation.linear).imag)
-    vibrating = vibrating[vibrating > 1.0]  # carrier and shaft do not
-    number = int(kind[-1]) - 1
-    if number >= len(vibrating):
-        return {}
-    off = 1.05 if kind.startswith('near') else 1.0
-    return {'load.torque.harmonic.amplitude': [torque],
-            'load.torque.harmonic.frequency': [off * vibrating[number] / (2.0 * np.pi)]}
-
-
-def _friction(kind, mass):
-    if kind == 'none':
-        return {}
-    # Viscous: a second to come to rest, or a tenth of a millisecond. Dry: against what turns the
-    # shaft by 30 degrees in a second, or a hundred times as much.
-    law, size = {'viscous': ('viscous', 1.0), 'stiff': ('viscous', 1e4), 'dry': ('coulomb', 1.0),
-                 'sticky': ('coulomb', 100.0)}[kind]
-    return {f'carrier.{law}_friction': size * mass,
-            f'motor.{law}_friction': size * mass * LENGTH**2 / 3.0}
-
-
-def tip(scene, steps, every):
-    """Return the path of the tip, shape (n, 2) [m], the run's warning and estimated error [m]."""
-    run = sampled_run(scene, steps, every)
-    return run.position(LENGTH), run.warning, run.stats['step_error_m']
-
-
-def judge(cell):
-    """
-    Return what became of a cell, for fixed steps and for split ones.
-
-    Returns
-    -------
-    list of tuple
-        Verdict, error [m], reason, estimated error [m].
-
-    """
-    step = cell['step']
-    # Less time for what costs more: a step takes about N^2.
-    most = _MOST / max(1.0, cell['modes'] / 3.0)**2
-    steps = max(20, math.floor(min(DURATION, most * step / 10.0) / step))
-    every = max(1, steps // 20)
-    steps -= steps % every
+def judged(number, seed=1):
+    """Return what `truth.judge` finds of a cell; an unexpected error is silent, too."""
+    begun = time.process_time()
     try:
-        fixed = scene_of(cell, step)
-    except timo_sim.ParameterError as error:
-        return [('refused', math.nan, str(error), math.nan)] * 2
-    reference, doubt, _ = _reference(cell, step / 10.0, 10 * steps, 10 * every)
+        found = judge(cell(number, seed))
+    except Exception as error:
+        found = [{'number': number, 'kind': 'crash', 'family': 'exact', 'steps': 'as given',
+                  'against': 'finer', 'verdict': 'silent', 'error': math.inf, 'estimate': math.nan,
+                  'doubt': 0.0, 'warning': f'{type(error).__name__}: {error}',
+                  'sensitive': False}]
+    return [{**each, 'seconds': time.process_time() - begun} for each in found]
+
+
+def findings(numbers, seed=1, processes=2):
+    """Yield what `judged` finds of each number, done by so many processes, in order."""
+    if processes == 1:
+        yield from map(functools.partial(judged, seed=seed), numbers)
+        return
+    context = multiprocessing.get_context('spawn')
+    with ProcessPoolExecutor(processes, context) as pool:
+        yield from pool.map(functools.partial(judged, seed=seed), numbers)
+
+
+def ratio(found):
+    """Return estimated over true error where that counts, else None; beyond a length both end."""
+    if found['verdict'] in ('refused', 'open') or not (
+            found['error'] > SEEN and found['doubt'] < found['error'] / 3.0):
+        return None
+    return min(found['estimate'], 1.0) / min(found['error'], 1.0)
+
+
+def is_listed(found):
+    """Return whether a finding is silent or badly estimated."""
+    told = ratio(found)
+    return found['verdict'] == 'silent' or (
+        told is not None and not 1.0 / _FACTOR < told < _FACTOR)
+
+
+def rows(quick=False, seed=1, count=None, processes=2):
+    """Yield the rows of the table, and write what was found."""
+    LISTED.parent.mkdir(exist_ok=True)
     found = []
-    for scene in fixed, scene_of(cell, step, TOLERANCE):
-        try:
-            path, warning, estimate = tip(scene, steps, every)
-        except timo_sim.DivergenceError as error:
-            found.append(('refused', math.nan, str(error), math.nan))
-            continue
-        error = math.inf if reference is None else np.abs(path - reference).max()
-        # A reference with a warning cannot tell a wrong run from a right one.
-        verdict = ('accurate' if error <= ACCURATE else 'flagged' if warning or doubt else
-                   'silent')
-        found.append((verdict, error, warning or '', estimate))
-    return found
+    with LISTED.open('w', encoding='utf-8') as file:
+        for each in findings(range(count or (CELLS // 10 if quick else CELLS)), seed, processes):
+            found += each
+            file.write(''.join(json.dumps(one) + '\n' for one in each))
+            file.flush()
+    groups = {}
+    for each in found:
+        groups.setdefault((each['family'], each['against'], each['steps']), []).append(each)
+    for names, group in sorted(groups.items()):
+        yield *names, len(group), *_counts(group), _remark(group)
 
 
-def _reference(cell, step, steps, every):
-    try:
-        return tip(scene_of(cell, step, TOLERANCE / 1000.0), steps, every)
-    except timo_sim.DivergenceError:
-        return None, None, None
+def _counts(group):
+    tally = Counter(each['verdict'] for each in group)
+    return [tally[verdict] for verdict in VERDICTS]
 
 
-def matrix(count, seed=1):
-    """Return what became of cells, with fixed and with split steps: two lists, as of `judge`."""
-    return list(zip(*[judge(cell) for cell in cells(count, seed)]))
+def _remark(group):
+    accurate = [each for each in group if each['verdict'] == 'accurate']
+    told = np.array([number for number in map(ratio, group) if number is not None])
+    near = (1.0 / _FACTOR < told) & (told < _FACTOR)
+    opened = [each for each in group if each['verdict'] == 'open']
+    text = (f'{sum(bool(each["warning"]) for each in accurate)} accurate ones carry a warning; '
+            f'{sum(each["sensitive"] for each in opened)} open ones are sensitive, '
+            f'{sum(not each["warning"] for each in opened)} without a warning')
+    if len(told):
+        text += (f'; the estimate is within a factor of five of {100 * near.mean():.0f} % of '
+                 f'{len(told)} errors above 1e-6, {told.min():.1g} to {told.max():.1g} of them')
+    return text
 
 
-def rows(quick=False):
-    """Yield the rows of the matrix, for steps as they are given and with a tolerance."""
-    names = 'steps as given', f'with integrator.tolerance = {TOLERANCE:g} m'
-    for name, found in zip(names, matrix(40 if quick else 400)):
-        tally = Counter(verdict for verdict, *_ in found)
-        false = sum(verdict == 'accurate' and bool(warning) for verdict, _, warning, _ in found)
-        errors = [error for verdict, error, *_ in found if verdict == 'accurate']
-        ratios = np.array([estimate / error for _, error, _, estimate in found
-                           if 1e-6 * LENGTH < error < LENGTH])
-        near = np.mean((0.2 < ratios) & (ratios < 5.0)) if len(ratios) else math.nan
-        yield (name, len(found), *(tally[verdict] for verdict in VERDICTS),
-               f'{false} of the accurate ones carry a warning; median of their errors '
-               f'{np.median(errors):.1e} m; the estimated error is within a factor of five of '
-               f'{100 * near:.0f} % of the {len(ratios)} errors above 1e-6 arm lengths')
+def linear_rows(quick=False, seed=1):
+    """Yield errors of the frequency responses of arms with heavy tips, by number of modes."""
+    count = 20 if quick else 200
+    for modes in (3, 5, 8):
+        errors = [linear_errors(number, modes, seed) for number in range(count)]
+        yield (modes, count, *(f'{np.median(each):.0e}, {max(each):.0e}'
+                               for each in zip(*errors)))
+
+
+def linear_errors(number, modes, seed=1):
+    """
+    Return the largest errors of a random arm with a heavy tip, for each of `OUTPUTS`.
+
+    From a tenth of the first clamped frequency up to the second, relative to the response there
+    or, beside antiresonances, to a hundredth of its median.
+    """
+    random = np.random.default_rng([seed, 1, number])
+
+    def log(low, high):
+        return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+    values = cell(5 * number, seed).values
+    values = {name: value for name, value in values.items() if name.startswith(('arm.', 'motor.m',
+                                                                                'carrier.mass'))}
+    mass = values['arm.density'] * math.prod(values[f'arm.{side}'] for side in (
+        'length', 'width', 'height'))
+    held, locked = (bool(random.integers(2)) for _ in range(2))
+    free = timo_sim.load_scene({
+        **values, 'model.modes': modes, 'initial.shaft': 0.0,
+        'model.formulation': ['exact', 'newton'][random.integers(2)],
+        'arm.damping_ratio': [], 'carrier.held': 'both' if held else 'none',
+        'motor.shaft': 'locked' if locked else 'free',
+        'motor.shaft_inertia': mass * values['arm.length']**2 * log(1e-3, 10.0),
+        'end_effector.mass': mass * log(1.0, 1e3),
+        'end_effector.inertia': mass * values['arm.length']**2 * log(0.1, 100.0)})
+    omega = free.build().modes.omega
+    damping = 0.1 / omega[-1]  # [s]: a twentieth of critical for the highest mode
+    scene = free.vary({'arm.damping_ratio': (0.5 * damping * omega).tolist()})
+    causes = [cause for cause in timo_sim.linearize(scene).inputs if cause in _CAUSES]
+    cause = causes[random.integers(len(causes))]
+    beam = LinearBeam(scene, held=held, locked=locked, stress_damping=damping, elements=2)
+    frequencies = omega[0] * np.geomspace(0.1, omega[1] / omega[0], 40) / (2.0 * np.pi)
+    found = timo_sim.linearize(scene).select([cause], list(OUTPUTS)).frequency_response(
+        frequencies)[:, :, 0]
+    expected = [beam.response(cause, frequency) for frequency in frequencies]
+    expected = np.array([[each[name] for name in OUTPUTS] for each in expected])
+    size = np.maximum(np.abs(expected), 0.01 * np.median(np.abs(expected), axis=0))
+    return (np.abs(found - expected) / size).max(axis=0)
 
 
 def long_rows(quick=False):
@@ -243,11 +193,38 @@ def long_rows(quick=False):
                    (run.warning or '').split(':')[0])
 
 
-def main():
-    """Print both tables."""
-    quick = parser(__spec__, __doc__, 'a tenth').parse_args().quick
-    for row in itertools.chain(rows(quick), long_rows(quick)):
+def _show(rows):
+    for row in rows:
         print('| ' + ' | '.join(map(str, row)) + ' |', flush=True)
+
+
+def main():
+    """Print the tables and the cells that need a look, or what is found of one alone."""
+    words = parser(__spec__, __doc__, 'a tenth')
+    words.add_argument('--seed', type=int, default=1, help='of the random scenes')
+    words.add_argument('--cells', type=int, help='how many scenes')
+    words.add_argument('--only', type=int, nargs='+', help='scenes by number, and what they are')
+    words.add_argument('--processes', type=int, default=2)
+    given = words.parse_args()
+    for number in given.only or []:
+        print(json.dumps(cell(number, given.seed)._asdict(), indent=1))
+        for each in judged(number, given.seed):
+            print(json.dumps(each))
+        print('changes of the tip as steps, stretch and modes are refined in turn [lengths]:',
+              json.dumps(shares(cell(number, given.seed))))
+    if given.only:
+        return
+    begun = time.monotonic()
+    _show(rows(given.quick, given.seed, given.cells, given.processes))
+    print(f'{time.monotonic() - begun:.0f} s; to be looked at (number, kind, against, steps, '
+          f'verdict, error, estimate [lengths]):')
+    for line in LISTED.read_text(encoding='utf-8').splitlines():
+        each = json.loads(line)
+        if is_listed(each):
+            print(each['number'], each['kind'], each['against'], each['steps'], each['verdict'],
+                  f'{each["error"]:.1e} {each["estimate"]:.1e}', sep=', ')
+    _show(linear_rows(given.quick, given.seed))
+    _show(long_rows(given.quick))
 
 
 if __name__ == '__main__':

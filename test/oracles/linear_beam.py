@@ -32,22 +32,25 @@ class LinearBeam:
         Whether the carrier's y is held; whether the shaft is locked.
     stress_damping : float
         Of a stiffness-proportional damping of the arm, C = stress_damping K [s].
+    elements : int
+        Round-off grows with their number where a heavy tip makes inertia large beside stiffness.
 
     """
 
-    def __init__(self, scene, held=False, locked=False, stress_damping=0.0):
+    def __init__(self, scene, held=False, locked=False, stress_damping=0.0,
+                 elements=ELEMENTS):
         body, arm = scene.manipulator, scene.manipulator.arm
-        section, size = arm.section, arm.length / ELEMENTS
+        section, size = arm.section, arm.length / elements
         lobatto = np.concatenate([[-1.0], legendre.Legendre.basis(ORDER).deriv().roots(), [1.0]])
         gauss, weights = legendre.leggauss(ORDER + 2)
         shapes = np.linalg.inv(legendre.legvander(lobatto, ORDER))
         value = legendre.legval(gauss, shapes)  # of each shape at the Gauss points
         slope = 2.0 / size * legendre.legval(gauss, legendre.legder(shapes))
         weights = 0.5 * size * weights
-        count = ELEMENTS * ORDER + 1
+        count = elements * ORDER + 1
         mass, stiffness = np.zeros((2 * count, 2 * count)), np.zeros((2 * count, 2 * count))
         none = np.zeros_like(value)
-        for element in range(ELEMENTS):
+        for element in range(elements):
             nodes = element * ORDER + np.arange(ORDER + 1)
             place = np.ix_(*2 * [np.concatenate([nodes, count + nodes])])
             for factor, field, matrix in (

@@ -1,0 +1,297 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Random scenes for the stress test of the numerics, each drawn from a seed and its number.
+
+Every continuous parameter varies in every scene: sizes by the logarithm, loads and speeds in terms
+of the first clamped frequency and of the stiffness at the tip, so that arms of grams and of tons
+bend and turn alike. Besides, a scene is of one of `KINDS`, by its number; each 16th round of
+kinds is of scenes that finite elements can do, too.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+import timo_sim
+
+CHANNELS = ('force_x', 'force_y', 'torque', 'tip_force_x', 'tip_force_y', 'tip_torque')
+NEWTON = ('newton', 'newton_root_stress', 'newton_rigid_axial')
+ROUND = 16  # of kinds; the first of each so many is without damping, friction and first bend
+# What is compiled for each: others would take minutes for nothing new.
+_MODES, _CORNER_MODES = (3, 5), (0, 1, 8, 12)
+_MOST_STEPS = 2000
+
+
+class Cell(NamedTuple):
+    """A scene and how long it runs."""
+
+    number: int
+    kind: str
+    values: dict
+    steps: int
+    every: int
+    elements: bool  # whether finite elements can do it
+
+
+class _Draw:
+    """What a scene is made of, while its kind changes it: fields are scene values or sizes."""
+
+    def __init__(self, random):
+        self.random, self.log = random, lambda low, high: float(
+            np.exp(random.uniform(np.log(low), np.log(high))))
+        log = self.log
+        self.length, self.slenderness, self.young = log(0.1, 10.0), log(10, 300), log(1e8, 4e11)
+        self.shear_ratio = log(0.05, 0.5)  # G / E
+        self.density, self.aspect = log(500.0, 1e4), log(0.3, 3.0)
+        self.tip = [self.maybe(0.8) * log(1e-3, 10.0), self.maybe(0.8) * log(1e-5, 1.0)]
+        self.carrier, self.motor, self.shaft = log(1e-2, 1e3), log(1e-2, 10.0), log(1e-3, 10.0)
+        self.held, self.joint = 'none', 'free'
+        if self.maybe(0.3):
+            self.held = self.one('x', 'y', 'both', 'both')
+        if self.maybe(0.25):
+            self.joint = self.one('locked', 'driven')
+        self.formulation = 'exact' if self.maybe(0.8) else self.one(*NEWTON)
+        self.modes, self.axial = int(random.choice(_MODES)), int(self.maybe(0.2))
+        # Steps in a period of the first clamped mode, and how many periods.
+        self.per_period, self.periods = log(30.0, 2000.0), log(1.0, 30.0)
+        self.step = self.duration = self.steps = self.every = None
+        self.speed = self.maybe(0.7) * self.sign() * log(0.01, 5.0)  # first frequencies
+        self.strain = 3e-3  # of a stretched arm, at most
+        self.bend = self.maybe(0.4) * log(1e-4, 0.1)  # of the tip at first, in lengths
+        self.damping, self.viscous = self.maybe(0.5) * log(1e-4, 0.5), self.maybe(0.4)
+        self.coulomb = self.spun_up = False
+        self.loads = int(random.integers(1, 4))  # their number, or the kind of one
+
+    def maybe(self, share):
+        """Return whether something happens that does in a share of the scenes."""
+        return self.random.random() < share
+
+    def one(self, *choices):
+        """Return one of some choices."""
+        return choices[self.random.integers(len(choices))]
+
+    def sign(self):
+        """Return 1 or -1."""
+        return self.one(-1.0, 1.0)
+
+
+def _random(draw):
+    """Nothing besides: everything varies in all kinds."""
+
+
+def _knots(draw):
+    draw.per_period, draw.loads = draw.log(20.0, 200.0), draw.one('spike', 'jump')
+    if draw.maybe(0.3):
+        draw.joint, draw.loads = 'driven', 'knots'
+
+
+def _short(draw):
+    draw.steps = round(draw.log(1.0, 200.0))
+
+
+def _every(draw):
+    draw.every = int(draw.one(3, 5, 7, 11, 30, 50, 90, 100, 127, 129, 250, 300, 1000))
+
+
+def _one_axis(draw):
+    draw.held, draw.carrier = draw.one('x', 'y'), draw.log(1e-3, 10.0)
+    draw.motor = 0.1 * draw.carrier
+    draw.joint = draw.one('free', 'free', 'locked', 'driven')
+
+
+def _mix(draw):
+    draw.held, draw.joint = draw.one('none', 'x', 'y', 'both'), draw.one('locked', 'driven')
+    draw.formulation = draw.one('exact', *NEWTON)
+
+
+def _newton(draw):
+    draw.formulation = draw.one(*NEWTON)
+
+
+def _thin_spin(draw):
+    draw.slenderness, draw.length = draw.log(300.0, 1000.0), draw.log(0.5, 3.0)
+    draw.young, draw.density = draw.log(1e10, 2e11), draw.log(1e3, 8e3)
+    draw.tip = [draw.maybe(0.5) * draw.log(1e-2, 1.0), 0.0]
+    draw.joint, draw.loads = 'driven', 1
+    draw.speed = [draw.log(10.0, 20.0)]  # rad/s
+    draw.step, draw.duration = draw.log(5e-4, 5e-3), draw.log(0.5, 2.0)
+    draw.formulation = 'exact'
+
+
+def _sandwich(draw):
+    # Compliance in shear over that in bending, E I / (kappa G A l^2).
+    share = draw.log(0.01, 1.0)
+    draw.slenderness = draw.log(10.0, 100.0)
+    draw.shear_ratio = 1.0 / (12.0 * 0.85 * draw.slenderness**2 * share)
+
+
+def _stretch(draw):
+    draw.formulation, draw.axial, draw.modes = 'exact', draw.one(0, 1), 5
+    draw.slenderness, draw.strain = draw.log(4.0, 30.0), draw.log(1e-5, 5e-3)
+    draw.speed, draw.periods = draw.sign() * 1e6, draw.log(10.0, 100.0)  # as the strain lets it
+    draw.joint, draw.spun_up = 'free', draw.maybe(0.5)
+
+
+def _heavy_tip(draw):
+    draw.tip = [draw.log(10.0, 1e3), draw.log(1.0, 100.0)]
+
+
+def _resonance(draw):
+    draw.loads, draw.periods = 'resonance', draw.log(10.0, 60.0)
+
+
+def _dry(draw):
+    draw.coulomb, draw.formulation, draw.modes, draw.axial = True, 'exact', 3, 0
+    draw.held, draw.joint = draw.one('none', 'none', 'both', 'x'), 'free'
+
+
+def _corner(draw):
+    ends = {'slenderness': (4.0, 1000.0), 'carrier': (1e-6, 1e6), 'shaft': (1e-5, 1e3),
+            'per_period': (10.0, 3000.0), 'speed': (0.0, 30.0), 'bend': (0.0, 0.3),
+            'damping': (0.0, 1.0), 'tip': ([0.0, 0.0], [100.0, 100.0], [100.0, 0.0], [0.0, 100.0])}
+    for name, values in ends.items():
+        if draw.maybe(0.4):
+            setattr(draw, name, draw.one(*values))
+    draw.formulation, draw.held, draw.joint, draw.axial = 'exact', 'none', 'free', 0
+    draw.modes = int(draw.one(*_CORNER_MODES))
+
+
+KINDS = [_random, _knots, _short, _random, _every, _one_axis, _thin_spin, _random, _sandwich,
+         _stretch, _mix, _random, _heavy_tip, _newton, _resonance, _dry, _corner]
+
+
+def cell(number, seed=1):
+    """Return a Cell: that of a number is the same in every run with the seed."""
+    draw = _Draw(np.random.default_rng([seed, number]))
+    kind = KINDS[number % len(KINDS)]
+    kind(draw)
+    elements = number // len(KINDS) % ROUND == 0 and not draw.coulomb and draw.modes > 0
+    if elements:
+        draw.bend = draw.damping = draw.viscous = 0.0
+    if draw.formulation != 'exact':
+        draw.modes, draw.axial = 3, 0
+    if draw.axial:
+        draw.modes = 5  # the one size that is compiled with it
+    return _cell(draw, number, kind.__name__[1:].replace('_', ' '), elements)
+
+
+def _cell(draw, number, kind, elements):
+    length, height = draw.length, draw.length / draw.slenderness
+    width, shear = height * draw.aspect, draw.young * draw.shear_ratio
+    mass, kappa = draw.density * length * width * height, draw.random.uniform(0.5, 1.0)
+    stiffness = 1.0 / (length**3 / (3.0 * draw.young * width * height**3 / 12.0)
+                       + length / (kappa * shear * width * height))  # at the tip [N/m]
+    modal = mass * (0.24 + draw.tip[0] + 2.25 * draw.tip[1])
+    omega = np.sqrt(stiffness / modal)  # of the first clamped mode, about [rad/s]
+    period = 2.0 * np.pi / omega
+    step = float(draw.step or np.clip(period / draw.per_period, 1e-6, 0.02))
+    duration = draw.duration or draw.periods * period
+    steps = draw.steps or int(np.clip(duration / step, 20, _MOST_STEPS))
+    every = draw.every or max(1, steps // 20)
+    steps = max(1, steps // every) * every
+    values = {
+        'model.formulation': draw.formulation, 'model.modes': draw.modes,
+        'model.axial_modes': draw.axial, 'integrator.step': step,
+        'arm.length': length, 'arm.height': height, 'arm.width': width,
+        'arm.density': draw.density, 'arm.young_modulus': draw.young, 'arm.shear_modulus': shear,
+        'arm.shear_correction': kappa, 'arm.damping_ratio': [draw.damping],
+        'end_effector.mass': mass * draw.tip[0],
+        'end_effector.inertia': mass * length**2 * draw.tip[1],
+        'carrier.mass': mass * draw.carrier, 'motor.mass': mass * draw.motor,
+        'motor.shaft_inertia': mass * length**2 * draw.shaft,
+        'carrier.held': draw.held, 'motor.shaft': draw.joint,
+        'initial.shaft': draw.random.uniform(-np.pi, np.pi)}
+    # A fast arm stretches by about rho (omega l)^2 / (3 E).
+    fastest = np.sqrt(3.0 * draw.strain * draw.young / draw.density) / length
+    duration = steps * step
+    if draw.joint == 'driven':
+        values.update(_drive(draw, omega, min(5.0 * omega, fastest), step, duration))
+    elif draw.joint == 'free':
+        speed = float(np.clip(draw.speed * omega, -fastest, fastest))
+        values['initial.shaft_velocity'] = 0.0 if draw.spun_up else speed
+        if draw.spun_up:  # by a torque that grows and falls
+            inertia = mass * length**2 * (1.0 / 3.0 + draw.shaft + sum(draw.tip))
+            values['load.torque.table.time'] = [0.0, 0.3 * duration, 0.6 * duration]
+            values['load.torque.table.value'] = [0.0, inertia * speed / (0.3 * duration), 0.0]
+    for axis in 'xy':
+        if draw.held not in (axis, 'both') and draw.maybe(0.3):
+            values[f'initial.carrier_{axis}_velocity'] = (
+                draw.sign() * draw.log(1e-2, 3.0) * length / duration)
+    if draw.bend and draw.modes:
+        values['initial.modal_coordinates'] = [draw.bend * length * np.sqrt(modal)] + (
+            draw.modes + draw.axial - 1) * [0.0]
+    if draw.viscous:
+        values['carrier.viscous_friction'] = draw.log(1e-3, 3.0) * omega * mass
+        values['motor.viscous_friction'] = draw.log(1e-3, 3.0) * omega * mass * length**2
+    if draw.coulomb:
+        values['carrier.coulomb_friction'] = draw.log(1e-3, 1.0) * stiffness * length
+        values['motor.coulomb_friction'] = draw.log(1e-3, 1.0) * stiffness * length**2
+    useful = [channel for channel in CHANNELS if channel.startswith('tip') or (
+        draw.joint == 'free' and not draw.spun_up if channel == 'torque' else
+        draw.held not in ('both', channel[-1]))]
+    count = draw.loads if isinstance(draw.loads, int) else 1
+    for channel in draw.random.choice(useful, min(count, len(useful)), replace=False):
+        form = draw.loads if isinstance(draw.loads, str) else draw.one(
+            'harmonic', 'piecewise', 'table')
+        if form != 'knots':
+            values.update(_load(draw, form, channel, values, omega, stiffness * length, steps))
+    return Cell(number, kind, values, steps, every, elements)
+
+
+def _drive(draw, omega, fastest, step, duration):
+    # From rest to a speed, or, with the points closer than a step, a turn by a third of a radian.
+    if draw.loads == 'knots':
+        begin = (draw.random.integers(1, 10) + draw.random.random()) * step
+        times, angles, speeds = [0.0, begin, begin + draw.random.uniform(0.2, 3.0) * step], [
+            0.0, 0.0, draw.log(1e-3, 0.1)], 3 * [0.0]
+    else:
+        speed = draw.speed[0] if isinstance(draw.speed, list) else np.clip(
+            draw.speed * omega, -fastest, fastest)
+        end = draw.random.uniform(0.3, 1.0) * duration
+        times, angles, speeds = [0.0, end], [0.0, 0.5 * speed * end], [0.0, speed]
+    return {f'motor.drive.{name}': list(map(float, numbers)) for name, numbers in (
+        ('time', times), ('angle', angles), ('speed', speeds),
+        ('acceleration', len(times) * [0.0]))}
+
+
+def _load(draw, form, channel, values, omega, force, steps):
+    """Return the values of a load that would bend the arm by some thousandths to a third."""
+    step, random = values['integrator.step'], draw.random
+    size = draw.sign() * draw.log(1e-3, 0.3) * force * (
+        values['arm.length'] if 'torque' in channel else 1.0)
+    prefix = f'load.{channel}'
+    if form in ('harmonic', 'resonance'):
+        frequency = draw.log(0.05, 10.0) * omega / (2.0 * np.pi)
+        if form == 'resonance':
+            found = np.linalg.eigvals(timo_sim.load_scene(values).build().linear).imag
+            found = np.sort(found[found > 0.1 * omega])
+            if len(found):
+                number = random.integers(min(3, len(found)))
+                frequency = found[number] * draw.one(1.0, 1.05) / (2.0 * np.pi)
+            size *= 0.1
+        return {f'{prefix}.harmonic.{what}': [float(number)] for what, number in (
+            ('amplitude', size), ('frequency', frequency),
+            ('phase', random.uniform(0.0, 2.0 * np.pi)))}
+    begin = random.uniform(0.0, 0.8) * steps * step
+    if form == 'jump':  # next to a step boundary, by less than what rounds to it, or by more
+        begin = (1 + random.integers(max(1, steps // 2))) * step
+        begin *= 1.0 + draw.sign() * draw.one(0.0, 2e-12, 1e-10, 3e-9)
+    length = draw.log(0.02, 2.0) * 2.0 * np.pi / omega
+    if form == 'spike':  # within a step
+        length = draw.log(0.01, 2.0) * step
+        size *= 1.0 / (omega * step)
+    if form == 'piecewise':
+        first, count = round(begin / step), max(1, round(length / step))
+        return {f'{prefix}.piecewise.time': [first * step, (first + count) * step],
+                f'{prefix}.piecewise.value': [size, draw.one(0.0, -0.5 * size)]}
+    times, sizes = [begin, begin + 0.4 * length, begin + length], [0.0, size, 0.0]
+    if form == 'jump':
+        times, sizes = [0.0, begin, begin, begin + length], [0.0, 0.0, size, 0.0]
+    return {f'{prefix}.table.time': list(map(float, times)), f'{prefix}.table.value': sizes}

@@ -1,0 +1,208 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+What the scenes of the stress test are judged by, and the verdict.
+
+A scene is run with its step, and with an `integrator.tolerance`; its tip is compared with
+
+- finer: the same equations with twelve modes (`newton` and its relatives: eight; a rigid arm stays
+  one), steps of a tenth that are split to a hundredth of the tolerance (with dry friction steps
+  of a twentieth), and, `exact`, an arm that stretches;
+- exact: the same of `exact`, for `newton` and its relatives;
+- elements: spectral elements of an arm that stretches (`test/oracles/spectral_elements.py`).
+
+A run is
+
+- accurate: the tip stays within a thousandth of the arm's length of the reference;
+- flagged: it does not, and the run says so (`ModelWarning`);
+- refused: a ParameterError or a DivergenceError says why;
+- silent: none of these. There must be none;
+- open: not told apart, since the reference is not known to a third of the distance: it is run
+  again with fewer modes, twice its step, and a tip that begins 1e-9 lengths off. Scenes that make
+  1e-5 lengths or more of that with the same modes and step are `sensitive`: of them no run
+  knows where the tip will be.
+"""
+
+from functools import cached_property
+import math
+
+import numpy as np
+
+from oracles import spectral_elements
+import timo_sim
+from timo_sim.runs.simulate import sampled_run
+
+ACCURATE, SEEN, TOLERANCE = 1e-3, 1e-6, 1e-6  # [lengths]
+VERDICTS = ['accurate', 'flagged', 'refused', 'silent', 'open']
+_PUSH, _SENSITIVE = 1e-9, 1e-5  # [lengths]
+_MODES = {'exact': (12, 3), 'newton': (8, 0)}  # of the reference, in bending and axial
+_FEWER = {'exact': (8, 3), 'newton': (6, 0)}  # to see how far it may be off
+_ORDER, _ELEMENTS = 10, 2  # of the spectral elements
+_MOST_STEPS = 1e7  # of the finite elements of a scene
+
+
+def family(cell):
+    """Return whose equations a Cell has: exact, or newton and its relatives."""
+    return 'exact' if cell.values['model.formulation'] == 'exact' else 'newton'
+
+
+def judge(cell):
+    """
+    Return what became of a Cell.
+
+    Returns
+    -------
+    list of dict
+        For steps as given and with a tolerance, against each reference: 'number', 'kind',
+        'family', 'steps', 'against', 'verdict', 'error', 'estimate', 'doubt' about the error
+        [lengths], 'warning' or None, and 'sensitive', whether the scene is.
+
+    """
+    length = cell.values['arm.length']
+    runs = {'as given': _run(cell, {}), 'with a tolerance': _run(
+        cell, {} if _is_dry(cell) else {'integrator.tolerance': TOLERANCE * length})}
+    references = {'finer': _Finer(cell, family(cell))}
+    if family(cell) == 'newton':
+        references['exact'] = _Finer(cell, 'exact')
+    if cell.elements and _element_steps(cell) < _MOST_STEPS:
+        references['elements'] = _Elements(cell, references.get('exact', references['finer']))
+    return [{'number': cell.number, 'kind': cell.kind, 'family': family(cell), 'steps': steps,
+             'against': against, **_verdict(cell, against, reference, *run)}
+            for against, reference in references.items() for steps, run in runs.items()]
+
+
+def _verdict(cell, against, reference, path, stats, warning):
+    found = {'verdict': 'refused', 'error': math.nan, 'estimate': math.nan, 'doubt': 0.0,
+             'warning': warning, 'sensitive': False}
+    if path is None:
+        return found
+    error = reference.distance(path)
+    # Stretch is no error of equations that do not know it.
+    apart = stats['stretch_error_m'] if (family(cell), against) == ('newton', 'finer') else 0.0
+    doubt, sensitive = (0.0, False) if error <= SEEN else reference.doubt
+    verdict = ('accurate' if error + doubt <= ACCURATE else
+               'open' if sensitive or not doubt <= error / 3.0 else
+               'flagged' if warning else 'silent')
+    return {**found, 'verdict': verdict, 'error': error, 'doubt': doubt, 'sensitive': sensitive,
+            'estimate': (stats['estimated_tip_error_m'] - apart) / cell.values['arm.length']}
+
+
+def shares(cell):
+    """
+    Return how far the tip moves when one thing after another is made as in the reference.
+
+    Returns
+    -------
+    dict of str to float
+        [lengths], by 'steps', 'stretch' and 'modes'.
+
+    """
+    values, most = cell.values, _MODES[family(cell)]
+    finer, path = _Finer(cell, family(cell)), _run(cell, {})[0]
+    size, found = [values['model.modes'], values['model.axial_modes']], {}
+    for name, size in (('steps', size), ('stretch', (size[0], most[1])), ('modes', most)):
+        earlier, path = path, finer.path_of(size, finer.parts)
+        found[name] = math.nan if earlier is None else finer.distance(path, earlier)
+    return found
+
+
+class _Finer:
+    """The reference by more modes and smaller steps."""
+
+    def __init__(self, cell, formulation):
+        self._cell, self._formulation = cell, formulation
+        self.parts = 20 if _is_dry(cell) else 10  # of a step
+
+    @cached_property
+    def path(self):
+        """Where the tip is, shape (n, 2) [m], or None if the reference fails."""
+        return self.path_of(_MODES[self._formulation], self.parts)
+
+    def distance(self, path, other=None):
+        """Return the largest distance of a path, (n, 2) [m], in lengths; nan if there is none."""
+        other = self.path if other is None else other
+        if other is None or path is None:
+            return math.nan
+        return float(np.linalg.norm(path - other, axis=1).max() / self._cell.values['arm.length'])
+
+    @cached_property
+    def doubt(self):
+        """How far the reference may be off [lengths], and whether the scene is sensitive."""
+        doubt = self.distance(self.path_of(_FEWER[self._formulation], self.parts // 2, _PUSH))
+        if doubt < _SENSITIVE:
+            return doubt, False
+        pushed = self.path_of(_MODES[self._formulation], self.parts, _PUSH)
+        return doubt, not self.distance(pushed) < _SENSITIVE
+
+    def path_of(self, size, parts, push=0.0):
+        """Return the path with modes in bending and axial ones, begun with a push [lengths]."""
+        values, (modes, axial) = self._cell.values, size
+        if not values['model.modes']:
+            modes = axial = 0
+        rest = np.zeros(modes + axial)
+        rest[:1] = values.get('initial.modal_coordinates', [0.0])[0]
+        changes = {'model.formulation': (values['model.formulation'] if self._formulation
+                                         == family(self._cell) else self._formulation),
+                   'model.modes': modes, 'model.axial_modes': axial,
+                   'initial.modal_coordinates': rest.tolist(),
+                   'integrator.step': values['integrator.step'] / parts,
+                   'integrator.tolerance': 0.0 if _is_dry(self._cell) else (
+                       1e-2 * TOLERANCE * values['arm.length'] * 10 / parts)}
+        if push and modes:
+            reach = timo_sim.load_scene({**values, **changes}).build().reach[3]
+            rest[0] += push * values['arm.length'] / reach
+            changes['initial.modal_coordinates'] = rest.tolist()
+        return _run(self._cell, changes, parts)[0]
+
+
+class _Elements:
+    """The reference by finite elements; its doubt is taken from that by more modes."""
+
+    def __init__(self, cell, finer):
+        values = cell.values
+        scene = timo_sim.load_scene({**values, 'model.axial_modes': 0,
+                                     'initial.modal_coordinates': []})
+        path = spectral_elements.simulate(
+            scene, values['integrator.step'] * cell.every, cell.steps // cell.every,
+            order=_ORDER, elements=_ELEMENTS)[2]
+        self._finer, self._length, self.path = finer, values['arm.length'], path
+
+    def distance(self, path):
+        """Return the largest distance of a path, shape (n, 2) [lengths]."""
+        return float(np.linalg.norm(path - self.path, axis=1).max() / self._length)
+
+    @property
+    def doubt(self):
+        """As of `_Finer`, where the scene is sensitive."""
+        doubt, sensitive = self._finer.doubt
+        return (doubt if sensitive else 0.0), sensitive
+
+
+def _run(cell, changes, parts=1):
+    """Return the path of the tip, shape (n, 2) [m], statistics and warning; or None, None, why."""
+    try:
+        scene = timo_sim.load_scene({**cell.values, **changes})
+        run = sampled_run(scene, parts * cell.steps, parts * cell.every)
+        # The estimate of an error is concluded with the run's statistics.
+        return run.position(cell.values['arm.length']), run.stats, run.warning
+    except (timo_sim.ParameterError, timo_sim.DivergenceError) as error:
+        return None, None, str(error)
+
+
+def _is_dry(cell):
+    return 'motor.coulomb_friction' in cell.values  # whose steps cannot be split
+
+
+def _element_steps(cell):
+    # Two over the highest frequency: of sections that turn in place, and of the finest wave.
+    scene = timo_sim.load_scene(cell.values)
+    arm, section = scene.manipulator.arm, scene.manipulator.arm.section
+    turning = math.sqrt(section.shear_stiffness / section.inertia_per_length)
+    wave = math.sqrt(section.axial_stiffness / section.mass_per_length)
+    return cell.steps * scene.step * math.hypot(turning, wave * _ORDER**2 * _ELEMENTS / arm.length)
