@@ -56,8 +56,8 @@ class Run(MotionFields):
         Why the run should not be trusted, and what to do.
     stats : dict
         Steps, wall time, steps that were split, and the largest estimated error of the tip [m],
-        `estimated_tip_error_m`: the sum of `step_error_m`, `friction_drift_m` and
-        `stretch_error_m`. What the number of modes and the formulation leave out is not in it.
+        `estimated_tip_error_m`: the sum of `step_error_m`, `modes_error_m`, `friction_drift_m` and
+        `stretch_error_m`. What the formulation leaves out is not in it.
     recording : Recording or None
         Of a log: all its topics, commands included.
 

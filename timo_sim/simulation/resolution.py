@@ -234,7 +234,9 @@ def _path(scene, modes, step, span, parts=1):
             rest = np.maximum(rest, np.abs(shares).max(axis=0))
     except DivergenceError:
         return None
-    error = simulator.estimated_error - simulator.stretch.tip
+    # Of steps and friction: stretch and modes are not what a step can mend.
+    error = simulator.estimated_error - simulator.stretch.tip - (
+        simulator.integration.errors.modes.tip)
     return _Path(path, stride, rest, error, simulator)
 
 

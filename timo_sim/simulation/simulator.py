@@ -269,9 +269,7 @@ class Simulator:
             tabulate, number = self._table.tabulate(self._actuators), self.steps - self._origin
             self.integration.errors.conclude(self._state, self.load, tabulate, number)
             self._look_for_warnings(np.empty((0, self.model.size)))
-        errors = self.integration.errors
-        return (errors.tip + errors.modes.tip + self.integration.friction_drift
-                + self.stretch.tip)
+        return self.integration.errors.total + self.integration.friction_drift + self.stretch.tip
 
     @property
     def _angle(self):

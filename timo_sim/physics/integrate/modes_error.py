@@ -52,16 +52,17 @@ class ModesError:
         """Go on where an earlier one, of a model of the same size, has ended."""
         self.tip, self._shift, self._ahead = earlier.tip, earlier._shift, earlier._ahead
 
-    def look(self, state, before, load, count):
+    def look(self, state, load, rate, count):
         """
         Look at a state.
 
         Parameters
         ----------
-        state, before : ndarray, shape (m,)
-            That at the end of a step and, if it is known, that at its start, or None.
+        state : ndarray, shape (m,)
         load : ndarray, shape (14,)
-            That acts at the end.
+            That acts.
+        rate : ndarray, shape (m,)
+            Of the state, here or a step before.
         count : int
             Steps since the last look.
 
@@ -70,10 +71,10 @@ class ModesError:
             return  # a rigid arm is meant to be one
         self._pause += count
         self._look_at_shape(self._strains(state[np.newaxis])[0], state, load)
-        left, per_step, rate = self._vibrations
-        size = np.abs(left @ (state if before is None else state - before))
-        self._ahead = self._ahead + rate * count * (size if before is None else size / per_step)
-        tip = self._shift + np.sum(self._ahead)
+        # By the rate: what does not change does not vibrate.
+        left, ahead = self._vibrations
+        self._ahead += count * float(np.abs(left @ rate) @ ahead)
+        tip = self._shift + self._ahead
         self.tip = max(self.tip, tip if math.isfinite(tip) else math.inf)
 
     def look_for_peak(self, states, loads):
@@ -90,13 +91,13 @@ class ModesError:
 
     def _strains(self, states):
         # Of the last two modes in bending: what is left out is as sharp or sharper.
-        end = states.shape[1] // 2 - self._model.axial
-        first = max(end - _LAST, end - len(self._model.modes) + self._model.axial)
-        omega = self._model.modes.omega[first - end + len(self._model.modes) - self._model.axial:]
-        return np.abs(states[:, first:end]) @ omega[:end - first]
+        omega, axial = self._model.modes.omega, self._model.axial
+        last = slice(max(0, len(omega) - axial - _LAST), len(omega) - axial)
+        q = states[:, states.shape[1] // 2 - len(omega):]
+        return np.abs(q[:, last]) @ omega[last]
 
     def shift(self, state, load):
-        """Return the shift of the tip by what is left out, along and across the shaft, (2,) [m]."""
+        """Return how what is left out shifts the tip along and across the shaft, (2,) [m]."""
         model = self._model
         motions, half_time = self._steps.flow(state, load)
         motion = motions.mean(axis=0)
@@ -108,8 +109,8 @@ class ModesError:
         # The arm is seen from the shaft.
         cosine, sine = math.cos(motion[2]), math.sin(motion[2])
         force = force @ np.array([[cosine, -sine], [sine, cosine]])
-        q = motion[3:len(motion) // 2]
-        phi, gamma = q @ self._fields[0], q @ self._fields[2]
+        q, (rotation, _, shear, *_) = motion[3:len(motion) // 2], self._fields
+        phi, gamma = q @ rotation, q @ shear
         cosine, sine = np.cos(phi), np.sin(phi)
         slope = cosine - gamma * sine, sine + gamma * cosine
         curvature, shear = self._left_out(q, force, moment, slope, (cosine, sine))
@@ -147,8 +148,9 @@ class ModesError:
         nodes = model.quadrature.nodes
         section = model.manipulator.arm.at(nodes)
         return (model.modes.rotation(nodes).T, model.modes.curvature(nodes).T,
-                model.modes.shear(nodes).T, *(np.broadcast_to(stiffness, nodes.shape) for stiffness
-                in (section.bending_stiffness, section.shear_stiffness)))
+                model.modes.shear(nodes).T,
+                *(np.broadcast_to(stiffness, nodes.shape)
+                  for stiffness in (section.bending_stiffness, section.shear_stiffness)))
 
     @cached_property
     def _inboard(self):
@@ -173,8 +175,7 @@ class ModesError:
         """
         The natural vibrations of the straight arm, as the modes have them (T46).
 
-        Their left eigenvectors, the sizes of their change in a step, and by how much the tip
-        runs ahead in a step, per amplitude.
+        Their left eigenvectors, and by how much the tip runs ahead in a step, per rate.
         """  # noqa: D401
         model, step, tip_shift = self._model, self._steps.step, self._steps.errors.tip_shift
         values, left, right = eig(model.linear, left=True)
@@ -197,7 +198,5 @@ class ModesError:
                   ) @ self._weights
         share = 0.5 * energy / (np.abs(q)**2 @ model.modes.omega**2)
         reach = np.linalg.norm(tip_shift @ right[:half], axis=0)
-        per_step = np.maximum(np.abs(np.expm1(values * step)), 0.1 * np.minimum(
-            np.abs(values * step), 1.0))
         # What vibrates is twice the real part of an eigenvector.
-        return left, per_step, 2.0 * share * values.imag * step * reach
+        return left, 2.0 * share * step * reach * values.imag / np.abs(values)

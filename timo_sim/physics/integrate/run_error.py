@@ -66,6 +66,11 @@ class RunError:
         self._error.error = earlier._error.error
         self.modes.go_on(earlier.modes)
 
+    @property
+    def total(self):
+        """What steps and modes have got wrong together, at the tip [m]."""
+        return self.tip + self.modes.tip
+
     def give_up(self):
         """Forget the steps since the last cut."""
         self._open = 0
@@ -141,8 +146,10 @@ class RunError:
     def _look_at_modes(self, state, load, count, least=_LOOK):
         self._unlooked += count
         if self._unlooked >= least:
-            before = self._states[count - 1] if count and self._steps.keeps_states else None
-            self.modes.look(state, before, load, self._unlooked)
+            model, last, load = self._steps.model, count - 1, self._steps.acting(load)
+            rate = (model.linear @ self._states[last] + self._rates[last]
+                    if count and self._steps.keeps_states else model.rate(state, load))
+            self.modes.look(state, load, rate, self._unlooked)
             self._unlooked = 0
 
     def _pay(self):
