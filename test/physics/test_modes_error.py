@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import timo_sim
 from timo_sim.physics.integrate.steps import Steps
-from timo_sim.physics.layout import LOADS, TIP_II, TIP_TORQUE
+from timo_sim.physics.layout import LOADS, TIP_I, TIP_II, TIP_TORQUE
 
 CLAMPED = {'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0}
 THIN = {'arm.height': 0.004, 'motor.shaft': 'driven', 'motor.drive.time': [0.0, 1.0],
@@ -35,10 +35,19 @@ def test_the_shift_is_what_a_clamped_arm_at_rest_lacks(load, size, shear_modulus
     section, length = arm.section, arm.length
     whole = (length**3 / (3.0 * section.bending_stiffness) + length / section.shear_stiffness
              if load == TIP_II else length**2 / (2.0 * section.bending_stiffness))
-    shift = Steps(model, 0.001).errors.modes.shift(model.state(motion), acting)
+    shift = Steps(model, 0.001).errors.modes.shifts(model.state(motion), acting)[0]
     lacking = size * whole - model.centre_line(motion[np.newaxis, 3:model.size // 2], tip)[0, 0, 1]
     assert abs(lacking) > 1e-5 * size * whole
     assert shift[1] == pytest.approx(lacking, rel=5e-3)
+
+
+def test_an_axial_force_stretches_a_clamped_arm():
+    model = timo_sim.load_scene(CLAMPED).build()
+    acting, arm = np.zeros(LOADS), model.manipulator.arm
+    acting[TIP_I] = 100.0
+    shifts = Steps(model, 0.001).errors.modes.shifts(model.state(np.zeros(model.size)), acting)
+    expected = [[0.0, 0.0], [100.0 * arm.length / arm.section.axial_stiffness, 0.0]]
+    np.testing.assert_allclose(shifts, expected, rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.parametrize('modes, values', [

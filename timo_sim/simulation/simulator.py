@@ -242,11 +242,10 @@ class Simulator:
         if self._rests(count, commanded):
             return self._rest(count, sample_every)
         before = self._state.copy(), self.load, self.integration.memory.copy()
-        first, actuators = self.steps - self._origin, None
-        if commanded is not None:
-            actuators = self._actuators
-            if actuators.command(commanded, first):
-                self.integration.errors.cut(self._state, self.load)
+        first = self.steps - self._origin
+        actuators = None if commanded is None else self._actuators
+        if actuators and actuators.command(commanded, first):
+            self.integration.errors.cut(self._state, self.load)
         (motions, heat), done = self.integration.samples(count, sample_every), 0
         while done < count:
             part, angle = min(count - done, CHUNK), self._angle
@@ -256,7 +255,8 @@ class Simulator:
             done += reached
             if reached < part or not self._bend() <= _MOST_BENT * self.model.reach[2]:
                 self._give_up(before, count, commanded)
-            self.stretch.add(self._angle - angle, part * self.scene.step)
+            self.stretch.add(self._angle - angle, part * self.scene.step,
+                             self.integration.errors.modes.stretch)
         self.steps += count
         self.load = self.load.copy()
         self._look_for_warnings(motions)

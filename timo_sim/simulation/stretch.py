@@ -56,9 +56,9 @@ class StretchError:
         """Begin anew."""
         self.tip, self._lag, self.told = 0.0, 0.0, None
 
-    def add(self, turn, duration):
-        """Count a turn of the shaft [rad] within a time [s]."""
+    def add(self, turn, duration, by_force=0.0):
+        """Count a turn of the shaft [rad] within a time [s], and a shift by axial forces [m]."""
         speed = turn / duration if duration else 0.0
         self._lag += self._free * self._growth * speed**3 * duration
         self.tip = max(self.tip, math.hypot(self._reach * self._lag,
-                                            self._lengthening * speed**2))
+                                            max(self._lengthening * speed**2, by_force)))

@@ -37,6 +37,8 @@ class ModesError:
     ----------
     tip : float
         Largest distance of the tip from where more modes would have it so far [m].
+    stretch : float
+        Largest shift of the tip by the axial force of an arm that does not stretch [m].
 
     """
 
@@ -47,6 +49,7 @@ class ModesError:
     def reset(self):
         """Begin anew."""
         self.tip, self._shift, self._strain, self._pause, self._ahead = 0.0, 0.0, 0.0, 0, 0.0
+        self.stretch = 0.0
 
     def go_on(self, earlier):
         """Go on where an earlier one, of a model of the same size, has ended."""
@@ -87,7 +90,9 @@ class ModesError:
     def _look_at_shape(self, strain, state, load):
         if strain > _GROWTH * self._strain or self._pause > _PAUSE:
             self._strain, self._pause = max(strain, self._strain), 0
-            self._shift = max(self._shift, math.hypot(*self.shift(state, load)))
+            bent, stretched = self.shifts(state, load)
+            self._shift = max(self._shift, math.hypot(*bent))
+            self.stretch = max(self.stretch, math.hypot(*stretched))
 
     def _strains(self, states):
         # Of the last two modes in bending: what is left out is as sharp or sharper.
@@ -96,8 +101,12 @@ class ModesError:
         q = states[:, states.shape[1] // 2 - len(omega):]
         return np.abs(q[:, last]) @ omega[last]
 
-    def shift(self, state, load):
-        """Return how what is left out shifts the tip along and across the shaft, (2,) [m]."""
+    def shifts(self, state, load):
+        """
+        Return how the tip shifts along and across the shaft [m].
+
+        By what is left out of bending and shear, and by the axial force; shape (2, 2).
+        """
         model = self._model
         motions, half_time = self._steps.flow(state, load)
         motion = motions.mean(axis=0)
@@ -115,8 +124,11 @@ class ModesError:
         slope = cosine - gamma * sine, sine + gamma * cosine
         curvature, shear = self._left_out(q, force, moment, slope, (cosine, sine))
         turn = self._inboard @ curvature
-        return self._whole @ np.column_stack([-slope[1] * turn - sine * shear,
-                                              slope[0] * turn + cosine * shear])
+        strain = (self._outboard @ force @ np.stack([cosine, sine])).diagonal() * self._softness
+        return np.array([
+            self._whole @ np.column_stack([-slope[1] * turn - sine * shear,
+                                           slope[0] * turn + cosine * shear]),
+            self._whole @ np.column_stack([strain * cosine, strain * sine])])
 
     def _left_out(self, q, force, moment, slope, normal):
         """
@@ -151,6 +163,12 @@ class ModesError:
                 model.modes.shear(nodes).T,
                 *(np.broadcast_to(stiffness, nodes.shape)
                   for stiffness in (section.bending_stiffness, section.shear_stiffness)))
+
+    @cached_property
+    def _softness(self):
+        # Strain per axial force, of arms that do not stretch in the model.
+        model = self._model
+        return (not model.axial) / model.manipulator.arm.at(model.quadrature.nodes).axial_stiffness
 
     @cached_property
     def _inboard(self):
