@@ -33,7 +33,7 @@ SCENES = {
 
 @pytest.mark.parametrize('values', SCENES.values(), ids=SCENES)
 def test_energy_is_the_work_of_efforts_less_losses(values):
-    scene = timo_sim.load_scene({'model.modes': 4, 'integrator.step': 0.0005, **LOSSES, **values})
+    scene = timo_sim.load_scene({'integrator.step': 0.0005, **LOSSES, **values})
     run = timo_sim.simulate(scene, 2.0)
     done = work(np.rint(run.t * 1e9), run.motion[:, :3],
                 np.column_stack([run.carrier_velocity, run.shaft_velocity]), run.effort)
