@@ -247,7 +247,8 @@ def test_formulation_is_its_equations_written_out(formulation, constraints):
 
 
 @pytest.mark.parametrize('constraints, modes, axial_modes', [
-    ('free', 3, 2), ('x held', 5, 1), ('carrier held', 5, 1), ('shaft driven, carrier held', 5, 1)])
+    ('free', 3, 2), ('x held', 5, 1), ('carrier held', 5, 1),
+    ('shaft driven, carrier held', 5, 1)])
 def test_an_arm_that_stretches_is_its_equations_written_out(constraints, modes, axial_modes):
     """They are Lagrange's; `timo_sim` has momenta, and rates of the axial coordinates."""
     scene = scene_of('exact', constraints, **STRETCHING, **{

@@ -89,7 +89,7 @@ def test_a_sudden_stop_leaves_the_arm_the_right_vibration():
                                 sample_every=round(0.01 / step))
         errors.append(np.abs(run.q[10:] - locked.q).max())
         angles.append(np.abs(run.shaft[10:] - last[2]).max())
-    # 8e-4 and 2e-4 at 10 ms; evenly spread over its step, a stop would miss by a third of a step.
+    # 8e-4 and 2e-4 at 10 ms; evenly spread over its step, a stop would miss by about 3e-3.
     assert max(errors) < 1.5e-3 and max(angles) < 4e-4
     assert order(steps, errors) > 2.8 and order(steps, angles) > 2.8
 
