@@ -43,7 +43,7 @@ def closed_loop(scene):
     return sorted(poles[poles.imag >= 0.0], key=abs)
 
 
-@pytest.mark.parametrize('mass', [1.8, 2.0, 2.2])
+@pytest.mark.parametrize('mass', [2.0, 2.2])
 def test_a_shaper_leaves_of_a_vibration_what_its_impulses_leave(scene, mass):
     """
     |sum A exp(-p t)| for a pole p and impulses A at t, also where the tip is not as thought.
@@ -108,13 +108,12 @@ def test_a_plan_ends_at_rest(scene):
     assert np.abs(u[[0, -1]]).max() < 1e-11
 
 
-@pytest.mark.parametrize('seed', [0, 1, 2])
-@pytest.mark.parametrize('other, left', [
-    ({}, 1.0 / 100.0),                                         # measured: 1/190 at most
-    ({'load.tip_force_y.piecewise.time': [1.0, 1.05],          # a stroke of 1 N s on the tip
-      'load.tip_force_y.piecewise.value': [20.0, 0.0]}, 1.0 / 20.0),
-    ({'motor.torque_limit': 14.5}, 1.0 / 100.0),               # the plan wants 15.4 N m
-    ({'end_effector.mass': 2.2}, 1.0 / 12.0)], ids=['as thought', 'stroke', 'limit', 'heavy'])
+@pytest.mark.parametrize('seed, other, left', [
+    (0, {}, 1.0 / 100.0),                                      # measured: 1/190 at most
+    (1, {'load.tip_force_y.piecewise.time': [1.0, 1.05],       # a stroke of 1 N s on the tip
+         'load.tip_force_y.piecewise.value': [20.0, 0.0]}, 1.0 / 20.0),
+    (2, {'motor.torque_limit': 14.5}, 1.0 / 100.0),            # the plan wants 15.4 N m
+    (3, {'end_effector.mass': 2.2}, 1.0 / 12.0)], ids=['as thought', 'stroke', 'limit', 'heavy'])
 def test_lqr_leaves_a_part_of_what_pd_leaves(scene, seed, other, left):
     from loop import in_a_loop
     from lqr import LQR
@@ -140,17 +139,17 @@ def test_the_flexible_feed_forward_of_the_carrier_leaves_next_to_nothing(scene):
     assert ours.settled < 2.0 and stiff.peak == pytest.approx(ours.peak, rel=0.1)
 
 
-@pytest.mark.parametrize('name, said', [
-    ('pd', 'PD: 2501 states answered; tip within 1 mm'), ('lqr', 'LQR: 2501 '),
-    ('shaping', 'ZVD: 2501 '), ('carrier', 'flexible: 2501 ')])
-def test_an_example_needs_no_ros_in_a_loop(name, said):
+def test_examples_need_no_ros_in_a_loop():
     code = ('import runpy, sys; '
             'sys.modules.update(dict.fromkeys(["rclpy", "geometry_msgs", "sensor_msgs"])); '
-            'sys.argv = [sys.argv[1], "--loop"]; sys.path.insert(0, "."); '
-            'runpy.run_path(sys.argv[0], run_name="__main__")')
-    output = subprocess.run([sys.executable, '-c', code, f'{name}.py'], cwd=EXAMPLE, check=True,
-                            capture_output=True, text=True).stdout
-    assert output.startswith(said) and output.count('\n') == 1
+            'names, sys.argv[1:] = sys.argv[1:], ["--loop"]; sys.path.insert(0, "."); '
+            '[runpy.run_path(name, run_name="__main__") for name in names]')
+    output = subprocess.run(
+        [sys.executable, '-c', code, 'pd.py', 'lqr.py', 'shaping.py', 'carrier.py'], cwd=EXAMPLE,
+        check=True, capture_output=True, text=True).stdout.splitlines()
+    for line, said in zip(output, ('PD: 2501 states answered; tip within 1 mm', 'LQR: 2501 ',
+                                   'ZVD: 2501 ', 'flexible: 2501 '), strict=True):
+        assert line.startswith(said)
 
 
 def test_score():

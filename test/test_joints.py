@@ -33,7 +33,7 @@ SCENES = {
 
 @pytest.mark.parametrize('values', SCENES.values(), ids=SCENES)
 def test_energy_is_the_work_of_efforts_less_losses(values):
-    scene = timo_sim.load_scene({'model.modes': 4, 'integrator.step': 0.0005, **LOSSES, **values})
+    scene = timo_sim.load_scene({'integrator.step': 0.0005, **LOSSES, **values})
     run = timo_sim.simulate(scene, 2.0)
     done = work(np.rint(run.t * 1e9), run.motion[:, :3],
                 np.column_stack([run.carrier_velocity, run.shaft_velocity]), run.effort)
@@ -83,7 +83,7 @@ def test_force_on_a_held_carrier_is_what_the_loads_lack_of_the_rate_of_momentum(
 def test_efforts_are_the_same_stepwise_in_a_log_and_in_a_run(tmp_path):
     """Of a shaft with dry friction, too, which a run works out from its motion."""
     scene = timo_sim.load_scene({
-        **SCENES['carrier held'], 'motor.coulomb_friction': 2.0, 'initial.shaft': 0.0,
+        **SCENES['y held'], 'motor.coulomb_friction': 2.0, 'initial.shaft': 0.0,
         'load.tip_force_y.harmonic.amplitude': [2.0],
         'load.tip_force_y.harmonic.frequency': [0.7]})
     run, simulator = timo_sim.simulate(scene, 2.0), Simulator(scene)
@@ -94,7 +94,7 @@ def test_efforts_are_the_same_stepwise_in_a_log_and_in_a_run(tmp_path):
         strains.append(simulator.sensors.root_strain)
     held = np.abs(run.shaft_velocity[1:]) < 1e-7
     assert 300 < held.sum() < 1700
-    # Measured: 1e-6, of what moves at less than 1e-7 rad/s and is not held.
+    # Measured: 3e-6, of what moves at less than 1e-7 rad/s and is not held.
     assert np.abs(run.effort[1:] - efforts).max() < 1e-5 * np.abs(efforts).max()
     assert np.abs(run.root_strain()[1:] - strains).max() < 1e-5 * np.abs(strains).max()
     again = timo_sim.open_log(run.save(tmp_path / 'run.mcap'))

@@ -138,9 +138,9 @@ def test_what_if_says_how_far_when_and_in_what_unit(log, tmp_path, monkeypatch):
 
 def test_modes_where_the_log_has_none(tmp_path):
     log = log_of(tmp_path / 'rigid.mcap', timo_sim.load_scene({'model.modes': 0}), [(1, 1.0)], 100)
-    call('replay', log, '--set', 'model.modes=2', '-o', tmp_path / 'bent.mcap')
+    call('replay', log, '--set', 'model.modes=3', '-o', tmp_path / 'bent.mcap')
     step, _, motion = Recording(tmp_path / 'bent.mcap').motion()
-    assert step.tolist() == list(range(0, 101, 10)) and motion.shape == (11, 10)
+    assert step.tolist() == list(range(0, 101, 10)) and motion.shape == (11, 12)
 
 
 def test_an_arm_that_stretches_replays_to_the_last_bit(tmp_path):

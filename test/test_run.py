@@ -25,13 +25,13 @@ from timo_sim.simulation.energy import work
 
 
 def test_shapes_and_kinematics(paper):
-    scene = timo_sim.load_scene(str(paper), {'model.modes': 4, 'integrator.step': 0.005})
+    scene = timo_sim.load_scene(str(paper), {'model.modes': 5, 'integrator.step': 0.005})
     run = timo_sim.simulate(scene, duration=1.0)
     n = 201
     assert run.t.shape == (n,) and run.t[-1] == 1.0
     assert run.carrier.shape == run.carrier_velocity.shape == (n, 2)
     assert run.shaft.shape == run.shaft_velocity.shape == (n,)
-    assert run.q.shape == run.qdot.shape == (n, 4)
+    assert run.q.shape == run.qdot.shape == (n, 5)
     assert run.energy().shape == (n,) and run.momentum().shape == (n, 3)
     assert run.rotation(1.0).shape == (n,)
 
@@ -67,9 +67,9 @@ def test_work_of_the_loads_is_the_energy(paper):
 
 def test_energy_is_balanced_whatever_the_samples(tmp_path):
     scene = timo_sim.load_scene({
-        'model.modes': 4, 'arm.damping_ratio': [0.02], 'motor.viscous_friction': 0.5,
+        'model.modes': 5, 'arm.damping_ratio': [0.02], 'motor.viscous_friction': 0.5,
         'load.torque.harmonic.amplitude': [5.0], 'load.torque.harmonic.frequency': [1.5],
-        'initial.modal_rates': [0.0, 1.0, 0.3, 0.0]})
+        'initial.modal_rates': [0.0, 1.0, 0.3, 0.0, 0.0]})
     dense = timo_sim.simulate(scene, 5.0)
     done = work(np.rint(1e9 * dense.t), dense.motion[:, 2:3],
                 dense.shaft_velocity[:, np.newaxis], dense.effort[:, 2:])

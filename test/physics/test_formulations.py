@@ -22,6 +22,7 @@ from timo_sim.physics.layout import LOADS
 ARM_LENGTH = 2.0
 # Those that account for every force on the carrier and the shaft, whatever the number of modes.
 ALL_FORCES = ['exact', 'newton']
+MANY_MODES = [('exact', 12), ('newton', 40)]  # 40 of `exact` take long to compile
 
 
 def errors(paper, reference, formulation, modes, step):
@@ -48,7 +49,7 @@ def test_paper_scene_against_finite_elements(paper, reference, formulation, mode
 
 def test_newton_has_its_own_error(paper, reference):
     """More modes do not help it: the error is in the equations, as theory says (3.4e-4 m)."""
-    x, y, theta, w = errors(paper, reference, 'newton', 8, 0.005)
+    x, y, theta, w = errors(paper, reference, 'newton', 5, 0.005)
     assert x == pytest.approx(3.3e-4, abs=2e-5)
 
 
@@ -72,10 +73,11 @@ def test_peaks_of_the_paper(paper):
 
 
 @pytest.mark.parametrize('formulation', ALL_FORCES)
-def test_free_free_frequencies_of_the_whole_system(formulation):
-    """The linear part alone gives the frequencies in theory's section 4, at 8 modes."""
-    model = timo_sim.load_scene({'model.modes': 8, 'model.formulation': formulation}).build()
-    omega = np.sort(np.abs(np.linalg.eigvals(model.linear).imag))[-16:]
+@pytest.mark.parametrize('modes', [8, 40])
+def test_free_free_frequencies_of_the_whole_system(formulation, modes):
+    """The linear part alone gives the frequencies in theory's section 4."""
+    model = timo_sim.load_scene({'model.modes': modes, 'model.formulation': formulation}).build()
+    omega = np.sort(np.abs(np.linalg.eigvals(model.linear).imag))[-2 * modes:]
     hertz = omega[::2] / (2 * np.pi)
     assert hertz[:5] == pytest.approx([4.2671, 9.960, 30.59, 75.63, 144.46], rel=2e-4)
 
@@ -90,7 +92,7 @@ def vibrating(formulation, **overrides):
     return timo_sim.load_scene(values, {'initial.modal_rates': rates})
 
 
-@pytest.mark.parametrize('modes', [0, 1, 3, 12])
+@pytest.mark.parametrize('modes', [0, 3, 12])
 def test_exact_conserves_energy_and_momentum(modes):
     scene = vibrating('exact', **{
         'model.modes': modes, 'initial.carrier_x_velocity': 0.4,
@@ -151,8 +153,9 @@ def test_rigid_arm_is_a_rigid_body(formulation):
     assert np.abs(run.shaft - truth[2]).max() < 1e-10
 
 
-@pytest.mark.parametrize('formulation', FORMULATIONS)
-@pytest.mark.parametrize('modes', [0, 3, 40])
+@pytest.mark.parametrize('formulation, modes', [
+    *((formulation, modes) for formulation in FORMULATIONS for modes in (0, 3)),
+    *MANY_MODES])
 def test_state_and_motion_are_inverse(formulation, modes):
     model = timo_sim.load_scene({'model.formulation': formulation, 'model.modes': modes}).build()
     rng = np.random.default_rng(1)
@@ -162,9 +165,9 @@ def test_state_and_motion_are_inverse(formulation, modes):
     assert np.abs(again - motion).max() < 1e-10
 
 
-@pytest.mark.parametrize('formulation', ALL_FORCES)
-def test_many_modes_stay_true(formulation, paper, reference):
-    scene = timo_sim.load_scene(paper, {'model.modes': 40, 'model.formulation': formulation,
+@pytest.mark.parametrize('formulation, modes', MANY_MODES)
+def test_many_modes_stay_true(formulation, modes, paper, reference):
+    scene = timo_sim.load_scene(paper, {'model.modes': modes, 'model.formulation': formulation,
                                         'integrator.step': 0.005})
     run = timo_sim.simulate(scene, 2.0, sample_every=2)
     limit = 2e-6 if formulation == 'exact' else 2e-4
@@ -188,8 +191,8 @@ def test_constant_force_gives_momentum_force_times_time(formulation):
 def test_damping_takes_energy_at_the_modal_rate():
     """A heavy base leaves the arm clamped: its first mode decays with exp(-2 zeta omega t)."""
     scene = timo_sim.load_scene({
-        'model.modes': 1, 'arm.damping_ratio': [0.02], 'carrier.mass': 1e9,
-        'motor.shaft_inertia': 1e9, 'initial.modal_rates': [1e-3]})
+        'arm.damping_ratio': [0.02], 'carrier.mass': 1e9, 'motor.shaft_inertia': 1e9,
+        'initial.modal_rates': [1e-3, 0.0, 0.0]})
     run = timo_sim.simulate(scene, 4.0)
     omega, zeta = scene.build().modes.omega[0], 0.02
     damped = omega * np.sqrt(1 - zeta**2)
@@ -281,7 +284,7 @@ def test_a_tapered_arm_conserves_energy_and_momentum():
 def test_newton_tells_where_axial_force_and_deflection_count(name, axial, across, silent):
     """It is silent where `exact` agrees to a thousandth of the arm's length, and only there."""
     base = {'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,
-            'arm.damping_ratio': [0.7], 'model.modes': 2}
+            'arm.damping_ratio': [0.7]}
     arm = timo_sim.load_scene(base).manipulator.arm
     euler = np.pi**2 * arm.section.bending_stiffness / (4.0 * arm.length**2)
     forces = {f'load.tip_force_{axis}.piecewise': {'time': [0.0], 'value': [force]}

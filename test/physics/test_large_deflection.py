@@ -26,7 +26,7 @@ def test_the_boundary_value_solver_gives_the_closed_form():
 
 
 @pytest.mark.parametrize('modes, rotation, deflection', [
-    (1, 3.0, 2e-2), (3, 5e-2, 5e-5), (5, 5e-3, 2e-6)])
+    (3, 5e-2, 5e-5), (5, 5e-3, 2e-6)])
 def test_exact_agrees_with_the_elastica(modes, rotation, deflection):
     run, truth = elastica.compare(modes, LOAD)
     assert np.degrees(truth[0]) > 60.0
