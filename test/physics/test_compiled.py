@@ -71,8 +71,9 @@ def test_a_step_allocates_nothing(paper, formulation):
         after = rtsys.get_allocation_stats()
         return after.alloc - before.alloc, after.mi_alloc - before.mi_alloc
 
-    # What there is, is for the arrays that are handed over, once per call.
-    assert allocations(500) == allocations(10)
+    # What there is, is for the arrays that are handed over, once per call; more than 64 steps are
+    # looked at for what modes leave out.
+    assert allocations(60) == allocations(10)
 
 
 @pytest.mark.parametrize('values', [{}, {'integrator.tolerance': 1e-6},

@@ -76,13 +76,13 @@ def after_steps(scene, steps, stretch, time, state, load, motions, warning):
         return warning
     if not steps.errors.tip <= _MOST_ERROR * scene.manipulator.arm.length:
         return _inaccurate_steps(scene, steps, time)
-    if not steps.errors.modes.tip <= _MOST_ERROR * scene.manipulator.arm.length:
-        return _few_modes(scene, steps, time)
     if steps.unresolved:
         return _unresolved_steps(steps, time)
     # Steps are too long for events in them, or to hold a joint still: doc/theory.md, (T35).
     if steps.friction_drift > _MOST_DRIFT * scene.manipulator.arm.length:
         return _friction_drift(steps, time)
+    if not steps.errors.modes.tip <= _MOST_ERROR * scene.manipulator.arm.length:
+        return _few_modes(scene, steps, time)
     if not stretch.told and stretch.tip > _MOST_LEFT_OUT * scene.manipulator.arm.length:
         stretch.told = _stretching(scene, stretch, time)
     return stretch.told
