@@ -20,8 +20,8 @@ from timo_sim.physics.layout import Motion
 _MOST_OF_A_PERIOD = 0.25
 # How far what `newton`, or an arm that does not stretch, leaves out may move the tip [lengths].
 _MOST_LEFT_OUT = 1e-3
-# How far joints may drift in steps with dry friction, in arm lengths.
-_MOST_DRIFT = _MOST_ERROR = 3e-4  # of the arm's length
+# How far joints may drift in steps with dry friction, and the tip be off by steps or modes.
+_MOST_DRIFT = _MOST_ERROR = 3e-4  # [lengths]
 
 
 class DivergenceError(ArithmeticError):

@@ -25,8 +25,6 @@ from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.simulation.stretch import StretchError
 
 COMPILING = 'compiling once for a model of this size, this takes some seconds'
-# The error of a step is estimated at the start, after so many steps, twice as many, and so on up
-# to the largest spacing: transients decay, so later steps are checked less often.
 # Deflection beyond which the run counts as diverged, in arm lengths.
 _MOST_BENT = 10.0
 
@@ -129,9 +127,11 @@ class Simulator:
             self.integration.warm_up(self._state, self.load)
             if messages:
                 self.model.tip(motion)
-            warned = np.isfinite(self.model.speed_limit)
-            if warned or messages and (not compiled or self.model.constrained.any()):
-                self.model.rate(self._state, self.load)
+            # Of what estimates, warnings and efforts need; a node has no time for it later.
+            rate = self.model.rate(self._state, self.load)
+            if messages:
+                self.integration.errors.modes.look(self._state, self.load, rate, 0)
+                self.integration.errors.modes.reset()
 
     @property
     def t(self):

@@ -21,7 +21,7 @@ CHUNK = 1024  # steps that are kept
 _COST = 128  # steps that pay for an estimate
 _OF_STEP = 16.0 / 15.0  # so much more than from its halves a step differs from the truth
 _BENT = 1e-5  # [rad]
-_FEW = 128  # steps of which the states are not kept
+_FEW = 512  # of steps whose states are not kept
 _LOOK = 16  # steps that pay for a look at the modes
 
 
