@@ -99,7 +99,7 @@ def test_what_steps_do_wrong_is_told():
             continue
         path, _, warning = truth._run(cell, {})
         if path is not None:
-            finer = truth._Finer(cell, truth.family(cell))
+            finer = truth._Finer(cell)
             error = finer.distance(path, finer.path_of((3, 0), finer.parts))
             assert warning or error < truth.ACCURATE, (cell, error)
             seen.append(error)
@@ -111,6 +111,7 @@ def without_a_word(monkeypatch):
     speaking = truth.sampled_run
     monkeypatch.setattr(truth, 'sampled_run', lambda *arguments: replace(
         speaking(*arguments), warning=None))
+    monkeypatch.setattr(truth, 'compared', lambda run: run)
 
 
 def test_an_error_without_a_word_is_silent(monkeypatch):
@@ -128,7 +129,7 @@ def test_the_two_references_agree_and_see_too_few_modes_and_stretch():
     push = {'load.tip_force_y.piecewise.time': [0.0, 0.1],
             'load.tip_force_y.piecewise.value': [20.0, 0.0], 'initial.shaft_velocity': 10.0}
     cell = plain(step=0.005, steps=200, bend=0.0, **push)._replace(elements=True)
-    finer = truth._Finer(cell, 'exact')
+    finer = truth._Finer(cell)
     elements = truth._Elements(cell, finer)
     assert elements.distance(finer.path) < 2e-5
     found = [each['error'] for each in truth.judge(cell)]
@@ -141,9 +142,9 @@ def test_a_push_that_grows_is_no_silent_error():
         'carrier.mass': 1e5, 'initial.shaft': 0.0, 'initial.shaft_velocity': 0.0,
         'load.tip_force_x.piecewise.time': [0.0],
         'load.tip_force_x.piecewise.value': [-2000.0]})
-    doubt, sensitive = truth._Finer(cell, 'exact').doubt
+    doubt, sensitive = truth._Finer(cell).doubt
     assert sensitive and doubt > 1e-3
-    assert truth._Finer(plain(), 'exact').doubt[1] is False
+    assert truth._Finer(plain()).doubt[1] is False
 
 
 @pytest.mark.parametrize('number', range(6))

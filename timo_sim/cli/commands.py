@@ -207,10 +207,11 @@ def replay(file, settings, formulation, scene, output, start, duration, node):
     '_1, _2, ... is appended.'))
 @click.option('--rate', type=float, metavar='HZ', help=(
     'Samples per second of sim time; by default 100, or what the step allows.'))
+@click.option('--compare', is_flag=True, help='Compare with a finer run, whatever the length.')
 @click.option('--view', is_flag=True, help='Show the run in rerun.')
 @click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
               help='Draw curves and the arm in the plane to a picture.')
-def simulate(scene, duration, settings, output, rate, view, png):
+def simulate(scene, duration, settings, output, rate, compare, view, png):
     r"""
     Simulate SCENE, a parameter file or the name of an installed scene, without ROS.
 
@@ -234,7 +235,7 @@ def simulate(scene, duration, settings, output, rate, view, png):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)  # the run's message says it
-            run, diverged = simulate(scene, duration, every), None
+            run, diverged = simulate(scene, duration, every, compare or None), None
     except DivergenceError as error:
         run, diverged = error.run, error
     click.echo(run.message)

@@ -65,7 +65,8 @@ def store_directory():
 
 def size_mark(*constants):
     """Return the file that marks machine code for constants of these sizes, or None."""
-    return _mark_of(*(entry.dtype for entry in constants))
+    # Those of any size are known by their type.
+    return _mark_of(*(str(getattr(entry, 'dtype', type(entry))) for entry in constants))
 
 
 def is_compiled(*constants):

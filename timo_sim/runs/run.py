@@ -57,7 +57,8 @@ class Run(MotionFields):
     stats : dict
         Steps, wall time, steps that were split, and the largest estimated error of the tip [m],
         `estimated_tip_error_m`: the sum of `step_error_m`, `modes_error_m`, `friction_drift_m` and
-        `stretch_error_m`. What the formulation leaves out is not in it.
+        `stretch_error_m`. What the formulation leaves out is not in it. With `compared` it is the
+        largest distance from the tip of a second, finer run, whatever its parts are thought to be.
     recording : Recording or None
         Of a log: all its topics, commands included.
 
@@ -89,6 +90,9 @@ class Run(MotionFields):
         """What there is to say of the run: its warning, or that there is none."""
         found = 'no warnings' if self.recording is None else (
             'read from a log, which does not say whether there were warnings')
+        if 'compared' in self.stats:
+            found += (f', the tip {self.stats["estimated_tip_error_m"]:.1g} m at most from that '
+                      'of a finer run')
         return self.warning or f'{len(self.t)} samples until t = {self.t[-1]:.6g} s, {found}'
 
     def __repr__(self) -> str:

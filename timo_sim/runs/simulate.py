@@ -8,28 +8,29 @@
 
 """A whole run of a scene: `simulate`."""
 
+from __future__ import annotations
+
 import sys
-import time
 import warnings
 
-import numpy as np
 from tqdm import tqdm
 
 from timo_sim.runs.run import Run
+from timo_sim.runs.sampled import sampled_run
+from timo_sim.runs.second_run import compared, in_doubt
 from timo_sim.scene.parameter import ModelWarning, ParameterError
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.resolution import resolved
-from timo_sim.simulation.model_warnings import DivergenceError
-from timo_sim.simulation.simulator import Simulator
-
-_REPORTED = 1024  # steps from one report to the next
 
 
-def simulate(scene: Scene, duration: float, sample_every: int = 1) -> Run:
+def simulate(scene: Scene, duration: float, sample_every: int = 1,
+             compare: bool | None = None) -> Run:
     """
     Simulate a scene under its own loads.
 
-    On a terminal, a progress bar appears when the run takes more than a second.
+    On a terminal, a progress bar appears when the run takes more than a second. A run of up to
+    2048 steps whose estimated error is above 1e-4 of the arm's length, or whose formulation is not
+    `exact`, is compared with a second, finer one, see `Run.stats`.
 
     Parameters
     ----------
@@ -39,6 +40,8 @@ def simulate(scene: Scene, duration: float, sample_every: int = 1) -> Run:
         [s], a whole multiple of the time step.
     sample_every : int
         Steps between samples; divides the number of steps.
+    compare : bool, optional
+        Whether the run is compared with a finer one, whatever its length and estimated error.
 
     Returns
     -------
@@ -72,6 +75,8 @@ def simulate(scene: Scene, duration: float, sample_every: int = 1) -> Run:
     with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
               leave=False) as bar:
         run = sampled_run(scene, steps, sample_every, bar.update, _tell)
+        if in_doubt(run) if compare is None else compare:
+            run = compared(run, tell=_tell)
     if run.warning:
         warnings.warn(run.warning, ModelWarning, stacklevel=2)
     return run
@@ -79,40 +84,3 @@ def simulate(scene: Scene, duration: float, sample_every: int = 1) -> Run:
 
 def _tell(text):
     print(f'timo_sim: {text}', file=sys.stderr, flush=True)
-
-
-def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=None):
-    """
-    Return the Run of a resolved scene, as `simulate` does but without bar and warning.
-
-    `report` receives how many further steps are done; `tell` is for `Simulator.warm_up`.
-    """
-    simulator = Simulator(scene)
-    simulator.warm_up(tell)
-    motion = np.empty((steps // sample_every + 1, simulator.model.size))
-    motion[0], heat = simulator.motion.values, np.zeros(len(motion))
-    begun = time.monotonic()
-
-    def run(count):
-        samples, integration = slice(count // sample_every + 1), simulator.integration
-        stats = {'steps': simulator.steps, 'wall_time_s': time.monotonic() - begun,
-                 'estimated_tip_error_m': simulator.estimated_error,
-                 'step_error_m': integration.errors.tip,
-                 'modes_error_m': integration.errors.modes.tip,
-                 'stretch_error_m': simulator.stretch.tip,
-                 'split_steps': integration.splits, 'unresolved_steps': integration.unresolved,
-                 'friction_drift_m': integration.friction_drift}
-        return Run(scene, simulator.model, np.arange(samples.stop) * sample_every * scene.step,
-                   motion[samples], heat[samples], simulator.warning, stats)
-
-    while simulator.steps < steps:
-        first = simulator.steps
-        count = min(max(1, _REPORTED // sample_every) * sample_every, steps - first)
-        samples = slice(first // sample_every, (first + count) // sample_every + 1)
-        try:
-            motion[samples], heat[samples] = simulator.advance(count, sample_every=sample_every)
-        except DivergenceError as error:
-            error.run = run(first)
-            raise
-        report(count)
-    return run(steps)

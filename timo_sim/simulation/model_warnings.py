@@ -88,6 +88,32 @@ def after_steps(scene, steps, stretch, time, state, load, motions, warning):
     return stretch.told
 
 
+def after_second_run(scene, error, parts, warning):
+    """
+    Return the warning of a run that is so far from a finer one, or None.
+
+    Parameters
+    ----------
+    scene : Scene
+    error : float
+        Largest distance of the tips [m].
+    parts : dict of str to float
+        As in `Run.stats`, of the estimate.
+    warning : str or None
+        Of the run alone.
+
+    """
+    if error <= _MOST_LEFT_OUT * scene.manipulator.arm.length:
+        return unseen_load(scene)
+    remedies = {'step_error_m': 'a smaller integrator.step', 'modes_error_m': 'more model.modes',
+                'stretch_error_m': 'model.axial_modes 1'}
+    remedy = remedies[max(remedies, key=lambda name: parts[name])]
+    if scene.values['model.formulation'] != 'exact':
+        remedy = f'model.formulation exact or {remedy}'
+    return warning or (f'a second run with more modes and half the step has the tip {error:.1g} m '
+                       f'elsewhere: take {remedy}')
+
+
 def _inaccurate_steps(scene, steps, time):
     remedy = '' if scene.friction.any() else ', or let them be split by an integrator.tolerance'
     return (f'by t = {time:.6g} s the steps have put the tip about {steps.errors.tip:.1g} m off: '

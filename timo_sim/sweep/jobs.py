@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from timo_sim.runs.simulate import sampled_run
+from timo_sim.runs.sampled import sampled_run
 from timo_sim.scene.files import flatten
 from timo_sim.scene.parameter import ParameterError, whole_ratio
 from timo_sim.scene.parameters import PARAMETERS

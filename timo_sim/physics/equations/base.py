@@ -61,7 +61,7 @@ class Formulation(ABC):
     linear : ndarray, shape (m, m)
         Constant linear part of the state's rate; the compiled rate is the rest.
     tables, packed : NamedTuple, packed constants
-        Constants of the compiled functions, and as these take them.
+        Constants of the compiled functions, and as these take them, by `pack`.
     sectors : int
         Sectors of half a turn with a linear part each, see `Exact.in_sector`; of most models none.
     speed_limit : float
@@ -94,7 +94,8 @@ class Formulation(ABC):
         self.arm_mass = self.point_mass.sum()
         self.mass = manipulator.base_mass + self.arm_mass
         self.tables, self.linear = self.build()
-        self.packed, self._of_any_size = pack(self.tables), of_any_size(self.tables)
+        self.pack, self.packed = pack, pack(self.tables)
+        self._of_any_size = of_any_size(self.tables)
 
     @staticmethod
     def node_count(count):

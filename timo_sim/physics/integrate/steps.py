@@ -10,7 +10,6 @@
 
 import numpy as np
 
-from timo_sim.jit.constants import pack
 from timo_sim.physics.integrate import etdrk4
 from timo_sim.physics.integrate.global_error import LEAST
 from timo_sim.physics.integrate.propagator import propagators
@@ -26,15 +25,16 @@ _MANY = 64  # steps that pay for a look at the most bent of them
 class LinearPart:
     """Packed constants of a model, and the matrices of its steps, by one linear part."""
 
-    def __init__(self, packed, linear, step):
-        self.packed, self.linear, self._step, self._propagators = packed, linear, step, {}
+    def __init__(self, pack, packed, linear, step):
+        self._pack, self.packed, self.linear = pack, packed, linear
+        self._step, self._propagators = step, {}
 
     def propagator(self, level=0):
         """Return the matrices of a step divided by 2^level, packed constants."""
         if level not in self._propagators:
             pair = propagators(self.linear, self._step / 2**level)
             for number, matrices in enumerate(pair, start=level):
-                self._propagators[number] = pack(matrices)
+                self._propagators[number] = self._pack(matrices)
         return self._propagators[level]
 
 
@@ -69,7 +69,8 @@ class Steps:
         self.model, self.step = model, step
         self.memory = np.zeros(0)
         self.splits, self.unresolved = 0, 0
-        self._part, self._sectors = LinearPart(model.packed, model.linear, step), {}
+        self._part = LinearPart(model.pack, model.packed, model.linear, step)
+        self._sectors = {}
         self._no_samples = np.empty((0, model.size)), np.zeros(0)
         self.errors, self._constant = RunError(self), np.empty((1, STEP_LOADS, LOADS))
 
@@ -191,7 +192,8 @@ class Steps:
             number = self.model.sector(state, load)
             if number not in self._sectors:
                 tables, linear = self.model.in_sector(number)
-                self._sectors[number] = LinearPart(pack(tables), linear, self.step)
+                self._sectors[number] = LinearPart(
+                    self.model.pack, self.model.pack(tables), linear, self.step)
             begun, done = done, integrate(self._sectors[number], done, load)
             if done in (begun, len(loads)):
                 return done

@@ -1,0 +1,88 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A run in doubt is compared with a finer one: what that tells is what finite elements find."""
+
+import warnings
+
+import numpy as np
+from oracles import spectral_elements
+import pytest
+import timo_sim
+from timo_sim.runs import second_run
+
+# A free arm that turns fast, a stroke on the tip of an arm with one mode, an axial force.
+STROKE = {'load.tip_torque.piecewise.time': [0.1, 0.12],
+          'load.tip_torque.piecewise.value': [60.0, 0.0]}
+PULL = {'model.formulation': 'newton', 'carrier.held': 'both', 'motor.shaft': 'locked',
+        'initial.shaft': 0.0, 'load.tip_force_x.piecewise.time': [0.0],
+        'load.tip_force_x.piecewise.value': [400.0], 'load.tip_force_y.piecewise.time': [0.0],
+        'load.tip_force_y.piecewise.value': [10.0]}
+SCENES = {'stretch': {'initial.shaft_velocity': 20.0}, 'modes': {'model.modes': 1, **STROKE},
+          'formulation': PULL}
+
+
+def quietly(values, duration, **options):
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', timo_sim.ModelWarning)
+        return timo_sim.simulate(timo_sim.load_scene(values), duration, 5, **options)
+
+
+@pytest.mark.parametrize('name', SCENES)
+def test_the_error_is_that_to_finite_elements(name):
+    run = quietly(SCENES[name], 0.5)
+    tip = spectral_elements.simulate(run.scene, 0.005, 100)[2]
+    error = np.linalg.norm(run.position(2.0) - tip, axis=1).max()
+    assert run.stats['compared'] and error > second_run.DOUBT
+    assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.2)
+    assert (run.warning is not None) == (error > 2e-3)  # a thousandth of the arm's length
+
+
+def test_what_is_not_in_doubt_is_run_once():
+    assert 'compared' not in quietly('paper', 1.0).stats
+    assert 'compared' not in quietly(SCENES['stretch'], 2.5).stats  # too long to be unasked
+    assert 'compared' not in quietly({**SCENES['stretch'], 'model.modes': 0}, 0.5).stats
+
+
+def test_a_user_decides():
+    assert quietly('paper', 0.5, compare=True).stats['compared']
+    once, twice = (quietly(SCENES['stretch'], 0.5, compare=choice) for choice in (False, None))
+    assert 'compared' not in once.stats
+    np.testing.assert_array_equal(once.motion, twice.motion)
+
+
+def test_a_wrong_alarm_is_taken_back(monkeypatch):
+    monkeypatch.setattr(second_run, 'DOUBT', 0.0)
+    scene = timo_sim.load_scene('paper')
+    run = second_run.sampled_run(scene, 100)
+    alarmed = second_run.replace(run, warning='the steps are too long')
+    assert second_run.in_doubt(alarmed)
+    assert second_run.compared(alarmed).warning is None
+
+
+def test_lists_of_modes_grow_with_the_modes():
+    scene = timo_sim.load_scene({
+        'model.modes': 2, 'model.axial_modes': 1, 'arm.damping_ratio': [0.1, 0.2, 0.3],
+        'initial.modal_coordinates': [1e-3, 2e-3, 3e-6], 'initial.modal_rates': [4.0, 5.0, 6.0]})
+    finer = second_run.finer(scene, 2)
+    assert finer.values['arm.damping_ratio'] == [0.1, 0.2, 0.2, 0.2, 0.2, 0.3, 0.3]
+    motion = scene.initial_motion(), finer.initial_motion()
+    tips = [each.build().tip(initial) for each, initial in zip((scene, finer), motion)]
+    np.testing.assert_allclose(*tips, atol=1e-15)
+
+
+def test_one_mode_has_a_second_run_too():
+    values = {'model.modes': 1, 'initial.modal_coordinates': [0.2], 'arm.damping_ratio': [0.01]}
+    assert quietly(values, 0.1, compare=True).stats['compared']
+
+
+def test_static_modes_bent_at_first_have_no_second_run():
+    values = {**SCENES['stretch'], 'model.static_modes': 'force'}
+    assert quietly(values, 0.1, compare=True).stats['compared']
+    bent = {**values, 'initial.modal_coordinates': [1e-3, 0.0, 0.0]}
+    assert 'compared' not in quietly(bent, 0.1, compare=True).stats

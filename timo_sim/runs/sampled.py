@@ -1,0 +1,56 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A run of a resolved scene, once, with samples of its motion."""
+
+import time
+
+import numpy as np
+
+from timo_sim.runs.run import Run
+from timo_sim.simulation.model_warnings import DivergenceError
+from timo_sim.simulation.simulator import Simulator
+
+_REPORTED = 1024  # steps from one report to the next
+
+
+def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=None):
+    """
+    Return the Run of a resolved scene, as `simulate` does but without bar and warning.
+
+    `report` receives how many further steps are done; `tell` is for `Simulator.warm_up`.
+    """
+    simulator = Simulator(scene)
+    simulator.warm_up(tell)
+    motion = np.empty((steps // sample_every + 1, simulator.model.size))
+    motion[0], heat = simulator.motion.values, np.zeros(len(motion))
+    begun = time.monotonic()
+
+    def run(count):
+        samples, integration = slice(count // sample_every + 1), simulator.integration
+        stats = {'steps': simulator.steps, 'wall_time_s': time.monotonic() - begun,
+                 'estimated_tip_error_m': simulator.estimated_error,
+                 'step_error_m': integration.errors.tip,
+                 'modes_error_m': integration.errors.modes.tip,
+                 'stretch_error_m': simulator.stretch.tip,
+                 'split_steps': integration.splits, 'unresolved_steps': integration.unresolved,
+                 'friction_drift_m': integration.friction_drift}
+        return Run(scene, simulator.model, np.arange(samples.stop) * sample_every * scene.step,
+                   motion[samples], heat[samples], simulator.warning, stats)
+
+    while simulator.steps < steps:
+        first = simulator.steps
+        count = min(max(1, _REPORTED // sample_every) * sample_every, steps - first)
+        samples = slice(first // sample_every, (first + count) // sample_every + 1)
+        try:
+            motion[samples], heat[samples] = simulator.advance(count, sample_every=sample_every)
+        except DivergenceError as error:
+            error.run = run(first)
+            raise
+        report(count)
+    return run(steps)
