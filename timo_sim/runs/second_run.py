@@ -26,7 +26,7 @@ from timo_sim.simulation import model_warnings
 
 MORE_MODES, MORE_AXIAL, MOST_AXIAL = 3, 1, 3
 PARTS = 2, 8          # of a step; the second where the first diverges
-DOUBT = 1e-4          # estimated errors from which on a run is looked at again [lengths]
+DOUBT = 2e-5          # estimated errors from which on a run is looked at again [lengths]
 UNASKED = 2048        # steps of such a run, at most
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates', 'arm.damping_ratio'
 
