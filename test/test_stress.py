@@ -17,6 +17,7 @@ import pytest
 from benchmark.stress import numerics, scenes, truth
 import timo_sim
 
+
 @pytest.fixture(autouse=True)
 def few_modes(monkeypatch):
     """Let references have fewer modes: of these scenes the errors are the same, within 3 %."""
