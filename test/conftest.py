@@ -8,7 +8,7 @@
 
 """What several tests need: the paper's scene and the finite-element reference."""
 
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 import fcntl
 from importlib.util import find_spec
 import os
@@ -38,6 +38,16 @@ def own_domain():
 
 # Tests talk to nobody but themselves: neither to other runs nor to a worker process beside them.
 os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(own_domain()))
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_collection():
+    """Let one process compile to bytes what the tests import, while the others wait for it."""
+    with ExitStack() as stack:
+        stack.enter_context(lock('collection.lock'))
+        if (ROOT / 'test/view/__pycache__').exists():  # of the last folder: another was here
+            stack.close()
+        yield
 
 
 @pytest.fixture(scope='session', autouse=True)
