@@ -20,8 +20,8 @@ import timo_sim
 
 @pytest.fixture(autouse=True)
 def few_modes(monkeypatch):
-    """Let references have fewer modes: of these scenes the errors are the same, within 3 %."""
-    monkeypatch.setattr(truth, '_MODES', {'exact': (8, 1), 'newton': (8, 0)})
+    """Let references have fewer modes: of these scenes the errors are the same, within 7 %."""
+    monkeypatch.setattr(truth, '_MODES', {'exact': (6, 1), 'newton': (8, 0)})
     monkeypatch.setattr(truth, '_FEWER', {'exact': (5, 1), 'newton': (5, 0)})
 
 
