@@ -10,6 +10,7 @@
 
 import math
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -22,7 +23,7 @@ import pytest
 
 import timo_sim
 from timo_sim.jit import code_store
-from timo_sim.jit.code_store import is_compiled, lock, size_mark
+from timo_sim.jit.code_store import is_compiled, lock, size_mark, store_directory
 from timo_sim.jit.decorators import entry_point, FASTMATH
 from timo_sim.physics.equations.functions import rate_once
 from timo_sim.physics.equations.sincos import sincos
@@ -117,6 +118,14 @@ for modes in {}:
 """
 
 
+def take_single_rates(folder):
+    """Put what the tests have compiled of them in another store: they have one code for all."""
+    store = folder / store_directory().name
+    store.mkdir()
+    for file in store_directory().glob('*.functions.*.code'):
+        shutil.copy(file, store)
+
+
 def test_sizes_compiled_apart_live_together(tmp_path):
     """Sizes from the disk, compiled by two processes at once: the same to the last bit."""
     def start(*modes):
@@ -124,6 +133,7 @@ def test_sizes_compiled_apart_live_together(tmp_path):
             [sys.executable, '-c', RUN.format(modes)], text=True, stdout=subprocess.PIPE,
             env={**os.environ, 'NUMBA_CACHE_DIR': tmp_path})
 
+    take_single_rates(tmp_path)
     apart = [start(2), start(0)]
     outputs = [process.communicate()[0] for process in apart]
     assert all(outputs) and start(2, 0).communicate()[0] == ''.join(outputs)
@@ -145,6 +155,7 @@ def test_bits_do_not_depend_on_what_was_compiled_before(tmp_path):
         return subprocess.run([sys.executable, '-c', SPEEDS], stdout=subprocess.PIPE, text=True,
                               env={**os.environ, 'NUMBA_CACHE_DIR': tmp_path}).stdout
 
+    take_single_rates(tmp_path)
     together = run()
     advance, = tmp_path.glob('*/*.etdrk4.advance-*.code')
     advance.unlink()
