@@ -36,7 +36,7 @@ sim: $(VENV)/.run
 
 # The processes of pytest fill the cores: threads of BLAS would only wait for each other.
 test test-lowest test-without-ros: export OPENBLAS_NUM_THREADS := 1
-PYTEST := -m pytest test --numprocesses 3 --dist loadfile
+PYTEST := -m pytest test --numprocesses 3 --dist loadfile --no-loadscope-reorder
 test: $(VENV)/.test graphics
 	@$(BIN)/python $(PYTEST)
 

@@ -8,12 +8,13 @@
 
 """What several tests need: the paper's scene and the finite-element reference."""
 
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 import fcntl
 from importlib.util import find_spec
 import os
 from pathlib import Path
 import random
+import sys
 import tempfile
 
 import pytest
@@ -38,6 +39,30 @@ def own_domain():
 
 # Tests talk to nobody but themselves: neither to other runs nor to a worker process beside them.
 os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(own_domain()))
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_collection():
+    """Let one process compile to bytes what the tests import, while the others wait for it."""
+    with ExitStack() as stack:
+        stack.enter_context(lock('collection.lock'))
+        last = f'test/__pycache__/test_without_ros.{sys.implementation.cache_tag}*'
+        if any(ROOT.glob(last)):  # another was here
+            stack.close()
+        yield
+
+
+# What takes longest begins first; files that wait for nodes stand between those that compute.
+LONGEST = [f'test_{name}.py' for name in (
+    'equations storm accuracy node sweep_command formulations recover compiled log examples sync '
+    'friction looking linear command_line step_control same_bits stretch api style '
+    'stress').split()]
+
+
+def pytest_collection_modifyitems(items):
+    """Put files in the order in which `--dist loadfile --no-loadscope-reorder` deals them out."""
+    place = {name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.name, len(LONGEST)))
 
 
 @pytest.fixture(scope='session', autouse=True)

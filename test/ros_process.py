@@ -109,6 +109,10 @@ class Process:
         """Send a signal."""
         self._process.send_signal(number)
 
+    def runs(self):
+        """Return whether the process has not ended yet."""
+        return self._process.poll() is None
+
     def _status(self, name):
         status = Path(f'/proc/{self._process.pid}/status').read_text()
         return re.search(rf'{name}:\s*(\w+)', status)[1]
@@ -138,7 +142,7 @@ class Process:
 
     def kill(self):
         """End the process if it still runs."""
-        if self._process.poll() is None:
+        if self.runs():
             self._process.kill()
             self._process.communicate()
 

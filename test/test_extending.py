@@ -27,7 +27,9 @@ RUN = """
 import timo_sim
 scene = timo_sim.load_scene('paper', {
     'model.formulation': 'newton_small_speed', 'model.modes': 1, 'rate.carrier_velocity': 500.0,
-    'sensor.tachometer.noise': 0.0, 'sensor.tachometer.bias': 0.5})
+    'sensor.tachometer.noise': 0.0, 'sensor.tachometer.bias': 0.5,
+    # The modes of an arm with a profile need no compiled function.
+    'arm.profile.position': [0.0, 2.0], 'arm.profile.height': [0.02, 0.02]})
 run = timo_sim.simulate(scene, 1.0, 2)
 simulator = timo_sim.Simulator(scene)
 simulator.step(torque=1.0)
@@ -84,10 +86,12 @@ def test_in_the_node_its_log_and_a_table(extended):
     python(extended, '-m', 'timo_sim.cli.sim_node', '--ros-args', '--params-file',
            'config/paper.yaml', '-p', 'duration:=0.5', '-p', 'record_file:=run.mcap', '-p',
            'model.modes:=1', '-p', 'model.formulation:=newton_small_speed', '-p',
-           'real_time_factor:=0.0')
-    told = python(extended, '-m', 'timo_sim', 'replay', 'run.mcap')
+           'real_time_factor:=0.0', '-p', 'arm.profile.position:=[0.0, 2.0]', '-p',
+           'arm.profile.height:=[0.02, 0.02]')
+    told = python(extended, '-c', 'from timo_sim.cli import main; [main(line.split(), '
+                  'standalone_mode=False) for line in ("replay run.mcap", '
+                  '"export run.mcap -o run.csv")]')
     assert 'numbers are the same to the last bit' in told
-    python(extended, '-m', 'timo_sim', 'export', 'run.mcap', '-o', 'run.csv')
     table = np.genfromtxt(extended / 'run.csv', delimiter=',', names=True)
     assert np.array_equal(table['carrier_velocity_x_m_per_s'], table['carrier_x_velocity_m_per_s'])
     assert np.abs(table['carrier_velocity_x_m_per_s']).max() > 0.001

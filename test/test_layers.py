@@ -45,10 +45,10 @@ def named_modules(path):
                 yield found.group(1)
 
 
-IMPORTS = {name: {module for module in named_modules(path) if module in MODULES} - {name}
-           for name, path in MODULES.items()}
-OUTSIDE = {name: {module.split('.')[0] for module in named_modules(path)} - {'timo_sim'}
-           for name, path in MODULES.items()}
+NAMES = {name: {*named_modules(path)} for name, path in MODULES.items()}
+IMPORTS = {name: names & MODULES.keys() - {name} for name, names in NAMES.items()}
+OUTSIDE = {name: {module.split('.')[0] for module in names} - {'timo_sim'}
+           for name, names in NAMES.items()}
 
 
 def layer(module):

@@ -9,12 +9,21 @@
 """The numerics of `make stress`: it sees what is silent, and what was silent once is not."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from benchmark.stress import numerics, scenes, truth
 import timo_sim
+
+
+@pytest.fixture(autouse=True)
+def few_modes(monkeypatch):
+    """Let references have fewer modes: of these scenes the errors are the same, within 7 %."""
+    monkeypatch.setattr(truth, '_MODES', {'exact': (6, 1), 'newton': (8, 0)})
+    monkeypatch.setattr(truth, '_FEWER', {'exact': (5, 1), 'newton': (5, 0)})
+
 
 BODY = {'arm.length': 2.0, 'motor.mass': 0.0, 'initial.shaft_velocity': 1.0,
         'end_effector.mass': 2.168, 'end_effector.inertia': 0.08672, 'carrier.mass': 10.0}
@@ -44,26 +53,26 @@ def at_resonance(number, ratio, **changes):
 
 
 # What was wrong and silent once: with an embedded estimate of third order, or looked at too late.
-SILENT_ONCE = [
-    plain(**{'model.formulation': 'newton', 'arm.height': 0.2, 'end_effector.mass': 21.68,
-             'end_effector.inertia': 0.8672}),
-    plain(**{'model.formulation': 'newton', 'arm.height': 0.5, 'end_effector.mass': 5420.0,
-             'end_effector.inertia': 21680.0, 'carrier.mass': 1e-3, 'arm.damping_ratio': [1.0],
-             'load.torque.piecewise.time': [0.0, 0.2],
-             'load.torque.piecewise.value': [65.0, 0.0]}, step=0.02, bend=1e-3, steps=100),
-    plain(**{'model.modes': 5}, bend=1.0),
-    at_resonance(1, 1.05, step=0.005, steps=400, **{
+SILENT_ONCE = {
+    'thick': partial(plain, **{
+        'model.formulation': 'newton', 'arm.height': 0.2, 'end_effector.mass': 21.68,
+        'end_effector.inertia': 0.8672}),
+    'light carrier': partial(plain, step=0.02, bend=1e-3, steps=100, **{
+        'model.formulation': 'newton', 'arm.height': 0.5, 'end_effector.mass': 5420.0,
+        'end_effector.inertia': 21680.0, 'carrier.mass': 1e-3, 'arm.damping_ratio': [1.0],
+        'load.torque.piecewise.time': [0.0, 0.2], 'load.torque.piecewise.value': [65.0, 0.0]}),
+    'strong bend': partial(plain, bend=1.0, **{'model.modes': 5}),
+    'beside resonance': partial(at_resonance, 1, 1.05, step=0.005, steps=400, **{
         'model.formulation': 'newton', 'arm.height': 0.04, 'end_effector.mass': 0.0,
         'carrier.mass': 1e-3, 'initial.shaft_velocity': 0.0, 'arm.damping_ratio': [0.01]}),
-    at_resonance(2, 1.0, step=0.001, steps=2000, bend=1.0, **{
+    'at resonance': partial(at_resonance, 2, 1.0, step=0.001, steps=2000, bend=1.0, **{
         'model.modes': 5, 'end_effector.mass': 216.8, 'end_effector.inertia': 0.0,
-        'carrier.mass': 1e6, 'initial.shaft_velocity': 0.0, 'arm.damping_ratio': [0.1]})]
+        'carrier.mass': 1e6, 'initial.shaft_velocity': 0.0, 'arm.damping_ratio': [0.1]})}
 
 
-@pytest.mark.parametrize('cell', SILENT_ONCE, ids=[
-    'thick', 'light carrier', 'strong bend', 'beside resonance', 'at resonance'])
+@pytest.mark.parametrize('cell', SILENT_ONCE.values(), ids=SILENT_ONCE)
 def test_what_was_silent_once(cell):
-    for found in truth.judge(cell):
+    for found in truth.judge(cell()):
         assert found['verdict'] != 'silent' or found['against'] == 'exact', found
 
 
@@ -116,6 +125,8 @@ def without_a_word(monkeypatch):
 
 def test_an_error_without_a_word_is_silent(monkeypatch):
     cell = plain(step=0.02, bend=0.3, **{'initial.shaft_velocity': 20.0, 'carrier.mass': 1.0})
+    finer = truth._Finer(cell, 'exact')
+    monkeypatch.setattr(truth, '_Finer', lambda *_: finer)
     told = truth.judge(cell)[0]
     without_a_word(monkeypatch)
     untold = truth.judge(cell)[0]
@@ -124,14 +135,15 @@ def test_an_error_without_a_word_is_silent(monkeypatch):
     assert numerics.is_listed(untold)
 
 
-def test_the_two_references_agree_and_see_too_few_modes_and_stretch():
+def test_the_two_references_agree_and_see_too_few_modes_and_stretch(monkeypatch):
     """Of a spinning arm under a push: far beyond what separates the references."""
     push = {'load.tip_force_y.piecewise.time': [0.0, 0.1],
             'load.tip_force_y.piecewise.value': [20.0, 0.0], 'initial.shaft_velocity': 10.0}
     cell = plain(step=0.005, steps=200, bend=0.0, **push)._replace(elements=True)
     finer = truth._Finer(cell)
     elements = truth._Elements(cell, finer)
-    assert elements.distance(finer.path) < 2e-5
+    assert elements.distance(finer.path) < 2e-6
+    monkeypatch.setattr(truth, '_Elements', lambda *_: elements)
     found = [each['error'] for each in truth.judge(cell)]
     assert found == pytest.approx(found[:1] * 4, rel=0.1) and found[0] > 1e-4
 

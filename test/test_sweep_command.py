@@ -8,6 +8,7 @@
 
 """`timo_sim sweep`: file in, Parquet out; refusals; killed and given again; on a Dask cluster."""
 
+from contextlib import chdir
 import os
 from pathlib import Path
 import signal
@@ -63,6 +64,14 @@ def end(command):
     return command.returncode, output, errors
 
 
+def refused(path, folder):
+    """Return what `timo_sim sweep` says in a folder, in this process, before it ends with 2."""
+    with chdir(folder):
+        result = CliRunner().invoke(main, ['sweep', str(path)])
+    assert result.exit_code == 2
+    return result.output
+
+
 def rows(path):
     """Return a Parquet file's columns by name."""
     return parquet.read_table(path).to_pydict()
@@ -108,9 +117,8 @@ def test_file_in_parquet_out(write, tmp_path):
         'peak_deflection').metadata[b'meaning']
     assert schema.metadata[b'duration'] == b'2.0 s'
 
-    code, output, errors = end(start(tmp_path, path))
-    assert code == 2 and errors == ('timo_sim: study.parquet exists: remove it or choose another '
-                                    '--output\n')
+    assert refused(path, tmp_path) == (
+        'timo_sim: study.parquet exists: remove it or choose another --output\n')
 
 
 def test_the_example_can_be_read_as_it_is_and_with_each_of_its_ways_to_vary(write):
@@ -180,9 +188,8 @@ def test_bad_input_ends_with_one_line_and_code_2(write, tmp_path):
     (tmp_path / 'broken.yaml').write_text('scene: [')
     for path, words in ((write(grid={'model.modes': [-1]}), 'model.modes must be'),
                         (tmp_path / 'broken.yaml', 'broken.yaml is not a YAML file')):
-        result = CliRunner().invoke(main, ['sweep', str(path)])
-        assert result.exit_code == 2 and result.output.count('\n') == 1
-        assert result.output.startswith('timo_sim: ') and words in result.output
+        told = refused(path, tmp_path)
+        assert told.startswith('timo_sim: ') and told.count('\n') == 1 and words in told
     code, _, errors = end(start(tmp_path, 'nowhere.yaml'))
     assert code == 2 and "'nowhere.yaml' does not exist" in errors
 
@@ -210,8 +217,8 @@ def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
                                          [['seen'] * len(known)]), parts[1])
     parts[1].with_suffix('.sha256').unlink()
     # Another sweep must not take over these parts.
-    code, _, errors = end(start(tmp_path, write(random=RANDOM, duration=5.0)))
-    assert code == 2 and 'study.parquet.parts is of another sweep' in errors
+    assert 'study.parquet.parts is of another sweep' in refused(
+        write(random=RANDOM, duration=5.0), tmp_path)
 
     assert end(start(tmp_path, write(random=RANDOM, duration=10.0)))[0] == 0
     table, direct = rows(tmp_path / 'study.parquet'), many(path)

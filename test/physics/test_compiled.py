@@ -10,9 +10,11 @@
 
 import math
 import os
+import shutil
 import subprocess
 import sys
 import threading
+import warnings
 
 import numba
 from numba.core.runtime import _nrt_python, rtsys
@@ -21,7 +23,7 @@ import pytest
 
 import timo_sim
 from timo_sim.jit import code_store
-from timo_sim.jit.code_store import is_compiled, lock, size_mark
+from timo_sim.jit.code_store import is_compiled, lock, size_mark, store_directory
 from timo_sim.jit.decorators import entry_point, FASTMATH
 from timo_sim.physics.equations.functions import rate_once
 from timo_sim.physics.equations.sincos import sincos
@@ -116,6 +118,14 @@ for modes in {}:
 """
 
 
+def take_single_rates(folder):
+    """Put what the tests have compiled of them in another store: they have one code for all."""
+    store = folder / store_directory().name
+    store.mkdir()
+    for file in store_directory().glob('*.functions.*.code'):
+        shutil.copy(file, store)
+
+
 def test_sizes_compiled_apart_live_together(tmp_path):
     """Sizes from the disk, compiled by two processes at once: the same to the last bit."""
     def start(*modes):
@@ -123,6 +133,7 @@ def test_sizes_compiled_apart_live_together(tmp_path):
             [sys.executable, '-c', RUN.format(modes)], text=True, stdout=subprocess.PIPE,
             env={**os.environ, 'NUMBA_CACHE_DIR': tmp_path})
 
+    take_single_rates(tmp_path)
     apart = [start(2), start(0)]
     outputs = [process.communicate()[0] for process in apart]
     assert all(outputs) and start(2, 0).communicate()[0] == ''.join(outputs)
@@ -144,12 +155,12 @@ def test_bits_do_not_depend_on_what_was_compiled_before(tmp_path):
         return subprocess.run([sys.executable, '-c', SPEEDS], stdout=subprocess.PIPE, text=True,
                               env={**os.environ, 'NUMBA_CACHE_DIR': tmp_path}).stdout
 
+    take_single_rates(tmp_path)
     together = run()
-    for file in tmp_path.glob('*/*.code'):
-        if '.waves.' not in file.name:
-            file.unlink()
-    assert len([*tmp_path.glob('*/*.code')]) == 3
-    assert run() == together != ''
+    advance, = tmp_path.glob('*/*.etdrk4.advance-*.code')
+    advance.unlink()
+    assert len([*tmp_path.glob('*/*.waves.*.code')]) == 3
+    assert run() == together != '' and advance.exists()
 
 
 def test_one_process_at_a_time_compiles():
@@ -170,8 +181,12 @@ def test_one_process_at_a_time_compiles():
 @pytest.fixture
 def store(tmp_path, monkeypatch):
     """Keep machine code in a folder of the test's own; return the folder."""
-    monkeypatch.setattr(code_store, 'store_directory', lambda: tmp_path)
-    return tmp_path
+    store = tmp_path / 'store'
+    store.mkdir()
+    monkeypatch.setattr(code_store, 'store_directory', lambda: store)
+    code_store._mark_of.cache_clear()
+    yield store
+    code_store._mark_of.cache_clear()
 
 
 def doubled(number):
@@ -213,30 +228,25 @@ def test_code_that_cannot_be_read_is_compiled_and_one_that_cannot_be_written_war
     assert [*store.iterdir()] == [file]
 
 
-@pytest.mark.parametrize('then, kept', [('', True), ('store_directory().touch()', False)],
-                         ids=['made again', 'a file in its place'])
-def test_a_folder_of_code_that_disappears_does_no_harm(tmp_path, paper, then, kept):
-    code = RUN_AND_REMOVE.format(str(paper), then)
-    run = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
-                         env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)})
-    assert run.returncode == 0, run.stderr
-    assert run.stdout == 'done\n' and ('machine code is not kept' in run.stderr) != kept
-    assert any(tmp_path.glob('*/*.code')) == kept
+@pytest.mark.parametrize('kept', [True, False], ids=['made again', 'a file in its place'])
+def test_a_folder_of_code_that_disappears_does_no_harm(store, kept):
+    """While a simulator warms up, and what it compiles."""
+    simulator = Simulator(timo_sim.load_scene({}))
+    store.rmdir()
+    if not kept:
+        store.touch()
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter('always')
+        simulator.warm_up()
+        assert is_compiled(*simulator.integration.constants) == kept
+        assert not compile_and_call()
+    assert any('machine code is not kept' in str(each.message) for each in told) != kept
+    assert any(store.glob('*.code')) == kept
 
 
-RUN_AND_REMOVE = """
-import shutil, timo_sim
-from timo_sim.jit.code_store import store_directory
-scene = timo_sim.load_scene('{}', {{'model.formulation': 'newton', 'model.modes': 0}})
-shutil.rmtree(store_directory())
-{}
-timo_sim.simulate(scene, 0.1)
-print('done')
-"""
-
-
-def test_sizes_are_marked_once_compiled(paper):
+def test_sizes_are_marked_once_compiled(paper, store):
     simulator = Simulator(timo_sim.load_scene(paper))
+    assert not is_compiled(*simulator.integration.constants)
     simulator.warm_up()
     assert is_compiled(*simulator.integration.constants)
     assert size_mark(simulator.model.packed) != size_mark(

@@ -130,8 +130,8 @@ def solve(scene, equations):
     y, motion = scene.initial_motion(), [scene.initial_motion()[:, np.newaxis]]
     for start, stop in parts:
         chosen = t[(t > start) & (t <= stop)]
-        motion.append(solve_ivp(rate, (start, stop), y, 'DOP853', chosen, rtol=1e-11,
-                                atol=1e-12).y)
+        motion.append(solve_ivp(rate, (start, stop), y, 'DOP853', chosen, rtol=1e-10,
+                                atol=1e-11).y)
         y = motion[-1][:, -1]
     motion = np.hstack(motion).T
     forces = np.array([accelerate(*sample)[1] for sample in zip(t, motion)])

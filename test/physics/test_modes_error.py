@@ -51,14 +51,14 @@ def test_an_axial_force_stretches_a_clamped_arm():
 
 
 @pytest.mark.parametrize('modes, values', [
-    (2, {}), (3, {}), (3, {'carrier.held': 'both'}), (3, {'integrator.tolerance': 1e-9}),
+    (5, {}), (3, {}), (3, {'carrier.held': 'both'}), (3, {'integrator.tolerance': 1e-9}),
     (3, {'arm.damping_ratio': [0.01]}), (3, {'initial.shaft_velocity': 3.0}),
     (3, {'model.formulation': 'newton'}),
-], ids=['two modes', 'free', 'held', 'tolerance', 'damped', 'turning', 'newton'])
+], ids=['five modes', 'free', 'held', 'tolerance', 'damped', 'turning', 'newton'])
 def test_vibrations_run_ahead_as_estimated(modes, values):
     runs = [timo_sim.simulate(timo_sim.load_scene({
         'model.modes': count, 'initial.modal_rates': [1.0] + [0.0] * (count - 1), **values}), 4.0)
-        for count in (modes, 5)]
+        for count in (modes, 12 if modes == 5 else 5)]
     error = np.linalg.norm(runs[0].position(2.0) - runs[1].position(2.0), axis=1).max()
     assert error / 3.0 < runs[0].stats['modes_error_m'] < 4.0 * error
     assert runs[1].stats['modes_error_m'] < 0.1 * error

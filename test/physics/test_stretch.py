@@ -136,21 +136,22 @@ def test_axial_modes_are_refused_where_the_arm_cannot_stretch(formulation):
 
 
 def test_axial_coordinates_are_the_last_of_all_lists():
-    scene = scene_of(**{'initial.modal_coordinates': [0.0, 0.0, 0.0, 1e-3],
-                        'arm.damping_ratio': [0.0, 0.0, 0.0, 0.02]})
+    last = [0.0] * 5
+    scene = scene_of(**{'model.modes': 5, 'initial.modal_coordinates': [*last, 1e-3],
+                        'arm.damping_ratio': [*last, 0.02]})
     model = scene.build()
     along, across, rotation = model.tip(scene.initial_motion())
-    assert along - 2.0 == pytest.approx(1e-3 * model.modes.displacement([2.0])[0, 3])
+    assert along - 2.0 == pytest.approx(1e-3 * model.modes.displacement([2.0])[0, 5])
     assert across == rotation == 0.0
     # A gauge at the root sees it: strain E(0) q and no bending.
     strain = Simulator(scene).snapshot().root_strain
-    assert strain == pytest.approx(1e-3 * model.modes.stretch(np.zeros(1))[0, 3])
+    assert strain == pytest.approx(1e-3 * model.modes.stretch(np.zeros(1))[0, 5])
     linear = timo_sim.linearize(scene.vary({'initial.modal_coordinates': []}))
-    assert linear.states[6] == 'mode_4_m_sqrt_kg'
+    assert linear.states[8] == 'mode_6_m_sqrt_kg'
     assert linear.frequencies()[-1] == pytest.approx(415.26, abs=0.02)
-    with pytest.raises(timo_sim.ParameterError, match='0 or 1 or 4 elements for model.modes = 3 '
+    with pytest.raises(timo_sim.ParameterError, match='0 or 1 or 6 elements for model.modes = 5 '
                        'and model.axial_modes = 1'):
-        scene.vary({'arm.damping_ratio': [0.0] * 3})
+        scene.vary({'arm.damping_ratio': last})
 
 
 @pytest.mark.parametrize('values', [
