@@ -21,8 +21,8 @@ import timo_sim
 @pytest.fixture(autouse=True)
 def few_modes(monkeypatch):
     """Let references have fewer modes: of these scenes the errors are the same, within 7 %."""
-    monkeypatch.setattr(truth, '_MODES', {'exact': (6, 1), 'newton': (8, 0)})
-    monkeypatch.setattr(truth, '_FEWER', {'exact': (5, 1), 'newton': (5, 0)})
+    monkeypatch.setattr(truth, '_MODES', (6, 1))
+    monkeypatch.setattr(truth, '_FEWER', (5, 1))
 
 
 BODY = {'arm.length': 2.0, 'motor.mass': 0.0, 'initial.shaft_velocity': 1.0,
@@ -99,12 +99,13 @@ def test_all_parameters_vary_and_a_number_is_the_same_scene():
 
 def test_what_steps_do_wrong_is_told():
     """Against the same modes at a tenth of the step: what is left out otherwise is not seen."""
-    cells = [scenes.cell(number, seed=2) for number in range(8 * len(scenes.KINDS))]
+    cells = [scenes.cell(number, seed=2) for number in range(10 * len(scenes.KINDS))]
     seen = []
     for cell in cells:
         values = cell.values
         if (values['model.modes'], values['carrier.held'], values['motor.shaft']) != (
-                3, 'none', 'free') or values['model.axial_modes'] or cell.kind == 'dry':
+                3, 'none', 'free') or values['model.axial_modes'] or cell.kind == 'dry' or (
+                truth.family(cell) != 'exact'):
             continue
         path, _, warning = truth._run(cell, {})
         if path is not None:
@@ -125,7 +126,7 @@ def without_a_word(monkeypatch):
 
 def test_an_error_without_a_word_is_silent(monkeypatch):
     cell = plain(step=0.02, bend=0.3, **{'initial.shaft_velocity': 20.0, 'carrier.mass': 1.0})
-    finer = truth._Finer(cell, 'exact')
+    finer = truth._Finer(cell)
     monkeypatch.setattr(truth, '_Finer', lambda *_: finer)
     told = truth.judge(cell)[0]
     without_a_word(monkeypatch)
