@@ -9,7 +9,8 @@
 """
 The torture bench: numerics, node, log and files. It writes doc/stress.md.
 
-`make stress` takes long, `--quick` does a part of each and writes to run/stress.md.
+`make stress` takes long, `--quick` does a part of each and writes to run/stress.md. With `--parts`
+only some of its parts are made again, the others stay on the page as they are.
 """
 
 import time
@@ -19,24 +20,20 @@ from benchmark.command import parser
 from benchmark.report import machine, table
 from benchmark.stress import log, node, numerics
 
-INTRODUCTION = """# Stress
-
-Made by `make stress` in {minutes:.0f} minutes on: {machine}.
-
-## Numerics
-
+TITLE = '# Stress\n\nMade by `make stress`, each part on the machine named below it.\n'
+NUMERICS = """\
 Random scenes in which all parameters vary (`benchmark/stress/scenes.py`, a scene by its number):
 besides what is drawn for all of them, some have knots of tables and drives inside steps, 1 to 200
 steps, samples at odd steps, one axis held, shafts that are locked or driven, thin arms that spin,
 little stiffness in shear, an arm that stretches by speed, a heavy tip, a resonance, dry friction,
 or the ends of the ranges. Each is run with its step and with `integrator.tolerance` = 1e-6 of the
-arm's length, and compared (`benchmark/stress/truth.py`) with a finer run: more modes, a tenth of
-the step, a tighter tolerance, and, `exact`, an arm that stretches; `newton` and its relatives
-also with that of `exact`; one round in sixteen with finite elements of an arm that stretches.
-Accurate: within 1/1000 of the arm's length. Flagged: not so, but the run says so. Refused: an
-error says why. Silent: none of these; there may be none. Open: the reference itself is not known
-to a third of the distance; sensitive scenes, in which a tip that begins 1e-9 lengths off ends
-1e-5 lengths off or more, are among them, unless the run is accurate all the same.
+arm's length, as `simulate` does, and compared (`benchmark/stress/truth.py`) with a finer run of
+`exact`: twelve modes, a tenth of the step, a tighter tolerance, and an arm that stretches; one
+round in sixteen with finite elements of an arm that stretches, too. Accurate: within 1/1000 of the
+arm's length. Flagged: not so, but the run says so. Refused: an error says why. Silent: none of
+these; there may be none. Open: the reference itself is not known to a third of the distance;
+sensitive scenes, in which a tip that begins 1e-9 lengths off ends 1e-5 lengths off or more, are
+among them, unless the run is accurate all the same.
 What was silent once is a test now (`test/test_stress.py`).
 """
 PARTS = [
@@ -49,11 +46,10 @@ unharmed, and what was written is readable, or is refused in one line.
 ]
 
 
-def main():
-    """Run all of it and write the page."""
-    quick = parser(__spec__, __doc__, 'a few minutes').parse_args().quick
-    start = time.monotonic()
-    parts = [
+def numerics_part(quick):
+    """Return the text of the part that compares runs with references."""
+    return '\n\n'.join([
+        NUMERICS.rstrip(),
         table(['equations', 'against', 'steps', 'tried', *numerics.VERDICTS, 'remark'],
               numerics.rows(quick)),
         'Frequency responses of arms with heavy tips (`linearize`), up to the second clamped '
@@ -62,16 +58,32 @@ def main():
         f'Without loads and damping, at 1 ms, {"a minute" if quick else "an hour"}: '
         'relative drift of energy and of linear momentum.',
         table(['scene', 'formulation', 'energy', 'momentum', 'remark'],
-              numerics.long_rows(quick))]
+              numerics.long_rows(quick))])
+
+
+def main():
+    """Run all of it, or some parts, and write the page."""
+    makers = {'Numerics': numerics_part}
     for title, module, words in PARTS:
-        parts += [f'## {title}', words,
-                  table(['fault', 'tried', 'survived', 'remark'], module.rows(quick))]
-        print(*parts[-3:], sep='\n\n', flush=True)
-    facts = ', '.join(f'{name} {value}' for name, value in machine().items())
-    page = INTRODUCTION.format(minutes=(time.monotonic() - start) / 60.0, machine=facts)
-    target = ROOT / ('run' if quick else 'doc') / 'stress.md'
+        makers[title] = lambda quick, module=module, words=words: words + '\n\n' + table(
+            ['fault', 'tried', 'survived', 'remark'], module.rows(quick))
+    options = parser(__spec__, __doc__, 'a few minutes')
+    options.add_argument('--parts', nargs='+', choices=makers, default=list(makers))
+    given = options.parse_args()
+    target = ROOT / ('run' if given.quick else 'doc') / 'stress.md'
     target.parent.mkdir(exist_ok=True)
-    target.write_text('\n'.join([page, *(part + '\n' for part in parts)]), encoding='utf-8')
+    page = target.read_text(encoding='utf-8') if target.exists() else ''
+    kept = dict(part.split('\n\n', 1) for part in page.split('\n## ')[1:])
+    facts = ', '.join(f'{name} {value}' for name, value in machine().items())
+    for title in given.parts:
+        start = time.monotonic()
+        text = makers[title](given.quick)
+        minutes = (time.monotonic() - start) / 60.0
+        kept[title] = f'{text.strip()}\n\n{minutes:.0f} minutes on: {facts}.\n'
+        print(kept[title], flush=True)
+        target.write_text(TITLE + ''.join(
+            f'\n## {each}\n\n{kept[each].strip()}\n' for each in makers if each in kept),
+            encoding='utf-8')
     print(f'written to {target}')
 
 
