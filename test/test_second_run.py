@@ -40,13 +40,13 @@ def test_the_error_is_that_to_finite_elements(name):
     error = np.linalg.norm(run.position(2.0) - tip, axis=1).max()
     assert run.stats['compared'] and error > second_run.DOUBT
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.2)
-    assert (run.warning is not None) == (error > 2e-3)  # a thousandth of the arm's length
+    assert run.warning is not None and error > 1.4e-3  # 7e-4 of the arm's length
 
 
 def test_what_is_not_in_doubt_is_run_once():
     assert 'compared' not in quietly('paper', 1.0).stats
     assert 'compared' not in quietly(SCENES['stretch'], 2.5).stats  # too long to be unasked
-    assert 'compared' not in quietly({**SCENES['stretch'], 'model.modes': 0}, 0.5).stats
+    assert 'compared' not in quietly({**SCENES['stretch'], 'model.modes': 0}, 0.5).stats  # rigid
 
 
 def test_a_user_decides():

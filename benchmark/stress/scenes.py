@@ -282,7 +282,7 @@ def _load(draw, form, channel, values, omega, force, steps):
     begin = random.uniform(0.0, 0.8) * steps * step
     if form == 'jump':  # next to a step boundary, by less than what rounds to it, or by more
         begin = (1 + random.integers(max(1, steps // 2))) * step
-        begin *= 1.0 + draw.sign() * draw.one(0.0, 2e-12, 1e-10, 3e-9)
+        begin += draw.sign() * draw.one(0.0, 2e-12 * begin, 1e-10 * step, 4e-8 * step)
     length = draw.log(0.02, 2.0) * 2.0 * np.pi / omega
     if form == 'spike':  # within a step
         length = draw.log(0.01, 2.0) * step

@@ -25,7 +25,9 @@ from timo_sim.scene.scene import scene_from
 from timo_sim.simulation import model_warnings
 
 MORE_MODES, MORE_AXIAL, MOST_AXIAL = 3, 1, 3
-PARTS = 2, 8          # of a step; the second where the first diverges
+# Parts of a step, and the tolerance of steps [lengths], from one try to the next.
+TRIES = (2, 0.0), (8, 0.0), (8, 1e-6)
+_OWN = 0.3            # of the distance, at most, is by the steps of the second run itself
 DOUBT = 2e-5          # estimated errors from which on a run is looked at again [lengths]
 UNASKED = 2048        # steps of such a run, at most
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates', 'arm.damping_ratio'
@@ -33,28 +35,35 @@ _LISTS = 'initial.modal_coordinates', 'initial.modal_rates', 'arm.damping_ratio'
 
 def in_doubt(run):
     """Return whether a run that is short enough may be off by more than its estimate says."""
-    values, stats = run.scene.values, run.stats
-    return bool(values['model.modes']) and stats['steps'] <= UNASKED and (
+    values, error = run.scene.values, run.stats['estimated_tip_error_m']
+    return run.stats['steps'] <= UNASKED and (
         values['model.formulation'] != 'exact'  # what a formulation leaves out is not estimated
-        or not stats['estimated_tip_error_m'] <= DOUBT * values['arm.length'])
+        or run.warning is not None or not error <= DOUBT * values['arm.length'])
 
 
-def finer(scene, parts):
-    """Return the scene with more modes, a step of so many parts and the `exact` formulation."""
+def finer(scene, parts, tolerance=0.0):
+    """
+    Return the scene with more modes, a step of so many parts and the `exact` formulation.
+
+    The tolerance of steps is that of the scene or, if that is more or none, the given one [m].
+    """
     values = scene.values
     bending, axial = values['model.modes'], values['model.axial_modes']
-    more = min(MORE_AXIAL, MOST_AXIAL - axial)
+    more = min(MORE_AXIAL, MOST_AXIAL - axial) if bending else 0
+    further = MORE_MODES if bending else 0  # a rigid arm is meant to be one
     lists = {name: values[name] for name in _LISTS}
     for name in _LISTS:
         if len(values[name]) > (name == 'arm.damping_ratio'):  # one is for all
             own, stretching = values[name][:bending], values[name][bending:]
             kept = name == 'arm.damping_ratio'  # that of the last mode holds for further ones
-            lists[name] = [*own, *MORE_MODES * [kept * own[-1]], *stretching,
+            lists[name] = [*own, *further * [kept * (own or stretching)[-1]], *stretching,
                            *more * [kept * (stretching or own)[-1]]]
     return scene_from({**values, **lists, 'model.formulation': 'exact', 'model.accuracy': 0.0,
                        'model.static_modes': 'none',
-                       'model.modes': bending + MORE_MODES, 'model.axial_modes': axial + more,
-                       'integrator.step': scene.step / parts})
+                       'model.modes': bending + further, 'model.axial_modes': axial + more,
+                       'integrator.step': scene.step / parts, 'integrator.tolerance': min(
+                           values['integrator.tolerance'] or tolerance,
+                           tolerance or values['integrator.tolerance'])})
 
 
 def compared(run, tell=None):
@@ -72,7 +81,7 @@ def compared(run, tell=None):
     -------
     Run
         With `estimated_tip_error_m` and the warning as the second run has them, and `compared` in
-        its statistics; as it was, if there is no second run.
+        its statistics; with a warning if all finer runs diverge; as it was, if there is none.
 
     """
     scene, length = run.scene, run.scene.manipulator.arm.length
@@ -81,22 +90,26 @@ def compared(run, tell=None):
         any(scene.values[name]) for name in _LISTS[:2])
     if bent or len(run.t) < 2:
         return run
-    for parts in PARTS:
+    second, error = None, 0.0
+    for parts, tolerance in TRIES:
         try:
-            path = _path(finer(scene, parts), parts, run, tell)
+            second = _run(finer(scene, parts, tolerance * length), parts, run, tell)
         except model_warnings.DivergenceError:
             continue
-        except ParameterError:
+        except ParameterError:  # dry friction knows no tolerance
             break
-        error = float(np.linalg.norm(path - run.position(length), axis=1).max())
-        return replace(
-            run, stats={**run.stats, 'estimated_tip_error_m': error, 'compared': True},
-            warning=model_warnings.after_second_run(scene, error, run.stats, run.warning))
-    return run
+        error = float(np.linalg.norm(
+            second.position(length) - run.position(length), axis=1).max())
+        if second.stats['step_error_m'] <= max(_OWN * error, DOUBT * length):
+            break
+    if second is None:
+        return replace(run, warning=run.warning or model_warnings.NO_SECOND_RUN)
+    return replace(run, stats={**run.stats, 'estimated_tip_error_m': error, 'compared': True},
+                   warning=model_warnings.after_second_run(
+                       scene, second.scene, error, run.stats, run.warning))
 
 
-def _path(scene, parts, run, tell):
+def _run(scene, parts, run, tell):
     steps, model = parts * run.stats['steps'], scene.build()
     model.pack, model.packed = of_any_size, of_any_size(model.tables)
-    second = sampled_run(scene, steps, steps // (len(run.t) - 1), tell=tell)
-    return second.position(scene.manipulator.arm.length)
+    return sampled_run(scene, steps, steps // (len(run.t) - 1), tell=tell)

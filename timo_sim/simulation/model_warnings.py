@@ -20,6 +20,9 @@ from timo_sim.physics.layout import Motion
 _MOST_OF_A_PERIOD = 0.25
 # How far what `newton`, or an arm that does not stretch, leaves out may move the tip [lengths].
 _MOST_LEFT_OUT = 1e-3
+_MOST_APART = 7e-4  # from a second run, which is not true itself [lengths]
+NO_SECOND_RUN = ('finer runs of the scene diverge, so that the error of this one is not known: '
+                 'take a smaller integrator.step or an integrator.tolerance')
 # How far joints may drift in steps with dry friction, and the tip be off by steps or modes.
 _MOST_DRIFT = _MOST_ERROR = 3e-4  # [lengths]
 
@@ -88,13 +91,14 @@ def after_steps(scene, steps, stretch, time, state, load, motions, warning):
     return stretch.told
 
 
-def after_second_run(scene, error, parts, warning):
+def after_second_run(scene, finer, error, parts, warning):
     """
     Return the warning of a run that is so far from a finer one, or None.
 
     Parameters
     ----------
-    scene : Scene
+    scene, finer : Scene
+        Of the run, and of the second.
     error : float
         Largest distance of the tips [m].
     parts : dict of str to float
@@ -103,8 +107,8 @@ def after_second_run(scene, error, parts, warning):
         Of the run alone.
 
     """
-    if error <= _MOST_LEFT_OUT * scene.manipulator.arm.length:
-        return unseen_load(scene)
+    if error <= _MOST_APART * scene.manipulator.arm.length:
+        return unseen_load(finer)
     remedies = {'step_error_m': 'a smaller integrator.step', 'modes_error_m': 'more model.modes',
                 'stretch_error_m': 'model.axial_modes 1'}
     remedy = remedies[max(remedies, key=lambda name: parts[name])]

@@ -47,8 +47,8 @@ class StretchError:
         shift = (outboard / stiffness) @ points.integral
         inertia = (body.shaft_inertia + model.point_inertia.sum() + lever @ (xi - centre)
                    + body.base_mass * centre**2)
-        if model.axial:
-            shift[:] = 0.0  # it does stretch
+        if model.axial or not len(model.modes):
+            shift[:] = 0.0  # it does stretch, or is meant to be rigid
         self._growth, self._lengthening = 2.0 * (lever @ shift) / inertia, shift[-1]
         self._reach = body.arm.length - centre
 
