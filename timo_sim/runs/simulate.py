@@ -29,8 +29,8 @@ def simulate(scene: Scene, duration: float, sample_every: int = 1,
     Simulate a scene under its own loads.
 
     On a terminal, a progress bar appears when the run takes more than a second. A run of up to
-    2048 steps whose estimated error is above 2e-5 of the arm's length, that has a warning, or whose
-    formulation is not `exact`, is compared with a second, finer one, see `Run.stats`.
+    2048 steps that has a warning, an estimated error above 2e-5 of the arm's length, or another
+    formulation than `exact`, is compared with a second, finer one, see `Run.stats`.
 
     Parameters
     ----------
