@@ -28,7 +28,7 @@ MORE_MODES, MORE_AXIAL, MOST_AXIAL = 3, 1, 3
 # Parts of a step, and the tolerance of steps [lengths], from one try to the next.
 TRIES = (2, 0.0), (8, 0.0), (8, 1e-6)
 _OWN = 0.3            # of the distance, at most, is by the steps of the second run itself
-DOUBT = 2e-5          # estimated errors from which on a run is looked at again [lengths]
+DOUBT = 5e-6          # estimated errors from which on a run is looked at again [lengths]
 UNASKED = 2048        # steps of such a run, at most
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates', 'arm.damping_ratio'
 
@@ -100,7 +100,8 @@ def compared(run, tell=None):
             break
         error = float(np.linalg.norm(
             second.position(length) - run.position(length), axis=1).max())
-        if second.stats['step_error_m'] <= max(_OWN * error, DOUBT * length):
+        if second.stats['step_error_m'] <= max(_OWN * error, DOUBT * length) and (
+                not model_warnings.unseen_load(second.scene)):
             break
     if second is None:
         return replace(run, warning=run.warning or model_warnings.NO_SECOND_RUN)

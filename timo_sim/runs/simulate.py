@@ -29,7 +29,7 @@ def simulate(scene: Scene, duration: float, sample_every: int = 1,
     Simulate a scene under its own loads.
 
     On a terminal, a progress bar appears when the run takes more than a second. A run of up to
-    2048 steps that has a warning, an estimated error above 2e-5 of the arm's length, or another
+    2048 steps that has a warning, an estimated error above 5e-6 of the arm's length, or another
     formulation than `exact`, is compared with a second, finer one, see `Run.stats`.
 
     Parameters
