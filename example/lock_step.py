@@ -50,8 +50,7 @@ class LockStep(Node):
     def arrive(self, place, message):
         """Keep a message; answer if it is the last one of its stamp."""
         stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        # The first state is shown until it is answered. Its stamp, 0, is that of a command without
-        # a stamp, so that a second answer would be taken for one to the next state.
+        # The first state is shown until it is answered.
         if stamp < self.stamp or stamp == self.answered:
             return
         if stamp > self.stamp:
@@ -60,8 +59,9 @@ class LockStep(Node):
         if len(self.parts) < len(TOPICS) or not self.publisher.get_subscription_count():
             return
         seen = Seen(*(self.parts[place] for place in range(len(TOPICS))))
-        self.rows.append(seen.row(stamp / 1e9))
-        efforts = self.controller.effort(stamp / 1e9, seen)
+        t = stamp // 1000 / 1e6  # the stamp of the first state is 1 ns after its time
+        self.rows.append(seen.row(t))
+        efforts = self.controller.effort(t, seen)
         command = JointState(name=list(efforts), effort=list(efforts.values()))
         command.header.stamp = message.header.stamp
         self.publisher.publish(command)

@@ -16,6 +16,7 @@ import sys
 import time
 from types import SimpleNamespace
 
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 import numpy as np
 import pytest
@@ -84,7 +85,7 @@ def shown(recording, topic):
 
 
 def test_an_example_answers_a_state_once(ros):
-    """The first is shown again; a second answer, its stamp 0, would be one to the next state."""
+    """The first is shown again."""
     from lock_step import LockStep
     from pd import PD, turn
     node = LockStep(PD(turn))
@@ -93,7 +94,7 @@ def test_an_example_answers_a_state_once(ros):
     parts = (JointState(position=[0.0]), JointState(position=[0.0]),
              JointState(position=[0.0] * 3, velocity=[0.0] * 3, effort=[0.0] * 3),
              Vector3Stamped())
-    for nanoseconds in (0, 0, 2000000, 0):
+    for nanoseconds in (1, 1, 2000000, 1):
         for place, message in enumerate(parts):
             message.header.stamp.nanosec = nanoseconds
             node.arrive(place, message)
@@ -108,17 +109,17 @@ def test_a_wait_ends_after_its_time_and_is_counted(start, client):
     states = client.collect(JointState, '/joint_states')
     command = client.command(JointState, '/timo_sim/joint_command')
     client.wait(lambda: len(states) > 1, 'the first state, twice')
-    assert {(state.header.stamp.sec, state.header.stamp.nanosec) for state in states} == {(0, 0)}
+    assert {(state.header.stamp.sec, state.header.stamp.nanosec) for state in states} == {(0, 1)}
     late = JointState(name=['shaft'], effort=[5.0])
     late.header.stamp.sec = 7
     command.publish(late)
     client.wait(lambda: len(states) > 3, 'states: what is stamped with another time is no answer')
-    assert states[-1].header.stamp.sec == states[-1].header.stamp.nanosec == 0
+    assert (states[-1].header.stamp.sec, states[-1].header.stamp.nanosec) == (0, 1)
     torque = client.command(Float64, '/timo_sim/motor_torque')
 
     def begins():
         torque.publish(Float64(data=1.0))
-        return states[-1].header.stamp.nanosec > 0
+        return states[-1].header.stamp.nanosec > 1
     client.wait(begins, 'the run')
     assert node.wait()[0] == 0
     assert 1 <= int(Recording(node.log).summary['missed_commands']) <= 9
@@ -166,5 +167,102 @@ def test_who_speaks_last_for_an_input_is_obeyed(start, client):
     assert recording.summary['refused_commands'] == '5'
     assert recording.topics['~/tip_wrench'].values.tolist() == [[3.0, 0.0, 0.0, 0.0, 0.0]]
     assert np.isnan(recording.topics['~/joint_command'].values).any()
+    lines = []
+    assert replay(node.log, show=lines.append), lines
+
+
+def answer(kind, value, stamp=None):
+    """Return a command of a kind, as it answers the state with a stamp."""
+    if kind == 'commands':
+        return Float64MultiArray(data=[0.0, 0.0, value])
+    message = JointState(name=['shaft'], effort=[value]) if kind == 'joint_command' else (
+        WrenchStamped())
+    if kind != 'joint_command':
+        message.wrench.force.x = value
+    if stamp is not None:
+        message.header.stamp = stamp
+    return message
+
+
+@pytest.mark.parametrize('kind, stamps', [
+    ('joint_command', True), ('joint_command', False), ('carrier_wrench', True),
+    ('tip_wrench', True), ('commands', False)])
+def test_a_command_with_a_wrong_stamp_takes_no_answers_place(start, client, kind, stamps):
+    """Wrong ones before and after each answer: of an earlier and of later states, and of none."""
+    node = start(sync='wait', sync_period=0.01, sync_timeout=1.0, duration=0.3,
+                 real_time_factor=0.0)
+    rival = kind if kind != 'commands' else 'joint_command'
+    publishers = {name: client.command(type(answer(name, 0.0)), f'/timo_sim/{name}')
+                  for name in {kind, rival}}
+    wrong = Time(nanosec=3), Time(sec=-1), Time(sec=2**31 - 1, nanosec=2**32 - 1)
+    answered, sent = [], []
+
+    def reply(state):
+        stamp, others = state.header.stamp, [*wrong, *answered[-1:]]
+        # The first is shown again, in case the answer was lost: one that is stamped may be too.
+        if stamps or stamp not in answered:
+            publishers[rival].publish(answer(rival, 5.0, wrong[0]))
+            publishers[kind].publish(answer(kind, 1.0, stamp if stamps else None))
+            for other in others:
+                publishers[rival].publish(answer(rival, 5.0, other))
+        sent.append(1 + len(others))
+        answered[:] = [*answered, stamp] if stamp not in answered else answered
+    client.create_subscription(JointState, '/joint_states', reply, 100)
+    assert node.wait()[0] == 0
+    recording = Recording(node.log)
+    assert recording.summary['missed_commands'] == '0'
+    assert np.array_equal(recording.topics[f'~/{kind}'].step, np.arange(0, 300, 10))
+    assert np.nanmax(recording.topics[f'~/{kind}'].values) == 1.0
+    assert rival == kind or not len(recording.topics[f'~/{rival}'].step)
+    assert 4 * 29 <= int(recording.summary['mismatched_commands']) <= sum(sent)
+    lines = []
+    assert replay(node.log, show=lines.append), lines
+
+
+def test_a_second_answer_to_the_state_that_begins_a_run_is_none_to_the_next(start, client):
+    """Neither at the start nor after a reset, which shows another state at the same time."""
+    node = start(sync='wait', sync_period=0.01, sync_timeout=60.0, real_time_factor=0.0)
+    states = client.collect(JointState, '/joint_states')
+    publisher = client.command(JointState, '/timo_sim/joint_command')
+
+    def nanoseconds():
+        return 1000000000 * states[-1].header.stamp.sec + states[-1].header.stamp.nanosec
+
+    def follow(value, least):
+        """Answer the state that is shown until one from a time on is."""
+        stamp = states[-1].header.stamp
+
+        def followed():
+            publisher.publish(answer('joint_command', value, stamp))
+            return nanoseconds() >= least
+        client.wait(followed, f'the state at {least} ns')
+        return stamp
+
+    def stands():
+        before = nanoseconds()
+        time.sleep(0.3)
+        return nanoseconds() == before
+
+    client.wait(lambda: states, 'the first state')
+    first = follow(1.0, 10000000)
+    publisher.publish(answer('joint_command', 5.0, first))
+    assert stands()
+    second = follow(2.0, 20000000)
+    reset = client.service(Trigger, '/timo_sim/reset')
+    for _ in range(2):
+        shown = states[-1].header.stamp
+        assert reset().success
+        client.wait(lambda: states[-1].header.stamp != shown, 'the state after the reset')
+        for late in (first, second, shown):
+            publisher.publish(answer('joint_command', 5.0, late))
+        assert stands()
+    follow(3.0, 30000000)
+    assert node.end()[0] == 0
+    recording = Recording(node.log)
+    series = recording.topics['~/joint_command']
+    assert series.step.tolist() == [0, 10, 20]
+    assert np.nanmax(series.values, axis=1).tolist() == [1.0, 2.0, 3.0]
+    # Times of a log are those of the steps.
+    assert set(recording.topics['joint_states'].ns.tolist()) == {0, 10000000, 20000000, 30000000}
     lines = []
     assert replay(node.log, show=lines.append), lines

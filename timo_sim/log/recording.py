@@ -215,6 +215,8 @@ class Recording:
         if self.facts:
             turns = np.rint((1e-9 * log_ns / self.scene.step - sequence) / _WRAP)
             step = sequence + _WRAP * turns.astype(np.int64)
+            # The stamp of a state that begins lock step is not quite its time.
+            ns = np.rint(step * self.scene.step * 1e9).astype(np.int64)
         else:
             step = np.full(len(log_ns), -1)
             if collector.command:

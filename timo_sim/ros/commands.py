@@ -12,6 +12,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from timo_sim.log.recorder import Channel
 from timo_sim.messages.commands import COMMANDS, INPUTS, LARGEST, Refused
+from timo_sim.messages.outputs import NANOSECONDS
 from timo_sim.ros.topics import message_class
 
 QUEUE = 10  # commands that may wait on a topic
@@ -47,9 +48,9 @@ class Inlet:
     Attributes
     ----------
     pending : tuple or None
-        What waits to act: row of the command, message, and its stamp [ns] (0: none).
-    refused : int
-        Commands not applied.
+        What waits to act: row of the command, and message.
+    refused, mismatched : int
+        Commands not applied, and those that answer another state than that which is waited for.
 
     """
 
@@ -59,12 +60,12 @@ class Inlet:
         # A logger of its own: warnings are throttled for each.
         self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
         self._subscription = node.create_subscription(
-            self.type, command.name, self._receive, QUEUE, raw=True)
+            self.type, command.name, lambda data: None, QUEUE, raw=True)
         self.channel = Channel(self._subscription.topic_name, command.type_name)
         self.pending = None
-        self.refused = 0
+        self.refused = self.mismatched = 0
 
-    def _receive(self, data):
+    def _receive(self, data, answered):
         try:
             message = self._decoded(data)
             row = self.command.row(*_READ[self.command.type_name](message))
@@ -74,8 +75,15 @@ class Inlet:
                 f'command refused, {reason}; the last one stays in force',
                 throttle_duration_sec=5.0)
             return
-        stamp = message.header.stamp if hasattr(message, 'header') else None
-        self.pending = row, data, stamp and 1000000000 * stamp.sec + stamp.nanosec or 0
+        time = message.header.stamp if hasattr(message, 'header') else None
+        stamp = time and NANOSECONDS * time.sec + time.nanosec
+        if stamp and answered is not None and stamp != answered:
+            self.mismatched += 1
+            self.logger.warning(
+                f'command dropped, its stamp is {stamp} ns, that of the state {answered} ns',
+                throttle_duration_sec=5.0)
+            return
+        self.pending = row, data
 
     def _decoded(self, data):
         if len(data) > LARGEST:
@@ -85,8 +93,8 @@ class Inlet:
         except RuntimeError:  # what rclpy raises
             raise Refused(f'it is not a serialised {self.command.type_name}') from None
 
-    def poll(self):
-        """Receive what has arrived."""
+    def poll(self, answered):
+        """Receive what has arrived, see `Commands.poll`."""
         handle = self._subscription.handle
         with handle:
             # No more than waited at first: a fast publisher would keep this up for ever.
@@ -94,7 +102,7 @@ class Inlet:
                 taken = handle.take_message(self.type, True)
                 if taken is None:
                     break
-                self._receive(taken[0])
+                self._receive(taken[0], answered)
 
 
 class Commands:
@@ -123,10 +131,20 @@ class Commands:
         """Commands not applied."""
         return sum(inlet.refused for inlet in self._inlets)
 
-    def poll(self):
-        """Receive what has arrived."""
+    @property
+    def mismatched(self):
+        """Commands dropped in lock step, because they answer another state."""
+        return sum(inlet.mismatched for inlet in self._inlets)
+
+    def poll(self, answered):
+        """
+        Receive what has arrived.
+
+        In lock step `answered` is the stamp of the state that commands answer [ns], else None. A
+        command that has another is dropped at once, so that it takes the place of none.
+        """
         for inlet in self._inlets:
-            inlet.poll()
+            inlet.poll(answered)
 
     def apply(self, step, timeout_steps, commanded):
         """
@@ -138,7 +156,7 @@ class Commands:
         started = []
         for index, inlet in enumerate(self._inlets):
             if inlet.pending is not None:
-                row, data, _ = inlet.pending
+                row, data = inlet.pending
                 inlet.pending = None
                 for key in inlet.command.apply(row, commanded):
                     self._obeyed[key] = inlet, step
@@ -168,13 +186,7 @@ class Commands:
         for inlet in self._inlets:
             inlet.pending = None
 
-    def answers(self, nanoseconds):
-        """
-        Return whether a command waits that may answer the state at a sim time [ns].
-
-        One that is stamped with another time is dropped: it answers another state.
-        """
-        for inlet in self._inlets:
-            if inlet.pending is not None and inlet.pending[2] not in (0, nanoseconds):
-                inlet.pending = None
+    @property
+    def waiting(self):
+        """Whether a command waits to act."""
         return any(inlet.pending is not None for inlet in self._inlets)

@@ -51,6 +51,7 @@ class Health:
             'stale_commands': self._commands.stale,
             'failed_calls': self.failed_calls,
             'missed_commands': self._loop.gate.missed,
+            'mismatched_commands': self._commands.mismatched,
             'unresolved_steps': self._simulator.integration.unresolved}
 
     def report(self, now):

@@ -13,6 +13,7 @@ import time
 
 import numpy as np
 
+from timo_sim.messages.outputs import NANOSECONDS
 from timo_sim.physics.layout import LOADS
 from timo_sim.ros.pacing import Gate, Pace
 from timo_sim.ros.topics import LateOutlet
@@ -76,6 +77,14 @@ class Loop:
         self.pace.set(values['real_time_factor'], values['catch_up_limit'],
                       self.simulator.steps, time.monotonic())
 
+    def poll(self):
+        """Receive commands."""
+        answered = None
+        if self.gate:
+            step = self.gate.answered(self.simulator.steps)
+            answered = round(step * self.simulator.scene.step * 1e9) + self.gate.late(step)
+        self._commands.poll(answered)
+
     def tick(self, now, stop):
         """Do what is due at a wall time [s]; return how long nothing will be [s]."""
         if self.paused:
@@ -112,7 +121,7 @@ class Loop:
     def _waits(self, step):
         """Return whether a step waits for the controller's command."""
         now, first = time.monotonic(), self.gate.first
-        closed = self.gate.closed(step, now, self._commands.answers(self.simulator.nanoseconds))
+        closed = self.gate.closed(step, now, self._commands.waiting)
         if first and not closed:
             self.pace.start(step, now)  # the run begins now
         if closed and self.gate.first and now >= self._shown_at + _SHOWN_AGAIN:
@@ -155,7 +164,11 @@ class Loop:
 
     def snapshot(self):
         """Return what messages need of the motion now."""
-        return self.simulator.snapshot(self._applied)
+        snapshot = self.simulator.snapshot(self._applied)
+        late = self.gate.late(snapshot.step)
+        if late:
+            snapshot.time = divmod(snapshot.nanoseconds + late, NANOSECONDS)
+        return snapshot
 
     # Operations for the services.
 
@@ -171,7 +184,7 @@ class Loop:
         self.look()
         self.simulator.reset()
         self._commands.clear(self._commanded)
-        self.gate.restart()
+        self.gate.restart(self.simulator.steps)
         for outlet in self._late:
             outlet.drop()
         self._applied, self.diverged = [0.0] * LOADS, None
@@ -187,7 +200,7 @@ class Loop:
         if not self.paused:
             raise NotNow('a step needs a paused simulation')
         self.look()
-        self._commands.poll()
+        self.poll()
         goal = self.simulator.steps + count
         self._advance(count, stop)
         reached = f'at step {self.simulator.steps}'

@@ -168,7 +168,7 @@ class SimNode(Node):
         """Do what is due now; return how long nothing will be [s]."""
         now = time.monotonic()
         self._health.report(now)
-        self._commands.poll()
+        self._loop.poll()
         if self._live:
             self._live.offer(now, self._simulator, lambda: self._loop.snapshot().effort)
         return self._loop.tick(now, self._stop)

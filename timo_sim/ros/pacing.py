@@ -73,7 +73,9 @@ class Gate:
     """
     Lock step: says when a step must wait for the controller's command.
 
-    The first command is waited for as long as it takes: the run begins with it.
+    The first command is waited for as long as it takes: the run begins with it. The stamp of the
+    state that it answers is `late`, by 1 ns: at time 0 it would be that of a command without a
+    stamp, and after a reset that of another state.
 
     Parameters
     ----------
@@ -94,11 +96,17 @@ class Gate:
     def __init__(self, period, patience):
         self._period, self._patience = period, patience
         self.missed = 0
-        self.restart()
+        self._begin, self._late = None, 0
+        self.restart(0)
 
-    def restart(self):
-        """Wait for a first command again."""
+    def restart(self, step):
+        """Wait for a first command again, with a state that is shown at a step."""
         self._passed, self._since, self.first = None, None, True
+        self._begin, self._late = step, self._late + 1 if step == self._begin else 1
+
+    def late(self, step):
+        """Return by how much the stamp of the state at a step is behind its sim time [ns]."""
+        return self._late if self._period and step == self._begin else 0
 
     @property
     def waiting(self):
@@ -108,6 +116,10 @@ class Gate:
     def boundary(self, step):
         """Return whether commands begin to act at a step."""
         return not self._period or step % self._period == 0
+
+    def answered(self, step):
+        """Return the step whose state is answered by commands that come at a step."""
+        return -(-step // self._period) * self._period
 
     def following(self, step):
         """Return the next step at which commands begin to act, or infinity."""
