@@ -121,7 +121,7 @@ for modes in {}:
 def take_single_rates(folder):
     """Put what the tests have compiled of them in another store: they have one code for all."""
     store = folder / store_directory().name
-    store.mkdir()
+    store.mkdir(mode=0o700)
     for file in store_directory().glob('*.functions.*.code'):
         shutil.copy(file, store)
 
@@ -182,11 +182,9 @@ def test_one_process_at_a_time_compiles():
 def store(tmp_path, monkeypatch):
     """Keep machine code in a folder of the test's own; return the folder."""
     store = tmp_path / 'store'
-    store.mkdir()
+    store.mkdir(mode=0o700)
     monkeypatch.setattr(code_store, 'store_directory', lambda: store)
-    code_store._mark_of.cache_clear()
-    yield store
-    code_store._mark_of.cache_clear()
+    return store
 
 
 def doubled(number):
