@@ -25,7 +25,7 @@ def _tripled(number):
 def machine_code(folder, count, generator):
     """Damage machine code on disk."""
     tally, store_folder = Tally('machine code on disk flipped, cut, replaced'), folder / 'code'
-    store_folder.mkdir()
+    store_folder.mkdir(mode=0o700)
     before, code_store.store_directory = code_store.store_directory, lambda: store_folder
     try:
         for number in range(count):

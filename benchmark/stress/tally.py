@@ -45,7 +45,7 @@ def small_disk(folder, size):
     """Yield a folder on a disk of its own [B], or None where one may not mount."""
     mounted = folder / 'disk'
     mounted.mkdir()
-    if subprocess.run(['mount', '-t', 'tmpfs', '-o', f'size={size}', 'tmpfs', mounted],
+    if subprocess.run(['mount', '-t', 'tmpfs', '-o', f'size={size},mode=0700', 'tmpfs', mounted],
                       capture_output=True).returncode:
         yield None
         return

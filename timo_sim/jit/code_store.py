@@ -12,21 +12,26 @@ Machine code on disk, a file for each function and signature, in place of numba'
 numba believes the files that it finds and needs those that it writes: one that a crash or a full
 disk left short, or a folder that is gone, ends the process. Here a file appears under its name
 when it is whole and begins with a checksum; whatever is wrong, the function is compiled.
+
+To load machine code is to unpickle, which may run anything: nothing is read from a folder or file
+that another user owns or may write to, or that a symbolic link names.
 """
 
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, ExitStack, suppress
+import errno
+import fcntl
 import functools
 import gc
 import hashlib
 import os
 from pathlib import Path
 import pickle
+import stat
 import sys
 import tempfile
 import uuid
 import warnings
 
-from filelock import FileLock
 import numba
 from numba.core import compiler, serialize
 import platformdirs
@@ -34,6 +39,7 @@ import platformdirs
 from timo_sim.jit.corrections import compile_powers
 
 _CHECKSUM = 32  # [B] of SHA-256
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 # The sources of which machine code is made: this package and the physics.
 _SOURCES = [Path(__file__).parents[1] / folder for folder in ('jit', 'physics')]
 
@@ -49,49 +55,98 @@ def store_directory():
     digest = hashlib.sha256(f'{numba.__version__} {sys.implementation.cache_tag}'.encode())
     for source in sorted(path for folder in _SOURCES for path in folder.rglob('*.py')):
         digest.update(source.read_bytes())
-    base = os.environ.get('NUMBA_CACHE_DIR') or platformdirs.user_cache_dir('timo_sim')
-    for root in (base, os.path.join(tempfile.gettempdir(), f'timo_sim-{os.getuid()}')):
-        directory = Path(root) / digest.hexdigest()[:16]
+    refused = []
+    for root in _roots():
         try:
-            directory.mkdir(parents=True, exist_ok=True, mode=0o700)
-        except OSError:
-            continue
-        # Machine code is loaded from here: only from a folder that is our own.
-        ours = all(path.stat().st_uid == os.getuid() for path in (Path(root), directory))
-        if ours and os.access(directory, os.W_OK):
-            return directory
+            directory = root.absolute() / digest.hexdigest()[:16]
+            with _opened(directory):
+                if os.access(directory, os.W_OK):
+                    return directory
+                refused.append(f'{directory} is not writable')
+        except OSError as error:
+            refused.append(str(error))
+    warnings.warn('machine code is not kept, every process compiles it: ' + '; '.join(refused))
     return None
 
 
+def _roots():
+    with suppress(RuntimeError):  # no home, said by platformdirs or by Path
+        # Earlier versions made the folder `timo_sim` itself, writable to the group by some umasks.
+        yield Path(os.environ.get('NUMBA_CACHE_DIR')
+                   or Path(platformdirs.user_cache_dir('timo_sim'), 'code')).expanduser()
+    with suppress(OSError):  # no folder for temporary files
+        yield Path(tempfile.gettempdir(), f'timo_sim-{os.geteuid()}')
+
+
+def _open(name, flags, folder=None):
+    """Return a descriptor of what is ours alone, relative to the descriptor of a folder."""
+    # What was put in the place of a file must not make its opening wait.
+    descriptor = os.open(name, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o600, dir_fd=folder)
+    status = os.fstat(descriptor)
+    if status.st_uid == os.geteuid() and not status.st_mode & _OTHERS_WRITE:
+        return descriptor
+    os.close(descriptor)
+    raise PermissionError(errno.EPERM, 'Another user owns it or may write to it', str(name))
+
+
+def _open_folder(name, parent=None):
+    try:
+        return _open(name, os.O_DIRECTORY, parent)
+    except FileNotFoundError:
+        with suppress(FileExistsError):  # another process was faster
+            os.mkdir(name, 0o700, dir_fd=parent)
+    descriptor = _open(name, os.O_DIRECTORY, parent)
+    os.fchmod(descriptor, 0o700)  # whatever the umask
+    return descriptor
+
+
+@contextmanager
+def _opened(directory):
+    """Open a folder by way of the one around it, both ours alone; make what is missing."""
+    if directory is None:
+        raise FileNotFoundError(errno.ENOENT, 'No folder for machine code')
+    directory.parent.parent.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as stack:
+        root = _open_folder(directory.parent)
+        stack.callback(os.close, root)
+        leaf = _open_folder(directory.name, root)
+        stack.callback(os.close, leaf)
+        yield leaf
+
+
+@contextmanager
+def _file(name, mode):
+    """Open a file of the store, that is ours alone, as `open` does."""
+    with _opened(store_directory()) as folder, open(
+            name, mode, opener=functools.partial(_open, folder=folder)) as file:
+        yield file
+
+
 def size_mark(*constants):
-    """Return the file that marks machine code for constants of these sizes, or None."""
+    """Return the name of the file that marks machine code for constants of these sizes."""
     # Those of any size are known by their type.
-    return _mark_of(*(str(getattr(entry, 'dtype', type(entry))) for entry in constants))
+    layouts = tuple(str(getattr(entry, 'dtype', type(entry))) for entry in constants)
+    return f'{hashlib.sha256(repr(layouts).encode()).hexdigest()[:16]}.compiled'
 
 
 def is_compiled(*constants):
     """Return whether machine code for constants of these sizes is on disk."""
-    mark = size_mark(*constants)
-    return mark is not None and mark.exists()
-
-
-@functools.lru_cache
-def _mark_of(*layouts):
-    sizes = hashlib.sha256(repr(layouts).encode()).hexdigest()[:16]
-    return store_directory() and store_directory() / f'{sizes}.compiled'
+    with suppress(OSError), _file(size_mark(*constants), 'rb'):
+        return True
+    return False
 
 
 @contextmanager
 def compiling(*constants):
     """Let one process compile for constants of these sizes, while others wait for its code."""
-    mark = size_mark(*constants)
-    if mark is None or mark.exists():
+    if is_compiled(*constants):
         yield
         return
-    with lock(f'{mark.stem}.lock'), _no_garbage_collection():
+    mark = size_mark(*constants)
+    with lock(f'{mark}.lock'), _no_garbage_collection():
         yield
-        with suppress(OSError):
-            mark.touch()
+        with suppress(OSError), _file(mark, 'ab'):
+            pass
 
 
 @contextmanager
@@ -109,14 +164,13 @@ def _no_garbage_collection():
 @contextmanager
 def lock(name):
     """Let one process at a time do something, among all that share the folder of machine code."""
-    held = FileLock(store_directory() / name)
-    # Without the folder, on a full disk or one without locks there is nothing to share.
-    with suppress(OSError, NotImplementedError):
-        held.acquire()
-    try:
+    with ExitStack() as stack:
+        # Without the folder, on a full disk or one without locks there is nothing to share.
+        with suppress(OSError):
+            held = stack.enter_context(_file(name, 'ab'))
+            fcntl.flock(held, fcntl.LOCK_EX)
+            stack.callback(fcntl.flock, held, fcntl.LOCK_UN)  # a fork may have it open, too
         yield
-    finally:
-        held.release()
 
 
 class CodeStore:
@@ -134,16 +188,17 @@ class CodeStore:
         self._name = f'{function.__module__}.{function.__qualname__}'
         self._code = function.__code__.co_code
 
-    def _path(self, signature, codegen):
+    def _file_name(self, signature, codegen):
         fields = [[*getattr(kind, 'fields', ())] for kind in signature]
         key = repr((self._code, signature, fields, codegen.magic_tuple()))
-        return store_directory() / f'{self._name}-{hashlib.sha256(key.encode()).hexdigest()}.code'
+        return f'{self._name}-{hashlib.sha256(key.encode()).hexdigest()}.code'
 
     def load_overload(self, signature, target):
         """Return what was saved, or None: then the function is compiled."""
         target.refresh()
         try:
-            content = self._path(signature, target.codegen()).read_bytes()
+            with _file(self._file_name(signature, target.codegen()), 'rb') as file:
+                content = file.read()
         except OSError:
             content = b''
         checksum, data = content[:_CHECKSUM], content[_CHECKSUM:]
@@ -155,11 +210,14 @@ class CodeStore:
     def save_overload(self, signature, result):
         """Save machine code, or warn that it is not."""
         data = serialize.dumps(result._reduce())
-        unfinished = store_directory() / uuid.uuid4().hex
+        unfinished = uuid.uuid4().hex
         try:
-            unfinished.write_bytes(hashlib.sha256(data).digest() + data)
-            unfinished.replace(self._path(signature, result.codegen))
+            with _file(unfinished, 'xb') as file:
+                file.write(hashlib.sha256(data).digest() + data)
+            with _opened(store_directory()) as folder:
+                os.replace(unfinished, self._file_name(signature, result.codegen),
+                           src_dir_fd=folder, dst_dir_fd=folder)
         except OSError as error:
-            with suppress(OSError):
-                unfinished.unlink()
+            with suppress(OSError), _opened(store_directory()) as folder:
+                os.unlink(unfinished, dir_fd=folder)
             warnings.warn(f'machine code is not kept, it will be compiled again: {error}')

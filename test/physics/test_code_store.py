@@ -1,0 +1,231 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Machine code that others have planted is not loaded: a pickle may run anything."""
+
+import hashlib
+import os
+import pickle
+import pwd
+import stat
+import subprocess
+import sys
+import tempfile
+
+import platformdirs
+import pytest
+
+from timo_sim.jit import code_store
+from timo_sim.jit.code_store import compiling, is_compiled, lock, size_mark
+from timo_sim.jit.decorators import entry_point
+
+
+def tripled(number):
+    return 3.0 * number
+
+
+def call():
+    """Compile, or load, as a new process would; return whether it was loaded."""
+    function = entry_point(tripled)
+    assert function(1.5) == 4.5
+    return sum(function._cache_hits.values()) == 1
+
+
+class Hostile:
+    """Make a folder when unpickled."""
+
+    def __init__(self, proof):
+        self.proof = str(proof)
+
+    def __reduce__(self):
+        return os.mkdir, (self.proof,)
+
+
+def give_to_another(path, patch):
+    """Let a file belong to another user, or look so where this process may not give it away."""
+    if os.geteuid() == 0:
+        os.chown(path, 4321, -1)
+        return
+    theirs, fstat = path.stat(), os.fstat
+
+    def seen(descriptor):
+        status = fstat(descriptor)
+        other = status.st_uid + os.path.samestat(status, theirs)
+        return os.stat_result((*status[:4], other, *status[5:]))
+
+    patch.setattr(os, 'fstat', seen)
+
+
+@pytest.fixture
+def find(tmp_path, monkeypatch):
+    """Return what looks for the store as a new process would: below `root`, or `temporary`."""
+    look = code_store.store_directory.__wrapped__
+
+    def find():
+        store = look()
+        monkeypatch.setattr(code_store, 'store_directory', lambda: store)
+        return store
+
+    (tmp_path / 'temporary').mkdir()
+    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path / 'temporary'))
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'root'))
+    return find
+
+
+def plant(store, proof):
+    """Replace the machine code in a store by a pickle with the right name and checksum."""
+    file, = store.glob('*.code')
+    data = pickle.dumps(Hostile(proof))
+    file.write_bytes(hashlib.sha256(data).digest() + data)
+    return file
+
+
+def link(path):
+    """Put a symbolic link in the place of a folder."""
+    path.symlink_to(path.rename(path.with_name('planted')))
+
+
+def link_to_root(leaf):
+    """Put machine code into the root, and a link to the root in the place of the leaf."""
+    for file in leaf.iterdir():
+        file.rename(leaf.parent / file.name)
+    leaf.rmdir()
+    leaf.symlink_to('.')
+
+
+FOLDERS = {
+    'root 0777': lambda leaf, patch: leaf.parent.chmod(0o777),
+    'root 1777': lambda leaf, patch: leaf.parent.chmod(0o1777),
+    'root 0770': lambda leaf, patch: leaf.parent.chmod(0o770),
+    'leaf 0777': lambda leaf, patch: leaf.chmod(0o777),
+    'leaf 0720': lambda leaf, patch: leaf.chmod(0o720),
+    'root is a link': lambda leaf, patch: link(leaf.parent),
+    'leaf is a link': lambda leaf, patch: link(leaf),
+    'leaf is a link to the root': lambda leaf, patch: link_to_root(leaf),
+    "root is another's": lambda leaf, patch: give_to_another(leaf.parent, patch),
+    "leaf is another's": lambda leaf, patch: give_to_another(leaf, patch)}
+
+
+@pytest.mark.parametrize('attack', FOLDERS)
+def test_a_folder_that_is_not_ours_alone_is_not_read(find, tmp_path, monkeypatch, attack):
+    """Neither if it becomes so while a process runs, nor if it is so before one begins."""
+    store = find()
+    call()
+    plant(store, tmp_path / 'proof')
+    FOLDERS[attack](store, monkeypatch)
+    with pytest.warns(UserWarning, match='machine code is not kept'):
+        assert not call()
+    assert find().is_relative_to(tmp_path / 'temporary')
+    assert not call()
+    assert call()
+    assert not (tmp_path / 'proof').exists()
+
+
+def another_pipe(file, patch):
+    """Put a pipe in the place of a file: to open it for reading waits for somebody who writes."""
+    file.unlink()
+    os.mkfifo(file)
+    give_to_another(file, patch)
+
+
+FILES = {
+    '0666': lambda file, patch: file.chmod(0o666),
+    '0620': lambda file, patch: file.chmod(0o620),
+    'link': lambda file, patch: link(file),
+    "another's": give_to_another,
+    "another's pipe": another_pipe}
+
+
+@pytest.mark.parametrize('attack', FILES)
+def test_a_file_that_is_not_ours_alone_is_not_unpickled(find, tmp_path, monkeypatch, attack):
+    store = find()
+    call()
+    file = plant(store, tmp_path / 'proof')
+    with monkeypatch.context() as patch:
+        FILES[attack](file, patch)
+        assert not call()
+    assert not (tmp_path / 'proof').exists()
+    assert call() and stat.filemode(file.lstat().st_mode) == '-rw-------'
+
+
+def test_locks_and_marks_follow_no_links(find, tmp_path):
+    store, target = find(), tmp_path / 'target'
+    for name in ('a.lock', f'{size_mark(1.0)}.lock', size_mark(1.0)):
+        (store / name).symlink_to(target)
+    with lock('a.lock'), compiling(1.0):
+        pass
+    assert not target.exists()
+    target.touch()
+    assert not is_compiled(1.0)
+
+
+@pytest.mark.parametrize('umask', [0, 0o2, 0o277])
+def test_folders_are_ours_alone_whatever_the_umask(find, tmp_path, umask):
+    before = os.umask(umask)
+    try:
+        store = find()
+    finally:
+        os.umask(before)
+    assert store.parent == tmp_path / 'root'
+    assert [stat.S_IMODE(path.stat().st_mode) for path in (store, store.parent)] == [0o700] * 2
+
+
+def test_a_folder_of_earlier_versions_is_no_reason_to_keep_code_elsewhere(
+        find, tmp_path, monkeypatch):
+    monkeypatch.delenv('NUMBA_CACHE_DIR')
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    (tmp_path / 'timo_sim').mkdir()
+    (tmp_path / 'timo_sim').chmod(0o775)
+    assert find().is_relative_to(tmp_path / 'timo_sim')
+
+
+def old_platformdirs(name):
+    return os.path.expanduser(f'~/.cache/{name}')
+
+
+@pytest.mark.parametrize('default', [platformdirs.user_cache_dir, old_platformdirs])
+@pytest.mark.parametrize('given', [None, '~/cache'])
+def test_no_folder_is_named_after_a_home_that_is_missing(
+        find, tmp_path, monkeypatch, default, given):
+    for name in ('HOME', 'XDG_CACHE_HOME', 'NUMBA_CACHE_DIR'):
+        monkeypatch.delenv(name, raising=False)
+    if given:
+        monkeypatch.setenv('NUMBA_CACHE_DIR', given)
+    monkeypatch.setattr(pwd, 'getpwuid', {}.__getitem__)
+    monkeypatch.setattr(platformdirs, 'user_cache_dir', default)
+    monkeypatch.chdir(tmp_path)
+    assert find().is_relative_to(tmp_path / 'temporary')
+    assert [*tmp_path.iterdir()] == [tmp_path / 'temporary']
+
+
+WITHOUT = """
+from timo_sim.jit.code_store import compiling, is_compiled, lock, store_directory
+from timo_sim.jit.decorators import entry_point
+import timo_sim
+
+def tripled(number):
+    return 3.0 * number
+
+with lock('a.lock'), compiling(1.0):
+    print(entry_point(tripled)(1.5), is_compiled(1.0), store_directory())
+"""
+
+
+def test_without_a_folder_that_is_ours_alone_the_program_goes_on_and_says_so_once(tmp_path):
+    fallback = tmp_path / f'timo_sim-{os.geteuid()}'
+    for folder in (tmp_path / 'root', fallback):
+        folder.mkdir()
+        folder.chmod(0o1777)
+    done = subprocess.run(
+        [sys.executable, '-c', WITHOUT], text=True, capture_output=True, check=True,
+        env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'root'), 'TMPDIR': str(tmp_path)})
+    assert done.stdout == '4.5 False None\n'
+    assert done.stderr.count('Warning: ') == 1
+    assert 'UserWarning: machine code is not kept' in done.stderr
+    assert str(fallback) in done.stderr
+    assert not [*fallback.iterdir(), *(tmp_path / 'root').iterdir()]
