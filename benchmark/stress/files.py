@@ -53,7 +53,7 @@ if sys.argv[1] == 'removed':
 elif sys.argv[1] == 'full':
     with open(folder / 'ballast', 'wb', buffering=0) as ballast:
         try:
-            while True:
+            for _ in range(2048):  # eight times the disk, in case it is not that disk
                 ballast.write(bytes(4096))
         except OSError:
             pass
