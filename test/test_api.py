@@ -175,7 +175,7 @@ def test_a_run_says_what_there_is_to_say(run):
     with pytest.warns(timo_sim.ModelWarning, match='too high for integrator.step') as caught:
         fast = timo_sim.simulate(timo_sim.load_scene(
             {'load.torque.harmonic.amplitude': [1.0], 'load.torque.harmonic.frequency': [300.0]}),
-            0.1)
+            0.1, compare=False)
     assert fast.message == str(caught[0].message)
 
 

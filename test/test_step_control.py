@@ -206,7 +206,8 @@ def test_a_load_that_vibrates_within_a_step_is_told():
             'load.force_y.harmonic.frequency': [1.0, 30.0]}
     with pytest.warns(timo_sim.ModelWarning, match=(
             'load.force_y.harmonic.frequency = 30 Hz is too high for integrator.step = 0.01 s')):
-        timo_sim.simulate(timo_sim.load_scene({'integrator.step': 0.01, **load}), 1.0)
+        timo_sim.simulate(
+            timo_sim.load_scene({'integrator.step': 0.01, **load}), 1.0, compare=False)
     assert Simulator(timo_sim.load_scene({'integrator.step': 0.005, **load})).warning is None
 
 
