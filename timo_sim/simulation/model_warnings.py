@@ -20,7 +20,7 @@ from timo_sim.physics.layout import Motion
 _MOST_OF_A_PERIOD = 0.25
 # How far what `newton`, or an arm that does not stretch, leaves out may move the tip [lengths].
 _MOST_LEFT_OUT = 1e-3
-_MOST_APART = 9e-4  # from a second run, which is not true itself [lengths]
+_MOST_APART = 7e-4  # from a second run, which is not true itself [lengths]
 NO_SECOND_RUN = ('finer runs of the scene diverge, so that the error of this one is not known: '
                  'take a smaller integrator.step or an integrator.tolerance')
 # How far joints may drift in steps with dry friction, and the tip be off by steps or modes.
