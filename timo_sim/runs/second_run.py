@@ -9,9 +9,10 @@
 """
 A second, finer run of a scene, which tells how far the first is off.
 
-It has three more modes in bending, one more axial mode, half the step and the `exact` formulation.
-Its machine code is that for all sizes, so that nothing is compiled for each: about ten times
-slower, which does not matter in the few steps of a run that is looked at unasked.
+It has three more modes in bending, one more axial mode, half the step or less and the `exact`
+formulation. Its machine code is that for all sizes: slower, but nothing is compiled for each.
+Where not even the last try has small errors of its own, it is taken all the same: the distance is
+then too large rather than too small, as a rule.
 """
 
 from dataclasses import replace

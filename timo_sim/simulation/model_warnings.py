@@ -114,8 +114,7 @@ def after_second_run(scene, finer, error, parts, warning):
     remedy = remedies[max(remedies, key=lambda name: parts[name])]
     if scene.values['model.formulation'] != 'exact':
         remedy = f'model.formulation exact or {remedy}'
-    return warning or (f'a second run with more modes and half the step has the tip {error:.1g} m '
-                       f'elsewhere: take {remedy}')
+    return warning or f'a finer run has the tip {error:.1g} m elsewhere: take {remedy}'
 
 
 def _inaccurate_steps(scene, steps, time):

@@ -61,7 +61,7 @@ class Formulation(ABC):
     linear : ndarray, shape (m, m)
         Constant linear part of the state's rate; the compiled rate is the rest.
     tables, packed : NamedTuple, packed constants
-        Constants of the compiled functions, and as these take them, by `pack`.
+        Constants of the compiled functions, and as these take them: made by the attribute `pack`.
     sectors : int
         Sectors of half a turn with a linear part each, see `Exact.in_sector`; of most models none.
     speed_limit : float
