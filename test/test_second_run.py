@@ -48,6 +48,8 @@ def test_what_is_not_in_doubt_is_run_once():
     assert 'compared' not in quietly('paper', 1.0).stats
     assert 'compared' not in quietly(SCENES['stretch'], 2.5).stats  # too long to be unasked
     assert 'compared' not in quietly({**SCENES['stretch'], 'model.modes': 0}, 0.5).stats  # rigid
+    rigid = {'model.modes': 0, 'model.formulation': 'newton', 'initial.shaft_velocity': 1.0}
+    assert 'compared' not in quietly(rigid, 0.5).stats
 
 
 def test_a_user_decides():

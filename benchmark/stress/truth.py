@@ -23,9 +23,9 @@ A run is
 - refused: a ParameterError or a DivergenceError says why;
 - silent: none of these. There must be none;
 - open: not told apart, since the reference is not known to a third of the distance: it is run
-  again with fewer modes, twice its step, and a tip that begins 1e-9 lengths off. Scenes that make
-  1e-5 lengths or more of that with the same modes and step are `sensitive`: of them no run
-  knows where the tip will be.
+  again with fewer modes (elements with polynomials of lower order), twice its step, and a tip
+  that begins 1e-9 lengths off. Scenes that make 1e-5 lengths or more of that with the same modes
+  and step are `sensitive`: of them no run knows where the tip will be.
 """
 
 from functools import cached_property
@@ -42,7 +42,7 @@ ACCURATE, SEEN, TOLERANCE = 1e-3, 1e-6, 1e-6  # [lengths]
 VERDICTS = ['accurate', 'flagged', 'refused', 'silent', 'open']
 _PUSH, _SENSITIVE = 1e-9, 1e-5  # [lengths]
 _MODES, _FEWER = (12, 3), (8, 3)  # of the reference, bending and axial; to see how far it is off
-_ORDER, _ELEMENTS = 10, 2  # of the spectral elements
+_ORDER, _LOWER, _ELEMENTS = 10, 8, 2  # of the spectral elements; to see how far they are off
 _MOST_STEPS = 1e7  # of the finite elements of a scene
 
 
@@ -155,26 +155,28 @@ class _Finer:
 
 
 class _Elements:
-    """The reference by finite elements; its doubt is taken from that by more modes."""
+    """The reference by finite elements; of lower order, too, to see how far it is off."""
 
     def __init__(self, cell, finer):
-        values = cell.values
-        scene = timo_sim.load_scene({**values, 'model.axial_modes': 0,
-                                     'initial.modal_coordinates': []})
-        path = spectral_elements.simulate(
-            scene, values['integrator.step'] * cell.every, cell.steps // cell.every,
-            order=_ORDER, elements=_ELEMENTS)[2]
-        self._finer, self._length, self.path = finer, values['arm.length'], path
+        self._cell, self._finer, self.path = cell, finer, _elements(cell, _ORDER)
 
     def distance(self, path):
         """Return the largest distance of a path, shape (n, 2) [lengths]."""
-        return float(np.linalg.norm(path - self.path, axis=1).max() / self._length)
+        return self._finer.distance(path, self.path)
 
-    @property
+    @cached_property
     def doubt(self):
-        """As of `_Finer`, where the scene is sensitive."""
-        doubt, sensitive = self._finer.doubt
-        return (doubt if sensitive else 0.0), sensitive
+        """How far the reference may be off [lengths], and whether the scene is sensitive."""
+        return self.distance(_elements(self._cell, _LOWER)), self._finer.doubt[1]
+
+
+def _elements(cell, order):
+    values = cell.values
+    scene = timo_sim.load_scene({**values, 'model.axial_modes': 0,
+                                 'initial.modal_coordinates': []})
+    return spectral_elements.simulate(
+        scene, values['integrator.step'] * cell.every, cell.steps // cell.every, order=order,
+        elements=_ELEMENTS)[2]
 
 
 def _run(cell, changes, parts=1, looked_at=False):

@@ -114,7 +114,7 @@ for modes in {}:
         'model.modes': modes, 'model.formulation': 'newton', 'initial.shaft_velocity': 3.0,
         # The modes of an arm with a profile call no compiled function.
         'arm.profile.position': [0.0, 2.0], 'arm.profile.height': [0.02, 0.02]}})
-    print(timo_sim.simulate(scene, 0.1).motion[-1].tobytes().hex())
+    print(timo_sim.simulate(scene, 0.1, compare=False).motion[-1].tobytes().hex())
 """
 
 

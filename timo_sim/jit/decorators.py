@@ -16,6 +16,7 @@ no two arrays overlap, see `constants`. One machine code for each size of a mode
 import inspect
 
 import numba
+from numba.core import config, types
 from numba.extending import overload
 
 from timo_sim.jit.code_store import CodeStore, store_directory
@@ -31,9 +32,28 @@ FASTMATH = {'reassoc', 'contract', 'nsz'}
 _OPTIONS = {'fastmath': FASTMATH, 'error_model': 'numpy', 'no_cfunc_wrapper': True}
 
 
+def _optimise_less_for_any_size(compiled):
+    # With constants that are not packed LLVM spends most of its time on copies of loops for
+    # arrays that do not overlap, which gain nothing where the arrays are short.
+    compiler = compiled._compiler
+    compile_as_usual = compiler.compile
+
+    def compile_signature(arguments, return_type):
+        usual = config.OPT
+        if isinstance(arguments[0], types.BaseNamedTuple):
+            config.OPT = type(usual)(1)
+        try:
+            return compile_as_usual(arguments, return_type)
+        finally:
+            config.OPT = usual
+
+    compiler.compile = compile_signature
+
+
 def entry_point(function):
     """Compile a function of a module that Python calls, and keep its machine code on disk."""
     compiled = numba.njit(**_OPTIONS)(function)
+    _optimise_less_for_any_size(compiled)
     if store_directory() is not None:
         compiled._cache = CodeStore(function)
     else:
