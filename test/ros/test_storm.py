@@ -15,7 +15,7 @@ import subprocess
 import sys
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from mcap_ros2.reader import read_ros2_messages
 import numpy as np
 import pytest
@@ -157,3 +157,24 @@ def test_profiles_of_the_user_are_left_alone(tmp_path, monkeypatch):
 def test_a_log_that_cannot_be_is_an_error_and_the_simulation_goes_on(start):
     code, output = start(duration=0.01, record_file='/').wait()
     assert code == 0 and 'Traceback' not in output and 'no log is written to /' in output
+
+
+def test_a_log_that_is_moved_then_deleted_is_told_and_the_simulation_goes_on(start, client):
+    node = start()
+    health = client.collect(DiagnosticArray, '/diagnostics')
+    states = client.collect(JointState, '/joint_states')
+
+    def told(words):
+        client.wait(lambda: health and words in health[-1].status[0].message, words)
+        assert health[-1].status[0].level == DiagnosticStatus.ERROR
+    client.wait(lambda: health and node.log.exists(), 'a log')
+    moved = node.log.rename(node.log.with_stem('moved'))
+    told('was moved')
+    moved.unlink()
+    told('the log ends early')
+    count = len(states)
+    client.wait(lambda: len(states) > count, 'joint states')
+    code, output = node.end()
+    assert code == 0 and 'Traceback' not in output
+    assert output.count('run.mcap was moved') == output.count('it was deleted') == 1
+    assert list(node.log.parent.iterdir()) == []
