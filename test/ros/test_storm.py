@@ -22,6 +22,7 @@ import pytest
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
+from benchmark.stress.node_process import growth, LEAK, WINDOWS
 import timo_sim
 from timo_sim.ros.process import use_profiles
 
@@ -178,3 +179,13 @@ def test_a_log_that_is_moved_then_deleted_is_told_and_the_simulation_goes_on(sta
     assert code == 0 and 'Traceback' not in output
     assert output.count('run.mcap was moved') == output.count('it was deleted') == 1
     assert list(node.log.parent.iterdir()) == []
+
+
+def test_the_stress_test_tells_a_leak_from_pools_that_fill():
+    """By what a node had in a storm, and in another with parameters and services [MB]."""
+    for lows in ([218.4, 225.4, 230.0, 232.8, 232.5, 232.5, 232.5, 232.5, 234.5, 234.5, 234.0],
+                 [218.1, 226.9, 231.9, 232.1, 230.7, 231.3, 231.4, 234.0, 234.9, 234.1, 234.0]):
+        lows = 1e6 * np.array(lows)
+        leaking = lows + 3e6 * np.arange(len(lows))
+        for number in range(WINDOWS + 2, len(lows) + 1):
+            assert growth(lows[:number]) < LEAK < growth(leaking[:number])

@@ -46,8 +46,8 @@ class Recorder:
 
     `write` only appends to a chunk; a thread compresses chunks, for the most part without holding
     up other threads, and gives them to the operating system at least every `FLUSH_PERIOD`. If that
-    fails, or the file is deleted, cut or written to by others, `error` says so, what was written is
-    kept, and later messages are dropped.
+    fails, or others delete, cut or write to the file, `error` says so, what was written is kept,
+    and later messages are dropped.
 
     Parameters
     ----------
