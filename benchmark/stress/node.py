@@ -138,8 +138,12 @@ def harmed_log_row():
             node.log.with_name('other').touch()
             time.sleep(1.0)
             harm(node.log)
-            node.ready(words)
-            ensure(node.process.poll() is None and node.end() == 0, 'it ends')
+            try:
+                node.ready(words)
+                alive = node.process.poll() is None
+            finally:
+                code = node.end()
+            ensure(alive and code == 0, 'it ends')
             ensure(node.output().count('[ERROR]') == 1, node.output())
             for path in Path(folder).glob('*.mcap'):
                 outcome(path)
