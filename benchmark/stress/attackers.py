@@ -14,7 +14,9 @@ The processes that attack a node; each runs until SIGTERM and prints what it cou
 `storm` sends commands of every kind, good and bad, as fast as it can; `bad` sends a hundred that
 must be refused, each after the other has had time to arrive; `reader` subscribes to all topics and
 says so; `setter` sets parameters, `caller` calls services; `clock` publishes a /clock of its own;
-`busy` keeps a core busy; `two` is two nodes in one process, for two seconds.
+`controller` answers each state of a node in lock step with 1 N m, and with 5 N m and stamps that
+are out of order before and after it; `rival` sends only such; `busy` keeps a core busy; `two` is
+two nodes in one process, for two seconds.
 """
 
 import itertools
@@ -25,6 +27,7 @@ import sys
 import threading
 import time
 
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, Vector3Stamped, WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -41,6 +44,7 @@ from std_srvs.srv import SetBool, Trigger
 TOPICS = {'joint_states': JointState, 'timo_sim/modal_state': JointState,
           'timo_sim/tip_deflection': Vector3Stamped,
           'timo_sim/tip_pose': PoseStamped, 'timo_sim/carrier_pose': PoseStamped}
+OUT_OF_ORDER = Time(nanosec=3), Time(sec=-1), Time(sec=2**31 - 1)  # which no state has
 HUGE = 'x' * 1000000
 BAD_NUMBERS = (math.nan, math.inf, -math.inf)
 PARAMETERS = ('rate.joint_states', 'rate.tip_pose', 'real_time_factor', 'catch_up_limit',
@@ -189,6 +193,28 @@ def clock(node):
         time.sleep(0.01)
 
 
+def controller(node, right=True):
+    """Answer each state, and again after a while, as an answer may be pushed out by others."""
+    states = []
+    node.create_subscription(JointState, 'joint_states', states.append, 10)
+    while not END.is_set():
+        rclpy.spin_once(node, timeout_sec=0.2)
+        del states[:-2]
+        if states:
+            now, earlier = states[-1].header.stamp, states[0].header.stamp
+            for stamp in (random.choice(OUT_OF_ORDER), *[now] * right, earlier):
+                if right or stamp != now:
+                    command = JointState(name=['shaft'], effort=[1.0 if stamp == now else 5.0])
+                    command.header.stamp = stamp
+                    node.send('timo_sim/joint_command', JointState, command)
+            node.send('timo_sim/tip_wrench', WrenchStamped, wrench('world', 5.0, 2**31 - 1))
+
+
+def rival(node):
+    """Answer no state rightly."""
+    controller(node, right=False)
+
+
 def busy(node):
     """Keep a core busy."""
     while not END.is_set():
@@ -229,7 +255,8 @@ def main(name, namespace='/'):
         two(namespace)
     else:
         {'storm': storm, 'bad': bad, 'reader': reader, 'setter': setter, 'caller': caller,
-         'clock': clock, 'busy': busy}[name](Attacker(namespace))
+         'clock': clock, 'controller': controller, 'rival': rival, 'busy': busy}[name](
+             Attacker(namespace))
     rclpy.shutdown()
 
 

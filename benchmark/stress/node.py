@@ -14,7 +14,7 @@ Real processes over real DDS. A fault is survived if the node goes on (or ended 
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 import os
 from pathlib import Path
 import random
@@ -31,9 +31,18 @@ from benchmark import ROOT
 from benchmark.command import parser
 from benchmark.process import ENVIRONMENT, running
 from benchmark.stress import refusals
-from benchmark.stress.node_process import Node, READY, survived
+from benchmark.stress.node_process import LEAKY, Node, READY, survived
+from benchmark.stress.tally import ensure, Tally
+from oracles.log_readers import outcome
+from timo_sim.log.recording import Recording
 
-MEMORY = 5e6              # [B] that a run may grow by after its start
+# What others do to a log, and what the node says of it.
+HARMS = (
+    (os.unlink, 'it was deleted'), (lambda log: log.with_name('other').rename(log), 'deleted'),
+    (lambda log: os.truncate(log, log.stat().st_size // 2), 'cut it or written to it'),
+    (lambda log: os.truncate(log, 0), 'cut it or written to it'),
+    (lambda log: log.write_bytes(b'x'), 'cut it or written to it'),
+    (lambda log: log.rename(log.with_stem('moved')), 'was moved'))
 
 
 def attack(name, *arguments, environment=ENVIRONMENT, **options):
@@ -42,25 +51,23 @@ def attack(name, *arguments, environment=ENVIRONMENT, **options):
                    stdout=subprocess.PIPE, **options)
 
 
-def attacked(what, seconds, attackers, killed=0, check=None, **parameters):
+def attacked(what, seconds, attackers, killed=0, check=None, planted=False, **parameters):
     """Run a node for some seconds among attackers, of which the first few are killed."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         node = Node(folder, **parameters).ready()
         processes = [stack.enter_context(attack(name)) for name in attackers]
         if 'bad' in attackers:
             processes[attackers.index('bad')].stdout.readline()
-        time.sleep(2.0 + 0.3 * seconds)
-        before = node.memory()
+        time.sleep(2.0)
         for process in processes[:killed]:
             process.kill()
-        time.sleep(seconds)
-        growth = node.memory() - before
+        leak, grown = node.leak(seconds)
         well, counters = survived(node)
-        well = well and growth < MEMORY and (check is None or check(counters, node.output()))
+        well = well and leak == planted and (check is None or check(counters, node.output()))
     shown = {key: counters[key] for key in ('refused_commands', 'failed_calls', 'overruns')
              if counters.get(key, '0') != '0'}
     remark = ', '.join(f'{value} {key.replace("_", " ")}' for key, value in shown.items())
-    return what, 1, int(well), f'{remark or "nothing to count"}; {growth / 1e6:+.1f} MB'
+    return what, 1, int(well), f'{remark or "nothing to count"}; {grown}'
 
 
 def counted(counters, output):
@@ -84,6 +91,8 @@ def attack_rows(seconds):
     yield attacked('another /clock', 2.0, ['clock'], publish_clock=True, check=warned_once)
     yield attacked('all of these at once on busy cores', seconds, [
         'storm', 'storm', 'setter', 'caller', 'clock', 'busy', 'busy'], killed=1)
+    yield attacked('command storm on a node that keeps 10 kB of each: a leak is seen', seconds,
+                   3 * ['storm'], planted=True, program=LEAKY)
 
 
 def deaf_row(seconds):
@@ -93,13 +102,52 @@ def deaf_row(seconds):
         node = Node(folder, **rates).ready()
         reader.stdout.readline()
         reader.send_signal(signal.SIGSTOP)
-        time.sleep(2.0)
-        before = node.memory()
-        time.sleep(seconds)
-        growth = node.memory() - before
+        leak, grown = node.leak(seconds)
         well, counters = survived(node)
-    return ('a reliable subscriber that never reads, 1 kHz', 1, int(well and growth < MEMORY),
-            f'{counters["dropped_time_s"]} s dropped; {growth / 1e6:+.1f} MB')
+    return ('a reliable subscriber that never reads, 1 kHz', 1, int(well and not leak),
+            f'{counters["dropped_time_s"]} s dropped; {grown}')
+
+
+def lock_step_row(periods):
+    """A controller whose stamps are out of order, and two rivals; each period has one answer."""
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        node = Node(folder, sync='wait', sync_period=0.01, sync_timeout=READY, duration=(
+            0.01 * periods), real_time_factor=0.0).ready()
+        for name in ('controller', 'rival', 'rival'):
+            stack.enter_context(attack(name))
+        with suppress(subprocess.TimeoutExpired):
+            node.process.wait(READY + 0.1 * periods)
+        well = node.end() == 0
+        log = Recording(node.log)
+    answers = log.topics['~/joint_command']
+    good = {step for step, values in zip(answers.step.tolist(), answers.values)
+            if np.nanmax(values) == 1.0}
+    alone = len(good) == len(answers.step) and not len(log.topics['~/tip_wrench'].step)
+    return ('stamps out of order, and two rivals, in lock step: periods', periods,
+            len(good & set(range(0, 10 * periods, 10))) if well and alone else 0,
+            ', '.join(f'{log.summary[name + "_commands"]} {name}'
+                      for name in ('missed', 'mismatched')))
+
+
+def harmed_log_row():
+    """What others do to the log is told, and the node goes on."""
+    tally = Tally('log deleted, replaced, cut, emptied, written to or moved under the node')
+    for harm, words in HARMS:
+        with tally.trial(words), tempfile.TemporaryDirectory() as folder:
+            node = Node(folder).ready()
+            node.log.with_name('other').touch()
+            time.sleep(1.0)
+            harm(node.log)
+            try:
+                node.ready(words)
+                alive = node.process.poll() is None
+            finally:
+                code = node.end()
+            ensure(alive and code == 0, 'it ends')
+            ensure(node.output().count('[ERROR]') == 1, node.output())
+            for path in Path(folder).glob('*.mcap'):
+                outcome(path)
+    return tally.row('one line each; what is left is recovered or refused')
 
 
 def namespace_rows(number):
@@ -176,24 +224,22 @@ def overload_row(stops):
 
 
 def soak_row(what, seconds, **parameters):
-    """A long run; memory is compared after a tenth of it and at its end."""
+    """A long run."""
     with tempfile.TemporaryDirectory() as folder:
         node = Node(folder, '--params-file', str(ROOT / 'config' / 'paper.yaml'),
                     **parameters).ready()
-        time.sleep(0.1 * seconds)
-        before = node.memory()
-        time.sleep(0.9 * seconds)
-        growth = node.memory() - before
+        leak, grown = node.leak(seconds)
         well, _ = survived(node)
         done = re.search(r'simulated (\S+) s in .*', node.output())
-    return what, 1, int(well and growth < MEMORY), f'{done[0]}'.split('; log')[0] + (
-        f'; {growth / 1e6:+.1f} MB')
+    return what, 1, int(well and not leak), f'{done[0]}'.split('; log')[0] + f'; {grown}'
 
 
 def rows(quick=False, soak=60.0):
     """Do everything; yield tuples of what, how many tried, how many survived, and a remark."""
     yield from attack_rows(2.0 if quick else 20.0)
     yield deaf_row(2.0 if quick else 20.0)
+    yield lock_step_row(200 if quick else 3000)
+    yield harmed_log_row()
     yield from namespace_rows(3 if quick else 10)
     yield signal_row(*((4, 1) if quick else (200, 10)))
     yield overload_row(2 if quick else 20)

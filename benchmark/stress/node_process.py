@@ -22,19 +22,36 @@ from rclpy.serialization import deserialize_message
 from benchmark.process import ENVIRONMENT
 
 READY, END = 60.0, 60.0   # [s] patience with a busy machine
+PROGRAM = '-m', 'timo_sim.cli.sim_node'
+# A node that keeps something of each command.
+LEAKY = '-c', """
+from timo_sim.cli.sim_node import main
+from timo_sim.ros.commands import Inlet
+kept, receive = [], Inlet._receive
+def keep(inlet, data, answered):
+    kept.append(bytearray(b'x') * 10000)
+    receive(inlet, data, answered)
+Inlet._receive = keep
+main()
+"""
+WINDOW = 4.0     # [s] whose lowest memory counts: what is under way comes and goes
+WINDOWS = 3      # in a row in which memory grows by more than `LEAK` are one
+LEAK = 1e6       # [B]
+MOST_WINDOWS = 10  # that are looked at; the middleware's pools grow more slowly after four or five
 
 
 class Node:
     """A node in a process and a folder of its own."""
 
-    def __init__(self, folder, *arguments, environment=ENVIRONMENT, **parameters):
+    def __init__(self, folder, *arguments, environment=ENVIRONMENT, program=PROGRAM,
+                 **parameters):
         self.folder, self.log = Path(folder), Path(folder) / 'run.mcap'
         self._output = open(self.folder / 'output.txt', 'w+', encoding='utf-8')
         values = {'record_file': self.log.name, **parameters}
         words = [word for name, value in values.items() for word in (
             '-p', f'{name}:={str(value).lower() if isinstance(value, bool) else value}')]
         self.process = subprocess.Popen(
-            [sys.executable, '-m', 'timo_sim.cli.sim_node', '--ros-args', *arguments, *words],
+            [sys.executable, *program, '--ros-args', *arguments, *words],
             cwd=folder, env=environment, stdout=self._output, stderr=subprocess.STDOUT)
 
     def output(self):
@@ -42,19 +59,35 @@ class Node:
         self._output.flush()
         return (self.folder / 'output.txt').read_text(errors='replace')
 
-    def ready(self):
-        """Wait until the log is there, or the end."""
+    def ready(self, words='logging to'):
+        """Wait until the log is there, or the node has said something else, or the end."""
         end = time.monotonic() + READY
-        while 'logging to' not in self.output() and self.process.poll() is None:
+        while words not in self.output() and self.process.poll() is None:
             if time.monotonic() > end:
                 raise TimeoutError(self.output())
             time.sleep(0.05)
         return self
 
     def memory(self):
-        """Return the memory that the process has in use [B]."""
-        status = Path(f'/proc/{self.process.pid}/status').read_text()
-        return 1024 * int(re.search(r'VmRSS:\s+(\d+)', status)[1])
+        """Return the memory that the process has in use [B], none if it has ended."""
+        found = re.search(r'VmRSS:\s+(\d+)', Path(
+            f'/proc/{self.process.pid}/status').read_text())
+        return 1024 * int(found[1]) if found else 0
+
+    def leak(self, seconds):
+        """
+        Watch the memory for some seconds or more; return whether it leaks, and in words.
+
+        Pools that fill up end to grow; a leak does not, however long one looks.
+        """
+        lows, window = [], max(WINDOW, seconds / (WINDOWS + 2))
+        while len(lows) * window < seconds or len(lows) <= WINDOWS or (
+                growth(lows) > LEAK and len(lows) < MOST_WINDOWS):
+            end, lows = time.monotonic() + window, [*lows, self.memory()]
+            while time.monotonic() < end:
+                time.sleep(0.05)
+                lows[-1] = min(lows[-1], self.memory())
+        return growth(lows) > LEAK, f'{growth(lows) / 1e6:+.1f} MB in {window:.0f} s'
 
     def handles_signals(self):
         """Return whether the process has its handlers, or has ended."""
@@ -83,6 +116,12 @@ class Node:
                     status = deserialize_message(message.data, DiagnosticArray).status[0]
                     counters = {pair.key: pair.value for pair in status.values}
         return counters, count
+
+
+def growth(lows):
+    """Return the least growth in one of the last windows; given is the least memory of each."""
+    last = lows[-1 - WINDOWS:]
+    return min(after - before for before, after in zip(last, last[1:]))
 
 
 def survived(node, number=signal.SIGTERM):

@@ -25,7 +25,8 @@ class Tally:
         try:
             yield
         except Exception as error:
-            self._first = self._first or f'{which}: {type(error).__name__}: {error}'
+            text = f'{which}: {type(error).__name__}: {error}'
+            self._first = self._first or ' '.join(text.split())
         else:
             self._survived += 1
 

@@ -8,10 +8,13 @@
 
 """The recorder by itself: chunks, checksums, index, metadata in between."""
 
+import os
+
 from mcap.reader import make_reader
 import pytest
 
 from timo_sim.log.recorder import Channel, CHUNK_SIZE, Recorder
+from timo_sim.log.recover import recover
 
 CHANNELS = [Channel('/a', 'sensor_msgs/msg/JointState'), Channel('/b', 'std_msgs/msg/Float64'),
             Channel('/silent', 'std_msgs/msg/Float64')]
@@ -66,3 +69,57 @@ def test_a_log_without_messages_is_whole(tmp_path):
     recorder.close()
     with open(recorder.path, 'rb') as stream:
         assert make_reader(stream).get_summary().statistics.message_count == 0
+
+
+@pytest.mark.parametrize('make', [
+    os.mkfifo, lambda path: path.symlink_to('/dev/null'), lambda path: path.symlink_to('/dev')])
+def test_what_is_no_regular_file_is_refused_and_gets_no_company(tmp_path, make):
+    path = tmp_path / 'run.mcap'
+    make(path)
+    with pytest.raises(OSError, match=str(path)):
+        Recorder(path, CHANNELS, {})
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def cut(path):
+    """Leave half of a file."""
+    os.truncate(path, path.stat().st_size // 2)
+
+
+def add(path):
+    """Write to a file as a second program would."""
+    with open(path, 'ab') as stream:
+        stream.write(b'more')
+
+
+def replace(path):
+    """Put another file in a file's place."""
+    path.with_stem('other').write_bytes(path.read_bytes())
+    path.with_stem('other').replace(path)
+
+
+@pytest.mark.parametrize('harm, words', [
+    (os.unlink, 'deleted'), (replace, 'deleted'), (cut, 'bytes'), (add, 'bytes')])
+@pytest.mark.parametrize('last', [False, True], ids=['amid', 'at the end'])
+def test_what_others_do_to_a_log_is_noticed(tmp_path, monkeypatch, harm, words, last):
+    """At any time: the check before the chunk may have been too early to see it."""
+    monkeypatch.setattr('timo_sim.log.recorder.FLUSH_PERIOD', 60.0)
+    recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
+    recorder.write(0, 0, 0, bytes(100))
+    if last:
+        finish = recorder._writer.finish
+        monkeypatch.setattr(recorder._writer, 'finish', lambda name: (
+            harm(recorder.path), finish(name)))
+    else:
+        harm(recorder.path)
+    recorder.close()
+    assert str(recorder.path) in recorder.error and words in recorder.error
+
+
+def test_a_log_that_is_moved_goes_on_and_is_whole(tmp_path):
+    recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
+    moved = recorder.path.rename(tmp_path / 'moved.mcap')
+    recorder.write(0, 0, 0, bytes(100))
+    recorder.close()
+    assert recorder.error is None and str(recorder.path) in recorder.warning
+    assert 'is complete: 1 messages' in recover(moved)

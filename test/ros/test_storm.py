@@ -15,13 +15,14 @@ import subprocess
 import sys
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from mcap_ros2.reader import read_ros2_messages
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
+from benchmark.stress.node_process import growth, LEAK, WINDOWS
 import timo_sim
 from timo_sim.ros.process import use_profiles
 
@@ -157,3 +158,34 @@ def test_profiles_of_the_user_are_left_alone(tmp_path, monkeypatch):
 def test_a_log_that_cannot_be_is_an_error_and_the_simulation_goes_on(start):
     code, output = start(duration=0.01, record_file='/').wait()
     assert code == 0 and 'Traceback' not in output and 'no log is written to /' in output
+
+
+def test_a_log_that_is_moved_then_deleted_is_told_and_the_simulation_goes_on(start, client):
+    node = start()
+    health = client.collect(DiagnosticArray, '/diagnostics')
+    states = client.collect(JointState, '/joint_states')
+
+    def told(words):
+        client.wait(lambda: health and words in health[-1].status[0].message, words)
+        assert health[-1].status[0].level == DiagnosticStatus.ERROR
+    client.wait(lambda: health and node.log.exists(), 'a log')
+    moved = node.log.rename(node.log.with_stem('moved'))
+    told('was moved')
+    moved.unlink()
+    told('the log ends early')
+    count = len(states)
+    client.wait(lambda: len(states) > count, 'joint states')
+    code, output = node.end()
+    assert code == 0 and 'Traceback' not in output
+    assert output.count('run.mcap was moved') == output.count('it was deleted') == 1
+    assert list(node.log.parent.iterdir()) == []
+
+
+def test_the_stress_test_tells_a_leak_from_pools_that_fill():
+    """By what a node had in a storm, and in another with parameters and services [MB]."""
+    for lows in ([218.4, 225.4, 230.0, 232.8, 232.5, 232.5, 232.5, 232.5, 234.5, 234.5, 234.0],
+                 [218.1, 226.9, 231.9, 232.1, 230.7, 231.3, 231.4, 234.0, 234.9, 234.1, 234.0]):
+        lows = 1e6 * np.array(lows)
+        leaking = lows + 3e6 * np.arange(len(lows))
+        for number in range(WINDOWS + 2, len(lows) + 1):
+            assert growth(lows[:number]) < LEAK < growth(leaking[:number])

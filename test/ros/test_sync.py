@@ -25,6 +25,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 
 import timo_sim
+from timo_sim.log.info import info
 from timo_sim.log.recording import Recording
 from timo_sim.replay.replay import replay
 
@@ -122,7 +123,11 @@ def test_a_wait_ends_after_its_time_and_is_counted(start, client):
         return states[-1].header.stamp.nanosec > 1
     client.wait(begins, 'the run')
     assert node.wait()[0] == 0
-    assert 1 <= int(Recording(node.log).summary['missed_commands']) <= 9
+    summary = Recording(node.log).summary
+    assert 1 <= int(summary['missed_commands']) <= 9
+    shown = '\n'.join(info(node.log))
+    for name in ('missed_commands', 'mismatched_commands', 'dropped_time_s'):
+        assert f' {name} {summary[name]}' in shown
 
 
 def test_a_step_that_waits_says_so(start, client):

@@ -19,9 +19,7 @@ from timo_sim.log.notes import made_with, read_notes
 _NANOSECONDS = 1000000000
 _MOST_TIMES = 500000  # messages whose times are looked at one by one
 _MOST_CHUNKS = 40      # that are read where no summary tells the peak
-# The last is what version 0.1 wrote for the one before it.
-_COUNTERS = ('estimated_tip_error_m', 'refused_commands', 'stale_commands', 'overruns',
-             'dropped_time_s', 'unresolved_steps', 'coarse_steps')
+_MOST_COUNTERS, _IN_A_LINE = 20, 4
 
 
 def info(file):
@@ -49,9 +47,12 @@ def _about_run(index, notes):
         yield from _entry('set later', [
             f'at step {step}: {name} = {json.dumps(value)}'[:90]
             for step, _, values in changes for name, value in values.items()][:20])
-    counted = [f'{name} {summary[name][:20]}' for name in _COUNTERS if name in summary]
-    yield from _entry('counted', [', '.join(counted) or 'not known: the node did not write its '
-                                  'end'])
+    counted = [f'{name[:40]} {value[:20]}' for name, value in summary.items()
+               if not name.startswith('peak')][:_MOST_COUNTERS]
+    yield from _entry('counted', [
+        ', '.join(counted[first:first + _IN_A_LINE])
+        for first in range(0, len(counted), _IN_A_LINE)
+    ] or ['not known: the node did not write its end'])
     yield from _entry('peak tip', [_peak(index, summary)])
 
 

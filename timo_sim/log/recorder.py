@@ -46,7 +46,8 @@ class Recorder:
 
     `write` only appends to a chunk; a thread compresses chunks, for the most part without holding
     up other threads, and gives them to the operating system at least every `FLUSH_PERIOD`. If that
-    fails, `error` says why, what was written is kept, and later messages are dropped.
+    fails, or others delete, cut or write to the file, `error` says so, what was written is kept,
+    and later messages are dropped.
 
     Parameters
     ----------
@@ -61,6 +62,8 @@ class Recorder:
     path : Path
         The file that is written.
     error : str or None
+    warning : str or None
+        That the file has been moved, which does not end it.
 
     Raises
     ------
@@ -70,7 +73,7 @@ class Recorder:
     """
 
     def __init__(self, path, channels, notes):
-        self.error = None
+        self.error = self.warning = None
         self._lock = threading.Lock()  # of the chunk that grows
         self._chunk = Chunk()
         self._queue = deque()  # what is to be written, each with the method that does it
@@ -147,6 +150,7 @@ class Recorder:
             self._drain()
             self._writer.finish(self.path.name)
             sync(self._file)
+            self._look()
         except Exception as error:  # whatever it is, `write` must not wait for this thread
             self.error = f'{self.path}: {error}'
             self._queue.clear()
@@ -157,10 +161,24 @@ class Recorder:
                 self.error = self.error or f'{self.path}: {error}'
 
     def _drain(self):
+        self._look()
         while self._queue:
             write, *items = self._queue.popleft()
             write(*items)
         self._file.flush()
+
+    def _look(self):
+        """Find out what others have done to the file: until it is closed they get no error."""
+        ours = os.fstat(self._file.fileno())
+        if ours.st_size != self._writer.size:
+            raise OSError(f'it has {ours.st_size} bytes, {self._writer.size} were written: '
+                          'somebody else has cut it or written to it')
+        with suppress(OSError):
+            if os.path.samestat(ours, os.stat(self.path)):
+                return
+        if not ours.st_nlink:
+            raise OSError('it was deleted')
+        self.warning = f'{self.path} was moved; the log goes on where it is now'
 
 
 class NewLog(Recorder):
@@ -215,12 +233,16 @@ def create(path):
     """Make a new file, numbered if there is one, and its folders; return its path and stream."""
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if path.exists() and not path.is_file():
+        raise OSError(f'{path} must be a regular file or none yet, not a device or FIFO')
     path.parent.mkdir(parents=True, exist_ok=True)
     # Mode 'x' is the file system's own promise that nothing is overwritten.
     for attempt in range(10000):
         candidate = path.with_stem(f'{path.stem}_{attempt}') if attempt else path
         try:
-            return candidate, open(candidate, 'xb')
+            # At its end as it is then: what somebody else cuts off or adds shows in its size.
+            return candidate, open(candidate, 'xb', opener=lambda name, flags: os.open(
+                name, flags | os.O_APPEND, 0o666))
         except FileExistsError:
             continue
     raise FileExistsError(f'{path} and 9999 numbered names after it exist')

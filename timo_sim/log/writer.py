@@ -78,11 +78,16 @@ class Writer:
     stream : binary file
     profile : str
 
+    Attributes
+    ----------
+    size : int
+        Of what has been written [B].
+
     """
 
     def __init__(self, stream, profile):
         self._stream, self._profile = stream, profile
-        self._crc = 0
+        self._crc = self.size = 0
         self._schemas, self._channels = [], []
         # Kept as they will be written: a day has so many that objects would fill the memory.
         self._chunk_indexes, self._metadata_indexes = RecordBuilder(), RecordBuilder()
@@ -100,7 +105,7 @@ class Writer:
 
     def add_metadata(self, name, values):
         """Add a metadata record."""
-        offset = self._stream.tell()
+        offset = self.size
         length = self._write(Metadata(name=name, metadata=values))
         MetadataIndex(offset=offset, length=length, name=name).write(self._metadata_indexes)
         self._statistics.metadata_count += 1
@@ -112,7 +117,7 @@ class Writer:
             'compression': 'lz4', 'uncompressed_size': len(chunk.data),
             'message_start_time': min(map(min, times)), 'message_end_time': max(map(max, times))}
         compressed = lz4.frame.compress(chunk.data)
-        offset = self._stream.tell()
+        offset = self.size
         length = self._write(
             ChunkRecord(data=compressed, uncompressed_crc=zlib.crc32(chunk.data), **facts))
         places, place = {}, offset + length
@@ -142,7 +147,7 @@ class Writer:
             self.add_metadata('rosbag2', {'serialized_metadata': yaml_text(information(
                 self._schemas, self._channels, self._statistics, name))})
         self._write(DataEnd(self._crc))
-        start, data, offsets = self._stream.tell(), b'', []
+        start, data, offsets = self.size, b'', []
         for opcode, group in (
                 (Opcode.SCHEMA, bytes_of(*self._schemas)),
                 (Opcode.CHANNEL, bytes_of(*self._channels)),
@@ -156,16 +161,17 @@ class Writer:
         data += bytes_of(*offsets)
         # The checksum covers the footer up to the checksum itself.
         head = struct.pack('<BQQQ', Opcode.FOOTER, 20, start, offsets_start)
-        self._stream.write(data)
+        self._put(data)
         self._write(Footer(summary_start=start, summary_offset_start=offsets_start,
                            summary_crc=zlib.crc32(head, zlib.crc32(data))))
-        self._stream.write(MCAP0_MAGIC)
+        self._put(MCAP0_MAGIC)
 
     def _write(self, record):
         return self._put(bytes_of(record))
 
     def _put(self, data):
         self._crc = zlib.crc32(data, self._crc)
+        self.size += len(data)
         return self._stream.write(data)
 
 

@@ -18,7 +18,8 @@ class RunLog:
     """
     The log of a run; it takes everything and keeps nothing while it is not open.
 
-    `error`, which the logger of rclpy also hears, says why there is none or why it ends early.
+    `error`, which the logger of rclpy also hears, says why there is none, why it ends early or
+    that it was moved.
     """
 
     def __init__(self, logger):
@@ -58,9 +59,11 @@ class RunLog:
             self._recorder.note(name, values)
 
     def look(self):
-        """Find out whether the log has ended early."""
-        if self._recorder is not None and self._recorder.error and not self.error:
-            self._fail(f'the log ends early: {self._recorder.error}')
+        """Find out whether the log has ended early or was moved."""
+        if self._recorder is not None:
+            error = self._recorder.error and f'the log ends early: {self._recorder.error}'
+            if (error or self._recorder.warning) not in (None, self.error):
+                self._fail(error or self._recorder.warning)
 
     def close(self, summary):
         """End the log with a note of the whole run."""
