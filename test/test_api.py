@@ -189,6 +189,37 @@ def test_a_divergent_run_is_there_until_it_diverges():
     assert run.t[-1] < 100.0
 
 
+@pytest.mark.parametrize('call, words', [
+    (lambda scene: timo_sim.simulate(scene, '1 s'), "duration must be .* got '1 s'"),
+    (lambda scene: timo_sim.simulate(scene, None), 'duration must be .* got None'),
+    (lambda scene: timo_sim.simulate(scene, -1.0), 'duration must be .* got -1.0'),
+    (lambda scene: timo_sim.simulate(scene, 1e12), 'duration must be .* got 1000000000000'),
+    (lambda scene: timo_sim.simulate(scene, 1.0, 2.0), 'sample_every must be a whole .* got 2.0'),
+    (lambda scene: timo_sim.simulate(scene, 1.0, 0), 'sample_every must be .* >= 1, got 0'),
+    (lambda scene: timo_sim.choose_resolution(scene, 'long'), 'duration must be'),
+    (lambda scene: timo_sim.Simulator(scene).step(duration=-1.0), 'duration must be .* >= 0'),
+    (lambda scene: scene.at(timo_sim.simulate(scene, 0.01), np.nan), 't = nan s must be the time'),
+    (lambda scene: scene.vary('arm'), "values must be given by name, got 'arm'"),
+    (lambda scene: timo_sim.load_scene(None), 'values must be given by name, got None'),
+    (lambda scene: timo_sim.load_scene({'arm': {'length': 2.0}, 'arm.length': 3.0}),
+     'arm.length is there twice'),
+    (lambda scene: timo_sim.linearize(timo_sim.load_scene({})).to_discrete(-0.002),
+     'dt must be a finite number > 0 s, got -0.002')])
+def test_arguments_that_are_none(scene, call, words):
+    with pytest.raises(timo_sim.ParameterError, match=words):
+        call(scene)
+
+
+def test_a_duration_may_be_a_text_as_in_a_file(scene):
+    assert timo_sim.simulate(scene, '0.01').t[-1] == pytest.approx(0.01)
+
+
+def test_what_is_not_compiled_is_refused(monkeypatch):
+    monkeypatch.setenv('NUMBA_DISABLE_JIT', '1')
+    with pytest.raises(timo_sim.ParameterError, match='NUMBA_DISABLE_JIT must be 0 or not set'):
+        timo_sim.load_scene({})
+
+
 @pytest.mark.parametrize('given, words', [
     ({'arm.lenght': 2.0}, 'did you mean arm.length'),
     ({'motor.dc.gear': 2.0}, 'did you mean motor.dc.gear_ratio'),

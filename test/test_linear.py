@@ -278,11 +278,14 @@ def test_response_to_a_torque_is_the_sum_of_that_of_the_modes():
 def test_bode_diagram_from_the_command_line(tmp_path):
     scene, picture = tmp_path / 'scene.yaml', tmp_path / 'bode.png'
     scene.write_text('timo_sim: {ros__parameters: {arm.damping_ratio: [0.01]}}')
-    result = CliRunner().invoke(main, ['bode', str(scene), '-o', str(picture)])
+    result = CliRunner().invoke(main, ['bode', str(scene), '--output', str(picture)])
     assert result.exit_code == 0, result.output
     assert 'poles [Hz]: 4.27, 9.96, 30.6' in result.output and picture.stat().st_size > 20000
-    result = CliRunner().invoke(main, ['bode', str(scene), '-o', str(picture), '--output', 'tip'])
-    assert result.exit_code == 2 and "output 'tip' is none of" in result.output
+    for picture, name, words in ((picture, 'tip', "output 'tip' is none of"),
+                                 ('bode.foo', 'shaft_rad', 'bode.foo cannot be drawn: Format')):
+        result = CliRunner().invoke(
+            main, ['bode', str(scene), '-o', str(picture), '--response', name])
+        assert result.exit_code == 2 and words in result.output
 
 
 @pytest.mark.parametrize('values', [{'initial.shaft_velocity': 1.0},

@@ -132,7 +132,7 @@ def test_a_tapered_arm_and_a_driven_shaft_are_read():
 
 @pytest.mark.parametrize('text, words', [
     ('{', 'is not a YAML file'),
-    ('- 1', 'must have parameters under timo_sim: ros__parameters:'),
+    ('- 1', 'values must be given by name, got'),
     ('other_node: {ros__parameters: {arm.length: 1.0}}', 'must have parameters under timo_sim'),
 ])
 def test_files_that_are_refused(tmp_path, text, words):

@@ -118,6 +118,23 @@ def test_what_does_not_fit_at_all_is_refused(scene):
         timo_sim.simulate_many(scene, [{}], 0.125)
 
 
+@pytest.mark.parametrize('given, words', [
+    ({'variations': [{'arm.length': lambda: 2.0}]}, 'worker processes get must be plain values'),
+    ({'variations': [3]}, 'values must be given by name, got 3'),
+    ({'variations': lambda: []}, 'variations must be a list of values by name, got <function'),
+    ({'variations': {'arm.length': [2.0]}}, 'variations must be a list'),
+    ({'variations': [{'arm': {'length': 2.0}, 'arm.length': 3.0}]}, 'arm.length is there twice'),
+    ({'duration': '1 s'}, "duration must be a finite number >= 0 .*got '1 s'"),
+    ({'duration': -1.0}, 'duration must be a finite number >= 0 .*got -1.0'),
+    ({'workers': -1}, 'workers must be a whole number >= 1, got -1'),
+    ({'workers': 0}, 'workers must be a whole number >= 1, got 0'),
+    ({'workers': 1.5}, 'workers must be a whole number >= 1, got 1.5')])
+def test_arguments_that_are_none(scene, given, words):
+    with pytest.raises(timo_sim.ParameterError, match=words) as caught:
+        timo_sim.simulate_many(scene, **{'variations': [{}], 'duration': 0.1, **given})
+    assert '\n' not in str(caught.value)
+
+
 def test_jobs_hold_every_run_once_and_are_neither_long_nor_few(scene):
     for count in (1, 7, 33, 1000, 100_003):
         sizes, first = [], 0

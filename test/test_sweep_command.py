@@ -228,6 +228,40 @@ def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
     assert table == direct
 
 
+def test_two_sweeps_at_once_are_one_and_a_line(write, tmp_path):
+    """The first is done as if it were alone."""
+    path = write(random=RANDOM, duration=10.0)
+    first = start(tmp_path, path, '--workers', '1')
+    wait_for_parts(tmp_path, 2)
+    first.send_signal(signal.SIGSTOP)
+    try:
+        assert refused(path, tmp_path) == (
+            'timo_sim: another sweep is running with study.parquet.parts: wait for its end or '
+            'choose another --output\n')
+    finally:
+        first.send_signal(signal.SIGCONT)
+    code, _, errors = end(first)
+    assert (code, errors) == (0, '')
+    assert rows(tmp_path / 'study.parquet') == many(path)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ['study.parquet', 'study.yaml']
+
+
+def test_the_parts_are_free_after_a_sweep_however_it_ended(write, tmp_path):
+    plan = read_plan(write(random=RANDOM))
+    output = tmp_path / 'study.parquet'
+    with Store(output, plan):
+        with pytest.raises(timo_sim.ParameterError, match='another sweep is running'):
+            Store(output, plan)
+    other = read_plan(write(random={**RANDOM, 'seed': 8}))
+    with pytest.raises(timo_sim.ParameterError, match='is of another sweep'):
+        Store(output, other)
+    # A kill, or a full disk, may leave a part of the mark.
+    mark = tmp_path / 'study.parquet.parts' / 'sweep'
+    mark.write_bytes(mark.read_bytes()[:9])
+    with Store(output, plan):
+        assert mark.read_text() == plan.fingerprint
+
+
 def _flip_footer(part):
     content = bytearray(part.read_bytes())
     content[-200] ^= 1
@@ -262,9 +296,9 @@ def _other_columns(part):
 def test_a_part_that_is_not_whole_is_done_again(write, tmp_path, damage):
     plan = read_plan(write(random={**RANDOM, 'count': 2}))
     jobs = [*plan.jobs()]
-    store = Store(tmp_path / 'study.parquet', plan)
-    for job in jobs:
-        store.add(job, run_job(job))
+    with Store(tmp_path / 'study.parquet', plan) as store:
+        for job in jobs:
+            store.add(job, run_job(job))
     part, _ = sorted((tmp_path / 'study.parquet.parts').glob('*.parquet'))
     intact = part.read_bytes()
     damage(part)
@@ -287,6 +321,11 @@ def test_on_a_cluster_a_killed_worker_loses_and_doubles_nothing(write, tmp_path)
         os.kill(pids[0], signal.SIGKILL)
         assert len(done) < 32
         code, output, _ = end(sweep)
+        with Client(cluster) as client:
+            client.run(lambda: setattr(__import__('timo_sim'), '__version__', '0'))
+        with pytest.raises(ConnectionError, match='worker .* must have timo_sim .*, got 0'):
+            with cluster_executor(cluster.scheduler_address):
+                pass
     assert code == 0 and output.startswith('96 runs in ')
     assert rows(tmp_path / 'study.parquet') == many(path)
 

@@ -13,6 +13,7 @@ import subprocess
 import sys
 
 from benchmark import ROOT
+from benchmark.stress import shared
 from benchmark.stress.tally import ensure, small_disk, Tally
 from timo_sim.jit import code_store
 from timo_sim.jit.decorators import entry_point
@@ -115,4 +116,6 @@ def rows(folder, quick, generator):
     yield machine_code(folder, 9 if quick else 100, generator)
     if not quick:
         yield runs_without_a_cache(folder)
+    yield shared.hostile_caches(folder)
     yield sweep_parts(folder, 60 if quick else 1000, generator)
+    yield shared.sweeps_at_once(folder, 2 if quick else 10, generator)

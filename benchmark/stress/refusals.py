@@ -21,6 +21,8 @@ FILES = {
     'cut': (b'timo_sim: {ros__parameters: {arm: [', 2),
     'with a NUL': (b'timo_sim: {ros__parameters: {arm.length: 1\0}}', 2),
     'with an alias': (b'timo_sim: {ros__parameters: {arm.length: &a 1.0, arm.width: *a}}', 2),
+    'with a name twice': (b'timo_sim: {ros__parameters: {arm.length: 1.0, arm.length: 2.0}}', 2),
+    'with a merge key': (b'timo_sim: {ros__parameters: {arm: {<<: {length: 1.0}}}}', 2),
     'with a tag': (b'timo_sim: {ros__parameters: {arm.length: !!python/object/apply:os.system '
                    b'[touch tag]}}', 2),
     'nested a thousand deep': (b'timo_sim: {ros__parameters: {a: ' + 1000 * b'[' + b'}}', 2),

@@ -9,8 +9,10 @@
 """Logs and bags as arrays: what other readers find, and files that lie."""
 
 import json
+import os
 import shutil
 
+from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer as McapWriter
 from mcap_ros2.reader import read_ros2_messages
@@ -21,6 +23,7 @@ from rosbags.typesys import get_typestore, Stores
 
 from ros_process import Process
 import timo_sim
+from timo_sim.cli import main
 from timo_sim.log.info import info
 from timo_sim.log.notes import CHANGE, START
 from timo_sim.log.recorder import Channel, Recorder
@@ -225,6 +228,27 @@ def test_a_scene_that_is_none_is_one_line(log, tmp_path):
     recording = Recording(path)
     with pytest.raises(LogError, match='scene cannot be built: arm.length must be'):
         recording.scene
+
+
+@pytest.mark.parametrize('facts', [
+    {'node': '/timo_sim'}, {'parameters': '', 'node': '/timo_sim'}, {'parameters': '[]'}])
+def test_a_log_that_says_nothing_of_its_scene_is_one_line(tmp_path, facts):
+    path = tmp_path / 'run.mcap'
+    recorder = Recorder(path, [
+        Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64')], {START: facts})
+    recorder.close()
+    for command in (['replay'], ['replay', '--set', 'model.modes=2'], ['export', '-o', 'a.csv']):
+        result = CliRunner().invoke(main, [command[0], str(path), *command[1:]])
+        assert result.exit_code == 2 and result.output.count('\n') == 1
+        assert 'its scene cannot be built' in result.output or command[0] == 'export'
+
+
+def test_a_log_is_open_only_while_it_is_read(log):
+    recording = Recording(log)
+    assert len(recording.topics['joint_states'].ns) == 1001
+    opened = {os.path.realpath(f'/proc/self/fd/{number}') for number in
+              os.listdir('/proc/self/fd')}
+    assert str(log) not in opened
 
 
 def test_files_without_chunks_are_read_too(log, tmp_path):

@@ -8,9 +8,7 @@
 
 """Machine code that others have planted is not loaded: a pickle may run anything."""
 
-import hashlib
 import os
-import pickle
 import pwd
 import stat
 import subprocess
@@ -20,6 +18,7 @@ import tempfile
 import platformdirs
 import pytest
 
+from oracles.hostile_caches import FILES, FOLDERS, plant
 from timo_sim.jit import code_store
 from timo_sim.jit.code_store import compiling, is_compiled, lock, size_mark
 from timo_sim.jit.decorators import entry_point
@@ -34,31 +33,6 @@ def call():
     function = entry_point(tripled)
     assert function(1.5) == 4.5
     return sum(function._cache_hits.values()) == 1
-
-
-class Hostile:
-    """Make a folder when unpickled."""
-
-    def __init__(self, proof):
-        self.proof = str(proof)
-
-    def __reduce__(self):
-        return os.mkdir, (self.proof,)
-
-
-def give_to_another(path, patch):
-    """Let a file belong to another user, or look so where this process may not give it away."""
-    if os.geteuid() == 0:
-        os.chown(path, 4321, -1)
-        return
-    theirs, fstat = path.stat(), os.fstat
-
-    def seen(descriptor):
-        status = fstat(descriptor)
-        other = status.st_uid + os.path.samestat(status, theirs)
-        return os.stat_result((*status[:4], other, *status[5:]))
-
-    patch.setattr(os, 'fstat', seen)
 
 
 @pytest.fixture
@@ -77,47 +51,13 @@ def find(tmp_path, monkeypatch):
     return find
 
 
-def plant(store, proof):
-    """Replace the machine code in a store by a pickle with the right name and checksum."""
-    file, = store.glob('*.code')
-    data = pickle.dumps(Hostile(proof))
-    file.write_bytes(hashlib.sha256(data).digest() + data)
-    return file
-
-
-def link(path):
-    """Put a symbolic link in the place of a folder."""
-    path.symlink_to(path.rename(path.with_name('planted')))
-
-
-def link_to_root(leaf):
-    """Put machine code into the root, and a link to the root in the place of the leaf."""
-    for file in leaf.iterdir():
-        file.rename(leaf.parent / file.name)
-    leaf.rmdir()
-    leaf.symlink_to('.')
-
-
-FOLDERS = {
-    'root 0777': lambda leaf, patch: leaf.parent.chmod(0o777),
-    'root 1777': lambda leaf, patch: leaf.parent.chmod(0o1777),
-    'root 0770': lambda leaf, patch: leaf.parent.chmod(0o770),
-    'leaf 0777': lambda leaf, patch: leaf.chmod(0o777),
-    'leaf 0720': lambda leaf, patch: leaf.chmod(0o720),
-    'root is a link': lambda leaf, patch: link(leaf.parent),
-    'leaf is a link': lambda leaf, patch: link(leaf),
-    'leaf is a link to the root': lambda leaf, patch: link_to_root(leaf),
-    "root is another's": lambda leaf, patch: give_to_another(leaf.parent, patch),
-    "leaf is another's": lambda leaf, patch: give_to_another(leaf, patch)}
-
-
 @pytest.mark.parametrize('attack', FOLDERS)
 def test_a_folder_that_is_not_ours_alone_is_not_read(find, tmp_path, monkeypatch, attack):
     """Neither if it becomes so while a process runs, nor if it is so before one begins."""
     store = find()
     call()
     plant(store, tmp_path / 'proof')
-    FOLDERS[attack](store, monkeypatch)
+    FOLDERS[attack](store, monkeypatch.setattr)
     with pytest.warns(UserWarning, match='machine code is not kept'):
         assert not call()
     assert find().is_relative_to(tmp_path / 'temporary')
@@ -126,28 +66,13 @@ def test_a_folder_that_is_not_ours_alone_is_not_read(find, tmp_path, monkeypatch
     assert not (tmp_path / 'proof').exists()
 
 
-def another_pipe(file, patch):
-    """Put a pipe in the place of a file: to open it for reading waits for somebody who writes."""
-    file.unlink()
-    os.mkfifo(file)
-    give_to_another(file, patch)
-
-
-FILES = {
-    '0666': lambda file, patch: file.chmod(0o666),
-    '0620': lambda file, patch: file.chmod(0o620),
-    'link': lambda file, patch: link(file),
-    "another's": give_to_another,
-    "another's pipe": another_pipe}
-
-
 @pytest.mark.parametrize('attack', FILES)
 def test_a_file_that_is_not_ours_alone_is_not_unpickled(find, tmp_path, monkeypatch, attack):
     store = find()
     call()
     file = plant(store, tmp_path / 'proof')
     with monkeypatch.context() as patch:
-        FILES[attack](file, patch)
+        FILES[attack](file, patch.setattr)
         assert not call()
     assert not (tmp_path / 'proof').exists()
     assert call() and stat.filemode(file.lstat().st_mode) == '-rw-------'

@@ -8,6 +8,7 @@
 
 """How the process starts and ends: bad parameters, signals."""
 
+import os
 import signal
 import time
 
@@ -33,6 +34,22 @@ def test_a_parameter_file_that_is_none(start, tmp_path):
     (tmp_path / 'bad.yaml').write_text('timo_sim: {ros__parameters: {arm: [')
     code, output = start('--params-file', 'bad.yaml').wait()
     assert code == 2 and 'bad.yaml' in output and 'Traceback' not in output
+
+
+def test_a_namespace_that_is_too_long_ends_with_one_line_and_code_2(start):
+    code, output = start('-r', f'__ns:=/{"x" * 230}').wait()
+    assert (code, output.count('\n')) == (2, 1) and 'topic length should not exceed' in output
+
+
+def test_a_node_with_closed_streams_runs_and_its_log_is_its_own(start):
+    def close():
+        for number in range(3):
+            os.close(number)
+
+    node = start(preexec_fn=close, duration=0.1)
+    assert node.wait()[0] == 0
+    with open(node.log, 'rb') as stream:
+        assert make_reader(stream, validate_crcs=True).get_summary().statistics.message_count
 
 
 def test_what_the_middleware_refuses_ends_with_one_line_and_code_1(start, tmp_path, monkeypatch):

@@ -275,3 +275,19 @@ def test_bad_input_and_a_missing_viewer_are_one_line(log, tmp_path):
 
 def test_names_are_told_apart():
     assert unique_names(['a', 'b', 'a']) == ['a', 'b', 'a_2']
+    assert unique_names(['a_2', 'a', 'a', 'a_3', 'a']) == ['a_2', 'a', 'a_4', 'a_3', 'a_5']
+
+
+@pytest.mark.parametrize('option, words', [
+    (['--at', 'nan'], '--at must be a finite number, got nan'),
+    (['--fps', 'nan'], '--fps must be a finite number > 0'),
+    (['--fps', 'inf'], '--fps must be a finite number > 0')])
+def test_numbers_that_are_none(log, tmp_path, option, words):
+    result = CliRunner().invoke(main, ['view', str(log), '--save', str(tmp_path / 'a'), *option])
+    assert result.exit_code == 2 and words in result.output
+
+
+def test_a_file_that_cannot_be_written_is_one_line(log, tmp_path):
+    path = tmp_path / 'none' / 'run.rrd'
+    result = CliRunner().invoke(main, ['view', str(log), '--save', str(path)])
+    assert result.exit_code == 1 and result.output.count('\n') == 1 and str(path) in result.output

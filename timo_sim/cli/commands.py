@@ -40,7 +40,7 @@ class _Command(click.Command):
                 code = 2
             elif isinstance(error, ModuleNotFoundError) and error.name in _EXTRAS:
                 text = f"{error.name} is missing: pip install 'timo_sim[{_EXTRAS[error.name]}]'"
-            elif not isinstance(error, OSError):
+            elif not isinstance(error, (MemoryError, OSError)):
                 raise
         click.echo('timo_sim: ' + ' '.join(text.split()), err=True)
         sys.exit(code)
@@ -57,15 +57,14 @@ main.command_class = _Command
 
 def _parsed(settings):
     """Return values by name of texts such as 'model.modes=5', written as in YAML."""
-    import yaml
-
+    from timo_sim.scene.files import parse_yaml
     from timo_sim.scene.parameter import ParameterError
     values = {}
     for text in settings:
         name, equals, value = text.partition('=')
         try:
-            values[name.strip()] = yaml.safe_load(value)
-        except yaml.YAMLError:
+            values[name.strip()] = parse_yaml(value, name)
+        except ParameterError:
             equals = ''
         if not equals:
             raise ParameterError(f'--set takes NAME=VALUE, such as model.modes=5; got {text!r}')
@@ -76,23 +75,23 @@ def _parsed(settings):
 @click.argument('file', type=click.Path(exists=True, dir_okay=False))
 @click.option('--input', 'cause', default='torque_N_m', show_default=True,
               help='force_x_N, force_y_N or torque_N_m.')
-@click.option('--output', 'effects', multiple=True, metavar='NAME', show_default=True,
+@click.option('--response', 'effects', multiple=True, metavar='NAME', show_default=True,
               default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
               help='Once for each curve, such as tip_acceleration_m_per_s2.')
-@click.option('-o', 'picture', type=click.Path(dir_okay=False), default='bode.png',
+@click.option('--output', '-o', 'picture', type=click.Path(dir_okay=False), default='bode.png',
               show_default=True, help='PNG, PDF or SVG.')
 def bode(file, cause, effects, picture):
     r"""
     Draw Bode diagram and poles of FILE, a scene, about its initial state.
 
     \b
-        timo_sim bode config/paper.yaml --output tip_transverse_m -o bode.png
+        timo_sim bode config/paper.yaml --response tip_transverse_m -o bode.png
     """
     from timo_sim.simulation.linear import linearize
     from timo_sim.scene.scene import load_scene
     from timo_sim.view import plot
     model = linearize(load_scene(file)).select([cause], effects)
-    plot.bode(model).savefig(picture, dpi=100)
+    plot.write(plot.bode(model), picture)
     click.echo(f'poles [Hz]: {", ".join(f"{each:.3g}" for each in model.frequencies())}')
     click.echo(f'{picture} is drawn')
 
@@ -242,7 +241,8 @@ def simulate(scene, duration, settings, output, rate, compare, view, png):
     if output:
         click.echo(f'{run.save(output)} is written')
     if png:
-        run.plot().savefig(png, dpi=100)
+        from timo_sim.view import plot
+        plot.write(run.plot(), png)
         click.echo(f'{png} is drawn')
     if view:
         run.view()

@@ -80,6 +80,7 @@ def main(args=None):
         or an argument that breaks its rule.
 
     """
+    _open_streams()
     stop = StopRequest()
     given = _outside_ros_args(sys.argv[1:] if args is None else args)
     if given in (['-h'], ['--help']):
@@ -100,6 +101,15 @@ def main(args=None):
         return 1
     finally:
         stop.finished()
+
+
+def _open_streams():
+    # A file that is opened later must not get the number of a stream that is closed.
+    for number, name in enumerate(('stdin', 'stdout', 'stderr')):
+        try:
+            os.fstat(number)
+        except OSError:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), 'w' if number else 'r'))
 
 
 def _outside_ros_args(arguments):

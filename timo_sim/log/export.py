@@ -123,9 +123,9 @@ def _csv(columns, path):
 def export_bag(file, output):
     """Make the folder, a new one, that rosbag2 would have written; return what was done."""
     folder = Path(output)
-    with Index(file) as index:
-        content = information(index.schemas.values(), index.channels.values(), index.statistics,
-                              index.path.name)
+    index = Index(file)
+    content = information(index.schemas.values(), index.channels.values(), index.statistics,
+                          index.path.name)
     try:
         folder.mkdir(parents=True)
     except FileExistsError:

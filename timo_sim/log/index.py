@@ -69,7 +69,7 @@ class Index:
     The summary of a log, and its chunks.
 
     What it says is checked before it is used: nothing is read or decompressed twice, or outside
-    of the file, whatever it claims.
+    of the file, whatever it claims. The file is open only while it is read.
 
     Parameters
     ----------
@@ -93,29 +93,19 @@ class Index:
     def __init__(self, path):
         self.path = Path(path)
         self.name = printable(self.path)
-        self._stream = open_file(self.path)
-        try:
-            found = read_summary(self._stream)
-            self.schemas = {schema.id: schema for schema in found[Schema]}
-            self.channels = {channel.id: channel for channel in found[Channel]}
-            self.statistics = found[Statistics][-1]
-            self.chunks = sorted(found[ChunkIndex], key=lambda chunk: chunk.chunk_start_offset)
-            self._metadata = sorted(found[MetadataIndex], key=lambda entry: entry.offset)
-            self._check_order()
-        except Broken as error:
-            self.close()
-            raise LogError(f'{self.name}: {error}: timo_sim recover {self.name} makes a complete '
-                           'log of it') from None
-
-    def close(self):
-        """Close the file."""
-        self._stream.close()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        self.close()
+        with open_file(self.path) as self._stream:
+            try:
+                found = read_summary(self._stream)
+                self.schemas = {schema.id: schema for schema in found[Schema]}
+                self.channels = {channel.id: channel for channel in found[Channel]}
+                self.statistics = found[Statistics][-1]
+                self.chunks = sorted(found[ChunkIndex],
+                                     key=lambda chunk: chunk.chunk_start_offset)
+                self._metadata = sorted(found[MetadataIndex], key=lambda entry: entry.offset)
+                self._check_order()
+            except Broken as error:
+                raise LogError(f'{self.name}: {error}: timo_sim recover {self.name} makes a '
+                               'complete log of it') from None
 
     def metadata(self):
         """Yield place and record of each metadata record but rosbag2's."""
@@ -145,7 +135,8 @@ class Index:
     @contextmanager
     def _checked(self):
         try:
-            yield
+            with open_file(self.path) as self._stream:
+                yield
         except (Broken, struct.error) as error:
             raise LogError(f'{self.name} is damaged: {error}: timo_sim recover {self.name} keeps '
                            'what is intact') from None

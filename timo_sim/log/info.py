@@ -24,13 +24,13 @@ _MOST_COUNTERS, _IN_A_LINE = 20, 4
 
 def info(file):
     """Return lines that describe a log of this package, or another MCAP file."""
-    with Index(file) as index:
-        notes = read_notes(index)
-        kind = 'log of ' + notes.facts.get('node', '/timo_sim') if notes.facts else 'plain bag'
-        lines = [f'{index.name}: {kind}, {index.path.stat().st_size / 1e6:.3g} MB']
-        if notes.facts:
-            lines += _about_run(index, notes)
-        lines += _about_topics(index)
+    index = Index(file)
+    notes = read_notes(index)
+    kind = 'log of ' + notes.facts.get('node', '/timo_sim') if notes.facts else 'plain bag'
+    lines = [f'{index.name}: {kind}, {index.path.stat().st_size / 1e6:.3g} MB']
+    if notes.facts:
+        lines += _about_run(index, notes)
+    lines += _about_topics(index)
     # What the file says may hold anything, such as what a terminal obeys.
     return [''.join(sign if sign.isprintable() else ' ' for sign in line[:200]) for line in lines]
 

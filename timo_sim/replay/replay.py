@@ -118,8 +118,9 @@ def _values(recording, scene_file, changes):
     if scene_file is not None:
         given, source = read_parameter_file(scene_file), str(scene_file)
     elif recording.facts:
-        # The scene has been checked by now; the node's own values are in the same place.
-        given, source = {**recording.parameters, **recording.scene.values}, recording.index.name
+        # What the scene finds wrong is a LogError; the node's own values are in the same place.
+        checked, source = recording.scene.values, recording.index.name
+        given = {**recording.parameters, **checked}
     else:
         raise ParameterError(f'{recording.index.name} is a plain bag, which says nothing of the '
                              'scene: give it by --scene')

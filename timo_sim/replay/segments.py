@@ -16,9 +16,11 @@ import numpy as np
 from timo_sim.log.records import LogError
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.outputs import outputs
-from timo_sim.scene.parameter import ParameterError, whole_ratio
+from timo_sim.scene.parameter import LATEST, Parameter, ParameterError, whole_ratio
+from timo_sim.scene.parameters import steps_in
 
 _ROUNDING = 1e-9
+_START = Parameter('start', 0.0, 's', 'of the first message', low=-LATEST, high=LATEST)
 
 
 @dataclass
@@ -139,7 +141,8 @@ def _shift(recording, commands, motions, start):
     """Return what makes sim time of the stamps of a bag [ns]."""
     if recording.facts or motions:
         return 0
-    return round(1e9 * start) - min(int(series.ns[0]) for series in commands if len(series.ns))
+    return round(1e9 * _START.check(start)) - min(
+        int(series.ns[0]) for series in commands if len(series.ns))
 
 
 def _whole(exact, meet, step, topic):
@@ -162,7 +165,7 @@ def _last(acting, published, motions, shift, scene, duration):
     end = int(max(ends))
     if duration is None:
         return end
-    wanted = whole_ratio('duration', duration, 'integrator.step', scene.step)
+    wanted = steps_in(duration, scene.step)
     if published and wanted > end:
         raise ParameterError(f'duration = {duration:g} s is beyond the end of the log, '
                              f'{end * scene.step:.9g} s')

@@ -14,12 +14,11 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
+from timo_sim.scene.files import FOREIGN
 from timo_sim.scene.parameter import ParameterError, whole_ratio
 from timo_sim.scene.parameters import check, PARAMETERS, RATES
 from timo_sim.simulation.resolution import choose_resolution
 
-# Names that rclpy itself takes.
-_FOREIGN = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
 _LARGEST = 1.7976931348623157e308
 
 
@@ -36,7 +35,7 @@ def declare_parameters(node):
     # rclpy has no public way to see names that nobody declares, and these must not pass unseen.
     given = {name: parameter.value
              for name, parameter in node._parameter_overrides.items()
-             if not name.startswith(_FOREIGN)}
+             if not name.startswith(FOREIGN)}
     values = {name: parameter.default for name, parameter in PARAMETERS.items()}
     values.update(check(given, 'ROS parameter'))
     for name, parameter in PARAMETERS.items():
@@ -57,7 +56,7 @@ def on_set(node, values, apply):
     """
     def callback(parameters):
         changed = {parameter.name: parameter.value for parameter in parameters
-                   if not parameter.name.startswith(_FOREIGN)}
+                   if not parameter.name.startswith(FOREIGN)}
         try:
             changed = check(changed, 'set at run time')
             apply(changed)

@@ -16,10 +16,12 @@ import threading
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
+from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
 from timo_sim.ros.node import SimNode
+from timo_sim.scene.files import read_sections
 from timo_sim.scene.parameter import ParameterError
 
 try:  # with a client at 1 kHz it costs half: benchmark/speed/node.py
@@ -89,13 +91,17 @@ def run(stop, args, **options):
 
     stop.building()
     use_profiles()
+    given = sys.argv if args is None else args
     try:
+        for option, file in zip(given, given[1:]):
+            if option == '--params-file' and Path(file).is_file():
+                read_sections(file)  # rcl takes what is there twice
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except (RuntimeError, UnicodeError) as error:  # what rcl cannot read: arguments or a file
+    except (ParameterError, RuntimeError, UnicodeError) as error:  # arguments, or a file
         return _refuse(error)
     try:
         node = SimNode(stop, **options)
-    except ParameterError as error:
+    except (ParameterError, NameValidationException) as error:
         return _refuse(error)
     except RCLError as error:  # what the middleware does not do
         return _refuse(error, code=1)

@@ -18,9 +18,11 @@ from tqdm import tqdm
 from timo_sim.runs.run import Run
 from timo_sim.runs.sampled import sampled_run
 from timo_sim.runs.second_run import compared, in_doubt
-from timo_sim.scene.parameter import ModelWarning, ParameterError
+from timo_sim.scene.parameter import ModelWarning, Parameter, ParameterError
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.resolution import resolved
+
+_EVERY = Parameter('sample_every', 1, '', 'steps between samples', low=1)
 
 
 def simulate(scene: Scene, duration: float, sample_every: int = 1,
@@ -69,7 +71,8 @@ def simulate(scene: Scene, duration: float, sample_every: int = 1,
 
     """
     scene, steps = resolved(scene, duration)
-    if sample_every < 1 or steps % sample_every:
+    sample_every = _EVERY.check(sample_every)
+    if steps % sample_every:
         raise ParameterError(
             f'sample_every = {sample_every} must divide the number of steps, {steps}')
     with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,

@@ -8,13 +8,17 @@
 
 """Scenes in files: ROS parameter files, and those that are installed with the package, by name."""
 
+from collections.abc import Mapping
 from pathlib import Path
+import re
 
 import yaml
 
-from timo_sim.scene.parameter import did_you_mean, ParameterError
+from timo_sim.scene.parameter import did_you_mean, ParameterError, short
 from timo_sim.scene.parameters import PARAMETERS
 
+# Names of parameters that rclpy itself takes.
+FOREIGN = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
 _DEEPEST = max(name.count('.') for name in PARAMETERS)
 # Beside the package in a clone; below the prefix of PREFIX/lib/python3.x/site-packages elsewhere.
 _ABOVE = [*Path(__file__).resolve().parents[2:]]
@@ -36,39 +40,108 @@ def scene_file(source):
 
 def read_parameter_file(path):
     """
-    Return the values for the node `timo_sim` in a ROS parameter file, unchecked, by dotted name.
+    Return the values for the node `/timo_sim` in a ROS parameter file, unchecked, by dotted name.
 
-    The file is given by its path or, where it is an installed scene, its name.
+    The file is given by its path or, where it is an installed scene, its name. Sections are taken
+    as ROS does: of nodes by name, in namespaces, with * for one name and ** for any number. What
+    rclpy itself takes is left out.
     """
     path = scene_file(path)
-    content = read_yaml(path)
-    values = {}
-    sections = content.items() if isinstance(content, dict) else ()
-    for node, section in sections:
-        if str(node).rpartition('/')[2] in ('**', 'timo_sim') and isinstance(section, dict):
-            values.update(flatten(section.get('ros__parameters') or {}))
+    sections, values = read_sections(path), {}
+    for node, section in sections.items():
+        if _pattern(node).fullmatch('/timo_sim'):
+            values.update(section)
     if not values:
-        raise ParameterError(f'{path} must have parameters under timo_sim: ros__parameters:')
-    return values
+        others = f'; it has those of {short(", ".join(sections), str)}' if sections else ''
+        raise ParameterError(
+            f'{path} must have parameters under timo_sim: ros__parameters:{others}')
+    return {name: value for name, value in values.items() if not name.startswith(FOREIGN)}
+
+
+def read_sections(path):
+    """
+    Return values by dotted name, unchecked, by full name of the node in a ROS parameter file.
+
+    Where ROS and YAML differ, names that are there twice, aliases and merge keys, and where the
+    file is none, there is a ParameterError.
+    """
+    content = read_yaml(path)
+    found, waiting = {}, [('', {} if content is None else content)]
+    while waiting:
+        node, inside = waiting.pop(0)
+        try:
+            if node in found:
+                raise ParameterError(f'{node} is there twice')
+            inside = dict(_mapping(inside))
+            if 'ros__parameters' in inside:
+                found[node] = flatten(inside.pop('ros__parameters') or {})
+        except ParameterError as error:
+            raise ParameterError(f'{error} ({path})') from None
+        waiting[:0] = [(f'{node}/{str(name).strip("/")}'.rstrip('/'), part)
+                       for name, part in inside.items()]
+    return found
+
+
+def _pattern(node):
+    wild = {'*': r'/\w+', '**': r'(/\w+)*'}
+    return re.compile(''.join(wild.get(name, '/' + re.escape(name))
+                              for name in node.split('/')[1:]))
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML of which ROS and PyYAML make the same."""
+
+    def compose_node(self, parent, index):
+        """Refuse aliases, which ROS does not know."""
+        if self.check_event(yaml.AliasEvent):
+            self._refuse('an alias, which ROS does not take', self.peek_event())
+        return super().compose_node(parent, index)
+
+    def flatten_mapping(self, node):
+        """Refuse names that are there twice, and merge keys, which are names for ROS."""
+        seen = set()
+        for name, _ in node.value:
+            if name.tag == 'tag:yaml.org,2002:merge':
+                self._refuse('a merge key, which ROS does not take', name)
+            if str(name.value) in seen:
+                self._refuse(f'{short(name.value, str)} is there twice', name)
+            seen.add(str(name.value))
+
+    @staticmethod
+    def _refuse(words, place):
+        raise yaml.constructor.ConstructorError(None, None, words, place.start_mark)
 
 
 def read_yaml(path):
     """Return what a YAML file says, or raise ParameterError."""
+    return parse_yaml(Path(path).read_bytes(), path)
+
+
+def parse_yaml(content, source):
+    """Return what YAML, text or bytes of a source, says, or raise ParameterError."""
     try:
-        return yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+        return yaml.load(content, _Loader)
     except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
         # PyYAML raises nearly anything for a tag on a value that does not suit it.
         reason = ' '.join(str(error).split())
-        raise ParameterError(f'{path} is not a YAML file: {reason}') from None
+        raise ParameterError(f'{source} is not a YAML file: {reason}') from None
 
 
 def flatten(values, prefix=''):
-    """Return values by dotted name, of values by nested or dotted name."""
+    """Return values by dotted name, of nested or dotted ones, or raise ParameterError."""
     flat = {}
-    for name, value in values.items():
-        # No name is deeper; what YAML aliases can make of few lines must not be walked through.
-        if isinstance(value, dict) and prefix.count('.') <= _DEEPEST:
-            flat.update(flatten(value, f'{prefix}{name}.'))
-        else:
-            flat[f'{prefix}{name}'] = value
+    for name, value in _mapping(values).items():
+        name = f'{prefix}{name}'
+        # No name is deeper.
+        nested = isinstance(value, Mapping) and prefix.count('.') <= _DEEPEST
+        for each, inner in (flatten(value, f'{name}.') if nested else {name: value}).items():
+            if each in flat:
+                raise ParameterError(f'{short(each, str)} is there twice')
+            flat[each] = inner
     return flat
+
+
+def _mapping(values):
+    if not isinstance(values, Mapping):
+        raise ParameterError(f'values must be given by name, got {short(values)}')
+    return values

@@ -18,7 +18,7 @@ from timo_sim.messages.outputs import outputs, TRANSFORMS
 from timo_sim.messages.sensors import SENSORS
 from timo_sim.physics.equations import FORMULATIONS
 from timo_sim.scene.parameter import (
-    did_you_mean, LATEST, NODE, Parameter, ParameterError, short)
+    did_you_mean, LATEST, NODE, Parameter, ParameterError, short, whole_ratio)
 
 
 def _positive(name, default, unit, meaning, **more):
@@ -232,6 +232,12 @@ def check(values, source):
         except ParameterError as error:
             raise ParameterError(f'{error} ({source})') from None
     return checked
+
+
+def steps_in(duration, step):
+    """Return how many time steps a duration has, both in s, or raise ParameterError."""
+    return whole_ratio('duration', PARAMETERS['duration'].check(duration),
+                       'integrator.step', step)
 
 
 def check_runtime(values, later):

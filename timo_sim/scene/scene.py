@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
+import os
 from pathlib import Path
 from typing import Any
 import warnings
@@ -149,7 +150,7 @@ class Scene:
 
         """
         sample = int(np.argmin(np.abs(run.t - t)))
-        if abs(run.t[sample] - t) > 1e-9 * max(1.0, abs(t)):
+        if not abs(run.t[sample] - t) <= 1e-9 * max(1.0, abs(t)):
             raise ParameterError(f't = {t:g} s must be the time of a sample, the nearest is '
                                  f'{run.t[sample]:.12g} s')
         if run.q.shape[1] != self.modal_count:
@@ -216,7 +217,7 @@ def load_scene(source: str | Path | Mapping[str, Any],
     5
 
     """
-    if isinstance(source, Mapping):
+    if not isinstance(source, str | Path):
         given, origin = flatten(source), 'given values'
     else:
         given, origin = read_parameter_file(source), str(source)
@@ -263,6 +264,9 @@ def project_on_modes(scene: Scene, deflection: Callable[[np.ndarray], Any],
 
 def scene_from(values):
     """Return the scene of a full set of checked values."""
+    if os.environ.get('NUMBA_DISABLE_JIT', '0') not in ('', '0'):
+        raise ParameterError('NUMBA_DISABLE_JIT must be 0 or not set, because the equations need '
+                             f'to be compiled, got {short(os.environ["NUMBA_DISABLE_JIT"])}')
     values = {name: values[name] for name, parameter in PARAMETERS.items()
               if parameter.scope == SCENE}
     check_counts(values)

@@ -14,7 +14,7 @@ import numpy as np
 
 from timo_sim.physics.layout import ANGLE, LOADS
 from timo_sim.scene.loads import CHANNELS
-from timo_sim.scene.parameter import did_you_mean, ParameterError
+from timo_sim.scene.parameter import did_you_mean, Parameter, ParameterError
 from timo_sim.scene.scene import Scene
 from timo_sim.scene.summary import html_table
 from timo_sim.simulation.joints import Joints
@@ -25,6 +25,7 @@ _SHIFT = 1e-3
 _STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
 _INPUTS = {f'{channel}_{"N_m" if "torque" in channel else "N"}': column
            for channel, column in CHANNELS.items()}
+_PERIOD = Parameter('dt', 1.0, 's', 'period', low=0.0, open_low=True)
 # Rates that are left where a state that is called an equilibrium is none [1/s].
 _STILL = 1e-9
 
@@ -109,12 +110,13 @@ class LinearModel:
         Raises
         ------
         ParameterError
-            If the model is one of discrete time already.
+            If the period is not > 0, or the model is one of discrete time already.
 
         """
         from scipy.signal import cont2discrete
         if self.dt is not None:
             raise ParameterError(f'the model is of discrete time already, dt = {self.dt:g} s')
+        dt = _PERIOD.check(dt)
         a, b, c, d, _ = cont2discrete((self.A, self.B, self.C, self.D), dt, method='zoh')
         return replace(self, A=a, B=b, C=c, D=d, dt=dt)
 

@@ -18,7 +18,8 @@ import warnings
 import numpy as np
 
 from timo_sim.physics.layout import Motion
-from timo_sim.scene.parameter import ModelWarning, ParameterError, whole_ratio
+from timo_sim.scene.parameter import ModelWarning, ParameterError
+from timo_sim.scene.parameters import PARAMETERS, steps_in
 from timo_sim.scene.scene import Scene, scene_from
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.simulator import Simulator
@@ -113,7 +114,7 @@ def choose_resolution(scene: Scene, duration: float = 0.0,
     3
 
     """
-    goal = scene.values['model.accuracy']
+    goal, duration = scene.values['model.accuracy'], PARAMETERS['duration'].check(duration)
     span = max(1, round(min(duration or HORIZON, LONGEST) / GRID))
     longer = max(1.0, duration / LONGEST)
     rich, truth, truth_error = _reference(scene, span, goal / AGREEMENT / longer)
@@ -174,12 +175,12 @@ def resolved(scene, duration, tell=None):
         elif choice.warning:
             warnings.warn(choice.warning, ModelWarning, stacklevel=3)
         scene = choice.scene
-    return scene, whole_ratio('duration', duration, 'integrator.step', scene.step)
+    return scene, steps_in(duration, scene.step)
 
 
 def _fits(duration, step):
     try:
-        return whole_ratio('duration', duration, 'integrator.step', step) >= 0
+        return steps_in(duration, step) >= 0
     except ParameterError:
         return False
 

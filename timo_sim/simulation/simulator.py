@@ -14,8 +14,7 @@ from timo_sim.jit.code_store import compiling, is_compiled
 from timo_sim.physics.integrate import steps_of
 from timo_sim.physics.integrate.run_error import CHUNK
 from timo_sim.physics.layout import ANGLE, Motion
-from timo_sim.scene.parameter import whole_ratio
-from timo_sim.scene.parameters import check_runtime
+from timo_sim.scene.parameters import check_runtime, steps_in
 from timo_sim.simulation import model_warnings
 from timo_sim.simulation.actuators import Actuators, commanded_load
 from timo_sim.simulation.load_table import advance_by_pieces, LoadTable
@@ -209,8 +208,7 @@ class Simulator:
                                    tip_force=tip_force, tip_torque=tip_torque, voltage=voltage)
         if not self._warm:
             self.warm_up()
-        self.advance(1 if duration is None else whole_ratio(
-            'duration', duration, 'integrator.step', self.scene.step), commanded)
+        self.advance(1 if duration is None else steps_in(duration, self.scene.step), commanded)
         return self.motion
 
     def advance(self, count, commanded=None, sample_every=0):

@@ -16,8 +16,8 @@ import numpy as np
 
 from timo_sim.runs.sampled import sampled_run
 from timo_sim.scene.files import flatten
-from timo_sim.scene.parameter import ParameterError, whole_ratio
-from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.scene.parameter import ParameterError
+from timo_sim.scene.parameters import PARAMETERS, steps_in
 from timo_sim.simulation.resolution import resolved
 
 # Steps and runs of a job: a fraction of a second, so that little is lost with a worker, and the
@@ -57,7 +57,7 @@ class Job(NamedTuple):
 
 def jobs_of(scene, duration, count, variations, names):
     """Divide a sweep of `count` runs into jobs, whatever the number of workers."""
-    steps = max(1, whole_ratio('duration', duration, 'integrator.step', scene.step))
+    steps = max(1, steps_in(duration, scene.step))
     length = max(1, min(_RUNS, _STEPS // steps, math.ceil(count / _FEWEST_JOBS)))
     rest = iter(variations)
     for first in range(0, count, length):

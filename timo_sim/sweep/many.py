@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from timo_sim.scene.files import flatten
-from timo_sim.scene.parameter import ParameterError, SCENE
+from timo_sim.scene.parameter import ParameterError, SCENE, short
 from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.scene.scene import Scene
 from timo_sim.sweep.jobs import jobs_of, run_job
@@ -57,7 +57,8 @@ def simulate_many(scene: Scene, variations: Iterable[Mapping[str, Any]], duratio
     Raises
     ------
     ParameterError
-        If the duration does not fit the step of the scene, or there are no variations.
+        If the duration does not fit the step of the scene, variations are none, or what cannot be
+        sent to a process, or `workers` is not at least 1.
     ConnectionError
         If the scheduler cannot be reached, or workers end time and again.
 
@@ -70,6 +71,9 @@ def simulate_many(scene: Scene, variations: Iterable[Mapping[str, Any]], duratio
     (2,)
 
     """
+    if not isinstance(variations, Iterable) or isinstance(variations, Mapping):
+        raise ParameterError('variations must be a list of values by name, got '
+                             + short(variations))
     variations = list(variations)
     if not variations:
         raise ParameterError('variations must have at least one element, got none')

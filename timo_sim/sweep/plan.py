@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from timo_sim.scene.files import flatten, read_yaml
-from timo_sim.scene.parameter import Parameter, ParameterError, SCENE, whole_ratio
-from timo_sim.scene.parameters import check, PARAMETERS
+from timo_sim.scene.parameter import Parameter, ParameterError, SCENE
+from timo_sim.scene.parameters import check, PARAMETERS, steps_in
 from timo_sim.scene.scene import load_scene, Scene
 from timo_sim.sweep.jobs import jobs_of
 from timo_sim.version import __version__
@@ -99,7 +99,7 @@ def _plan(content, folder):
     scene = load_scene(folder / scene if isinstance(scene, str) else scene,
                        _mapping('parameters', content.get('parameters') or {}))
     duration = _DURATION.check(content.get('duration'))
-    whole_ratio('duration', duration, 'integrator.step', scene.step)
+    steps_in(duration, scene.step)
     names, count = {'runs': _runs, 'grid': _grid, 'random': _random}[kind](content[kind])
     return Plan(scene, duration, names, count, kind, content[kind])
 

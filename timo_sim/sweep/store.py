@@ -13,10 +13,13 @@ A part appears under its name only when it is whole. A sweep that was killed goe
 that are missing; each job is in the result once.
 """
 
+from contextlib import ExitStack
+import fcntl
 import hashlib
 from pathlib import Path
 import shutil
 import time
+import uuid
 
 import numpy as np
 import pyarrow
@@ -58,8 +61,14 @@ def run_sweep(file, output=None, workers=None, scheduler=None):
     """
     plan = read_plan(file)
     output = output or Path(file).with_suffix('.parquet').name
-    store = Store(output, plan)
     start = time.monotonic()
+    with Store(output, plan) as store:
+        _do(plan, store, workers, scheduler)
+        failed = store.finish()
+    print(f'{plan.count} runs in {time.monotonic() - start:.1f} s, {failed} failed: {output}')
+
+
+def _do(plan, store, workers, scheduler):
     with executor_of(workers, scheduler) as executor, tqdm(
             total=plan.count, unit='run', disable=None) as bar:
 
@@ -73,13 +82,11 @@ def run_sweep(file, output=None, workers=None, scheduler=None):
         for job, table in done(executor, missing()):
             store.add(job, table)
             bar.update(len(job.variations))
-    failed = store.finish()
-    print(f'{plan.count} runs in {time.monotonic() - start:.1f} s, {failed} failed: {output}')
 
 
 class Store:
     """
-    The parts of a sweep, and the file that they become.
+    The parts of a sweep, and the file that they become; for one at a time, until it is closed.
 
     Parameters
     ----------
@@ -90,7 +97,7 @@ class Store:
     Raises
     ------
     ParameterError
-        If the file exists, or the parts are those of another sweep.
+        If the file exists, or the parts are those of another sweep, or in use by one.
 
     """
 
@@ -99,14 +106,39 @@ class Store:
         self._parts = self._output.with_name(self._output.name + '.parts')
         self._schema = _schema(plan)
         self._found = []  # parts that are whole
-        if self._output.exists():
-            raise ParameterError(f'{output} exists: remove it or choose another --output')
+        self._refuse_output()
         self._parts.mkdir(parents=True, exist_ok=True)
-        mark = self._parts / 'sweep'
-        if mark.exists() and mark.read_bytes() != plan.fingerprint.encode():
+        with ExitStack() as stack:
+            self._lock = stack.enter_context(open(self._parts / 'sweep', 'a+b', buffering=0))
+            self._claim(plan.fingerprint.encode())
+            self._refuse_output()  # of a sweep that has just ended
+            stack.pop_all()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._lock.close()
+
+    def _refuse_output(self):
+        if self._output.exists():
+            raise ParameterError(f'{self._output} exists: remove it or choose another --output')
+
+    def _claim(self, fingerprint):
+        """Take the parts for this process and sweep, or raise ParameterError."""
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ParameterError(f'another sweep is running with {self._parts}: wait for its end '
+                                 'or choose another --output') from None
+        except OSError:  # a disk without locks
+            pass
+        self._lock.seek(0)
+        found = self._lock.read()
+        if not fingerprint.startswith(found):  # a kill may have left a part of it
             raise ParameterError(f'{self._parts} is of another sweep: remove it or choose another '
                                  '--output')
-        _write_whole(mark, lambda path: path.write_text(plan.fingerprint))
+        self._lock.write(fingerprint[len(found):])
 
     def has(self, job):
         """Return whether the part of a job is there, and whole."""
@@ -127,9 +159,10 @@ class Store:
     def add(self, job, table):
         """Write the part of a job."""
         part, path = pyarrow.table(table, schema=self._schema), self._part(job.first)
-        _write_whole(path, lambda path: parquet.write_table(part, path, write_page_checksum=True))
+        self._write_whole(
+            path, lambda file: parquet.write_table(part, file, write_page_checksum=True))
         # Parquet has none for what it says about its columns.
-        _write_whole(_checksum_of(path), lambda file: file.write_bytes(_digest(path)))
+        self._write_whole(_checksum_of(path), lambda file: file.write_bytes(_digest(path)))
         self._found.append(path)
 
     def finish(self):
@@ -159,9 +192,14 @@ class Store:
             if runs != self._count:
                 raise RuntimeError(f'{self._parts}: {runs} of {self._count} runs')
 
-        _write_whole(self._output, join)
-        shutil.rmtree(self._parts)
+        self._write_whole(self._output, join)
+        shutil.rmtree(self._parts, ignore_errors=True)  # another may just look at them
         return failed
+
+    def _write_whole(self, path, write):
+        unfinished = self._parts / uuid.uuid4().hex
+        write(unfinished)
+        unfinished.replace(path)
 
     @staticmethod
     def _read(part):
@@ -179,12 +217,6 @@ def _checksum_of(part):
 
 def _digest(part):
     return hashlib.sha256(part.read_bytes()).digest()
-
-
-def _write_whole(path, write):
-    unfinished = path.with_name(path.name + '.unfinished')
-    write(unfinished)
-    unfinished.replace(path)
 
 
 def _schema(plan):

@@ -17,7 +17,11 @@ import subprocess
 import sys
 import threading
 
+from timo_sim.scene.parameter import Parameter, ParameterError
+from timo_sim.version import __version__
+
 _ATTEMPTS = 3  # processes that may die over the same call
+_WIDTH = Parameter('workers', 1, '', 'processes', low=1)
 _ONE_THREAD = dict.fromkeys(('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'), '1')
 
 
@@ -32,14 +36,23 @@ def cluster_executor(address):
     Yield an executor of the Dask scheduler at an address, such as `tcp://host:8786`.
 
     The scheduler repeats the calls of a worker that dies, and computes results anew that died with
-    it; one call gives one result. If it cannot be reached, that is a ConnectionError.
+    it; one call gives one result. If it cannot be reached, or a worker has another version of this
+    package, that is a ConnectionError.
     """
     from distributed import Client
+    from distributed.comm import get_address_host_port
     try:
+        get_address_host_port(address)  # a Client of an address that is none would complain later
         client = Client(address, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ConnectionError(f'no Dask scheduler at {address}: {error}') from None
     with client:
+        # By value, because it must not be the worker's own function of this name.
+        found = client.run(lambda: __import__('timo_sim').__version__, on_error='return')
+        for worker, version in found.items():
+            if version != __version__:
+                raise ConnectionError(f'the Dask worker {worker} must have timo_sim {__version__}'
+                                      f', got {version}')
         executor = client.get_executor(pure=False)
         executor.width = max(1, sum(client.nthreads().values()))
         try:
@@ -64,7 +77,7 @@ class LocalExecutor:
     """
 
     def __init__(self, width=None):
-        self.width = width or len(os.sched_getaffinity(0))
+        self.width = len(os.sched_getaffinity(0)) if width is None else _WIDTH.check(width)
         self._threads = ThreadPoolExecutor(self.width, 'sweep')
         self._own = threading.local()
         self._children = []
@@ -88,8 +101,13 @@ class LocalExecutor:
             child.kill()
 
     def submit(self, function, *arguments):
-        """Return the future of a call; function and arguments can be pickled."""
-        return self._threads.submit(self._call, pickle.dumps((function, arguments)))
+        """Return the future of a call; what cannot be pickled is a ParameterError."""
+        try:
+            call = pickle.dumps((function, arguments))
+        except (AttributeError, TypeError, pickle.PicklingError) as error:
+            raise ParameterError(f'what worker processes get must be plain values: {error}'
+                                 ) from None
+        return self._threads.submit(self._call, call)
 
     def _call(self, call):
         for _ in range(_ATTEMPTS):

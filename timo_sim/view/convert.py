@@ -47,7 +47,10 @@ def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
 
     """
     stream = rr.RecordingStream('timo_sim')
-    stream.save(path)
+    try:
+        stream.save(path)
+    except RuntimeError as error:  # which says why and where
+        raise OSError(error) from None
     frames = [track.frames(fps, at) for track in tracks]
     bounds, largest = _extent(tracks, frames)
     log_frame_of_plane(stream, bounds)

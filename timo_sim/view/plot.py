@@ -11,6 +11,8 @@
 from matplotlib.figure import Figure
 import numpy as np
 
+from timo_sim.scene.parameter import ParameterError
+
 # Okabe and Ito's colours, which colour-blind readers tell apart.
 _COLOURS = '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'
 _ARMS, _POINTS = 8, 41  # shapes of the arm that are drawn, and points of each
@@ -54,6 +56,14 @@ def plot(run):
     axes['plane'].legend(fontsize='small')
     axes['plane'].grid(alpha=0.3)
     return figure
+
+
+def write(figure, path):
+    """Write a figure to a file, of which the ending says the format; else ParameterError."""
+    try:
+        figure.savefig(path, dpi=100)
+    except ValueError as error:
+        raise ParameterError(f'{path} cannot be drawn: {error}') from None
 
 
 def bode(model):

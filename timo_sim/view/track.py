@@ -10,6 +10,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -101,9 +102,13 @@ class Track:
 
 
 def unique_names(names):
-    """Return names with a number after those that are there before."""
-    return [name if names.index(name) == place else f'{name}_{place}'
-            for place, name in enumerate(names)]
+    """Return names with a number, which makes none of the others, after those already there."""
+    found = []
+    for place, name in enumerate(names):
+        numbered = (f'{name}_{number}' for number in itertools.count(place))
+        found.append(name if name not in found else next(
+            each for each in numbered if each not in {*names, *found}))
+    return found
 
 
 def of_run(run, name='run'):

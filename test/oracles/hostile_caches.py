@@ -1,0 +1,91 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Folders and files of machine code as another user plants them: a pickle may run anything."""
+
+import hashlib
+import os
+import pickle
+
+
+class Hostile:
+    """Make a folder when unpickled."""
+
+    def __init__(self, proof):
+        self.proof = str(proof)
+
+    def __reduce__(self):
+        return os.mkdir, (self.proof,)
+
+
+def give_to_another(path, patch):
+    """
+    Let a file belong to another user, or look so where this process may not give it away.
+
+    `patch` is a function(object, str, object) that replaces an attribute for a while.
+    """
+    if os.geteuid() == 0:
+        os.chown(path, 4321, -1)
+        return
+    theirs, fstat = path.stat(), os.fstat
+
+    def seen(descriptor):
+        status = fstat(descriptor)
+        other = status.st_uid + os.path.samestat(status, theirs)
+        return os.stat_result((*status[:4], other, *status[5:]))
+
+    patch(os, 'fstat', seen)
+
+
+def plant(store, proof):
+    """Replace the machine code in a store by a pickle with the right name and checksum."""
+    file, = store.glob('*.code')
+    data = pickle.dumps(Hostile(proof))
+    file.write_bytes(hashlib.sha256(data).digest() + data)
+    return file
+
+
+def link(path):
+    """Put a symbolic link in the place of a folder."""
+    path.symlink_to(path.rename(path.with_name('planted')))
+
+
+def link_to_root(leaf):
+    """Put machine code into the root, and a link to the root in the place of the leaf."""
+    for file in leaf.iterdir():
+        file.rename(leaf.parent / file.name)
+    leaf.rmdir()
+    leaf.symlink_to('.')
+
+
+FOLDERS = {
+    'root 0777': lambda leaf, patch: leaf.parent.chmod(0o777),
+    'root 1777': lambda leaf, patch: leaf.parent.chmod(0o1777),
+    'root 0770': lambda leaf, patch: leaf.parent.chmod(0o770),
+    'leaf 0777': lambda leaf, patch: leaf.chmod(0o777),
+    'leaf 0720': lambda leaf, patch: leaf.chmod(0o720),
+    'root is a link': lambda leaf, patch: link(leaf.parent),
+    'leaf is a link': lambda leaf, patch: link(leaf),
+    'leaf is a link to the root': lambda leaf, patch: link_to_root(leaf),
+    "root is another's": lambda leaf, patch: give_to_another(leaf.parent, patch),
+    "leaf is another's": lambda leaf, patch: give_to_another(leaf, patch)}
+
+
+def another_pipe(file, patch):
+    """Put a pipe in the place of a file: to open it for reading waits for somebody who writes."""
+    file.unlink()
+    os.mkfifo(file)
+    give_to_another(file, patch)
+
+
+FILES = {
+    '0666': lambda file, patch: file.chmod(0o666),
+    '0620': lambda file, patch: file.chmod(0o620),
+    'link': lambda file, patch: link(file),
+    "another's": give_to_another,
+    "another's pipe": another_pipe}
