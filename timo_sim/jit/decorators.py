@@ -16,7 +16,8 @@ no two arrays overlap, see `constants`. One machine code for each size of a mode
 import inspect
 
 import numba
-from numba.core import config, types
+from numba.core import config
+from numba.core.types import containers
 from numba.extending import overload
 
 from timo_sim.jit.code_store import CodeStore, store_directory
@@ -40,7 +41,7 @@ def _optimise_less_for_any_size(compiled):
 
     def compile_signature(arguments, return_type):
         usual = config.OPT
-        if isinstance(arguments[0], types.BaseNamedTuple):
+        if isinstance(arguments[0], containers.BaseNamedTuple):
             config.OPT = type(usual)(1)
         try:
             return compile_as_usual(arguments, return_type)
