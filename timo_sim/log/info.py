@@ -120,7 +120,11 @@ def _times(index, step):
     found = {}
     # In the order of time, which need not be that of the file.
     chunks = sorted(index.chunks, key=lambda chunk: chunk.message_start_time)
-    wanted = {*range(0, len(chunks), step), *range(len(chunks) - 3, len(chunks)), 0, 1, 2}
+    holding = [(channel, place) for place, chunk in enumerate(chunks)
+               for channel in chunk.message_index_offsets]
+    # Of each channel also its first and its last chunk, for the rate.
+    wanted = {*range(0, len(chunks), step), *range(len(chunks) - 3, len(chunks)), 0, 1, 2,
+              *dict(holding).values(), *dict(reversed(holding)).values()}
     parts, last_read = [], None
     for number in sorted(place for place in wanted if 0 <= place < len(chunks)):
         if last_read != number - 1:
