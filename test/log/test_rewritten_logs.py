@@ -132,10 +132,10 @@ def test_what_other_tools_write_is_recovered_whole(name, write):
     expected = readable(path)
     data = path.read_bytes()
     end = next(place for place, opcode, _ in hostile_logs.places(data) if opcode == 15)
-    path.write_bytes(data[:end] + raw(0x80, b'mine'))
+    path.write_bytes(data[:end] + raw(0x80, b'of my own'))
     new = path.with_name('new.mcap')
-    assert f'it ends early (byte {end + 13})' in recover(path, new)
-    assert readable(new) == expected and raw(0x80, b'mine') in new.read_bytes()
+    assert f'it ends early (byte {end + 18})' in recover(path, new)
+    assert readable(new) == expected and raw(0x80, b'of my own') in new.read_bytes()
     assert (repr(NOTE) in expected) == (name == 'attachments')
     assert 'is complete' in recover(new)
 

@@ -227,7 +227,7 @@ def _in_one_chunk(data):
     content = _no_summary(data)
     parts = [(opcode, content[place:place + length]) for place, opcode, length in places(content)]
     packed = chunk(b''.join(part for opcode, part in parts if opcode in (3, 4, 5))
-                   + raw(0x90, b'private'), 'zstd')
+                   + raw(0x90, b'private data'), 'zstd')
     return content[:8] + b''.join(part for opcode, part in parts if opcode in (HEADER, 12)) + (
         written(packed, DataEnd(0), Footer(0, 0, 0))) + MCAP0_MAGIC
 
@@ -235,7 +235,7 @@ def _in_one_chunk(data):
 # What is done with the bytes of a log without chunks.
 BYTES = {
     'no summary': _no_summary,
-    'records of its own': lambda data: _no_summary(data, raw(0x90, b'private')),
+    'records of its own': lambda data: _no_summary(data, raw(0x90, b'private data')),
     'records of its own in a chunk': _in_one_chunk,
     'other numbers': _unchunked(lambda part, opcode: part if opcode not in (4, 5) else part[:9] + (
         struct.pack('<H', 65535 - struct.unpack_from('<H', part, 9)[0])) + part[11:]),

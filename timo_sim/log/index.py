@@ -58,7 +58,7 @@ def read_summary(stream):
     try:
         for record in StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records:
             found[type(record)].append(record)
-    except UNREADABLE as error:
+    except (*UNREADABLE, ValueError) as error:  # mcap 1.1 of short records it does not know
         raise Broken(f'its index is damaged: {error}') from None
     if not found[Statistics]:
         raise Broken('there are no statistics')
