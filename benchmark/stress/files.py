@@ -15,7 +15,7 @@ import sys
 
 from benchmark import ROOT
 from benchmark.stress.tally import ensure, small_disk, Tally
-from oracles import rewritten_logs
+from oracles import log_judge, rewritten_logs
 from timo_sim.jit import code_store
 from timo_sim.jit.decorators import entry_point
 
@@ -117,14 +117,14 @@ def rewritten(folder, pairs, generator):
     tally, seen = Tally('rewritten and foreign logs'), Counter()
     for resets in ((), (200,)):
         source = rewritten_logs.record(folder / f'{len(resets)}.mcap', resets)
-        judge = rewritten_logs.Judge(source)
+        judge = log_judge.Judge(source)
         for name, path in rewritten_logs.rewritings(source, folder, pairs, generator):
             for command in judge.COMMANDS:
                 with tally.trial(f'{command}, {name}'):
                     try:
                         seen[judge.judge(path, command)] += 1
                     except Exception as error:
-                        seen['silent' if isinstance(error, rewritten_logs.Wrong) else 'other'] += 1
+                        seen['silent' if isinstance(error, log_judge.Wrong) else 'other'] += 1
                         raise
     return tally.row(f'{seen["right"]} right results, {seen["error"]} clear errors, '
                      f'{seen["silent"]} silent wrong, {seen["other"]} tracebacks')

@@ -19,7 +19,8 @@ import pytest
 
 from oracles import hostile_logs, rewritten_logs
 from oracles.hostile_logs import chunk, message, raw, written
-from oracles.rewritten_logs import Judge, NOTE, readable, records, WRITTEN
+from oracles.log_judge import Judge, readable
+from oracles.rewritten_logs import NOTE, records, WRITTEN
 from timo_sim.cli import main
 from timo_sim.log.recover import recover
 
