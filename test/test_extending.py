@@ -92,7 +92,7 @@ def test_in_the_node_its_log_and_a_table(extended):
     told = python(extended, '-c', 'from timo_sim.cli import main; [main(line.split(), '
                   'standalone_mode=False) for line in ("replay run.mcap", '
                   '"export run.mcap -o run.csv")]')
-    assert 'numbers are the same to the last bit' in told
+    assert 'all are the same to the last bit' in told
     table = np.genfromtxt(extended / 'run.csv', delimiter=',', names=True)
     assert np.array_equal(table['carrier_velocity_x_m_per_s'], table['carrier_x_velocity_m_per_s'])
     assert np.abs(table['carrier_velocity_x_m_per_s']).max() > 0.001

@@ -55,7 +55,7 @@ for command in sys.argv[1:]:
 COMMANDS = {
     'simulate paper --duration 1 --png paper.png -o paper.mcap --set arm.length=1.9 --rate 200':
         '201 samples until t = 1 s, no warnings',
-    'replay paper.mcap': 'numbers are the same to the last bit',
+    'replay paper.mcap': 'all are the same to the last bit',
     'replay paper.mcap --set end_effector.mass=3': 'new log: paper_replay.mcap',
     'export paper_replay.mcap -o out.csv': 'rows',
     'info paper_replay.mcap': 'sim time  0 to 1 s',

@@ -24,6 +24,7 @@ import yaml
 from ros_process import Process
 import timo_sim
 from timo_sim.cli import main
+from timo_sim.log import info as info_module
 from timo_sim.log.index import Index
 from timo_sim.log.recorder import Channel, Recorder
 from timo_sim.messages.outputs import outputs
@@ -101,6 +102,20 @@ def test_a_gigabyte_takes_no_longer_than_its_index(tmp_path):
     begin = time.process_time()
     assert '100 Hz' in call('info', path)
     assert time.process_time() - begin < 1.5
+
+
+def test_a_topic_that_ends_early_has_its_rate_where_chunks_are_skipped(tmp_path, monkeypatch):
+    monkeypatch.setattr(info_module, '_MOST_TIMES', 20)  # of 225: one chunk in twelve
+    path = tmp_path / 'early.mcap'
+    recorder = Recorder(path, [Channel('/short', 'std_msgs/msg/Float64'),
+                               Channel('/long', 'std_msgs/msg/Float64')], {})
+    for k in range(200):
+        recorder.write(1, k, k * 10000000, bytes(12))
+        if 70 < k < 96:
+            recorder.write(0, k, k * 10000000, bytes(12))
+        recorder.note('', {})  # which ends a chunk
+    recorder.close()
+    assert all(f' {count}      100 Hz  0.01 s' in call('info', path) for count in (200, 25))
 
 
 def test_info_imports_no_physics(log):

@@ -27,8 +27,9 @@ from timo_sim.cli import main
 from timo_sim.log.info import info
 from timo_sim.log.notes import CHANGE, START
 from timo_sim.log.recorder import Channel, Recorder
-from timo_sim.log.recording import common, Recording
+from timo_sim.log.recording import Recording
 from timo_sim.log.records import LogError
+from timo_sim.log.series import common
 from timo_sim.messages.commands import COMMANDS
 
 LIES = 150

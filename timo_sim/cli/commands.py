@@ -185,8 +185,8 @@ def replay(file, settings, formulation, scene, output, start, duration, node):
     \b
         timo_sim replay bag --scene my_scene.yaml --duration 20
 
-    Exit codes: 0 good; 1 the unchanged scene does not give the same bits, or the run diverges; 2
-    bad input.
+    Exit codes: 0 good; 1 the unchanged scene does not give the same bits, or not all are compared,
+    or the run diverges; 2 bad input.
     """
     from timo_sim.replay.replay import replay
     changes = _parsed(settings)

@@ -17,7 +17,8 @@ import numpy as np
 
 from timo_sim.log.index import Index
 from timo_sim.log.records import LogError, printable
-from timo_sim.log.recording import common, Recording
+from timo_sim.log.recording import Recording
+from timo_sim.log.series import common
 from timo_sim.log.writer import information, yaml_text
 from timo_sim.messages.outputs import outputs, with_angles
 
@@ -49,12 +50,13 @@ def export(file, output, topic=None, node=None):
 
     """
     output = _new_table(Path(output))
-    columns, left = table(Recording(file, node), topic)
+    recording = Recording(file, node)
+    columns, left = table(recording, topic)
     write_table(columns, output)
     text = f'{printable(output)}: {len(columns["time_s"])} rows, {len(columns)} columns'
     if left:
         text += '; messages at other times are left out, --topic writes them: ' + ', '.join(left)
-    return text
+    return '; '.join([text, *recording.unread.values()])
 
 
 def write_table(columns, path):
@@ -84,7 +86,7 @@ def table(recording, topic=None):
     base = found.pop(topic or 'joint_states', None)
     if base is None:
         topics = ', '.join(sorted(recording.read())) or 'none'
-        raise LogError(f'{recording.index.name} has no {topic or "joint_states"}; it has {topics}')
+        raise recording.lacks(f'{topic or "joint_states"}; it has {topics}')
     columns, left = {'time_s': 1e-9 * base.ns}, []
     if recording.facts:
         columns['step'] = base.step

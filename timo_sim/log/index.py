@@ -14,6 +14,7 @@ from io import BytesIO
 import os
 from pathlib import Path
 import struct
+from typing import Any
 import zlib
 
 from mcap.opcode import Opcode
@@ -53,14 +54,31 @@ def read_summary(stream):
     data = stream.read(length)
     if crc and zlib.crc32(memoryview(data)[:-12]) != crc:  # without itself and the magic
         raise Broken('the checksum of the summary is wrong')
-    found = defaultdict(list)
+    found: defaultdict[type, list[Any]] = defaultdict(list)
     try:
         for record in StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records:
             found[type(record)].append(record)
-    except UNREADABLE as error:
+    except (*UNREADABLE, ValueError) as error:  # mcap 1.1 of short records it does not know
         raise Broken(f'its index is damaged: {error}') from None
     if not found[Statistics]:
         raise Broken('there are no statistics')
+    counts = found[Statistics][-1]
+    for kind, count in ((Schema, counts.schema_count), (Channel, counts.channel_count),
+                        (MetadataIndex, counts.metadata_count)):
+        if len(found[kind]) < count:
+            raise Broken(f'its summary has {len(found[kind])} of {count} records of kind '
+                         f'{kind.__name__.lower()}')
+    found[ChunkIndex].sort(key=lambda chunk: chunk.chunk_start_offset)
+    found[MetadataIndex].sort(key=lambda entry: entry.offset)
+    # What overlaps would be read again and again.
+    for spans in ([(chunk.chunk_start_offset, chunk.chunk_length + chunk.message_index_length)
+                   for chunk in found[ChunkIndex]],
+                  [(entry.offset, entry.length) for entry in found[MetadataIndex]]):
+        before = 0
+        for place, length in spans:
+            if place < before or place + length > size:
+                raise Broken('two entries of its index overlap')
+            before = place + length
     return found
 
 
@@ -96,16 +114,13 @@ class Index:
         with open_file(self.path) as self._stream:
             try:
                 found = read_summary(self._stream)
-                self.schemas = {schema.id: schema for schema in found[Schema]}
-                self.channels = {channel.id: channel for channel in found[Channel]}
-                self.statistics = found[Statistics][-1]
-                self.chunks = sorted(found[ChunkIndex],
-                                     key=lambda chunk: chunk.chunk_start_offset)
-                self._metadata = sorted(found[MetadataIndex], key=lambda entry: entry.offset)
-                self._check_order()
             except Broken as error:
                 raise LogError(f'{self.name}: {error}: timo_sim recover {self.name} makes a '
                                'complete log of it') from None
+        self.schemas = {schema.id: schema for schema in found[Schema]}
+        self.channels = {channel.id: channel for channel in found[Channel]}
+        self.statistics = found[Statistics][-1]
+        self.chunks, self._metadata = found[ChunkIndex], found[MetadataIndex]
 
     def metadata(self):
         """Yield place and record of each metadata record but rosbag2's."""
@@ -140,18 +155,6 @@ class Index:
         except (Broken, struct.error) as error:
             raise LogError(f'{self.name} is damaged: {error}: timo_sim recover {self.name} keeps '
                            'what is intact') from None
-
-    def _check_order(self):
-        # What overlaps would be read again and again.
-        size = os.fstat(self._stream.fileno()).st_size
-        for spans in ([(chunk.chunk_start_offset, chunk.chunk_length + chunk.message_index_length)
-                       for chunk in self.chunks],
-                      [(entry.offset, entry.length) for entry in self._metadata]):
-            before = 0
-            for place, length in spans:
-                if place < before or place + length > size:
-                    raise Broken('two entries of its index overlap')
-                before = place + length
 
     def _record(self, place, length, opcode):
         """Return the content of a record of which place and length are known."""

@@ -8,6 +8,8 @@
 
 """What a log is about, from its ends and its indexes: a gigabyte takes less than a second."""
 
+from collections import defaultdict
+from itertools import accumulate
 import json
 import math
 
@@ -92,8 +94,9 @@ def _about_topics(index):
     counts = index.statistics.channel_message_counts
     step = max(1, math.ceil(index.statistics.message_count / _MOST_TIMES))
     times = _times(index, step)
-    pauses = [after.message_start_time - before.message_end_time
-              for before, after in zip(index.chunks, index.chunks[1:])]
+    ordered = sorted(index.chunks, key=lambda chunk: chunk.message_start_time)
+    ends = accumulate((chunk.message_end_time for chunk in ordered), max)
+    pauses = [after.message_start_time - end for end, after in zip(ends, ordered[1:])]
     if max(pauses, default=0) > _NANOSECONDS:
         yield f'  no messages at all for {max(pauses) / _NANOSECONDS:.6g} s'
     width, silent = max([len(channel.topic) for channel in index.channels.values()], default=5), []
@@ -115,20 +118,26 @@ def _about_topics(index):
 
 def _times(index, step):
     """Return first and last time and the largest gap between messages of each channel [ns]."""
-    found, before = {}, {}
-    chunks = index.chunks
-    wanted = {*range(0, len(chunks), step), *range(len(chunks) - 3, len(chunks)), 0, 1, 2}
-    last_read = None
+    found = {}
+    # In the order of time, which need not be that of the file.
+    chunks = sorted(index.chunks, key=lambda chunk: chunk.message_start_time)
+    holding = [(channel, place) for place, chunk in enumerate(chunks)
+               for channel in chunk.message_index_offsets]
+    # Of each channel also its first and its last chunk, for the rate.
+    wanted = {*range(0, len(chunks), step), *range(len(chunks) - 3, len(chunks)), 0, 1, 2,
+              *dict(holding).values(), *dict(reversed(holding)).values()}
+    parts, last_read = [], None
     for number in sorted(place for place in wanted if 0 <= place < len(chunks)):
         if last_read != number - 1:
-            before = {}
+            parts.append(defaultdict(list))
         last_read = number
         for channel, times in index.times(chunks[number]).items():
-            if not len(times):
-                continue
-            first, last, gap = found.get(channel, (int(times[0]), 0, 0))
-            start = before.get(channel, times[0])
-            gap = max(gap, int(np.diff(times, prepend=start).max()))
-            before[channel] = times[-1]
-            found[channel] = min(first, int(times.min())), max(last, int(times.max())), gap
+            parts[-1][channel].append(times)
+    for part in parts:
+        for channel, times in part.items():
+            times = np.sort(np.concatenate(times))
+            if len(times):
+                first, last, gap = found.get(channel, (int(times[0]), 0, 0))
+                gap = max(gap, int(np.diff(times, prepend=times[0]).max()))
+                found[channel] = min(first, int(times[0])), max(last, int(times[-1])), gap
     return found

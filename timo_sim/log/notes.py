@@ -35,12 +35,12 @@ class LogNotes(NamedTuple):
 
 def read_notes(index):
     """Return the LogNotes of an Index; raise LogError if they cannot be read."""
-    facts, summary, resets, changes = {}, {}, [], []
+    starts, summary, resets, changes = [], {}, [], []
     for place, record in index.metadata():
         content = record.metadata
         try:
             if record.name == START:
-                facts = content
+                starts.append(content)
             elif record.name == SUMMARY:
                 summary = content
             elif record.name == RESET:
@@ -51,7 +51,10 @@ def read_notes(index):
         except (KeyError, TypeError, ValueError, RecursionError):
             raise LogError(f'{index.name} has a {record.name} that says {str(content)[:80]!r}'
                            ) from None
-    return LogNotes(facts, summary, resets, changes)
+    if any(content != starts[0] for content in starts):
+        raise LogError(f'{index.name} has the notes of several runs')
+    return LogNotes(starts[0] if starts else {}, summary, sorted(resets),
+                    sorted(changes, key=lambda entry: entry[:2]))
 
 
 def _step(content):

@@ -8,6 +8,7 @@
 
 """A log as arrays: what the node published, and the commands that it obeyed."""
 
+from collections import Counter
 from functools import cached_property
 import json
 import math
@@ -17,9 +18,9 @@ import numpy as np
 
 from timo_sim.log.index import Index
 from timo_sim.log.notes import read_notes
+from timo_sim.log.reader import Reader
 from timo_sim.log.records import LogError, open_file, printable
-from timo_sim.log.recover import Reader
-from timo_sim.log.series import Collector, Series
+from timo_sim.log.series import Collector, common, Series
 from timo_sim.log.writer import Chunk
 from timo_sim.messages.cdr import CdrError
 from timo_sim.messages.commands import COMMANDS
@@ -28,7 +29,7 @@ from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.parameters import current
 from timo_sim.scene.scene import load_scene
 
-_WRAP = 2**32  # steps after which a sequence number starts again
+_WRAP = 2**32  # steps after which a sequence number starts again; 0: there is none
 _TYPES = {entry.name: entry.type_name for entry in (*outputs(1), *COMMANDS)}
 
 
@@ -62,6 +63,8 @@ class Recording:
         Steps at which the motion was reset.
     changes : list of tuple
         Step, place in the file and values by name of each setting of the scene's parameters.
+    unread : dict of str
+        Why messages of the node's topics are not read, by topic.
     index : Index
 
     Raises
@@ -77,13 +80,25 @@ class Recording:
         self.facts, self.summary, resets, self.changes = read_notes(self.index)
         self.resets, self.reset_places = np.array(resets, dtype=np.int64).reshape(-1, 2).T
         self.name = node or self.facts.get('node') or self._find_node()
+        self._wanted, self.unread = {}, {}
+        for number, channel in self.index.channels.items():
+            short, schema = self.short_name(channel.topic), self.index.schemas.get(
+                channel.schema_id)
+            if short in _TYPES:
+                kind = schema.name if schema else 'not said, without a schema'
+                if (kind, channel.message_encoding) == (_TYPES[short], 'cdr'):
+                    self._wanted[number] = short, channel.topic, kind
+                else:
+                    self.unread[channel.topic] = (
+                        f'{channel.topic[:80]} is not read: its type is {kind[:80]}, encoded as '
+                        f'{channel.message_encoding[:20]!r}')
 
     @cached_property
     def parameters(self):
         """What the log says of all parameters of the node, not checked, by present name."""
-        parameters = json.loads(self.facts['parameters'])
+        parameters = json.loads(self.facts.get('parameters', 'null'))
         if not isinstance(parameters, dict):
-            raise ValueError('they are no dictionary')
+            raise ValueError('its parameters are no dictionary')
         return current(parameters)
 
     @cached_property
@@ -118,15 +133,11 @@ class Recording:
         dict of Series
 
         """
-        wanted = {}
-        for number, channel in self.index.channels.items():
-            short, schema = self.short_name(channel.topic), self.index.schemas.get(
-                channel.schema_id)
-            if (schema and channel.message_encoding == 'cdr' and _TYPES.get(short) == schema.name
-                    and (not names or short in names)):
-                if any(other.name == short for other in wanted.values()):
-                    raise LogError(f'{self.index.name} has two channels of {channel.topic[:80]}')
-                wanted[number] = Collector(short, channel.topic, schema.name)
+        wanted = {number: Collector(*found) for number, found in self._wanted.items()
+                  if not names or found[0] in names}
+        twice = Counter(collector.topic for collector in wanted.values()).most_common(1)
+        if twice and twice[0][1] > 1:
+            raise LogError(f'{self.index.name} has two channels of {twice[0][0][:80]}')
         for place, data, offsets in self._blocks(most_chunks):
             for number in wanted.keys() & offsets.keys():
                 try:
@@ -155,17 +166,35 @@ class Recording:
         """
         found = self.read('joint_states', '~/modal_state') if series is None else series
         if 'joint_states' not in found:
-            raise LogError(f'{self.index.name} has no joint_states of {self.name}')
+            raise self.lacks(f'joint_states of {self.name}')
         joints, modes = found['joint_states'], found.get('~/modal_state')
         if modes is None:
             if self.scene is None or self.scene.modal_count:
-                raise LogError(f'{self.index.name} has no modal_state of {self.name}')
+                raise self.lacks(f'modal_state of {self.name}')
             return joints.step, joints.ns, joints.values[:, :6]
         first, second = common(joints.ns, modes.ns)
         q, rates = np.hsplit(modes.values[second], 2)
         position, velocity = joints.values[first, :3], joints.values[first, 3:6]
         return (joints.step[first], joints.ns[first],
                 np.hstack([position, q, velocity, rates]))
+
+    def lacks(self, what):
+        """Return a LogError about what is not there, and what is not read."""
+        return LogError('; '.join([f'{self.index.name} has no {what}', *self.unread.values()])[
+            :500])
+
+    def resets_before(self, step, place):
+        """
+        Return how many resets were before what has these steps, at these places in the file.
+
+        At the step of a reset the place decides, -1 if places do not go by the steps, as in a file
+        that has been written again.
+        """
+        first, last = (np.searchsorted(self.resets, step, side) for side in ('left', 'right'))
+        found = np.searchsorted(np.sort(self.reset_places), place)
+        if (np.diff(self.reset_places) < 0).any() or ((found < first) | (found > last)).any():
+            found = np.where(first < last, -1, found)
+        return np.where(found < 0, -1, np.clip(found, first, last))
 
     def short_name(self, topic):
         """Return a topic's name relative to the node: '~/tip_pose', 'joint_states', '/clock'."""
@@ -201,8 +230,10 @@ class Recording:
         # A file without chunks, or without their indexes, has all the same what it has.
         with open_file(self.path) as stream:
             reader = Reader(stream)
-            for place, record in enumerate(reader.records()):
+            place = 0
+            for record in reader.records():
                 if isinstance(record, Chunk):
+                    place = max(place + 1, reader.began)
                     yield place, np.frombuffer(record.data, np.uint8), {
                         channel: np.array(entries[1::2], np.uint64)
                         for channel, entries in record.index.items()}
@@ -212,21 +243,27 @@ class Recording:
 
     def _series(self, collector):
         place, sequence, log_ns, ns, values, messages = collector.arrays()
+        resets, step = np.zeros(len(ns), dtype=np.int64), np.full(len(ns), -1)
         if self.facts:
-            turns = np.rint((1e-9 * log_ns / self.scene.step - sequence) / _WRAP)
-            step = sequence + _WRAP * turns.astype(np.int64)
             # The stamp of a state that begins lock step is not quite its time.
+            step = np.rint(1e-9 * ns / self.scene.step).astype(np.int64)
             ns = np.rint(step * self.scene.step * 1e9).astype(np.int64)
-        else:
-            step = np.full(len(log_ns), -1)
-            if collector.command:
-                ns = self._sim_time(log_ns)
-            # The network may have changed the order.
-            order = np.argsort(ns, kind='stable')
-            place, log_ns, ns, values, messages = (
-                array[order] for array in (place, log_ns, ns, values, messages))
+            if collector.command and sequence.any() and ((step - sequence) % _WRAP).any():
+                raise LogError(f'{self.index.name}: log times of {collector.topic[:80]} are not '
+                               'those of the time steps that are its sequence numbers')
+            resets = self.resets_before(step, place)
+            if (np.diff(step) < 0).any() and np.isin(step, self.resets).any():
+                raise LogError(f'{self.index.name}: {collector.topic[:80]} is in another order '
+                               'than it was logged in, so that it does not say which messages '
+                               'were before a reset')
+        elif collector.command:
+            ns = self._sim_time(log_ns)
+        # The network, or who has written the file again, may have changed the order.
+        order = np.argsort(ns, kind='stable')
+        resets, step, log_ns, ns, values, messages = (
+            array[order] for array in (resets, step, log_ns, ns, values, messages))
         return Series(collector.topic, collector.columns, step, ns, log_ns, values,
-                      collector.refused, place, messages.tolist() if collector.command else [])
+                      collector.refused, resets, messages.tolist() if collector.command else [])
 
     def _sim_time(self, log_ns):
         if self._clock is None or not len(log_ns):
@@ -258,21 +295,3 @@ def _single(path):
     if len(files) != 1:
         raise LogError(f'{printable(path)} has {len(files)} files *.mcap: name one')
     return files[0]
-
-
-def common(first, second):
-    """
-    Return where two ascending lists have the same values, pairwise.
-
-    Of a value that is in a list several times, as a step with a reset, the last ones are paired.
-    """
-    if np.array_equal(first, second):
-        return slice(None), slice(None)
-    keys = []
-    for values in (first, second):
-        _, place, count = np.unique(values, return_index=True, return_counts=True)
-        left = np.repeat(place + count, count) - np.arange(len(values))  # 1 for the last
-        keys.append(np.rec.fromarrays([values, left]))
-    _, one, other = np.intersect1d(keys[0], keys[1], assume_unique=True, return_indices=True)
-    order = np.argsort(one)
-    return one[order], other[order]

@@ -44,8 +44,8 @@ class Series:
         NaN for what a command does not set.
     refused : int
         Commands that are left out, because the node refuses them.
-    place : ndarray of int64, shape (n,)
-        In the file: what orders messages and resets of the same step.
+    resets : ndarray of int64, shape (n,)
+        How many resets were before a message; -1 where the file does not say that.
     data : list of bytes
         The messages of a command, CDR; of other topics empty.
 
@@ -58,7 +58,7 @@ class Series:
     log_ns: np.ndarray
     values: np.ndarray
     refused: int
-    place: np.ndarray
+    resets: np.ndarray
     data: list
 
 
@@ -149,10 +149,8 @@ class Collector:
         none = np.zeros(0, dtype=np.int64)
         place, offset, *others = map(np.concatenate, zip(*self._parts or [
             (*[none] * 5, np.zeros((0, len(self.columns))), np.zeros(0, object))]))
-        if len(self._layouts) > 1:  # which were gathered one after the other
-            order = np.lexsort((offset, place))
-            place, *others = (array[order] for array in (place, *others))
-        return place, *others
+        order = np.lexsort((offset, place))
+        return tuple(array[order] for array in (place, *others))
 
 
 def _gather(data, offsets, kind):
@@ -166,3 +164,21 @@ def _gather(data, offsets, kind):
 def _doubles(rows, places):
     columns = [place + byte for place in places for byte in range(8)]
     return np.ascontiguousarray(rows[:, columns]).view('<f8').reshape(len(rows), len(places))
+
+
+def common(first, second):
+    """
+    Return where two ascending lists have the same values, pairwise.
+
+    Of a value that is in a list several times, as a step with a reset, the last ones are paired.
+    """
+    if np.array_equal(first, second):
+        return slice(None), slice(None)
+    keys = []
+    for values in (first, second):
+        _, place, count = np.unique(values, return_index=True, return_counts=True)
+        left = np.repeat(place + count, count) - np.arange(len(values))  # 1 for the last
+        keys.append(np.rec.fromarrays([values, left]))
+    _, one, other = np.intersect1d(keys[0], keys[1], assume_unique=True, return_indices=True)
+    order = np.argsort(one)
+    return one[order], other[order]

@@ -20,8 +20,8 @@ import lz4.frame
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
-    ChunkIndex, DataEnd, Footer, Header, Metadata, MetadataIndex, Schema, Statistics,
-    SummaryOffset)
+    AttachmentIndex, ChunkIndex, DataEnd, Footer, Header, Metadata, MetadataIndex, Schema,
+    Statistics, SummaryOffset)
 from mcap.records import Chunk as ChunkRecord
 from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 import yaml
@@ -91,6 +91,7 @@ class Writer:
         self._schemas, self._channels = [], []
         # Kept as they will be written: a day has so many that objects would fill the memory.
         self._chunk_indexes, self._metadata_indexes = RecordBuilder(), RecordBuilder()
+        self._attachment_indexes = RecordBuilder()
         self._statistics = Statistics(
             attachment_count=0, channel_count=0, channel_message_counts=Counter(), chunk_count=0,
             message_count=0, metadata_count=0, message_start_time=0, message_end_time=0,
@@ -109,6 +110,19 @@ class Writer:
         length = self._write(Metadata(name=name, metadata=values))
         MetadataIndex(offset=offset, length=length, name=name).write(self._metadata_indexes)
         self._statistics.metadata_count += 1
+
+    def add_attachment(self, attachment):
+        """Add an Attachment."""
+        offset = self.size
+        about = {name: getattr(attachment, name)
+                 for name in ('log_time', 'create_time', 'name', 'media_type')}
+        AttachmentIndex(offset=offset, length=self._write(attachment),
+                        data_size=len(attachment.data), **about).write(self._attachment_indexes)
+        self._statistics.attachment_count += 1
+
+    def add_private(self, opcode, content):
+        """Add a record whose meaning is somebody else's."""
+        self._put(HEAD.pack(opcode, len(content)) + content)
 
     def add_chunk(self, chunk):
         """Compress a chunk that has messages, and write it with its index."""
@@ -153,6 +167,7 @@ class Writer:
                 (Opcode.CHANNEL, bytes_of(*self._channels)),
                 (Opcode.STATISTICS, bytes_of(self._statistics)),
                 (Opcode.CHUNK_INDEX, self._chunk_indexes.end()),
+                (Opcode.ATTACHMENT_INDEX, self._attachment_indexes.end()),
                 (Opcode.METADATA_INDEX, self._metadata_indexes.end())):
             offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + len(data),
                                          group_length=len(group)))
@@ -202,7 +217,7 @@ def information(schemas, channels, statistics, name):
     types = {schema.id: schema.name for schema in schemas}
     topics = [
         {'topic_metadata': {
-            'name': channel.topic, 'type': types[channel.schema_id],
+            'name': channel.topic, 'type': types.get(channel.schema_id, ''),
             'serialization_format': channel.message_encoding,
             # A text that is not ours is left alone: it may come from a hostile file.
             'offered_qos_profiles':

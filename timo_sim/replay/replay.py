@@ -22,7 +22,7 @@ from timo_sim.log.recording import Recording
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.outputs import outputs, with_angles
 from timo_sim.physics.layout import LOADS
-from timo_sim.replay.segments import segments_of
+from timo_sim.replay.segments import late_steps, segments_of
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.parameters import check, PARAMETERS
@@ -95,12 +95,16 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
             log.close()
     _tell(show, recording, segments, again, time.monotonic() - begun)
     count, other, found = _compare(segments, scene, recording.topics)
-    if same and not other:
-        show(f'all {count} logged numbers are the same to the last bit')
-    elif found:
-        if same:
-            show(f'{other} of {count} logged numbers differ')
-        elif scene.values['model.formulation'] != recording.scene.values['model.formulation']:
+    logged = _logged(segments, scene, recording)
+    show(f'{count} of {logged} logged numbers compared' + (
+        '' if not same else f': {other} differ' if other else
+        ': all are the same to the last bit' if count == logged and not recording.unread else
+        ', the same to the last bit'))
+    for text in recording.unread.values():
+        show(text)
+    if found and not (same and not other):
+        if not same and (scene.values['model.formulation']
+                         != recording.scene.values['model.formulation']):
             # Modes of one are not those of the other.
             found = [row for row in found if not row.name.startswith('modal_state')]
         _show_table(show, found)
@@ -111,7 +115,7 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
         show(f'new log: {log.path}')
     if again.diverged:
         show(again.diverged)
-    return not (again.diverged or same and other)
+    return not (again.diverged or same and (other or count < logged or recording.unread))
 
 
 def _values(recording, scene_file, changes):
@@ -224,6 +228,19 @@ def _compare(segments, scene, topics):
                                    with_angles(topics[topic].columns, logged),
                                    with_angles(output.columns, replayed))
     return count, other, result
+
+
+def _logged(segments, scene, recording):
+    """Return how many numbers of the node's outputs are in the log until the replay's end."""
+    series = {output.name: (output, recording.topics[output.name])
+              for output in outputs(scene.modal_count) if output.name in recording.topics}
+    if not recording.facts:
+        return sum(found.values.size for _, found in series.values())
+    end = round(segments[-1].last * scene.step / recording.scene.step, 6)
+    late = late_steps({name: output for name, (output, _) in series.items()}, recording.scene,
+                      recording.scene.step)
+    return sum(found.values[found.step + late[name] <= end].size
+               for name, (_, found) in series.items())
 
 
 def _differences(topic, time, logged, replayed):

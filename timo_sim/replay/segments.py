@@ -72,7 +72,14 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
                 if command.name in found]
     motions = {name: series for name, series in found.items() if name in known and len(series.ns)}
     if not any(len(series.ns) for series in found.values()):
-        raise LogError(f'{recording.index.name} has no messages of {recording.name}')
+        raise recording.lacks(f'messages of {recording.name}')
+    changed = [int(recording.resets_before(*when)) for *when, _ in recording.changes]
+    for topic, resets in (*((series.topic, series.resets) for series in found.values()),
+                          ('a setting', np.array(changed))):
+        if (resets < 0).any():
+            raise LogError(f'{recording.index.name} is in another order than it was logged in: it '
+                           f'does not say whether {topic[:80]} at the step of a reset was before '
+                           'or after it')
     shift = _shift(recording, [series for _, series in commands], motions, start)
 
     def steps(series, meet):
@@ -84,33 +91,31 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
 
     # Of a plain bag only the commands count: when they began to act, it does not say exactly.
     own = motions if recording.facts else {}
-    places = [0, *recording.reset_places.tolist(), math.inf]
     acting = [(number, series, steps(series, False)) for number, series in commands]
     published = {name: steps(series, True) for name, series in own.items()}
-    came = _late(known, recording.scene, scene.step) if own else {}
+    came = late_steps(known, recording.scene, scene.step) if own else {}
     last = _last(acting, {name: at + came[name] for name, at in published.items()}, motions, shift,
                  scene, duration)
     ends = [*_steps_of(recording.resets, recording, scene).tolist(), last]
     unasked = {'/clock', *(name for name, output in known.items()
                            if output.delay and not values.get('record_sensors'))}
     # What is under way at the end, or at a reset, does not arrive.
-    late = _late(known, scene, scene.step)
+    late = late_steps(known, scene, scene.step)
     result = []
     for number, end in enumerate(ends):
         first = ends[number - 1] if number else 0
         end = min(end, last)
         if end < first:
             break
-        here, there = places[number], places[number + 1]
         inside = [(int(at[k]), kind, series.values[k], series.data[k])
-                  for kind, series, at in acting for k in np.flatnonzero(
-                      (series.place >= here) & (series.place < there))]
+                  for kind, series, at in acting for k in np.flatnonzero(series.resets == number)]
         changes = [(int(_steps_of(step, recording, scene)), values)
-                   for step, place, values in recording.changes if here <= place < there]
+                   for before, (step, _, values) in zip(changed, recording.changes)
+                   if before == number]
         until = {name: end - steps for name, steps in late.items()}
         samples, logged = {}, {}
         for name, at in published.items():  # what arrives in time
-            which = (own[name].place >= here) & (own[name].place < there) & (at <= until[name])
+            which = (own[name].resets == number) & (at <= until[name])
             samples[name], logged[name] = at[which], own[name].values[which]
         for name in known.keys() - samples.keys() - unasked:
             if 'joint_states' in samples:  # of a scene with modes where the log's had none
@@ -131,7 +136,7 @@ def _steps_of(steps, recording, scene):
     return np.ceil(np.asarray(steps) * ratio - _ROUNDING).astype(int)
 
 
-def _late(known, scene, step):
+def late_steps(known, scene, step):
     """Return how many whole steps the messages of each topic come after their measurement."""
     return {name: math.floor(scene.values[output.delay] / step + 1e-6) if output.delay else 0
             for name, output in known.items()}
