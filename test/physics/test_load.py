@@ -30,7 +30,7 @@ def test_harmonic():
 def test_piecewise_shows_each_step_its_own_piece():
     # 0.3 = 3 x 0.1 only up to rounding: steps are counted, not compared as times.
     values = Piecewise((0.3, 0.5), (4.0, -1.0)).stages(2, 4, STEP)
-    assert values.tolist() == [[0.0] * 3, [4.0] * 3, [4.0] * 3, [-1.0] * 3]
+    assert values.tolist() == [[0.0], [4.0], [4.0], [-1.0]]
 
 
 def test_table_is_linear_between_points_and_held_outside():

@@ -32,12 +32,19 @@ CHANNELS = {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE, 'tip_force
 
 
 @functools.lru_cache(maxsize=2)
-def _times(first, count, step):
-    # Start, middle and end of each step, shape (count, 3): from whole numbers, never summed up;
+def _instants(first, count, step):
+    # Starts and middles of steps, and the end of the last: from whole numbers, never summed up;
     # kept for the next term, and the next run.
-    times = (np.arange(first, first + count)[:, np.newaxis] + np.array([0.0, 0.5, 1.0])) * step
+    times = 0.5 * np.arange(2 * first, 2 * (first + count) + 1) * step
     times.flags.writeable = False
     return times
+
+
+def _of_stages(values):
+    """Return start, middle and end of each step, shape (count, 3), of what `_instants` are."""
+    found = np.empty((len(values) // 2, STAGES))
+    found[:, 0], found[:, 1], found[:, 2] = values[:-2:2], values[1::2], values[2::2]
+    return found
 
 
 _NO_BREAKS = np.zeros(0)
@@ -48,9 +55,9 @@ class Term:
     A part of a load.
 
     `jumps()` are the times at which it jumps [s]. For steps first, first + 1, ... of some size,
-    `stages` are its values at their stages, shape (count, 3); `breaks` the places in and around
-    them at which it jumps or bends, counted in steps, ascending; `parabolas` those with a bend
-    inside, and what they see, see `moments.parabolas`.
+    `stages` are its values at their stages, shape (count, 3), or (count, 1) if these are the same;
+    `breaks` the places in and around them at which it jumps or bends, counted in steps, ascending;
+    `parabolas` those with a bend inside, and what they see, see `moments.parabolas`.
     """
 
     def jumps(self):
@@ -72,8 +79,8 @@ class Harmonic(Term):
     phase: float
 
     def stages(self, first, count, step):
-        angle = 2.0 * np.pi * self.frequency * _times(first, count, step) + self.phase
-        return self.amplitude * np.sin(angle)
+        angle = 2.0 * np.pi * self.frequency * _instants(first, count, step) + self.phase
+        return _of_stages(self.amplitude * np.sin(angle))
 
 
 @dataclass(frozen=True)
@@ -86,14 +93,25 @@ class Piecewise(Term):
     def jumps(self):
         return self.time
 
+    @functools.cached_property
+    def _points(self):
+        return np.array(self.time), np.append(0.0, self.value)
+
+    def _jumps(self, first, count, step):
+        # Of the jumps in and around these steps the number of the first, and where they are.
+        time = self._points[0]
+        begin = np.searchsorted(time, (first - 1) * step)
+        end = np.searchsorted(time, (first + count + 1) * step, side='right')
+        return begin, np.rint(time[begin:end] / step)
+
     def breaks(self, first, count, step):
-        return np.rint(np.array(self.time) / step)
+        return self._jumps(first, count, step)[1]
 
     def stages(self, first, count, step):
-        piece = np.searchsorted(self.breaks(first, count, step), np.arange(first, first + count),
-                                side='right')
-        values = np.append(0.0, self.value)[piece]
-        return np.repeat(values[:, np.newaxis], STAGES, axis=1)
+        begin, jumps = self._jumps(first, count, step)
+        edges = np.concatenate([[first], jumps, [first + count]]).clip(first, first + count)
+        values = self._points[1][begin:begin + len(jumps) + 1]
+        return np.repeat(values, np.diff(edges).astype(int))[:, np.newaxis]
 
 
 @dataclass(frozen=True)
@@ -120,7 +138,7 @@ class Table(Term):
         return np.where(position == np.rint(position), position * step, time[part]), value[part]
 
     def stages(self, first, count, step):
-        times = _times(first, count, step)
+        times = _of_stages(_instants(first, count, step))
         knots, value = self._pieces(first, count, step)
         right = np.stack([np.searchsorted(knots, times[:, 0], side='right'),
                           np.searchsorted(knots, times[:, 1], side='right'),
@@ -173,7 +191,7 @@ class Drive(Term):
 
     def stages(self, first, count, step):
         """Return angle, speed and acceleration at the stages of steps, shape (count, 3, 3)."""
-        return self._at(_times(first, count, step))
+        return self._at(_of_stages(_instants(first, count, step)))
 
     def breaks(self, first, count, step):
         return on_boundaries(np.array(self.time) / step)
