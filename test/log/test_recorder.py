@@ -9,11 +9,12 @@
 """The recorder by itself: chunks, checksums, index, metadata in between."""
 
 import os
+import threading
 
 from mcap.reader import make_reader
 import pytest
 
-from timo_sim.log.recorder import Channel, CHUNK_SIZE, Recorder
+from timo_sim.log.recorder import BACKLOG, Channel, CHUNK_SIZE, Recorder
 from timo_sim.log.recover import recover
 
 CHANNELS = [Channel('/a', 'sensor_msgs/msg/JointState'), Channel('/b', 'std_msgs/msg/Float64'),
@@ -123,3 +124,32 @@ def test_a_log_that_is_moved_goes_on_and_is_whole(tmp_path):
     recorder.close()
     assert recorder.error is None and str(recorder.path) in recorder.warning
     assert 'is complete: 1 messages' in recover(moved)
+
+
+@pytest.mark.parametrize('comes_back', [True, False])
+def test_a_disk_that_hangs_is_told_and_does_not_hold_up_the_node_for_ever(
+        tmp_path, monkeypatch, comes_back):
+    monkeypatch.setattr('timo_sim.log.recorder.NOTABLE', 0.05)
+    monkeypatch.setattr('timo_sim.log.recorder.PATIENCE', 60.0 if comes_back else 0.2)
+    recorder, hangs = Recorder(tmp_path / 'run.mcap', CHANNELS, {}), threading.Event()
+    add_chunk = recorder._writer.add_chunk
+
+    def add_when_it_can(chunk):
+        hangs.wait()
+        add_chunk(chunk)
+
+    monkeypatch.setattr(recorder._writer, 'add_chunk', add_when_it_can)
+    if comes_back:
+        threading.Timer(0.5, hangs.set).start()
+    for step in range(BACKLOG + 5):
+        recorder.write(0, step, step, bytes(CHUNK_SIZE))
+    assert 'the simulation waits for the disk' in recorder.warning
+    recorder.close()
+    if comes_back:
+        assert recorder.error is None
+        with open(recorder.path, 'rb') as stream:
+            assert len([*make_reader(stream).iter_messages()]) == BACKLOG + 5
+    else:
+        assert 'has taken nothing for 0.2 s' in recorder.error
+        hangs.set()
+        recorder._thread.join()

@@ -31,6 +31,7 @@ from timo_sim.scene.parameters import changed
 FLUSH_PERIOD = 0.5       # [s] of wall time; half of what a crash may cost
 CHUNK_SIZE = 512 * 1024  # [B] so that a day has few; none waits longer than `FLUSH_PERIOD`
 BACKLOG = 20             # chunks that may wait before `write` does
+NOTABLE, PATIENCE = 0.5, 60.0  # [s] that it may wait, without a word and at all
 
 
 class Channel(NamedTuple):
@@ -46,8 +47,8 @@ class Recorder:
 
     `write` only appends to a chunk; a thread compresses chunks, for the most part without holding
     up other threads, and gives them to the operating system at least every `FLUSH_PERIOD`. If that
-    fails, or others delete, cut or write to the file, `error` says so, what was written is kept,
-    and later messages are dropped.
+    fails or takes longer than `PATIENCE`, or others delete, cut or write to the file, `error` says
+    so, what was written is kept, and later messages are dropped.
 
     Parameters
     ----------
@@ -63,7 +64,7 @@ class Recorder:
         The file that is written.
     error : str or None
     warning : str or None
-        That the file has been moved, which does not end it.
+        That the file has been moved, or the disk is slow, which does not end it.
 
     Raises
     ------
@@ -117,8 +118,13 @@ class Recorder:
                 return
         self._pass_on()
         self._ready.set()
+        begun = time.monotonic()
         while len(self._queue) > BACKLOG and self.error is None:
             time.sleep(0.001)
+            if time.monotonic() - begun > NOTABLE:
+                self.warning = f'the simulation waits for the disk, which is too slow: {self.path}'
+            if time.monotonic() - begun > PATIENCE:
+                self.error = f'{self.path}: the disk has taken nothing for {PATIENCE:g} s'
 
     def note(self, name, values):
         """Log a metadata record: a name, and a dictionary of str."""
@@ -130,7 +136,9 @@ class Recorder:
         """Write what is waiting, the index and the summary, and close the file."""
         self._closing = True
         self._ready.set()
-        self._thread.join()
+        self._thread.join(PATIENCE)
+        if self._thread.is_alive():
+            self.error = self.error or f'{self.path}: the disk does not take its end'
 
     def _pass_on(self):
         """Let the chunk that grows be written as it is."""

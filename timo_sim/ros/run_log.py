@@ -18,8 +18,8 @@ class RunLog:
     """
     The log of a run; it takes everything and keeps nothing while it is not open.
 
-    `error`, which the logger of rclpy also hears, says why there is none, why it ends early or
-    that it was moved.
+    `error`, which the logger of rclpy also hears, says why there is none, why it ends early,
+    that it was moved or that the disk is slow.
     """
 
     def __init__(self, logger):
