@@ -96,7 +96,8 @@ def reference():
 
 
 # Tests of what PyPI has no wheels of: where these packages are installed. The others are told.
-_NEED = {'ros/test_transforms.py': 'tf2_msgs', 'ros/test_interfaces.py': 'simulation_interfaces'}
+_NEED = {'ros/test_transforms.py': 'tf2_msgs', 'ros/test_interfaces.py': 'simulation_interfaces',
+         'tools': 'ros2cli'}
 collect_ignore = [path for path, package in _NEED.items() if find_spec(package) is None]
 
 

@@ -55,6 +55,8 @@ VALUES = (
     + [ParameterValue(type=2, integer_value=value) for value in (0, 1, -1, 2**62)]
     + [ParameterValue(), ParameterValue(type=1, bool_value=True), ParameterValue(type=200),
        ParameterValue(type=4, string_value='1e3\n'),
+       ParameterValue(type=4, string_value=f'[{"1," * 9999}1]'),
+       ParameterValue(type=4, string_value='[0, 0.5]'), ParameterValue(type=6),
        ParameterValue(type=7, integer_array_value=[1]),
        ParameterValue(type=9, string_array_value=['a'] * 1000)])
 

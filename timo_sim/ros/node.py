@@ -14,7 +14,6 @@ import math
 import threading
 import time
 
-from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from timo_sim.log.notes import CHANGE, change_note, Peak, RESET, start_note
@@ -22,8 +21,7 @@ from timo_sim.messages.outputs import outputs, TRANSFORMS
 from timo_sim.ros.commands import Commands
 from timo_sim.ros.diagnostics import Health
 from timo_sim.ros.loop import Loop, NotNow
-from timo_sim.ros.parameters import (
-    declare_parameters, on_set, resolved_scene, steps_between_messages)
+from timo_sim.ros.parameters import ParameterNode, resolved_scene, steps_between_messages
 from timo_sim.ros.run_log import RunLog
 from timo_sim.ros.topics import LateOutlet, MotionOutlet
 from timo_sim.scene.build import implausible
@@ -41,7 +39,7 @@ def no_live_feed(scene, url, name):
                          'the stream of the viewer')
 
 
-class SimNode(Node):
+class SimNode(ParameterNode):
     """
     Integrates a scene in step with the wall clock.
 
@@ -67,7 +65,7 @@ class SimNode(Node):
         super().__init__('timo_sim', **options)
         self._stop = stop
         self._lock = threading.Lock()
-        values = self._values = declare_parameters(self)
+        values = self._values = self.given()
         scene = scene_from(values)
         if scene.values['model.accuracy']:
             scene = resolved_scene(self, scene, values)
@@ -91,7 +89,7 @@ class SimNode(Node):
         self._live = values['rerun_live'] and live_feed(
             scene, values['rerun_live'], self.get_fully_qualified_name())
         self._loop.configure(values, steps_each)
-        on_set(self, values, self._on_parameters)
+        self.declare(values, self._on_parameters)
         self._offer_services()
 
     @property

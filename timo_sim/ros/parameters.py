@@ -9,9 +9,13 @@
 """The node's parameters: declared, described, checked by the same rules as a YAML file."""
 
 import math
+import sys
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters
+from rclpy.exceptions import ParameterNotDeclaredException
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from timo_sim.scene.files import FOREIGN
@@ -19,53 +23,101 @@ from timo_sim.scene.parameter import ParameterError, whole_ratio
 from timo_sim.scene.parameters import check, PARAMETERS, RATES
 from timo_sim.simulation.resolution import choose_resolution
 
-_LARGEST = 1.7976931348623157e308
+_SOURCE = 'set at run time'
 
 
-def declare_parameters(node):
-    """
-    Declare all parameters of a node; return the checked value of each by name.
+class ParameterNode(Node):
+    """A node whose parameters are those of timo_sim: `given` at its start, then `declare`d."""
 
-    Raises
-    ------
-    ParameterError
-        If a given name is unknown or a value breaks its rule.
+    def given(self):
+        """Return the checked value of each parameter by name; raise ParameterError."""
+        # rclpy has no public way to see names that nobody declares; these must not pass unseen.
+        given = {name: parameter.value
+                 for name, parameter in self._parameter_overrides.items()
+                 if not name.startswith(FOREIGN)}
+        values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+        values.update(check(given, 'ROS parameter'))
+        return values
 
-    """
-    # rclpy has no public way to see names that nobody declares, and these must not pass unseen.
-    given = {name: parameter.value
-             for name, parameter in node._parameter_overrides.items()
-             if not name.startswith(FOREIGN)}
-    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-    values.update(check(given, 'ROS parameter'))
-    for name, parameter in PARAMETERS.items():
-        value = values[name]
-        if value == ():  # rclpy cannot tell the type of an empty list
-            value = Parameter.Type.DOUBLE_ARRAY
-        elif isinstance(value, tuple):
-            value = list(value)
-        node.declare_parameter(name, value, _descriptor(parameter), ignore_override=True)
-    return values
+    def declare(self, values, apply):
+        """
+        Declare all parameters with these values, and update `values` with what is set later.
 
+        Before that `apply` is given what is set; it may raise ParameterError to refuse it.
+        """
+        for name, rule in PARAMETERS.items():
+            parameter, descriptor = _of_rclpy(name, values[name]), _descriptor(rule)
+            descriptor.type = parameter.type_.value
+            # In three steps, because rclpy cannot tell the type of a list that is empty.
+            self.declare_parameter(name, parameter.type_, ignore_override=True)
+            self.set_parameters([parameter])
+            self.set_descriptor(name, descriptor)
 
-def on_set(node, values, apply):
-    """
-    Check what is set at run time, and update `values` with it.
+        def callback(parameters):
+            changed = {parameter.name: parameter.value for parameter in parameters
+                       if not parameter.name.startswith(FOREIGN)}
+            try:
+                changed = check(changed, _SOURCE)
+                apply(changed)
+            except ParameterError as error:
+                return _refused(error)
+            values.update(changed)
+            return SetParametersResult(successful=True)
 
-    Before that `apply` is given the changed values; it may raise ParameterError to refuse them.
-    """
-    def callback(parameters):
-        changed = {parameter.name: parameter.value for parameter in parameters
-                   if not parameter.name.startswith(FOREIGN)}
+        self.add_on_set_parameters_callback(callback)
+
+    def create_service(self, srv_type, srv_name, callback, **options):
+        """Offer a service; rclpy's own for parameters comes by here and gets another callback."""
+        if srv_type is SetParameters:
+            callback = self._set_each
+        return super().create_service(srv_type, srv_name, callback, **options)
+
+    def set_parameters_atomically(self, parameter_list):
+        """Set parameters all at once, converted to their types; rclpy's services call this."""
         try:
-            changed = check(changed, 'set at run time')
-            apply(changed)
-        except ParameterError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        values.update(changed)
-        return SetParametersResult(successful=True)
+            return super().set_parameters_atomically([*map(_converted, parameter_list)])
+        except (ParameterError, ParameterNotDeclaredException) as error:
+            return _refused(error)
 
-    node.add_on_set_parameters_callback(callback)
+    def _set_each(self, request, response):
+        # rclpy sets one by one, and so would refuse lists that belong together.
+        together = {}
+        for message in request.parameters:
+            together.setdefault(_group(message.name), []).append(
+                Parameter.from_parameter_msg(message))
+        results = {group: self.set_parameters_atomically(parameters)
+                   for group, parameters in together.items()}
+        response.results = [results[_group(message.name)] for message in request.parameters]
+        return response
+
+
+def _is_list(name):
+    return name in PARAMETERS and isinstance(PARAMETERS[name].default, tuple)
+
+
+def _group(name):
+    # Of what must be set together: the lists of a load with each other.
+    return name.rpartition('.')[0] if _is_list(name) else name
+
+
+def _refused(error):
+    return SetParametersResult(successful=False, reason=str(error))
+
+
+def _converted(parameter):
+    # `ros2 param set` makes a text of [0, 0.5] and whole numbers of [1].
+    name, value = parameter.name, parameter.value
+    if name.startswith(FOREIGN) or value is None:
+        return parameter
+    if isinstance(value, str) and _is_list(name) and (value[:1], value[-1:]) == ('[', ']'):
+        value = value[1:-1].split(',')
+    return _of_rclpy(name, check({name: value}, _SOURCE)[name])
+
+
+def _of_rclpy(name, value):
+    if isinstance(value, tuple):
+        return Parameter(name, Parameter.Type.DOUBLE_ARRAY, list(value))
+    return Parameter(name, value=value)
 
 
 def steps_between_messages(values, step):
@@ -96,13 +148,12 @@ def _descriptor(parameter):
     unit = f' [{parameter.unit}]' if parameter.unit else ''
     descriptor = ParameterDescriptor(
         description=parameter.meaning + unit, additional_constraints=parameter.rule,
-        read_only=not parameter.runtime,
-        # A whole number for a float changes the type; `check` has the last word.
-        dynamic_typing=isinstance(parameter.default, float))
+        read_only=not parameter.runtime)
     if isinstance(parameter.default, float) and parameter.low > -math.inf:
+        high = min(parameter.high, sys.float_info.max) if parameter.finite else math.inf
+        # A bound that is whole would be written as the bits of a whole number.
         descriptor.floating_point_range = [
-            FloatingPointRange(from_value=parameter.low, to_value=(
-                min(parameter.high, _LARGEST) if parameter.finite else math.inf))]
+            FloatingPointRange(from_value=float(parameter.low), to_value=float(high))]
     elif type(parameter.default) is int:
         descriptor.integer_range = [
             IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=1)]

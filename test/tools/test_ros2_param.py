@@ -1,0 +1,54 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""`ros2 param` and the page's `ros2 service call`, where `ros2` is installed."""
+
+from pathlib import Path
+import re
+import subprocess
+
+from timo_sim.scene.parameters import PARAMETERS
+
+CONTROL = Path(__file__).resolve().parents[2] / 'doc' / 'control.md'
+
+
+def ros2(command, *arguments):
+    """Return what a command of `ros2 param` prints; no daemon stays behind."""
+    result = subprocess.run(['ros2', 'param', command, '--no-daemon', '--timeout', '60',
+                             '/timo_sim', *arguments], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    return result.stdout + result.stderr
+
+
+def test_dump_starts_a_node_with_the_same_dump(start, tmp_path):
+    node = start(record=False, **{'initial.shaft': 1.0 / 3.0, 'carrier.mass': 5})
+    dumped = ros2('dump')
+    assert dumped.count('\n') > len(PARAMETERS)
+    (tmp_path / 'dump.yaml').write_text(dumped)
+    assert node.end()[0] == 0
+    start('--params-file', 'dump.yaml', record=False)
+    assert ros2('dump') == dumped
+
+
+def test_describe_load_set_get_and_the_line_of_the_page(start, tmp_path):
+    start(record=False)
+    assert 'Max value: 2147483647.0' in ros2('describe', 'duration')
+    (tmp_path / 'load.yaml').write_text(
+        '/timo_sim: {ros__parameters: {load.torque.table.time: [0, 1.5, 1.0e+5], '
+        'load.torque.table.value: [0.0, 1.0e-05, 1.0]}}')
+    loaded = ros2('load', str(tmp_path / 'load.yaml'))
+    assert loaded.count('successful') == 2 and 'failed' not in loaded
+    assert '[0.0, 1.5, 100000.0]' in ros2('get', 'load.torque.table.time')
+    for text, shown in (('[]', '[]'), ('[1]', '[1.0]')):
+        assert 'Set parameter successful' in ros2('set', 'arm.damping_ratio', text)
+        assert shown in ros2('get', 'arm.damping_ratio')
+    line, = re.findall(r'^(ros2 service call \S*set_parameters_atomically .*\\\n.*)$',
+                       CONTROL.read_text(), re.MULTILINE)
+    result = subprocess.run(['bash', '-c', line], capture_output=True, text=True)
+    assert 'successful=True' in result.stdout, result.stderr
+    assert '[0.5, 0.0]' in ros2('get', 'load.torque.piecewise.value')
