@@ -11,7 +11,7 @@
 from rclpy.serialization import deserialize_message, serialize_message
 
 from timo_sim.log.recorder import Channel
-from timo_sim.messages.commands import COMMANDS, INPUTS, LARGEST, Refused
+from timo_sim.messages.commands import COMMANDS, INPUTS, JOINTS, LARGEST, Refused
 from timo_sim.messages.outputs import NANOSECONDS
 from timo_sim.ros.topics import message_class
 
@@ -51,6 +51,8 @@ class Inlet:
         What waits to act: row of the command, and message.
     refused, mismatched : int
         Commands not applied, and those that answer another state than that which is waited for.
+    foreign : int
+        Names of joints of others in commands.
 
     """
 
@@ -63,12 +65,13 @@ class Inlet:
             self.type, command.name, lambda data: None, QUEUE, raw=True)
         self.channel = Channel(self._subscription.topic_name, command.type_name)
         self.pending = None
-        self.refused = self.mismatched = 0
+        self.refused = self.mismatched = self.foreign = 0
 
     def _receive(self, data, answered):
         try:
             message = self._decoded(data)
-            row = self.command.row(*_READ[self.command.type_name](message))
+            texts, lists = _READ[self.command.type_name](message)
+            row = self.command.row(texts, lists)
         except Refused as reason:
             self.refused += 1
             self.logger.warning(
@@ -83,6 +86,7 @@ class Inlet:
                 f'command dropped, its stamp is {stamp} ns, that of the state {answered} ns',
                 throttle_duration_sec=5.0)
             return
+        self.foreign += sum(name not in JOINTS for name in texts[1:])
         self.pending = row, data
 
     def _decoded(self, data):
@@ -135,6 +139,11 @@ class Commands:
     def mismatched(self):
         """Commands dropped in lock step, because they answer another state."""
         return sum(inlet.mismatched for inlet in self._inlets)
+
+    @property
+    def foreign(self):
+        """Names of joints of others in commands."""
+        return sum(inlet.foreign for inlet in self._inlets)
 
     def poll(self, answered):
         """
