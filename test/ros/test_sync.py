@@ -220,7 +220,8 @@ def test_a_command_with_a_wrong_stamp_takes_no_answers_place(start, client, kind
         sent.append(1 + len(others))
         answered[:] = [*answered, stamp] if stamp not in answered else answered
     client.create_subscription(JointState, '/joint_states', reply, 100)
-    assert node.wait()[0] == 0
+    code, output = node.wait()
+    assert code == 0 and output.count('need sync: any_command') == 1
     recording = Recording(node.log)
     assert recording.summary['missed_commands'] == '0'
     assert np.array_equal(recording.topics[f'~/{kind}'].step, np.arange(0, 300, 10))
