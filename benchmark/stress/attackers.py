@@ -87,8 +87,8 @@ def bad_commands():
             *((*array, Float64MultiArray(data=[0.0] * size)) for size in (0, 2, 4, 100000)),
             (*array, Float64MultiArray(data=[0.0, math.inf, 0.0])),
             *((*joints, JointState(name=names, effort=efforts)) for names, efforts in (
-                ([], []), (['shaft'], []), (['elbow'], [1.0]), (['shaft'], [math.nan]),
-                (['shaft'] * 2, [1.0, 1.0]), ([HUGE], [1.0]), (['shaft'] * 10000, [])))]
+                ([], []), (['shaft'], []), (['elbow'], []), (['shaft'], [math.inf]),
+                (['shaft'] * 2, [1.0, 1.0]), ([HUGE] * 2, [1.0] * 2), (['shaft'] * 10000, [])))]
 
 
 def good_commands():
@@ -99,7 +99,9 @@ def good_commands():
             ('timo_sim/motor_torque', Float64, Float64(data=-0.1)),
             ('timo_sim/tip_wrench', WrenchStamped, wrench('world', 0.1)),
             ('timo_sim/commands', Float64MultiArray, Float64MultiArray(data=[0.1, 0.0, -0.1])),
-            ('timo_sim/joint_command', JointState, JointState(name=['shaft'], effort=[0.1]))]
+            *(('timo_sim/joint_command', JointState, JointState(name=names, effort=efforts))
+              for names, efforts in ((['shaft'], [0.1]), (['elbow', HUGE], [1.0, math.inf]),
+                                     (['shaft', 'carrier_y'], [math.nan, 0.1])))]
 
 
 class Attacker(Node):

@@ -171,7 +171,8 @@ def test_the_urdf_has_the_joints_and_bodies_of_the_paper(paper):
     assert tuple(joint.get('name') for joint in control.findall('joint')) == JOINTS
     topics = {entry.get('name'): entry.text for entry in control.findall('hardware/param')}
     assert topics['joint_commands_topic'] == '/timo_sim/joint_command'
-    assert topics['joint_states_topic'] == '/joint_states'
+    assert topics['joint_states_topic'] == '/timo_sim/joint_states'
+    assert topics['trigger_joint_command_threshold'] == '-1'
 
 
 def test_launch_files_are_python_and_installed(monkeypatch):

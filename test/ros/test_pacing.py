@@ -56,6 +56,13 @@ def test_what_is_beyond_the_limit_is_dropped_and_counted():
     assert pace.due(101, 103.001) == 100 and pace.dropped_steps == 1900 + 900
 
 
+def test_being_late_is_no_loss_where_time_waits_for_others():
+    pace = Pace(0.001, waits=True)
+    pace.set(1.0, 0.1, 0, 100.0)
+    assert pace.due(0, 102.0) == 100 and pace.due(100, 102.001) == 1
+    assert (pace.overruns, pace.dropped_steps) == (0, 0)
+
+
 def test_a_new_limit_alone_keeps_the_deadlines():
     pace = pace_of(0.001)
     pace.set(1.0, 0.5, 0, 100.0007)

@@ -9,6 +9,7 @@
 """Lock step: the node waits for a controller in another process, and the bits are the same."""
 
 from contextlib import contextmanager
+from math import inf, nan
 from pathlib import Path
 import signal
 import subprocess
@@ -152,24 +153,30 @@ def test_who_speaks_last_for_an_input_is_obeyed(start, client):
             return states and states[-1].effort.tolist() == effort
         client.wait(sent, f'{effort} after {kind}')
 
-    push = WrenchStamped()
+    push, joints = WrenchStamped(), ['carrier_x', 'carrier_y', 'shaft']
     push.wrench.force.x = 3.0
     obeyed('carrier_wrench', push, [3.0, 0.0, 0.0])
     obeyed('motor_torque', Float64(data=1.0), [3.0, 0.0, 1.0])
     obeyed('joint_command', JointState(name=['shaft'], effort=[2.0]), [3.0, 0.0, 2.0])
     obeyed('joint_command', JointState(name=['carrier_y'], effort=[4.0]), [0.0, 4.0, 2.0])
+    # Joints that no controller has claimed, and those of others.
+    obeyed('joint_command', JointState(name=joints, effort=[nan, nan, 2.5]), [0.0, 4.0, 2.5])
+    obeyed('joint_command', JointState(name=joints, effort=[1.5, nan, nan]), [1.5, 4.0, 2.5])
+    obeyed('joint_command', JointState(name=['elbow', 'carrier_y'], effort=[inf, 4.0]),
+           [0.0, 4.0, 2.5])
     obeyed('motor_torque', Float64(data=-1.0), [0.0, 4.0, -1.0])
     publishers['tip_wrench'].publish(push)  # replayed below
     publishers['commands'].publish(Float64MultiArray(data=[1.0, 2.0]))
-    for message in (JointState(name=['elbow'], effort=[1.0]), JointState(name=['shaft']),
+    for message in (JointState(name=joints, effort=[1.0]), JointState(name=['shaft']),
                     JointState(name=['shaft', 'shaft'], effort=[1.0, 2.0]),
-                    JointState(name=['shaft'], effort=[float('nan')])):
+                    JointState(name=['shaft'], effort=[inf])):
         publishers['joint_command'].publish(message)
     obeyed('motor_torque', Float64(data=0.5), [0.0, 4.0, 0.5])
     obeyed('commands', Float64MultiArray(data=[1.0, 2.0, 3.0]), [1.0, 2.0, 3.0])
     assert node.end()[0] == 0
     recording = Recording(node.log)
     assert recording.summary['refused_commands'] == '5'
+    assert int(recording.summary['foreign_joints']) >= 1
     assert recording.topics['~/tip_wrench'].values.tolist() == [[3.0, 0.0, 0.0, 0.0, 0.0]]
     assert np.isnan(recording.topics['~/joint_command'].values).any()
     lines = []
@@ -213,7 +220,8 @@ def test_a_command_with_a_wrong_stamp_takes_no_answers_place(start, client, kind
         sent.append(1 + len(others))
         answered[:] = [*answered, stamp] if stamp not in answered else answered
     client.create_subscription(JointState, '/joint_states', reply, 100)
-    assert node.wait()[0] == 0
+    code, output = node.wait()
+    assert code == 0 and output.count('need sync: any_command') == 1
     recording = Recording(node.log)
     assert recording.summary['missed_commands'] == '0'
     assert np.array_equal(recording.topics[f'~/{kind}'].step, np.arange(0, 300, 10))

@@ -56,19 +56,19 @@ def _scalar(lists):
 
 def _joint_command(texts, lists):
     names, efforts = texts[1:], lists[-1]
-    unknown = [name for name in names if name not in JOINTS]
-    if unknown or len(set(names)) < len(names) or not names:
-        raise Refused(f'name must hold some of {", ".join(JOINTS)}, once each, got '
-                      f'{", ".join(names)[:80]!r}')
+    if len(set(names)) < len(names) or not names:
+        raise Refused(f'name must hold joints, once each, got {", ".join(names)[:80]!r}')
     if len(efforts) != len(names):
         raise Refused(f'effort must have one element for each of {len(names)} names, got '
                       f'{len(efforts)}')
-    _finite(efforts)
-    given = dict(zip(names, efforts))
+    given = {name: effort for name, effort in zip(names, efforts) if name in JOINTS}
+    # NaN is what ros2_control sends for a joint that no controller has claimed.
+    claimed = {name for name, effort in given.items() if not math.isnan(effort)}
+    _finite(given[name] for name in claimed)
     found: dict[str, tuple] = {}
-    if given.keys() - {'shaft'}:
+    if claimed - {'shaft'}:
         found['carrier'] = given.get('carrier_x', 0.0), given.get('carrier_y', 0.0), 0.0, 0.0
-    if 'shaft' in given:
+    if 'shaft' in claimed:
         found['shaft'] = given['shaft'], 0.0
     return found
 
@@ -77,6 +77,7 @@ def _commands(texts, lists):
     if len(lists[0]) != len(JOINTS):
         raise Refused(f'data must have {len(JOINTS)} elements, for {", ".join(JOINTS)}, got '
                       f'{len(lists[0])}')
+    _finite(lists[0])
     return _joint_command(['', *JOINTS], lists)
 
 
@@ -114,7 +115,7 @@ class Command(NamedTuple):
         given = np.flatnonzero(~np.isnan(row))
         columns = np.array(self.columns)[given]
         commanded[columns] = row[given]
-        return {key for key in self.inputs if next(iter(INPUTS[key])) in columns}
+        return {key for key in self.inputs if not INPUTS[key].keys().isdisjoint(columns)}
 
 
 # One topic for each input first, of those the messages that let an input fall to zero.

@@ -11,7 +11,7 @@
 from rclpy.serialization import deserialize_message, serialize_message
 
 from timo_sim.log.recorder import Channel
-from timo_sim.messages.commands import COMMANDS, INPUTS, LARGEST, Refused
+from timo_sim.messages.commands import COMMANDS, INPUTS, JOINTS, LARGEST, Refused
 from timo_sim.messages.outputs import NANOSECONDS
 from timo_sim.ros.topics import message_class
 
@@ -51,6 +51,8 @@ class Inlet:
         What waits to act: row of the command, and message.
     refused, mismatched : int
         Commands not applied, and those that answer another state than that which is waited for.
+    foreign : int
+        Names of joints of others in commands.
 
     """
 
@@ -61,29 +63,35 @@ class Inlet:
         self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
         self._subscription = node.create_subscription(
             self.type, command.name, lambda data: None, QUEUE, raw=True)
+        self.publishers = self._subscription.get_publisher_count
         self.channel = Channel(self._subscription.topic_name, command.type_name)
         self.pending = None
-        self.refused = self.mismatched = 0
+        self.refused = self.mismatched = self.foreign = 0
 
     def _receive(self, data, answered):
+        """Return whether a message is a command that shall act."""
         try:
             message = self._decoded(data)
-            row = self.command.row(*_READ[self.command.type_name](message))
+            texts, lists = _READ[self.command.type_name](message)
+            row = self.command.row(texts, lists)
         except Refused as reason:
             self.refused += 1
             self.logger.warning(
                 f'command refused, {reason}; the last one stays in force',
                 throttle_duration_sec=5.0)
-            return
+            return False
         time = message.header.stamp if hasattr(message, 'header') else None
         stamp = time and NANOSECONDS * time.sec + time.nanosec
         if stamp and answered is not None and stamp != answered:
             self.mismatched += 1
             self.logger.warning(
-                f'command dropped, its stamp is {stamp} ns, that of the state {answered} ns',
-                throttle_duration_sec=5.0)
-            return
+                f'command dropped, its stamp is {stamp} ns, that of the state {answered} ns; '
+                'controllers that do not copy it, as ros2_control, need sync: any_command',
+                once=True)
+            return False
+        self.foreign += sum(name not in JOINTS for name in texts[1:])
         self.pending = row, data
+        return True
 
     def _decoded(self, data):
         if len(data) > LARGEST:
@@ -94,15 +102,16 @@ class Inlet:
             raise Refused(f'it is not a serialised {self.command.type_name}') from None
 
     def poll(self, answered):
-        """Receive what has arrived, see `Commands.poll`."""
-        handle = self._subscription.handle
+        """Receive what has arrived, see `Commands.poll`; return whether a command is in it."""
+        handle, received = self._subscription.handle, False
         with handle:
             # No more than waited at first: a fast publisher would keep this up for ever.
             for _ in range(QUEUE):
                 taken = handle.take_message(self.type, True)
                 if taken is None:
                     break
-                self._receive(taken[0], answered)
+                received |= self._receive(taken[0], answered)
+        return received
 
 
 class Commands:
@@ -115,6 +124,8 @@ class Commands:
         Of the log, in the order of COMMANDS.
     stale : int
         Inputs that fell to zero.
+    received : bool
+        Whether a command has come since others began to act, or since this was set to False.
 
     """
 
@@ -122,7 +133,7 @@ class Commands:
         self._inlets = [Inlet(node, command) for command in COMMANDS
                         if voltage or command.name != '~/motor_voltage']
         self.channels = [inlet.channel for inlet in self._inlets]
-        self.stale = 0
+        self.stale, self.received = 0, False
         # Of each input that obeys a command: its inlet, and the step from which it has acted.
         self._obeyed = {}
 
@@ -136,6 +147,15 @@ class Commands:
         """Commands dropped in lock step, because they answer another state."""
         return sum(inlet.mismatched for inlet in self._inlets)
 
+    @property
+    def foreign(self):
+        """Names of joints of others in commands."""
+        return sum(inlet.foreign for inlet in self._inlets)
+
+    def expected(self):
+        """Whether anybody publishes commands."""
+        return any(inlet.publishers() for inlet in self._inlets)
+
     def poll(self, answered):
         """
         Receive what has arrived.
@@ -144,7 +164,7 @@ class Commands:
         command that has another is dropped at once, so that it takes the place of none.
         """
         for inlet in self._inlets:
-            inlet.poll(answered)
+            self.received |= inlet.poll(answered)
 
     def apply(self, step, timeout_steps, commanded):
         """
@@ -153,7 +173,7 @@ class Commands:
         The commanded load (14,) is updated in place; with `timeout_steps` 0 nothing is too old.
         Return index in COMMANDS and message, CDR, of each command that starts to act.
         """
-        started = []
+        started, self.received = [], False
         for index, inlet in enumerate(self._inlets):
             if inlet.pending is not None:
                 row, data = inlet.pending
@@ -182,11 +202,6 @@ class Commands:
     def clear(self, commanded):
         """Drop what is in force and what waits."""
         commanded[:] = 0.0
-        self._obeyed = {}
+        self._obeyed, self.received = {}, False
         for inlet in self._inlets:
             inlet.pending = None
-
-    @property
-    def waiting(self):
-        """Whether a command waits to act."""
-        return any(inlet.pending is not None for inlet in self._inlets)

@@ -52,6 +52,7 @@ class Health:
             'failed_calls': self.failed_calls,
             'missed_commands': self._loop.gate.missed,
             'mismatched_commands': self._commands.mismatched,
+            'foreign_joints': self._commands.foreign,
             'unresolved_steps': self._simulator.integration.unresolved}
 
     def report(self, now):
@@ -85,9 +86,12 @@ class Health:
     def _message(self, snapshot, pace):
         counters, integration = self.counters(), self._simulator.integration
         error = self._simulator.estimated_error  # before the warning, which it may be
-        grown = [name for name, count in counters.items() if count > self._before.get(name, 0)]
+        grown = [name for name, count in counters.items() if count > self._before.get(name, 0)
+                 and name != 'foreign_joints']  # a command may be for several robots
         self._before = counters
-        state = 'paused' if self._loop.paused else 'running'
+        waits = not pace and self._loop.gate.waiting
+        state = ('paused' if self._loop.paused else 'waiting for a command' if waits else
+                 'running')
         # By its full name nodes in namespaces are told apart.
         status = DiagnosticStatus(
             name=f'{self._node.get_fully_qualified_name().removeprefix("/")}: simulation',
@@ -97,7 +101,8 @@ class Health:
                     grown and 'more ' + ', '.join(grown)]
         for level, texts in ((DiagnosticStatus.WARN, warnings), (DiagnosticStatus.ERROR, errors)):
             if any(texts):
-                status.level, status.message = level, '; '.join(filter(None, texts))
+                status.level = level
+                status.message = '; '.join([*[state] * waits, *filter(None, texts)])
         status.values = [KeyValue(key=name, value=str(value)) for name, value in {
             'state': state,
             'sim_time_s': snapshot.nanoseconds / NANOSECONDS,

@@ -15,17 +15,19 @@ import numpy as np
 
 from timo_sim.messages.outputs import NANOSECONDS
 from timo_sim.physics.layout import LOADS
-from timo_sim.ros.pacing import Gate, Pace
+from timo_sim.ros.pacing import AGAIN, Gate, Pace
 from timo_sim.ros.topics import LateOutlet
 from timo_sim.scene.parameter import whole_ratio
 from timo_sim.simulation.model_warnings import DivergenceError
 
 # Steps of one compiled call at most, so that no other thread waits long for it.
 _BATCH = 500
+# What is published at each state that waits for a command, in place of its rate.
+_ANSWERED = 'rate.joint_states', 'rate.clock'
 # How often a paused loop looks at its flags [s].
 _PAUSED_POLL = 0.01
-# The same while a step waits for a command, and how often the first state is shown again [s].
-_COMMAND_POLL, _SHOWN_AGAIN = 1e-4, 0.2
+# The same while a step waits for a command [s].
+_COMMAND_POLL = 1e-4
 
 
 class NotNow(Exception):
@@ -61,18 +63,20 @@ class Loop:
         self.simulator, self.end = simulator, end
         period = 0 if values['sync'] == 'free' else whole_ratio(
             'sync_period', values['sync_period'], 'integrator.step', simulator.scene.step)
-        self.pace, self.gate = Pace(simulator.scene.step), Gate(period, values['sync_timeout'])
+        self.pace = Pace(simulator.scene.step, waits=period > 0)
+        self.gate = Gate(period, values['sync_timeout'], values['sync'] != 'any_command')
         self.paused, self.diverged = values['start_paused'], None
         self._commands, self._log, self._logger = commands, log, logger
         self._outlets = outlets
         self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
         self._commanded, self._applied = np.zeros(LOADS), [0.0] * LOADS
-        self._shown_at = -math.inf  # wall time at which the first state was last shown
+        self._shown_at = -math.inf  # wall time at which a state was last shown again
 
     def configure(self, values, steps_each):
         """Take what can be set while the node runs; steps between messages by name of rate."""
         for outlet in self._outlets:
-            outlet.every = steps_each[outlet.rate]
+            outlet.every = self.gate.period if self.gate and outlet.rate in _ANSWERED else (
+                steps_each[outlet.rate])
         self._timeout_steps = math.ceil(values['command_timeout'] / self.simulator.scene.step)
         self.pace.set(values['real_time_factor'], values['catch_up_limit'],
                       self.simulator.steps, time.monotonic())
@@ -80,7 +84,7 @@ class Loop:
     def poll(self):
         """Receive commands."""
         answered = None
-        if self.gate:
+        if self.gate and self.gate.stamped:
             step = self.gate.answered(self.simulator.steps)
             answered = round(step * self.simulator.scene.step * 1e9) + self.gate.late(step)
         self._commands.poll(answered)
@@ -116,15 +120,23 @@ class Loop:
                 self._logger.error(f'paused, {error}; ~/reset goes back to the start')
                 return
             self._applied = simulator.load.tolist()
+            if not self.gate.stamped and self.gate.boundary(simulator.steps):
+                # What came before a state is shown acts with the answer, but is none.
+                self.poll()
+                self._commands.received = False
             self.publish()
 
     def _waits(self, step):
         """Return whether a step waits for the controller's command."""
-        now, first = time.monotonic(), self.gate.first
-        closed = self.gate.closed(step, now, self._commands.waiting)
-        if first and not closed:
+        now, gate = time.monotonic(), self.gate
+        stood, left = gate.first or gate.left, gate.left
+        closed = gate.closed(step, now, self._commands.received, self._commands.expected)
+        if stood and not closed:
             self.pace.start(step, now)  # the run begins now
-        if closed and self.gate.first and now >= self._shown_at + _SHOWN_AGAIN:
+        if gate.left and not left:
+            self._logger.warning(f'nobody publishes commands any more: time stands at step {step} '
+                                 'until the next one')
+        if closed and (gate.first or gate.left) and now >= self._shown_at + AGAIN:
             # Until the controller is there, and has seen the state that it shall answer.
             self._shown_at = now
             self.look()
@@ -182,6 +194,7 @@ class Loop:
     def reset(self):
         """Go back to the initial state, and show it."""
         self.look()
+        self.poll()
         self.simulator.reset()
         self._commands.clear(self._commanded)
         self.gate.restart(self.simulator.steps)

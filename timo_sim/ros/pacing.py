@@ -11,11 +11,19 @@
 import math
 
 TICK = 1e-3  # [s] of wall time; shorter steps are done several at a time
+AGAIN = 0.2  # [s] of wall time after which a state without an answer is shown again
 
 
 class Pace:
     """
     Sim time against wall time.
+
+    Parameters
+    ----------
+    step : float
+        [s]
+    waits : bool
+        Whether time waits for others, so that being late is no fault.
 
     Attributes
     ----------
@@ -26,8 +34,8 @@ class Pace:
 
     """
 
-    def __init__(self, step):
-        self._step = step
+    def __init__(self, step, waits=False):
+        self._step, self._waits = step, waits
         self._factor = None
         self.overruns = 0
         self.dropped_steps = 0
@@ -55,10 +63,10 @@ class Pace:
         # A deadline is met by a clock that reads it: rounding must not cost a tick.
         behind = self._base_steps + math.floor(elapsed + 1e-6) - steps
         if behind >= 2 * self._tick_steps:
-            self.overruns += 1
+            self.overruns += not self._waits
         most = max(self._tick_steps, math.floor(self._limit * self._factor / self._step))
         if behind > most:
-            self.dropped_steps += behind - most
+            self.dropped_steps += 0 if self._waits else behind - most
             self._base_steps -= behind - most
             behind = most
         return max(behind, 0)
@@ -77,12 +85,17 @@ class Gate:
     state that it answers is `late`, by 1 ns: at time 0 it would be that of a command without a
     stamp, and after a reset that of another state.
 
+    Where any command is an answer, the first waits end, too, as soon as somebody publishes
+    commands: a controller manager on sim time sends none before its clock has gone on by a period.
+
     Parameters
     ----------
     period : int
         Steps from one wait to the next; 0: there is none.
     patience : float
         Of a wait but the first [s of wall time].
+    stamped : bool
+        Whether an answer has the stamp of the state; if not, any command is one.
 
     Attributes
     ----------
@@ -90,23 +103,25 @@ class Gate:
         Waits that ended without a command.
     first : bool
         Whether no command has come yet.
+    left : bool
+        Whether time stands because nobody publishes commands any more.
 
     """
 
-    def __init__(self, period, patience):
-        self._period, self._patience = period, patience
+    def __init__(self, period, patience, stamped=True):
+        self.period, self._patience, self.stamped = period, patience, stamped
         self.missed = 0
         self._begin, self._late = None, 0
         self.restart(0)
 
     def restart(self, step):
         """Wait for a first command again, with a state that is shown at a step."""
-        self._passed, self._since, self.first = None, None, True
+        self._passed, self._since, self.first, self.left = None, None, True, False
         self._begin, self._late = step, self._late + 1 if step == self._begin else 1
 
     def late(self, step):
         """Return by how much the stamp of the state at a step is behind its sim time [ns]."""
-        return self._late if self._period and step == self._begin else 0
+        return self._late if self.period and step == self._begin else 0
 
     @property
     def waiting(self):
@@ -115,27 +130,37 @@ class Gate:
 
     def boundary(self, step):
         """Return whether commands begin to act at a step."""
-        return not self._period or step % self._period == 0
+        return not self.period or step % self.period == 0
 
     def answered(self, step):
         """Return the step whose state is answered by commands that come at a step."""
-        return -(-step // self._period) * self._period
+        return -(-step // self.period) * self.period
 
     def following(self, step):
         """Return the next step at which commands begin to act, or infinity."""
-        return (step // self._period + 1) * self._period if self._period else math.inf
+        return (step // self.period + 1) * self.period if self.period else math.inf
 
     def __bool__(self):
-        return self._period > 0
+        return self.period > 0
 
-    def closed(self, step, now, answered):
-        """Return whether a step must wait at a wall time [s], `answered` if it has a command."""
-        if step % self._period or step == self._passed:
+    def closed(self, step, now, answered, expected):
+        """
+        Return whether a step must wait at a wall time [s], `answered` if it has a command.
+
+        `expected()` tells whether anybody publishes commands; a wait for nobody does not end.
+        """
+        if step % self.period or step == self._passed:
             return False
         self._since = now if self._since is None else self._since
-        if not answered:
-            if self.first or now - self._since < self._patience:
+        if answered:
+            self.first = False
+        else:
+            patience = self._patience if not self.first else math.inf if self.stamped else AGAIN
+            if now - self._since < patience:
                 return True
-            self.missed += 1
-        self._passed, self._since, self.first = step, None, False
+            if not expected():
+                self._since, self.left = now, not self.first
+                return True
+            self.missed += not self.first
+        self._passed, self._since, self.left = step, None, False
         return False

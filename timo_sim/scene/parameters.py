@@ -183,8 +183,9 @@ _ALL = [
                   high=LATEST, scope=NODE),
     _not_negative('command_timeout', 0.0, 's', 'sim time after which a command without successor '
                   'falls to zero; 0: held for ever', high=LATEST, scope=NODE, runtime=True),
-    Parameter('sync', 'free', '', 'whether each sync_period waits for a command: wait; else free',
-              choices=('free', 'wait'), scope=NODE),
+    Parameter('sync', 'free', '', 'whether each sync_period waits for a command: wait, with the '
+              'stamp of the state or none; any_command, whatever its stamp; else free',
+              choices=('free', 'wait', 'any_command'), scope=NODE),
     _positive('sync_period', 0.002, 's', 'sim time from one wait for a command to the next',
               high=LATEST, scope=NODE),
     _positive('sync_timeout', 1.0, 's', 'wall time after which a wait ends without a command; the '
