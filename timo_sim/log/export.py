@@ -126,14 +126,14 @@ def export_bag(file, output):
     """Make the folder, a new one, that rosbag2 would have written; return what was done."""
     folder = Path(output)
     index = Index(file)
+    new = folder / f'{folder.name}_0.mcap'  # `ros2 bag reindex` takes no other name
     content = information(index.schemas.values(), index.channels.values(), index.statistics,
-                          index.path.name)
+                          new.name)
     try:
         folder.mkdir(parents=True)
     except FileExistsError:
         raise LogError(
             f'{printable(folder)} exists: remove it or choose another --output') from None
-    new = folder / index.path.name
     try:
         os.link(index.path, new)  # the same file: a gigabyte takes no time, and no space
     except OSError:

@@ -12,14 +12,13 @@ from collections import Counter
 from functools import cached_property
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 
 from timo_sim.log.index import Index
 from timo_sim.log.notes import read_notes
 from timo_sim.log.reader import Reader
-from timo_sim.log.records import LogError, open_file, printable
+from timo_sim.log.records import LogError, open_file
 from timo_sim.log.series import Collector, common, Series
 from timo_sim.log.writer import Chunk
 from timo_sim.messages.cdr import CdrError
@@ -75,8 +74,8 @@ class Recording:
     """
 
     def __init__(self, path, node=None):
-        self.path = _single(Path(path))
-        self.index = Index(self.path)
+        self.index = Index(path)
+        self.path = self.index.path
         self.facts, self.summary, resets, self.changes = read_notes(self.index)
         self.resets, self.reset_places = np.array(resets, dtype=np.int64).reshape(-1, 2).T
         self.name = node or self.facts.get('node') or self._find_node()
@@ -286,12 +285,3 @@ class Recording:
                 order = np.argsort(series.log_ns, kind='stable')
                 return series.log_ns[order], series.ns[order]
         return None
-
-
-def _single(path):
-    if not path.is_dir():
-        return path
-    files = sorted(path.glob('*.mcap'))
-    if len(files) != 1:
-        raise LogError(f'{printable(path)} has {len(files)} files *.mcap: name one')
-    return files[0]
