@@ -124,8 +124,8 @@ def test_a_bag_of_a_wall_clock_is_recovered_beside_its_folder(tmp_path, monkeypa
     bag = tmp_path / 'bag'
     with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         torque = writer.add_connection('/timo_sim/motor_torque', kind, typestore=store)
-        for time in (0, 250000000, 1500000000):
-            writer.write(torque, 1700000000123456789 + time,
+        for moment in (0, 250000000, 1500000000):
+            writer.write(torque, 1700000000123456789 + moment,
                          store.serialize_cdr(store.types[kind](1.0), kind))
     (bag / 'metadata.yaml').unlink()
     file, = bag.iterdir()
