@@ -20,7 +20,7 @@ from timo_sim.log.records import LogError, printable
 from timo_sim.log.recording import Recording
 from timo_sim.log.series import common
 from timo_sim.log.writer import information, yaml_text
-from timo_sim.messages.outputs import outputs, with_angles
+from timo_sim.messages.outputs import outputs, title, with_angles
 
 _ROWS = 10000  # of a CSV file that are text at once
 
@@ -76,7 +76,7 @@ def named(topic, columns):
     """Return the names that columns of a topic have in a table of several topics."""
     if topic == 'joint_states':
         return list(columns)
-    prefix = topic.removeprefix('~/') + '_'
+    prefix = title(topic) + '_'
     return [column if column.startswith('mode_') else prefix + column for column in columns]
 
 

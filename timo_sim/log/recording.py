@@ -29,6 +29,7 @@ from timo_sim.scene.parameters import current
 from timo_sim.scene.scene import load_scene
 
 _WRAP = 2**32  # steps after which a sequence number starts again; 0: there is none
+_EARLIER = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of older versions
 _TYPES = {entry.name: entry.type_name for entry in (*outputs(1), *COMMANDS)}
 
 
@@ -199,13 +200,14 @@ class Recording:
         """Return a topic's name relative to the node: '~/tip_pose', 'joint_states', '/clock'."""
         namespace = self.name.rpartition('/')[0] + '/'
         if topic.startswith(self.name + '/'):
-            return '~/' + topic.removeprefix(self.name + '/')
+            short = '~/' + topic.removeprefix(self.name + '/')
+            return _EARLIER.get(short, short)
         if topic == namespace + 'joint_states':
             return 'joint_states'
         return topic
 
     def _find_node(self):
-        ends = [name.removeprefix('~') for name in _TYPES if name.startswith('~')]
+        ends = [name.removeprefix('~') for name in (*_TYPES, *_EARLIER) if name.startswith('~')]
         topics = [channel.topic for channel in self.index.channels.values()]
         nodes = {topic.removesuffix(end) for topic in topics for end in ends
                  if topic.endswith(end)}

@@ -20,6 +20,11 @@ NANOSECONDS = 1000000000
 _GRAVITY = 9.80665  # [m/s2]
 
 
+def title(topic):
+    """Return what columns and the rate of a topic are named after: tip_imu of its data_raw."""
+    return topic.strip('~/').partition('/')[0]
+
+
 def _tip_pose(snapshot):
     x, y, theta = snapshot.joint_positions
     along, across, rotation = snapshot.tip
@@ -77,7 +82,7 @@ class Output(NamedTuple):
     @property
     def rate(self):
         """The parameter with the rate."""
-        return f'rate.{self.name.strip("~/")}'
+        return f'rate.{title(self.name)}'
 
     @property
     def columns(self):
@@ -131,6 +136,7 @@ def outputs(modes):
                         'position': _numbers(*(f'{name}_m_sqrt_kg' for name in names)),
                         'velocity': _numbers(*(f'{name}_rate_m_sqrt_kg_per_s'
                                                for name in names))})]
+    imu = _readings('tip_acceleration', 'gyro')
     return [
         Output('joint_states', 'sensor_msgs/msg/JointState', lambda snapshot: (
             *snapshot.joint_positions, *snapshot.joint_velocities, *snapshot.effort), {
@@ -150,7 +156,7 @@ def outputs(modes):
         Output('~/root_strain', 'sensor_msgs/msg/JointState', _readings('root_strain'), {
             'name': ['root_strain'], 'position': _numbers('outer_fibre')},
             delay='sensor.root_strain.delay'),
-        Output('~/tip_imu', 'sensor_msgs/msg/Imu', _readings('tip_acceleration', 'gyro'), {
+        Output('~/tip_imu/data_raw', 'sensor_msgs/msg/Imu', imu, {
             'header': _frame('tip'),
             # REP 145: -1 for no orientation; what is known of the covariance, all 0 if nothing is.
             'orientation_covariance': [-1.0] + 8 * [0.0],
