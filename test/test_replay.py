@@ -62,6 +62,13 @@ def test_a_bag_of_commands_gives_the_run_with_these_loads(bag, paper, tmp_path):
     assert step.tolist() == list(range(0, 1501, 10))
     # The same loads, added in another order.
     assert np.abs(motion - run.motion).max() < 1e-12
+    # One at the last step would act after it.
+    for duration, count in ((0.1, 0), (0.4, 1), (0.401, 2)):
+        path = tmp_path / f'{duration}.mcap'
+        text = call('replay', bag, '--scene', paper, '--start', 0.1, '--duration', duration,
+                    '-o', path)
+        assert f': {count} commands and' in text
+        assert len(Recording(path).topics['~/motor_torque'].step) == count
 
 
 def test_a_bag_needs_a_scene_and_a_log_does_not(bag):

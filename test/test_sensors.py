@@ -92,7 +92,7 @@ def test_imu_on_a_rigid_arm(formulation):
     for _ in range(2):
         speed = turning + torque / inertia * simulator.steps * scene.step
         found = measured(simulator)
-        assert found['~/tip_imu'] == pytest.approx([
+        assert found['~/tip_imu/data_raw'] == pytest.approx([
             -(length - centre) * speed**2, (length - centre) * torque / inertia, speed],
             rel=1e-9)
         assert found['~/encoder'][0] == simulator.motion.values[2]
@@ -138,7 +138,7 @@ def test_strain_under_a_constant_force_is_that_of_statics(formulation):
     found = measured(simulator)
     statics = 1e-3 * 2.0 * section.height / (2.0 * section.bending_stiffness)
     assert found['~/root_strain'][0] == pytest.approx(statics, rel=1e-8)
-    assert found['~/tip_imu'] == pytest.approx(np.zeros(3), abs=1e-9)
+    assert found['~/tip_imu/data_raw'] == pytest.approx(np.zeros(3), abs=1e-9)
     assert simulator.effort == pytest.approx([0.0, -1e-3, -2e-3], rel=1e-8, abs=1e-11)
 
 

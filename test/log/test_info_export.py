@@ -10,6 +10,7 @@
 
 import csv
 import json
+import re
 import subprocess
 import sys
 import time
@@ -174,6 +175,14 @@ def test_a_bag_opens_as_a_folder(log, tmp_path):
     topics = content['rosbag2_bagfile_information']['topics_with_message_count']
     assert {topic['topic_metadata']['offered_qos_profiles'][0]['reliability']
             for topic in topics} == {'reliable'}
+    # Of such a name `ros2 bag reindex` makes metadata.yaml anew (rosbag2_cpp/reindexer.cpp).
+    file, = (tmp_path / 'bag').glob('*.mcap')
+    assert re.fullmatch(r'(.+_(\d+)\.([a-zA-Z0-9])+)', str(file)) and file.name == 'bag_0.mcap'
+    # The folder stands for its file; with `view` in test_view.py, with `replay` in test_replay.py.
+    for command in ('info', 'recover'):
+        assert call(command, file.parent) == call(command, file)
+    call('export', file.parent, '-o', tmp_path / 'other', '--bag')
+    assert (tmp_path / 'other/other_0.mcap').samefile(log)
 
 
 @pytest.mark.parametrize('command', ['info', 'export', 'replay'])

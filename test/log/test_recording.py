@@ -24,6 +24,7 @@ from rosbags.typesys import get_typestore, Stores
 from ros_process import Process
 import timo_sim
 from timo_sim.cli import main
+from timo_sim.log.export import table
 from timo_sim.log.info import info
 from timo_sim.log.notes import CHANGE, START
 from timo_sim.log.recorder import Channel, Recorder
@@ -31,6 +32,8 @@ from timo_sim.log.recording import Recording
 from timo_sim.log.records import LogError
 from timo_sim.log.series import common
 from timo_sim.messages.commands import COMMANDS
+from timo_sim.messages.outputs import outputs
+from timo_sim.messages.packing import Serializer
 
 LIES = 150
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -70,12 +73,26 @@ def test_a_log_of_version_0_1_has_todays_names_and_limits(tmp_path):
     assert step == 5 and values == {'carrier.force_limit': np.inf}
 
 
+def test_an_imu_of_an_older_log_or_bag_has_its_present_name(tmp_path):
+    output, = (output for output in outputs(0) if output.name == '~/tip_imu/data_raw')
+    recorder = Recorder(
+        tmp_path / 'old.mcap', [Channel('/left/sim/tip_imu', output.type_name)], {})
+    recorder.write(0, 1, 1000000, Serializer(output.type_name, output.template)(
+        (0, 1000000), (1.0, 2.0, 3.0)))
+    recorder.close()
+    recording = Recording(tmp_path / 'old.mcap')
+    assert recording.name == '/left/sim'
+    assert recording.topics['~/tip_imu/data_raw'].values.tolist() == [[1.0, 2.0, 3.0]]
+    columns, _ = table(recording, '~/tip_imu/data_raw')
+    assert list(columns) == ['time_s', *output.columns]
+
+
 def test_series_are_what_another_reader_finds(log):
     recording = Recording(log)
     assert recording.name == '/left/timo_sim' and not len(recording.resets)
     topics = recording.topics
     assert set(topics) == {'joint_states', '~/modal_state', '~/tip_deflection', '~/tip_pose',
-                           '~/carrier_pose', '~/root_strain', '~/tip_imu', '~/encoder',
+                           '~/carrier_pose', '~/root_strain', '~/tip_imu/data_raw', '~/encoder',
                            *(command.name for command in COMMANDS)} - {
                                '~/motor_voltage'}  # there is no such motor
     found = {name: [] for name in topics}

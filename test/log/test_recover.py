@@ -24,6 +24,8 @@ import lz4.frame
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 import yaml
@@ -113,6 +115,29 @@ def test_a_log_without_its_summary_gets_the_same_again(log, intact):
     assert statistics.channel_message_counts == expected_statistics.channel_message_counts
     assert decoded(new) == {'/timo_sim/motor_torque': 120, '/rare': 12}
     assert run(new)[1].startswith(f'{new} is complete: 132 messages')
+
+
+@pytest.mark.parametrize('name', ['bag', '.'])
+def test_a_bag_of_a_wall_clock_is_recovered_beside_its_folder(tmp_path, monkeypatch, name):
+    """As rosbag2 leaves it when it is killed: what is written beside it plays, the bag stays."""
+    store, kind = get_typestore(Stores.ROS2_JAZZY), 'std_msgs/msg/Float64'
+    bag = tmp_path / 'bag'
+    with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        torque = writer.add_connection('/timo_sim/motor_torque', kind, typestore=store)
+        for moment in (0, 250000000, 1500000000):
+            writer.write(torque, 1700000000123456789 + moment,
+                         store.serialize_cdr(store.types[kind](1.0), kind))
+    (bag / 'metadata.yaml').unlink()
+    file, = bag.iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-20])
+    monkeypatch.chdir(bag if name == '.' else tmp_path)
+    code, output, _ = run(name)
+    new = tmp_path / 'bag_recovered.mcap'
+    assert code == 0 and ' 3 messages within 1.500 s, ' in output and 'sim time' not in output
+    assert [*bag.iterdir()] == [file] and file.read_bytes() == whole[:-20]
+    assert decoded(new) == {'/timo_sim/motor_torque': 3}
+    assert 'is complete: 3 messages within 1.500 s;' in run(new)[1]
 
 
 def test_no_file_is_overwritten(log, intact):
@@ -225,7 +250,8 @@ def test_hostile_files_do_not_fill_the_memory(hostile):
 def test_what_is_no_file_is_refused(tmp_path):
     pipe = tmp_path / 'pipe'
     os.mkfifo(pipe)
-    for path in (tmp_path, pipe, '/dev/zero', '/dev/null'):
+    assert run(tmp_path) == (2, '', f'timo_sim: {tmp_path} has 0 files *.mcap: name one\n')
+    for path in (pipe, '/dev/zero', '/dev/null'):
         assert run(path) == (2, '', f'timo_sim: {path} is not a file\n')
     code, output, errors = run(tmp_path / 'nowhere.mcap')
     assert (code, output) == (2, '') and 'nowhere.mcap' in errors and errors.count('\n') == 1

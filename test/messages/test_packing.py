@@ -58,7 +58,7 @@ READ = {
     '~/carrier_pose': _pose,
     '/clock': lambda message: [],
     '~/root_strain': lambda message: _joints(['root_strain'], message),
-    '~/tip_imu': _imu,
+    '~/tip_imu/data_raw': _imu,
     '~/encoder': lambda message: _joints(['shaft'], message),
 }
 

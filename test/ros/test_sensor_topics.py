@@ -9,8 +9,11 @@
 """Sensors over DDS and in the log: delayed, noisy, and the same in a replay to the last bit."""
 
 from mcap.reader import make_reader
+from mcap_ros2.reader import read_ros2_messages
 import numpy as np
 import pytest
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
 
@@ -22,7 +25,7 @@ from timo_sim.simulation.sensors import reading
 
 WRONG = {'sensor.seed': 7, 'sensor.encoder.noise': 1e-3, 'sensor.encoder.resolution': 1e-4,
          'sensor.root_strain.noise': 1e-6, 'sensor.gyro.bias': 0.01, 'sensor.gyro.noise': 2e-3,
-         'sensor.tip_acceleration.noise': 0.05}
+         'sensor.gyro.resolution': 5e-3, 'sensor.tip_acceleration.noise': 0.05}
 LATE = {'sensor.encoder.delay': 0.005, 'sensor.tip_imu.delay': 0.003}
 ENCODER = 3  # among the sensors, whose random numbers depend on it
 MOVING = {'initial.shaft_velocity': 2.0, 'initial.modal_rates': [2.0, 0.5, 0.1]}
@@ -53,7 +56,7 @@ def test_a_delayed_message_comes_later_and_says_when_it_was_measured(start, clie
         'rate.encoder': 500.0, 'rate.joint_states': 1000.0, 'rate.tip_imu': 250.0})
     states = client.collect(JointState, '/joint_states')
     angles = client.collect(JointState, '/timo_sim/encoder')
-    motions = client.collect(Imu, '/timo_sim/tip_imu')
+    motions = client.collect(Imu, '/timo_sim/tip_imu/data_raw')
     step, reset = (client.service(Trigger, f'/timo_sim/{name}') for name in ('step', 'reset'))
     first = 0
 
@@ -72,6 +75,9 @@ def test_a_delayed_message_comes_later_and_says_when_it_was_measured(start, clie
     angles.clear(), motions.clear()
     first = 12
     advance(30)
+    assert client.service(SetParameters, '/timo_sim/set_parameters')(parameters=[
+        Parameter('sensor.gyro.noise', value=0.0).to_parameter_msg()]).results[0].successful
+    advance(35)  # there is one more that was measured since
     assert node.end()[0] == 0
 
     # What is read is what was, at the time of the header.
@@ -83,13 +89,15 @@ def test_a_delayed_message_comes_later_and_says_when_it_was_measured(start, clie
             values, 'encoder', ENCODER, step_of(message), (truth[step_of(message)],))
     assert motions[0].header.frame_id == 'tip' and motions[0].orientation_covariance[0] == -1.0
     assert motions[0].linear_acceleration.z == 9.80665
+    assert [message.angular_velocity_covariance[8] for message in motions] == pytest.approx(
+        5 * [2e-3**2 + 5e-3**2 / 12.0] + [5e-3**2 / 12.0], rel=1e-15)
 
     recording = Recording(node.log)
     found = {name: series.step.tolist() for name, series in recording.topics.items()}
-    assert found['~/encoder'] == [0, 2, 4, 6, *range(12, 26, 2)]
-    assert found['~/tip_imu'] == [0, 4, 8, *range(12, 28, 4)]
+    assert found['~/encoder'] == [0, 2, 4, 6, *range(12, 32, 2)]
+    assert found['~/tip_imu/data_raw'] == [0, 4, 8, *range(12, 36, 4)]
     assert lateness(node.log, '/timo_sim/encoder') == {5}
-    assert lateness(node.log, '/timo_sim/tip_imu') == {3}
+    assert lateness(node.log, '/timo_sim/tip_imu/data_raw') == {3}
     # Nobody asked for the strain; a replay can tell what it was.
     assert found['~/root_strain'] == []
     same_again(node.log)
@@ -112,7 +120,7 @@ def log(tmp_path_factory):
 def test_sensors_are_logged_alone_and_replayed_to_the_last_bit(log, tmp_path):
     topics = Recording(log).topics
     # A message that is still under way at the end is not there.
-    assert topics['~/tip_imu'].step.tolist() == list(range(0, 502, 2))
+    assert topics['~/tip_imu/data_raw'].step.tolist() == list(range(0, 502, 2))
     assert topics['~/encoder'].step.tolist() == list(range(0, 500, 10))
     assert topics['~/root_strain'].step.tolist() == list(range(0, 501, 10))
     count = sum(series.values.size for series in topics.values())
@@ -125,10 +133,36 @@ def test_sensors_are_logged_alone_and_replayed_to_the_last_bit(log, tmp_path):
     lines = []
     replay(log, {'sensor.seed': 8, 'sensor.tip_imu.delay': 0.013}, output=tmp_path / 'other.mcap',
            show=lines.append)
-    other = Recording(tmp_path / 'other.mcap').topics['~/tip_imu']
+    other = Recording(tmp_path / 'other.mcap').topics['~/tip_imu/data_raw']
     assert other.step.tolist() == list(range(0, 492, 2)) and other.log_ns[-1] == 503000000
     assert not any('same to the last bit' in line for line in lines)
     assert any(line.startswith('tip_imu turning_rad_per_s') for line in lines)
+
+
+def imu_of(path):
+    """Return what another reader finds of the IMU: (n, 3) and (n, 9), acceleration and turning."""
+    found = [message.ros_msg
+             for message in read_ros2_messages(str(path), ['/timo_sim/tip_imu/data_raw'])]
+    vectors, covariances = ([[getattr(message, name + kind) for message in found] for name in (
+        'linear_acceleration', 'angular_velocity')] for kind in ('', '_covariance'))
+    return (np.array([[(each.x, each.y, each.z) for each in part] for part in vectors]),
+            np.array(covariances))
+
+
+def test_covariances_of_the_imu_are_those_of_its_errors(log, tmp_path):
+    """REP 145: known ones are told; all zeros mean that nothing is known."""
+    replay(log, {name: 0.0 for name in WRONG if name != 'sensor.seed'},
+           output=tmp_path / 'exact.mcap', show=lambda line: None)
+    (read, told), (truth, silent) = imu_of(log), imu_of(tmp_path / 'exact.mcap')
+    assert read.shape == truth.shape == (2, 251, 3) and not silent.any()
+    for errors, matrices in zip(read - truth, told):
+        assert (matrices == matrices[0]).all()
+        covariance, variance = matrices[0].reshape(3, 3), errors.var(axis=0)
+        assert (covariance == np.diag(np.diag(covariance))).all()
+        assert ((np.diag(covariance) == 0.0) == (variance == 0.0)).all()
+        noisy = variance > 0.0
+        # The variance of 251 values is off by sqrt(2 / 250) = 9 %, three times that at most.
+        assert np.diag(covariance)[noisy] == pytest.approx(variance[noisy], rel=0.27)
 
 
 def test_the_tip_is_where_twice_integrated_acceleration_takes_it(log, tmp_path):
@@ -136,7 +170,7 @@ def test_the_tip_is_where_twice_integrated_acceleration_takes_it(log, tmp_path):
     replay(log, {name: 0.0 for name in WRONG if name != 'sensor.seed'},
            output=tmp_path / 'clean.mcap', show=lambda line: None)
     topics = Recording(tmp_path / 'clean.mcap').topics
-    imu = topics['~/tip_imu'].values[:246]
+    imu = topics['~/tip_imu/data_raw'].values[:246]
     x, y, z, w = topics['~/tip_pose'].values[:50].T
     turned = 2.0 * np.unwrap(np.arctan2(z, w), period=2.0 * np.pi)
     h = 2e-3
@@ -157,5 +191,5 @@ def test_the_tip_is_where_twice_integrated_acceleration_takes_it(log, tmp_path):
 def test_sensors_are_columns_of_a_table(log):
     columns, left = table(Recording(log))
     assert {'encoder_shaft_rad', 'root_strain_outer_fibre', 'tip_imu_turning_rad_per_s',
-            'tip_imu_acceleration_x_m_per_s2'} <= columns.keys() and left == ['~/tip_imu']
+            'tip_imu_acceleration_x_m_per_s2'} <= columns.keys() and left == ['~/tip_imu/data_raw']
     assert np.isnan(columns['encoder_shaft_rad']).sum() == 1  # the last

@@ -12,10 +12,12 @@ import subprocess
 import sys
 
 from mcap_ros2.reader import read_ros2_messages
+from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
+from ros_process import PATIENCE
 import timo_sim
 
 
@@ -30,6 +32,48 @@ def test_the_node_imports_only_what_it_needs(tmp_path):
     result = subprocess.run([sys.executable, '-c', code], cwd=tmp_path, capture_output=True,
                             text=True)
     assert result.returncode == 0, result.stderr
+
+
+BUILDING = """
+import sys
+import time
+import rclpy
+from timo_sim.cli.sim_node import main
+from timo_sim.simulation.simulator import Simulator
+warm_up = Simulator.warm_up
+def wait(simulator, *arguments, **options):
+    time.sleep(0.5)  # for whatever else of this process might be seen
+    marker = rclpy.create_node('marker')  # shares what the graph is told with the node
+    sys.stdin.readline()
+    warm_up(simulator, *arguments, **options)
+    marker.destroy_node()
+Simulator.warm_up = wait
+main()
+"""
+
+
+def test_the_node_is_in_the_graph_when_it_can_answer(client, tmp_path):
+    """Not while it compiles, for as long as that takes; then it says in one line what it does."""
+    node = subprocess.Popen(
+        [sys.executable, '-c', BUILDING, '--ros-args', '-r', '__ns:=/late', '-p', 'record:=false',
+         '-p', 'end_effector.mass:=2.5'], cwd=tmp_path, stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        client.wait(lambda: 'marker' in client.get_node_names(), 'the node that is built')
+        assert ('timo_sim', '/late') not in client.get_node_names_and_namespaces()
+        node.stdin.write('\n')
+        node.stdin.flush()
+        client.wait(lambda: ('timo_sim', '/late') in client.get_node_names_and_namespaces(),
+                    'the node')
+        mass, = client.service(GetParameters, '/late/timo_sim/get_parameters')(
+            names=['end_effector.mass']).values
+        assert mass.double_value == 2.5
+    finally:
+        node.terminate()
+        output, _ = node.communicate(timeout=PATIENCE)
+    line, = [line for line in output.splitlines() if 'running: ' in line]
+    assert node.returncode == 0 and line.endswith(
+        '[late.timo_sim]: running: 3 modes, step 0.001 s, waiting for commands')
 
 
 def test_each_topic_has_its_rate_in_one_run(start):

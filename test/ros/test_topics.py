@@ -70,7 +70,7 @@ BUILD = {
     '~/tip_pose': pose_in_world,
     '~/carrier_pose': pose_in_world,
     '~/root_strain': one_joint('root_strain'),
-    '~/tip_imu': imu_at_tip,
+    '~/tip_imu/data_raw': imu_at_tip,
     '~/encoder': one_joint('shaft'),
     '/clock': lambda time: Clock(clock=time),
 }

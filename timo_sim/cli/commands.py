@@ -103,7 +103,7 @@ def bode(file, cause, effects, picture):
 @click.option('--topic', metavar='NAME', help=(
     "Write this topic alone, such as '~/motor_torque' (~ is the node's name) or joint_states."))
 @click.option('--bag', is_flag=True, help=(
-    'Make the folder that rosbag2 writes: FILE with metadata.yaml beside it.'))
+    'Make the folder that rosbag2 writes: FILE as OUTPUT_0.mcap, with metadata.yaml beside it.'))
 @click.option('--node', metavar='NAME', help='Full name of the node, for a bag of several.')
 def export(file, output, topic, bag, node):
     r"""
@@ -126,7 +126,7 @@ def export(file, output, topic, bag, node):
 @click.argument('file', type=click.Path())
 def info(file):
     r"""
-    Say what FILE, a log or a bag, is about: scene, duration, rates, gaps, commands, peak.
+    Say what FILE, a log or a bag's folder, is about: scene, duration, rates, gaps, commands, peak.
 
     \b
         timo_sim info run.mcap
@@ -138,7 +138,8 @@ def info(file):
 @main.command()
 @click.argument('file', type=click.Path())
 @click.option('--output', '-o', type=click.Path(),
-              help='New log; by default beside FILE, with _recovered after its name.')
+              help="New log; by default beside FILE, a log or a bag's folder, with _recovered "
+                   'after its name.')
 def recover(file, output):
     r"""
     Write what is intact in FILE, a log that ends early or is damaged, to a new log.

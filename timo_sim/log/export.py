@@ -20,7 +20,7 @@ from timo_sim.log.records import LogError, printable
 from timo_sim.log.recording import Recording
 from timo_sim.log.series import common
 from timo_sim.log.writer import information, yaml_text
-from timo_sim.messages.outputs import outputs, with_angles
+from timo_sim.messages.outputs import outputs, title, with_angles
 
 _ROWS = 10000  # of a CSV file that are text at once
 
@@ -76,7 +76,7 @@ def named(topic, columns):
     """Return the names that columns of a topic have in a table of several topics."""
     if topic == 'joint_states':
         return list(columns)
-    prefix = topic.removeprefix('~/') + '_'
+    prefix = title(topic) + '_'
     return [column if column.startswith('mode_') else prefix + column for column in columns]
 
 
@@ -126,14 +126,14 @@ def export_bag(file, output):
     """Make the folder, a new one, that rosbag2 would have written; return what was done."""
     folder = Path(output)
     index = Index(file)
+    new = folder / f'{folder.name}_0.mcap'  # `ros2 bag reindex` takes no other name
     content = information(index.schemas.values(), index.channels.values(), index.statistics,
-                          index.path.name)
+                          new.name)
     try:
         folder.mkdir(parents=True)
     except FileExistsError:
         raise LogError(
             f'{printable(folder)} exists: remove it or choose another --output') from None
-    new = folder / index.path.name
     try:
         os.link(index.path, new)  # the same file: a gigabyte takes no time, and no space
     except OSError:

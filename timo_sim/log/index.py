@@ -12,7 +12,6 @@ from collections import defaultdict
 from contextlib import contextmanager
 from io import BytesIO
 import os
-from pathlib import Path
 import struct
 from typing import Any
 import zlib
@@ -24,7 +23,7 @@ from mcap.writer import MCAP0_MAGIC
 import numpy as np
 
 from timo_sim.log.records import (
-    Broken, HEAD, LARGEST_RECORD, LogError, open_file, parsed, printable, uncompressed,
+    Broken, file_of, HEAD, LARGEST_RECORD, LogError, open_file, parsed, printable, uncompressed,
     UNREADABLE)
 
 _FOOTER = struct.Struct('<BQQQI8s')    # opcode, length, where summary and offsets are, CRC, magic
@@ -92,9 +91,12 @@ class Index:
     Parameters
     ----------
     path : str or Path
+        A file, or a bag's folder with one.
 
     Attributes
     ----------
+    path : Path
+        Of the file.
     schemas, channels : dict
         Records by number.
     statistics : Statistics
@@ -109,7 +111,7 @@ class Index:
     """
 
     def __init__(self, path):
-        self.path = Path(path)
+        self.path = file_of(path)
         self.name = printable(self.path)
         with open_file(self.path) as self._stream:
             try:

@@ -16,6 +16,7 @@ checksum is believed.
 from collections import Counter
 from dataclasses import replace
 from io import BytesIO
+import math
 import os
 import struct
 from typing import NamedTuple
@@ -89,8 +90,8 @@ class Reader:
     profile : str
     counts : Counter
         Messages of each channel.
-    latest : int
-        Log time of the last message [ns].
+    earliest, latest : int
+        Log times of the first and the last message [ns]; inf and 0 without any.
     kept : int
         Bytes of the file that were intact so far.
     damage : str or None
@@ -105,7 +106,8 @@ class Reader:
     def __init__(self, stream):
         self._stream = stream
         self.size = os.fstat(stream.fileno()).st_size
-        self.profile, self.counts, self.latest, self.damage = 'ros2', Counter(), 0, None
+        self.profile, self.counts, self.damage = 'ros2', Counter(), None
+        self.earliest, self.latest = math.inf, 0
         self.faults = self.began = 0
         self.kept = self._place = len(MCAP0_MAGIC)
         self._crc = zlib.crc32(MCAP0_MAGIC)
@@ -226,7 +228,7 @@ class Reader:
         if channel not in self._known[Channel]:
             raise Broken(f'a message is of an unknown channel, {channel}')
         self.counts[channel] += 1
-        self.latest = max(self.latest, time)
+        self.earliest, self.latest = min(self.earliest, time), max(self.latest, time)
         return Message(channel, time, content)
 
     def _keep(self, record):

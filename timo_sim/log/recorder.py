@@ -216,16 +216,16 @@ class NewLog(Recorder):
                      node + name[1:] if name.startswith('~') else f'{namespace}/{name}')
             delay = round(1e9 * scene.values[output.delay]) if output.delay else 0
             self._topics[name] = (
-                len(channels), Serializer(output.type_name, output.template), delay)
+                len(channels), Serializer(output.type_name, output.template), delay, output)
             channels.append(Channel(topic, output.type_name))
         super().__init__(path, channels, {
             START: {**start_note(node, values, changed(values), scene), **notes}})
 
     def output(self, name, snapshot, numbers):
         """Log a message of an output; commands are logged by `write`."""
-        index, serialize, delay = self._topics[name]
+        index, serialize, delay, output = self._topics[name]
         self.write(index, snapshot.step, snapshot.nanoseconds + delay,
-                   serialize(snapshot.time, numbers))
+                   serialize(snapshot.time, output.content(snapshot, numbers)))
         if name == '~/tip_deflection':
             self._peak.see(numbers, snapshot.nanoseconds)
 

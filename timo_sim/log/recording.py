@@ -12,14 +12,13 @@ from collections import Counter
 from functools import cached_property
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 
 from timo_sim.log.index import Index
 from timo_sim.log.notes import read_notes
 from timo_sim.log.reader import Reader
-from timo_sim.log.records import LogError, open_file, printable
+from timo_sim.log.records import LogError, open_file
 from timo_sim.log.series import Collector, common, Series
 from timo_sim.log.writer import Chunk
 from timo_sim.messages.cdr import CdrError
@@ -30,6 +29,7 @@ from timo_sim.scene.parameters import current
 from timo_sim.scene.scene import load_scene
 
 _WRAP = 2**32  # steps after which a sequence number starts again; 0: there is none
+_EARLIER = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of older versions
 _TYPES = {entry.name: entry.type_name for entry in (*outputs(1), *COMMANDS)}
 
 
@@ -75,8 +75,8 @@ class Recording:
     """
 
     def __init__(self, path, node=None):
-        self.path = _single(Path(path))
-        self.index = Index(self.path)
+        self.index = Index(path)
+        self.path = self.index.path
         self.facts, self.summary, resets, self.changes = read_notes(self.index)
         self.resets, self.reset_places = np.array(resets, dtype=np.int64).reshape(-1, 2).T
         self.name = node or self.facts.get('node') or self._find_node()
@@ -200,13 +200,14 @@ class Recording:
         """Return a topic's name relative to the node: '~/tip_pose', 'joint_states', '/clock'."""
         namespace = self.name.rpartition('/')[0] + '/'
         if topic.startswith(self.name + '/'):
-            return '~/' + topic.removeprefix(self.name + '/')
+            short = '~/' + topic.removeprefix(self.name + '/')
+            return _EARLIER.get(short, short)
         if topic == namespace + 'joint_states':
             return 'joint_states'
         return topic
 
     def _find_node(self):
-        ends = [name.removeprefix('~') for name in _TYPES if name.startswith('~')]
+        ends = [name.removeprefix('~') for name in (*_TYPES, *_EARLIER) if name.startswith('~')]
         topics = [channel.topic for channel in self.index.channels.values()]
         nodes = {topic.removesuffix(end) for topic in topics for end in ends
                  if topic.endswith(end)}
@@ -286,12 +287,3 @@ class Recording:
                 order = np.argsort(series.log_ns, kind='stable')
                 return series.log_ns[order], series.ns[order]
         return None
-
-
-def _single(path):
-    if not path.is_dir():
-        return path
-    files = sorted(path.glob('*.mcap'))
-    if len(files) != 1:
-        raise LogError(f'{printable(path)} has {len(files)} files *.mcap: name one')
-    return files[0]

@@ -10,6 +10,7 @@
 
 from io import BytesIO
 import os
+from pathlib import Path
 import stat
 import struct
 import zlib
@@ -38,6 +39,17 @@ class Broken(ValueError):
 def printable(path):
     """Return a path as text that can be printed anywhere: on Linux file names are bytes."""
     return os.fsencode(path).decode(errors='replace')
+
+
+def file_of(path):
+    """Return the Path of a file, or of the only one in a bag's folder; else raise LogError."""
+    path = Path(path)
+    if not path.is_dir():
+        return path
+    files = sorted(path.glob('*.mcap'))
+    if len(files) != 1:
+        raise LogError(f'{printable(path)} has {len(files)} files *.mcap: name one')
+    return files[0]
 
 
 def open_file(path):

@@ -13,9 +13,10 @@ from pathlib import Path
 from mcap.records import Attachment, Metadata
 from mcap.writer import MCAP0_MAGIC
 
+from timo_sim.log.notes import START
 from timo_sim.log.reader import Private, Reader
 from timo_sim.log.recorder import create, sync
-from timo_sim.log.records import LogError, open_file, printable
+from timo_sim.log.records import file_of, LogError, open_file, printable
 from timo_sim.log.writer import Chunk, Writer
 
 
@@ -26,10 +27,10 @@ def recover(file, output=None):
     Parameters
     ----------
     file : str or Path
-        It is only read.
+        A file, or a bag's folder with one. It is only read.
     output : str or Path, optional
         A file that does not exist; by default beside `file`, with `_recovered` after its stem,
-        and a number if that exists.
+        and a number if that exists. A folder stays as it is.
 
     Returns
     -------
@@ -45,19 +46,23 @@ def recover(file, output=None):
         If the new log cannot be written.
 
     """
-    path = Path(file)
+    path = file_of(file)
     with open_file(path) as stream:
         # Read once before anything is written: most files are complete, and some are no logs.
         reader = Reader(stream)
-        found = sum(1 for _ in reader.records())
-        contents = (f'{reader.counts.total()} messages until sim time '
-                    f'{1e-9 * reader.latest:.3f} s')
+        found, own = 0, False
+        for found, record in enumerate(reader.records(), 1):
+            own = own or isinstance(record, Metadata) and record.name == START
+        contents = f'{reader.counts.total()} messages ' + (
+            f'until sim time {1e-9 * reader.latest:.3f} s' if own else
+            # Log times of a bag are those of a wall clock.
+            f'within {1e-9 * max(0, reader.latest - reader.earliest):.3f} s')
         if reader.damage is None:
             return f'{printable(path)} is complete: {contents}; nothing is written'
         if not found:
             raise LogError(f'{printable(path)}: nothing in it is intact: {reader.damage}')
         stream.seek(len(MCAP0_MAGIC))
-        new = _write(Reader(stream).records(), reader.profile, path, output)
+        new = _write(Reader(stream).records(), reader.profile, Path(file), output)
     more = f' and {reader.faults - 1} more' if reader.faults > 1 else ''
     return (f'{printable(path)}: {reader.damage}{more}; {contents}, {reader.size - reader.kept} '
             f'bytes lost; complete in {printable(new)}')
@@ -66,6 +71,7 @@ def recover(file, output=None):
 def _write(records, profile, path, output):
     """Write a new log; return its path."""
     if output is None:
+        path = Path(f'{path.resolve()}.mcap') if path.is_dir() else path
         new, stream = create(path.with_stem(path.stem + '_recovered'))
     else:
         try:

@@ -20,6 +20,11 @@ NANOSECONDS = 1000000000
 _GRAVITY = 9.80665  # [m/s2]
 
 
+def title(topic):
+    """Return what columns and the rate of a topic are named after: tip_imu of its data_raw."""
+    return topic.strip('~/').partition('/')[0]
+
+
 def _tip_pose(snapshot):
     x, y, theta = snapshot.joint_positions
     along, across, rotation = snapshot.tip
@@ -29,6 +34,10 @@ def _tip_pose(snapshot):
 
 def _readings(*sensors):
     return lambda snapshot: [axis for name in sensors for axis in snapshot.sensor(name)]
+
+
+def _imu_variances(snapshot):
+    return [snapshot.variance(name) for name in ('tip_acceleration', 'tip_acceleration', 'gyro')]
 
 
 def _transforms(snapshot):
@@ -54,6 +63,8 @@ class Output(NamedTuple):
         The message, with a Number in place of each of these; header stamps are filled in.
     delay : str or None
         Of a sensor, the parameter with the time from measurement to message.
+    variances : function(simulation.snapshot.Snapshot) -> sequence of float
+        What the numbers of the template without a name are.
 
     """
 
@@ -62,11 +73,16 @@ class Output(NamedTuple):
     numbers: Callable
     template: dict
     delay: str | None = None
+    variances: Callable = lambda snapshot: ()
+
+    def content(self, snapshot, numbers):
+        """Return all numbers of the message with these `numbers`."""
+        return (*numbers, *self.variances(snapshot))
 
     @property
     def rate(self):
         """The parameter with the rate."""
-        return f'rate.{self.name.strip("~/")}'
+        return f'rate.{title(self.name)}'
 
     @property
     def columns(self):
@@ -76,7 +92,7 @@ class Output(NamedTuple):
     @property
     def places(self):
         """Which of the float64 of a message the numbers are."""
-        return form(self.type_name, self.template).places
+        return form(self.type_name, self.template).places[:len(self.columns)]
 
     @property
     def texts(self):
@@ -94,6 +110,10 @@ def _frame(name):
 
 def _xy(x, y):
     return {'x': Number(x), 'y': Number(y)}
+
+
+def _diagonal(x, y, z):
+    return [x, *3 * [0.0], y, *3 * [0.0], z]  # of 3 x 3
 
 
 def _turn(z, w):
@@ -116,6 +136,7 @@ def outputs(modes):
                         'position': _numbers(*(f'{name}_m_sqrt_kg' for name in names)),
                         'velocity': _numbers(*(f'{name}_rate_m_sqrt_kg_per_s'
                                                for name in names))})]
+    imu = _readings('tip_acceleration', 'gyro')
     return [
         Output('joint_states', 'sensor_msgs/msg/JointState', lambda snapshot: (
             *snapshot.joint_positions, *snapshot.joint_velocities, *snapshot.effort), {
@@ -135,14 +156,17 @@ def outputs(modes):
         Output('~/root_strain', 'sensor_msgs/msg/JointState', _readings('root_strain'), {
             'name': ['root_strain'], 'position': _numbers('outer_fibre')},
             delay='sensor.root_strain.delay'),
-        Output('~/tip_imu', 'sensor_msgs/msg/Imu', _readings('tip_acceleration', 'gyro'), {
+        Output('~/tip_imu/data_raw', 'sensor_msgs/msg/Imu', imu, {
             'header': _frame('tip'),
-            'orientation_covariance': [-1.0] + 8 * [0.0],  # REP-145: there is no orientation
+            # REP 145: -1 for no orientation; what is known of the covariance, all 0 if nothing is.
+            'orientation_covariance': [-1.0] + 8 * [0.0],
             # The plane of motion is horizontal; a sensor at rest shows what holds it up.
             'linear_acceleration': {**_xy('acceleration_x_m_per_s2', 'acceleration_y_m_per_s2'),
                                     'z': _GRAVITY},
-            'angular_velocity': {'z': Number('turning_rad_per_s')}},
-            delay='sensor.tip_imu.delay'),
+            'angular_velocity': {'z': Number('turning_rad_per_s')},
+            'linear_acceleration_covariance': _diagonal(Number(), Number(), 0.0),
+            'angular_velocity_covariance': _diagonal(0.0, 0.0, Number())},
+            delay='sensor.tip_imu.delay', variances=_imu_variances),
         Output('~/encoder', 'sensor_msgs/msg/JointState', _readings('encoder'), {
             'name': ['shaft'], 'position': _numbers('shaft_rad')},
             delay='sensor.encoder.delay'),

@@ -19,7 +19,8 @@ class Number(NamedTuple):
     Stands in a template for a number that changes from message to message.
 
     A template gives the values of a message as `cdr.pack` takes them. Its numbers are counted in
-    the order in which they are written in the template, whatever the order of the message.
+    the order in which they are written in the template, whatever the order of the message. Those
+    without a name, the last ones, say something of the others and are no columns.
 
     Examples
     --------
@@ -29,14 +30,14 @@ class Number(NamedTuple):
 
     """
 
-    column: str  # its name with unit, as in 'shaft_rad'
+    column: str = ''  # its name with unit, as in 'shaft_rad'
 
 
 def columns(template):
-    """Return the names of the numbers of a template, a tuple of str."""
+    """Return the names of those numbers of a template that have one, a tuple of str."""
     found = []
     _filled(template, lambda number: found.append(number.column))
-    return tuple(found)
+    return tuple(filter(None, found))
 
 
 class Form(NamedTuple):
@@ -49,10 +50,13 @@ class Form(NamedTuple):
 
 def form(type_name, template):
     """Return the Form of a template."""
-    # Each number is marked by a value of its own that no template holds: 5e-324, 1e-323, ...
-    marks = [5e-324 * (n + 1) for n in range(len(columns(template)))]
-    remaining = iter(marks)
-    data = pack(type_name, _filled(template, lambda number: next(remaining)))
+    marks: list[float] = []
+
+    def mark(number):  # by a value of its own that no template holds: 5e-324, 1e-323, ...
+        marks.append(5e-324 * (len(marks) + 1))
+        return marks[-1]
+
+    data = pack(type_name, _filled(template, mark))
     found = layout(type_name, data)
     doubles = [struct.unpack_from('<d', data, place)[0] for place in found.doubles]
     return Form(data, found, tuple(map(doubles.index, marks)))
@@ -88,6 +92,8 @@ class Serializer:
         self._times = [(place - 4) // 4 for place in found.stamps]
         self._numbers = body[:len(body) // 8 * 8].cast('d')
         self._places = [(found.doubles[place] - 4) // 8 for place in places]
+        for place in self._places:  # what is not given
+            self._numbers[place] = 0.0
 
     def __call__(self, time, numbers):
         """Return the message with this time ([s], [ns]) and these numbers, CDR."""

@@ -20,7 +20,7 @@ from timo_sim.log.notes import CHANGE, change_note, other_ground, RESET
 from timo_sim.log.recorder import NewLog
 from timo_sim.log.recording import Recording
 from timo_sim.messages.commands import COMMANDS
-from timo_sim.messages.outputs import outputs, with_angles
+from timo_sim.messages.outputs import outputs, title, with_angles
 from timo_sim.physics.layout import LOADS
 from timo_sim.replay.segments import late_steps, segments_of
 from timo_sim.scene.files import read_parameter_file
@@ -248,7 +248,7 @@ def _differences(topic, time, logged, replayed):
         before, now = (values[:, columns.index(column)] for columns, values in (logged, replayed))
         distance = np.abs(now - before)
         place = int(np.argmax(distance))
-        yield Difference(f'{topic.removeprefix("~/")} {column}', float(distance[place]),
+        yield Difference(f'{title(topic)} {column}', float(distance[place]),
                          float(np.sqrt(np.mean(distance**2))), float(time[place]))
 
 

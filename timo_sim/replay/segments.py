@@ -29,7 +29,7 @@ class Segment:
 
     first: int      # step
     last: int
-    commands: list  # step, index in COMMANDS, what it sets, message; ascending
+    commands: list  # that act: step, index in COMMANDS, what it sets, message; ascending
     changes: list   # step and values by name of the scene's parameters; ascending
     samples: dict   # of each topic, by short name, steps of its messages; ascending
     logged: dict    # their numbers, shape (n, k), where the log has the topic
@@ -108,7 +108,8 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
         if end < first:
             break
         inside = [(int(at[k]), kind, series.values[k], series.data[k])
-                  for kind, series, at in acting for k in np.flatnonzero(series.resets == number)]
+                  for kind, series, at in acting
+                  for k in np.flatnonzero((series.resets == number) & (at < end))]
         changes = [(int(_steps_of(step, recording, scene)), values)
                    for before, (step, _, values) in zip(changed, recording.changes)
                    if before == number]

@@ -8,12 +8,15 @@
 
 """The node `timo_sim`: wiring of loop, topics, services, diagnostics and log."""
 
+from contextlib import contextmanager, ExitStack
 from functools import partial
 from importlib.util import find_spec
 import math
+import os
 import threading
 import time
 
+from rclpy.context import Context
 from std_srvs.srv import SetBool, Trigger
 
 from timo_sim.log.notes import CHANGE, change_note, Peak, RESET, start_note
@@ -31,12 +34,49 @@ from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.simulator import Simulator
 
 _LONGEST_SLEEP = 0.1  # [s] after which a sleeping node looks at its flags
+_ALONE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF', 'ROS_LOCALHOST_ONLY': ''}
 
 
 def no_live_feed(scene, url, name):
     """Refuse to stream to a viewer."""
     raise ParameterError(f'rerun_live = {short(url)} needs the executable sim_node, which brings '
                          'the stream of the viewer')
+
+
+@contextmanager
+def _unseen(args, options):
+    """Give a node that has the parameters of a SimNode and is in no graph but its own."""
+    context, before = Context(), {name: os.environ.get(name) for name in _ALONE}
+    os.environ.update(_ALONE)
+    try:
+        context.init(args, initialize_logging=False)
+    finally:
+        for name, value in before.items():
+            del os.environ[name]
+            os.environ.update({name: value} if value is not None else {})
+    with ExitStack() as stack:
+        stack.callback(context.try_shutdown)
+        node = ParameterNode('timo_sim', context=context, enable_rosout=False, **options)
+        stack.callback(node.destroy_node)
+        yield node
+
+
+def _prepared(node):
+    """
+    Return a simulator, compiled, and what the parameters of a node say of its run.
+
+    Their values by name, steps between messages by rate, and the last step.
+    """
+    values = node.given()
+    scene = scene_from(values)
+    if scene.values['model.accuracy']:
+        scene = resolved_scene(node, scene, values)
+    steps_each = steps_between_messages(values, scene.step)
+    end = whole_ratio('duration', values['duration'], 'integrator.step',
+                      scene.step) or math.floor(LATEST / scene.step)
+    simulator = Simulator(scene)
+    simulator.warm_up(node.get_logger().info, messages=True)
+    return simulator, values, steps_each, end
 
 
 class SimNode(ParameterNode):
@@ -52,6 +92,8 @@ class SimNode(ParameterNode):
     live_feed : function(Scene, str, str) -> object, optional
         For a scene, the address of a viewer and the name of the node returns what streams to it:
         its `offer(now, simulator, effort)` is called at each tick, its `close()` at the end.
+    args : list of str, optional
+        Command line with parameters; by default that of the process.
     **options
         Of rclpy.node.Node, such as the namespace of one of several nodes in a process.
 
@@ -61,24 +103,17 @@ class SimNode(ParameterNode):
 
     """
 
-    def __init__(self, stop, live_feed=no_live_feed, **options):
+    def __init__(self, stop, live_feed=no_live_feed, args=None, **options):
+        # What takes seconds is done before others see a node, and wait for its answers.
+        with _unseen(args, options) as node:
+            self._simulator, values, steps_each, end = _prepared(node)
         super().__init__('timo_sim', **options)
-        self._stop = stop
+        self._stop, self._values, scene = stop, values, self._simulator.scene
         self._lock = threading.Lock()
-        values = self._values = self.given()
-        scene = scene_from(values)
-        if scene.values['model.accuracy']:
-            scene = resolved_scene(self, scene, values)
         doubts = implausible(scene.values)
         if doubts:
             self.get_logger().warning(doubts)
         self._step = scene.step
-        steps_each = steps_between_messages(values, self._step)
-        end = whole_ratio('duration', values['duration'], 'integrator.step',
-                          self._step) or math.floor(LATEST / self._step)
-
-        self._simulator = Simulator(scene)
-        self._simulator.warm_up(self.get_logger().info, messages=True)
         self._log, self._peak = RunLog(self.get_logger()), Peak()
         self._commands = Commands(self, values['motor.dc.resistance'] > 0.0)
         self._outlets = self._made_outlets(scene)
@@ -137,8 +172,10 @@ class SimNode(ParameterNode):
         self._loop.look()
         self._loop.publish()
         # Only now: rclpy's first line of a process takes a tenth of a second.
-        if self._log.path:
-            self.get_logger().info(f'logging to {self._log.path}')
+        self.get_logger().info(
+            f'{"paused" if self.paused else "running"}: {self._simulator.scene.modal_count} '
+            f'modes, step {self._step:g} s, waiting for commands' + (
+                f', logging to {self._log.path}' if self._log.path else ''))
 
     def _open_log(self):
         self._log.open(

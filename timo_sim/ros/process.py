@@ -100,7 +100,7 @@ def run(stop, args, **options):
     except (ParameterError, RuntimeError, UnicodeError) as error:  # arguments, or a file
         return _refuse(error)
     try:
-        node = SimNode(stop, **options)
+        node = SimNode(stop, args=given, **options)
     except (ParameterError, NameValidationException) as error:
         return _refuse(error)
     except RCLError as error:  # what the middleware does not do

@@ -79,15 +79,19 @@ class MotionOutlet(Outlet):
     def __init__(self, node, output):
         super().__init__(node, output.name, output.type_name)
         self._serialize = Serializer(output.type_name, output.template)
-        self._numbers, self.rate = output.numbers, output.rate
+        self._output, self.rate = output, output.rate
         self.name, self.every, self.watch = output.name, 1, None
 
     def publish(self, snapshot):
         """Send what a snapshot holds."""
-        numbers = self._numbers(snapshot)
-        self.send(self._serialize(snapshot.time, numbers), snapshot.step, snapshot.nanoseconds)
+        numbers, data = self._message(snapshot)
+        self.send(data, snapshot.step, snapshot.nanoseconds)
         if self.watch is not None:
             self.watch(numbers, snapshot.nanoseconds)
+
+    def _message(self, snapshot):
+        numbers = self._output.numbers(snapshot)
+        return numbers, self._serialize(snapshot.time, self._output.content(snapshot, numbers))
 
 
 class LateOutlet(MotionOutlet):
@@ -103,7 +107,7 @@ class LateOutlet(MotionOutlet):
 
     def publish(self, snapshot):
         """Measure; measuring the same step again replaces the earlier measurement."""
-        self._under_way[snapshot.step] = self._serialize(snapshot.time, self._numbers(snapshot))
+        self._under_way[snapshot.step] = self._message(snapshot)[1]
 
     @property
     def arrival(self):

@@ -201,8 +201,8 @@ _ALL = [
     Parameter('record', True, '', 'whether the run is logged to an MCAP file', scope=NODE),
     Parameter('record_file', '', '', 'path of the log; empty: timo_sim_DATE_TIME.mcap in the '
               'working directory', scope=NODE),
-    Parameter('record_sensors', False, '', 'whether ~/root_strain, ~/tip_imu and ~/encoder are '
-              'logged also while nobody subscribes', scope=NODE),
+    Parameter('record_sensors', False, '', 'whether ~/root_strain, ~/tip_imu/data_raw and '
+              '~/encoder are logged also while nobody subscribes', scope=NODE),
     Parameter('rerun_live', '', '', 'address of a running viewer of rerun to which the motion is '
               'streamed, such as rerun+http://127.0.0.1:9876/proxy; empty: none', scope=NODE),
     Parameter('publish_arm_shape', False, '', 'whether the centre line goes to ~/arm_shape, for '

@@ -77,6 +77,12 @@ def reading(values, name, number, step, quantities):
     return tuple(result)
 
 
+def variance(values, name):
+    """Return the variance of what a sensor reads, without bias; one that rounds errs evenly."""
+    noise, resolution = (values[f'sensor.{name}.{kind}'] for kind in ('noise', 'resolution'))
+    return noise**2 + resolution**2 / 12.0
+
+
 def _random(seed, sensor, axis, step):
     block, place = divmod(step, _BLOCK)
     return _block(seed, sensor, axis, block)[place]

@@ -17,7 +17,7 @@ from timo_sim.messages.sensors import SENSORS
 from timo_sim.physics.layout import (
     FORCE_I, FORCE_II, FORCE_X, FORCE_Y, place, rotate, TORQUE)
 from timo_sim.simulation.joints import joints_of_state
-from timo_sim.simulation.sensors import reading
+from timo_sim.simulation.sensors import reading, variance
 
 _SENSORS = {sensor.name: (number, sensor) for number, sensor in enumerate(SENSORS)}
 
@@ -116,6 +116,10 @@ class Snapshot:
         """Return what a sensor reads, a tuple of float, one for each axis."""
         number, sensor = _SENSORS[name]
         return reading(self._scene.values, name, number, self.step, sensor.quantities(self))
+
+    def variance(self, name):
+        """Return the variance of what a sensor reads, on each axis."""
+        return variance(self._scene.values, name)
 
     @cached_property
     def energy(self):
