@@ -30,7 +30,7 @@ from timo_sim.ros.commands import Inlet
 kept, receive = [], Inlet._receive
 def keep(inlet, data, answered):
     kept.append(bytearray(b'x') * 10000)
-    receive(inlet, data, answered)
+    return receive(inlet, data, answered)
 Inlet._receive = keep
 main()
 """
