@@ -119,7 +119,7 @@ def lock_step_row(periods):
             node.process.wait(READY + 0.1 * periods)
         well = node.end() == 0
         log = Recording(node.log)
-    answers = log.topics['~/joint_command']
+        answers = log.topics['~/joint_command']
     good = {step for step, values in zip(answers.step.tolist(), answers.values)
             if np.nanmax(values) == 1.0}
     alone = len(good) == len(answers.step) and not len(log.topics['~/tip_wrench'].step)
