@@ -35,7 +35,7 @@ def test_loads_damping_and_limits_are_set_at_run_time(start, client):
         client.wait(lambda: states and states[-1].effort[2] == effort, f'a torque of {effort}')
 
     load = {'load.torque.piecewise.time': [0.0], 'load.torque.piecewise.value': [3.0]}
-    refused = one_by_one(parameters=parameters(load)).results
+    refused = one_by_one(parameters=parameters(load)[:1]).results
     assert not refused[0].successful and 'must have the same length' in refused[0].reason
     assert atomically(parameters=parameters(load)).result.successful
     shows(3.0)
