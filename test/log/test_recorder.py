@@ -10,6 +10,7 @@
 
 import os
 import threading
+import time
 
 from mcap.reader import make_reader
 import pytest
@@ -143,7 +144,7 @@ def test_a_disk_that_hangs_is_told_and_does_not_hold_up_the_node_for_ever(
         threading.Timer(0.5, hangs.set).start()
     for step in range(BACKLOG + 5):
         recorder.write(0, step, step, bytes(CHUNK_SIZE))
-    assert 'the simulation waits for the disk' in recorder.warning
+    assert 'the simulation has waited for the disk' in recorder.warning
     recorder.close()
     if comes_back:
         assert recorder.error is None
@@ -153,3 +154,17 @@ def test_a_disk_that_hangs_is_told_and_does_not_hold_up_the_node_for_ever(
         assert 'has taken nothing for 0.2 s' in recorder.error
         hangs.set()
         recorder._thread.join()
+
+
+def test_a_slow_disk_is_given_the_time_it_takes_to_end_a_log(tmp_path, monkeypatch):
+    monkeypatch.setattr('timo_sim.log.recorder.PATIENCE', 0.3)
+    recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
+    add_chunk = recorder._writer.add_chunk
+    monkeypatch.setattr(recorder._writer, 'add_chunk', lambda chunk: (
+        time.sleep(0.1), add_chunk(chunk)))
+    for step in range(10):
+        recorder.write(0, step, step, bytes(CHUNK_SIZE))
+    recorder.close()
+    assert recorder.error is None
+    with open(recorder.path, 'rb') as stream:
+        assert len([*make_reader(stream).iter_messages()]) == 10

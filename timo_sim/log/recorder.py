@@ -122,7 +122,7 @@ class Recorder:
         while len(self._queue) > BACKLOG and self.error is None:
             time.sleep(0.001)
             if time.monotonic() - begun > NOTABLE:
-                self.warning = f'the simulation waits for the disk, which is too slow: {self.path}'
+                self.warning = f'the simulation has waited for the disk of {self.path}'
             if time.monotonic() - begun > PATIENCE:
                 self.error = f'{self.path}: the disk has taken nothing for {PATIENCE:g} s'
 
@@ -136,7 +136,10 @@ class Recorder:
         """Write what is waiting, the index and the summary, and close the file."""
         self._closing = True
         self._ready.set()
-        self._thread.join(PATIENCE)
+        size = None
+        while self._thread.is_alive() and self._writer.size != size:  # as long as it goes on
+            size = self._writer.size
+            self._thread.join(PATIENCE)
         if self._thread.is_alive():
             self.error = self.error or f'{self.path}: the disk does not take its end'
 
