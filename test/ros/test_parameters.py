@@ -51,9 +51,7 @@ def parameters(client, namespace):
 
     def call(method, *arguments):
         client.wait(remote.services_are_ready, 'the services of parameters')
-        future = getattr(remote, method)(*arguments)
-        client.wait(future.done, method)
-        return future.result()
+        return client.answer(lambda: getattr(remote, method)(*arguments), method)
     call.wait_for_end = lambda: client.wait(lambda: not remote.services_are_ready(), 'the end')
     return call
 
