@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from timo_sim.physics.layout import (
-    ACCELERATION, AFTER, ANGLE, END, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TIP_TORQUE,
+    ACCELERATION, AFTER, ANGLE, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TIP_TORQUE,
     TIP_X, TIP_Y, TORQUE)
 from timo_sim.scene.moments import around, on_boundaries, parabolas
 
@@ -212,12 +212,11 @@ class Load:
         return any(self.terms.values())
 
     @functools.cached_property
-    def _columns(self) -> list[tuple[Any, Any]]:
-        # Each term, and the drive, with the columns of loads that are its own.
-        found = [(CHANNELS[channel], term) for channel, terms in self.terms.items()
-                 for term in terms]
+    def _columns(self) -> list[tuple[Any, tuple]]:
+        # The columns of loads that are not zero, with their terms.
+        found = [(CHANNELS[channel], terms) for channel, terms in self.terms.items() if terms]
         return found if self.drive is None else [
-            *found, (slice(ANGLE, ACCELERATION + 1), self.drive)]
+            *found, (slice(ANGLE, ACCELERATION + 1), (self.drive,))]
 
     def fastest(self):
         """Return the highest frequency of a harmonic term [Hz] and its channel, or (0, '')."""
@@ -226,18 +225,23 @@ class Load:
 
     def breaks(self, first, count, step):
         """Return the boundaries of some steps at which, or next to which, it is not smooth."""
-        found = [term.breaks(first, count, step) for _, term in self._columns]
+        found = [term.breaks(first, count, step) for _, terms in self._columns for term in terms]
         return around(np.concatenate(found), first, count) if any(map(len, found)) else []
 
-    def stages(self, first, count, step):
-        """Return the loads of steps first, first + 1, ..., shape (count, 4, 14), see `layout`."""
-        loads = np.zeros((count, STEP_LOADS, LOADS))
-        samples = [term.stages(first, count, step) for _, term in self._columns]
-        for (columns, _), values in zip(self._columns, samples):
-            loads[:, :STAGES, columns] += values
-        loads[:, AFTER] = loads[:, END]
-        for (columns, term), values in zip(self._columns, samples):
-            steps, seen = term.parabolas(first, count, step)
-            if len(steps):
-                loads[steps, :STAGES, columns] += seen - values[steps]
+    def stages(self, first, count, step, room=None):
+        """
+        Return the loads of steps first, first + 1, ..., shape (count, 4, 14), see `layout`.
+
+        They are put into `room` for at least as many, if that is given: zeros at first, then what
+        this load has put there.
+        """
+        loads = np.zeros((count, STEP_LOADS, LOADS)) if room is None else room[:count]
+        for columns, terms in self._columns:
+            samples = [term.stages(first, count, step) for term in terms]
+            loads[:, :STAGES, columns] = total = sum(samples)
+            loads[:, AFTER, columns] = total[:, -1]
+            for term, values in zip(terms, samples):
+                steps, seen = term.parabolas(first, count, step)
+                if len(steps):
+                    loads[steps, :STAGES, columns] += seen - values[steps]
         return loads

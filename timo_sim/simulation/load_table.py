@@ -8,9 +8,12 @@
 
 """The loads of coming steps as a table: those of the scene and what the actuators make."""
 
+import numpy as np
+
 from timo_sim.physics.integrate.global_error import LEAST
 from timo_sim.physics.integrate.run_error import CHUNK
 from timo_sim.physics.integrate.steps import NO_LOADS
+from timo_sim.physics.layout import LOADS, STEP_LOADS
 
 _FEW = 256  # steps; the loads of fewer are worked out together with those of the next
 
@@ -28,6 +31,7 @@ class LoadTable:
     def __init__(self, scene):
         self._load, self._step = scene.load, scene.step
         self._begin, self._block, self._breaks = 0, NO_LOADS, []
+        self._room = np.zeros((CHUNK, STEP_LOADS, LOADS))
 
     def at_start(self):
         """Return the scene's own load at its beginning, shape (14,)."""
@@ -64,7 +68,7 @@ class LoadTable:
         if not begin <= first <= first + count <= begin + len(block):
             # A node asks for few at a time.
             ahead = count if count >= _FEW else CHUNK
-            begin, block = first, self._load.stages(first, ahead, self._step)
+            begin, block = first, self._load.stages(first, ahead, self._step, self._room)
             self._begin, self._block = begin, block
             self._breaks = self._load.breaks(first, ahead, self._step)
         return block[first - begin:first - begin + count]

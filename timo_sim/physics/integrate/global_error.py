@@ -29,6 +29,7 @@ _POINTS = 6  # of the polynomial
 _MIDDLE = _POINTS // 2 - 1  # the step between them where it is best
 LEAST = 8  # steps that can be estimated
 _BLOCK, _FEW = 64, 256  # steps summed up by one matrix; fewer do not pay for it
+_PRODUCTS = 2**18  # of numbers in one call of BLAS; for more it wakes its threads
 
 
 @lru_cache(maxsize=1)
@@ -64,7 +65,7 @@ class GlobalError:
 
     def __init__(self, linear, step):
         self._linear, self._step = linear, step
-        self.error, self._histories = np.zeros(len(linear)), {}
+        self.error, self._squares = np.zeros(len(linear)), {}
 
     @cached_property
     def _phi(self):
@@ -122,19 +123,21 @@ class GlobalError:
         if steps < _FEW:
             blocks = 0
         done = blocks * _BLOCK
-        errors = [np.zeros((0, size))]
+        errors = np.empty((blocks, size))
+        at_once = max(1, _PRODUCTS // (_BLOCK * size**2))
+        for first in range(0, blocks, at_once):
+            part = slice(first * _BLOCK, min(first + at_once, blocks) * _BLOCK)
+            ends, inner = states[part.start:part.stop + 1:_BLOCK], rates[part]
+            errors[first:first + at_once] = weight * (
+                ends[1:] - ends[:-1] @ self._powers[_BLOCK].T
+                - inner.reshape(len(ends) - 1, -1) @ self._sums[:-size]
+                - rates[part.start + _BLOCK:part.stop + 1:_BLOCK] @ self._sums[-size:])
         if blocks:
-            ends = states[:done + 1:_BLOCK]
-            defects = ends[1:] - ends[:-1] @ self._powers[_BLOCK].T - (
-                _windows(rates, _BLOCK, _BLOCK + 1, blocks) @ self._sums)
-            driven = np.concatenate([self.error, weight * defects.ravel()])
-            errors.append((self._history(blocks) @ driven).reshape(blocks, size))
-            self.error = errors[-1][-1]
+            self._accumulate(errors)
         if done < steps:
             self.add(weight * self._defects(states[done:], rates[done:]))
-            errors.append(self.error[np.newaxis])
-        numbers = [_BLOCK * (k + 1) for k in range(blocks)] + [steps] * (done < steps)
-        return np.concatenate(errors), numbers
+            errors = np.vstack([errors, self.error])
+        return errors, [_BLOCK * (k + 1) for k in range(blocks)] + [steps] * (done < steps)
 
     def _defects(self, states, rates):
         """Return the defect of each step, shape (steps, m)."""
@@ -150,18 +153,24 @@ class GlobalError:
             defects[first:first + count] -= windows @ weights.transpose(0, 2, 1).reshape(-1, size)
         return defects
 
-    def _history(self, blocks):
-        """Return the errors after each block by the first and the defects, (b m, (1 + b) m)."""
-        if blocks not in self._histories:
-            size = len(self._linear)
-            matrix = np.zeros((blocks, size, 1 + blocks, size))
-            power = np.eye(size)
-            for later in range(blocks + 1):
-                for after in range(max(later, 1) - 1, blocks):
-                    matrix[after, :, 1 + after - later] = power
-                power = self._powers[_BLOCK] @ power
-            self._histories[blocks] = matrix.reshape(blocks * size, -1)
-        return self._histories[blocks]
+    def _accumulate(self, defects):
+        """Turn the defects of blocks, (b, m), into the error after each."""
+        defects[0] += self._powers[_BLOCK] @ self.error
+        distance = 1
+        while distance < len(defects):
+            # All are sums over so many blocks now.
+            defects[distance:] += defects[:-distance] @ self._over_blocks(distance).T
+            distance *= 2
+        self.error = defects[-1].copy()
+
+    def _over_blocks(self, count):
+        # exp of L over a power of two of blocks.
+        if count == 1:
+            return self._powers[_BLOCK]
+        if count not in self._squares:
+            root = self._over_blocks(count // 2)
+            self._squares[count] = root @ root
+        return self._squares[count]
 
     @cached_property
     def _of_step(self):

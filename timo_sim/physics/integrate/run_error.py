@@ -17,7 +17,8 @@ from timo_sim.physics.integrate.global_error import GlobalError
 from timo_sim.physics.integrate.modes_error import ModesError
 from timo_sim.physics.layout import ANGLE, LOADS, rotate, START
 
-CHUNK = 1024  # steps that are kept
+CHUNK = 1024  # steps at once
+_KEPT = 2048  # steps whose states are kept
 _COST = 128  # steps that pay for an estimate
 _OF_STEP = 16.0 / 15.0  # so much more than from its halves a step differs from the truth
 _BENT = 1e-5  # [rad]
@@ -52,7 +53,7 @@ class RunError:
         self.tip, self.unseen, self.modes, self._unlooked = 0.0, 0, ModesError(steps), 0
         # Of the steps since the last cut: how many, and the states and rates at their starts.
         self._open, self._credit = 0, CHUNK
-        self._states, self._rates = np.zeros((2, CHUNK + 1, len(steps.model.linear)))
+        self._states, self._rates = np.zeros((2, _KEPT + 1, len(steps.model.linear)))
 
     def reset(self):
         """Begin anew."""
@@ -78,17 +79,19 @@ class RunError:
     @property
     def room(self):
         """Steps that can be done at once."""
-        return (CHUNK if self._steps.keeps_states else _FEW) - self._open
+        return (_KEPT if self._steps.keeps_states else _FEW) - self._open
 
     @property
     def rest(self):
         """Where the states and rates of coming steps are kept."""
         return self._states[self._open:], self._rates[self._open:]
 
-    def count(self, done):
-        """Count steps whose states and rates are kept."""
+    def count(self, done, state, load):
+        """Count steps whose states and rates are kept; state and load are those at their end."""
         self._open += done
+        self._unlooked += done
         self._credit = min(self._credit + done, CHUNK)
+        self._look_at_modes(state, load, CHUNK)
 
     def cut(self, state, load, smooth=True):
         """
@@ -105,8 +108,8 @@ class RunError:
             Whether the load was smooth since then; if not, a `look` has counted them.
 
         """
+        self._look_at_modes(state, load, _LOOK)
         count, self._open = self._open, 0
-        self._look_at_modes(state, load, count)
         if not (smooth and count >= self._steps.least and self._pay()):
             self.unseen += count * smooth
             self._error.grow(count)
@@ -139,16 +142,15 @@ class RunError:
         """Estimate the error of all steps so far, if need be by the next one, `number`."""
         self._credit = CHUNK
         self.cut(state, load)
-        self._look_at_modes(state, load, 0, 1)
+        self._look_at_modes(state, load, 1)
         if self.unseen:
             self.look(state, tabulate, number, 0)
 
-    def _look_at_modes(self, state, load, count, least=_LOOK):
-        self._unlooked += count
+    def _look_at_modes(self, state, load, least):
         if self._unlooked >= least:
-            model, last, load = self._steps.model, count - 1, self._steps.acting(load)
+            model, last, load = self._steps.model, self._open - 1, self._steps.acting(load)
             rate = (model.linear @ self._states[last] + self._rates[last]
-                    if count and self._steps.keeps_states else model.rate(state, load))
+                    if self._open and self._steps.keeps_states else model.rate(state, load))
             self.modes.look(state, load, rate, self._unlooked)
             self._unlooked = 0
 

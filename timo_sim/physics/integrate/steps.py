@@ -155,7 +155,7 @@ class Steps:
         """
         done, load = self._do(state, load, tabulate, first, count, sample_every, sampled, motions,
                               heat)
-        self.errors.count(done)
+        self.errors.count(done, state, load)
         return done, load
 
     def _do(self, state, load, tabulate, first, count, *samples):
@@ -163,7 +163,7 @@ class Steps:
         done = self._integrate(state, load, loads, *samples)
         if done >= _MANY and self.keeps_states:
             self.errors.modes.look_for_peak(self.errors.rest[0][:done], loads[:done, START])
-        return done, loads[-1, AFTER] if count else load
+        return done, loads[-1, AFTER].copy() if count else load
 
     def _integrate(self, state, load, loads, sample_every, sampled, motions, heat):
         return self._step(0, state, load, loads, sample_every, sampled, motions,
