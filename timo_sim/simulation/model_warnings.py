@@ -81,7 +81,7 @@ def after_steps(scene, steps, stretch, time, state, load, motions, warning):
         return _inaccurate_steps(scene, steps, time)
     if steps.unresolved:
         return _unresolved_steps(steps, time)
-    # Steps are too long for events in them, or to hold a joint still: doc/theory.md, (T35).
+    # Steps are too long for events in them, or to hold a joint still: doc/theory.md, (T44).
     if steps.friction_drift > _MOST_DRIFT * scene.manipulator.arm.length:
         return _friction_drift(steps, time)
     if not steps.errors.modes.tip <= _MOST_ERROR * scene.manipulator.arm.length:

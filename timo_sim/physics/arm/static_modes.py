@@ -21,7 +21,7 @@ class StaticModes:
     Eigenmodes, then residual static shapes, all normalised as in doc/theory.md (T3).
 
     What eigenmodes leave of a static shape is orthogonal to them in mass and stiffness, so that
-    nothing else changes: a shape is a mode with a frequency by Rayleigh's quotient, (T40).
+    nothing else changes: a shape is a mode with a frequency by Rayleigh's quotient, (T9).
 
     Parameters
     ----------

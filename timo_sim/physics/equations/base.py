@@ -142,7 +142,7 @@ class Formulation(ABC):
     @abstractmethod
     def effort(self, motions, accelerations, loads):
         """
-        Return what must act on carrier and shaft, friction included, for accelerations (T37).
+        Return what must act on carrier and shaft, friction included, for accelerations (T45).
 
         Motions, accelerations of their 3 + N coordinates, loads of which those on the tip act:
         n of each; forces in world axes [N] and torque [N m], shape (n, 3).

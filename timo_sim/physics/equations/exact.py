@@ -12,36 +12,36 @@ The `exact` formulation: geometrically exact kinematics on assumed strain modes.
 Numbers (T..) are those of doc/theory.md, section 6.
 
 Section rotation and shear strain are expanded in the modes and the arm is inextensible, but for
-its axial modes, if it has any: `exact_stretch` has what they add (T43), (T44). With the
+its axial modes, if it has any: `exact_stretch` has what they add (T34), (T35). With the
 shaft angle as coordinate q_0 (`Phi_0 = 1`, `Gamma_0 = 0`) and `Gamma_n = W_n' - Phi_n`,
 
-    phi = sum Phi_i q_i     gamma = sum Gamma_i q_i     i = 0..N                (T19)
+    phi = sum Phi_i q_i     gamma = sum Gamma_i q_i     i = 0..N                (T22)
 
 are the rotation in world axes and the shear strain of a section. The slope (a, b) of the centre
 line in world axes and its derivative with respect to q_i follow without approximation:
 
-    a = cos phi - gamma sin phi     C1_i = -b Phi_i - sin(phi) Gamma_i          (T20)
-    b = sin phi + gamma cos phi     C2_i =  a Phi_i + cos(phi) Gamma_i          (T21)
+    a = cos phi - gamma sin phi     C1_i = -b Phi_i - sin(phi) Gamma_i          (T23)
+    b = sin phi + gamma cos phi     C2_i =  a Phi_i + cos(phi) Gamma_i          (T24)
 
 The equations are Hamilton's. With the mass centre (X, Y) in place of the carrier, translation
 separates; what is left are the coordinates q_i and their momenta p_i = M_ij q_j', with
-`M_ij = Xi_ij + C1_i K C1_j + C2_i K C2_j` (T23):
+`M_ij = Xi_ij + C1_i K C1_j + C2_i K C2_j` (T26):
 
-    X'   = P_x / m_t         P_x' = F_x          (the same in y)                (T24)
-    q_i' = (M^-1 p)_i        p_i' = dT/dq_i - omega_i^2 q_i - 2 zeta_i omega_i q_i' + Q_i  (T25)
+    X'   = P_x / m_t         P_x' = F_x          (the same in y)                (T27)
+    q_i' = (M^-1 p)_i        p_i' = dT/dq_i - omega_i^2 q_i - 2 zeta_i omega_i q_i' + Q_i  (T28)
 
 where Q holds the shaft torque and the forces on carrier and tip as seen from the mass centre, and
-the torque on the tip, `Phi_i(l)` of it; F is the sum of both forces (T30). Viscous friction of
-the carrier is a force on it, that of the shaft stands for `2 zeta_0 omega_0` (T32). The
+the torque on the tip, `Phi_i(l)` of it; F is the sum of both forces (T32). Viscous friction of
+the carrier is a force on it, that of the shaft stands for `2 zeta_0 omega_0` (T33). The
 momenta of a free manipulator, P and p_0 (spin about the mass centre), are constant by
 construction. Nodal values act through two constant arrays: `d = D^T m`, and for either
 axis a kernel, `K = D^T diag(m) D - d d^T / m_t` of the masses about their centre.
 
 A carrier held along an axis takes the mass centre's place there: its coordinate and momentum are
-struck out, and the kernel is the one about the root, without `d d^T / m_t` (T27). With one axis
+struck out, and the kernel is the one about the root, without `d d^T / m_t` (T30). With one axis
 held the kernels differ, T depends on the shaft angle too, and the state has rates q_i' in place of
-momenta (T44). Of a driven shaft q_0 and q_0' are given: p_0 is struck out, and the other momenta
-keep their share `M_i0 q_0'` (T28); its acceleration is needed only where the state has rates.
+momenta (T35). Of a driven shaft q_0 and q_0' are given: p_0 is struck out, and the other momenta
+keep their share `M_i0 q_0'` (T31); its acceleration is needed only where the state has rates.
 """
 
 from functools import cached_property
@@ -174,7 +174,7 @@ class Exact(Formulation):
             (a * turning + cosine * shearing + sine * stretching) @ points.integral], axis=-1)
 
     def effort(self, motions, accelerations, loads):
-        """Return the rates of momentum, those by loads on the tip left out (T37)."""
+        """Return the rates of momentum, those by loads on the tip left out (T45)."""
         half, table, body = self.size // 2, self.tables, self.manipulator
         cosine, sine, a, b = self._slopes(motions[:, 2:half])
         rates, second = motions[:, half + 2:], accelerations[:, 2:]

@@ -26,7 +26,7 @@ from timo_sim.physics.layout import (
 
 @inner
 def _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2):
-    """Set q, cosine and sine of phi, a, b (T20), C1 and C2 (T21)."""
+    """Set q, cosine and sine of phi, a, b (T23), C1 and C2 (T24)."""
     rotation, shear = tables.rotation, tables.shear
     count, nodes = rotation.shape
     first = count - len(tables.straight)
@@ -51,7 +51,7 @@ def _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2):
 
 @inner
 def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors):
-    """Set the images K C1, K C2 and q', the solution of M q' = p (T23), (T28)."""
+    """Set the images K C1, K C2 and q', the solution of M q' = p (T26), (T31)."""
     kernel, rotary = tables.kernel, tables.rotary
     count, nodes = c1.shape
     first = count - len(tables.straight)
@@ -137,7 +137,7 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
 def _set_moments(tables, load, forces, cosine, sine, a, b, image_1, image_2, speed, script_a,
                  script_b):
     """
-    Set A_j and B_j of (T26); return the moment of torque and forces about the shaft.
+    Set A_j and B_j of (T29); return the moment of torque and forces about the shaft.
 
     dT/dq_i = sum_j Phi_ij A_j + Gamma_ij B_j, from (g1, g2) = K (a', b') and the rates of phi and
     gamma. The forces do their work on C1, C2: the same sum.

@@ -32,7 +32,7 @@ def sector(angle):
 
 @optional
 def stretch_slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
-    """Add the axial strain to a, b (T20), C1 and C2 (T21)."""
+    """Add the axial strain to a, b (T23), C1 and C2 (T24)."""
 
 
 @optional
@@ -49,7 +49,7 @@ def rated(tables):
 @optional
 def stretch_forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordinate, speed,
                    factors, out):
-    """Add what the axial strain adds to dT/dq (T26); write the accelerations (T44)."""
+    """Add what the axial strain adds to dT/dq (T29); write the accelerations (T35)."""
 
 
 @optional

@@ -39,7 +39,7 @@ class Tables(NamedTuple):
 # With one axis of the carrier held, each of so many sectors of half a turn has its linear part.
 SECTORS = 16
 
-# Where the last R coordinates have rates in place of momenta (T44): the axial strain of the last A
+# Where the last R coordinates have rates in place of momenta (T35): the axial strain of the last A
 # at the nodes, (A, n_g); omega_i^2, (1 + N,); the linear part of the accelerations, (R, 2, R); the
 # sector of the shaft angle for which it is, -1: any.
 RateTables = namedtuple(  # type: ignore[misc]

@@ -16,21 +16,21 @@ centre line is at (xi, w) in the turning axes, so its acceleration is (26), (27)
 of Remark 1 and
 
     a_n = int M W_n     b_n = int (M xi W_n + J Phi_n)     c_n = int M xi W_n
-    G_nl = int M W_n W_l     s = int M xi     J_0 = J_m + int (M xi^2 + J)     m_a = int M
+    G_nl = int M W_n W_l    s_a = int M xi    J_0 = J_m + int (M xi^2 + J)     m_a = int M
 
 (28), (29) projected on the modes and (33) are, with `alpha` and `beta` the carrier's acceleration
-along axes I and II, and the modal stress `r_n = omega_n^2 q_n + 2 zeta_n omega_n q_n'`,
+along axes I and II, and the modal stress `k_n = omega_n^2 q_n + 2 zeta_n omega_n q_n'`,
 
-    J_0 theta'' + b.q'' + s beta = tau + theta'^2 c.q                    (T14)
-    q_n'' + b_n theta'' + a_n beta = theta'^2 (G q)_n - r_n              (T10)
+    J_0 theta'' + b.q'' + s_a beta = tau + theta'^2 c.q                  (T15)
+    q_n'' + b_n theta'' + a_n beta = theta'^2 (G q)_n - k_n              (T11)
 
 and the reactions of the root on the carrier, in (31), (32), are integrals over the arm:
 
-    P(0) = -m_a alpha + theta'' a.q + 2 theta' a.q' + theta'^2 s         (T11)
-    V(0) = -m_a beta - s theta'' - a.q'' + theta'^2 a.q                  (T12)
+    P(0) = -m_a alpha + theta'' a.q + 2 theta' a.q' + theta'^2 s_a       (T12)
+    V(0) = -m_a beta - s_a theta'' - a.q'' + theta'^2 a.q                (T13)
 
-A force (F_1, F_2) and a torque T on the tip add `l F_2 - w(l) F_1 + T` to the first row,
-`W_n(l) F_2 + Phi_n(l) T` to the others, F_1 to P(0) and F_2 to V(0) (T31).
+A force (F_1, F_2) and a torque tau_e on the tip add `l F_2 - w(l) F_1 + tau_e` to the first row,
+`W_n(l) F_2 + Phi_n(l) tau_e` to the others, F_1 to P(0) and F_2 to V(0) (T17).
 
 The formulations derived from this one change rows of these tables, see `Laws`. The first two rows
 have a constant matrix A for z = (theta'', q''). It is inverted once and leaves `z = z_0 - v beta`;
@@ -53,9 +53,9 @@ class Laws(NamedTuple):
     """
     Coefficients of the equations of motion, i, j = 0..N with the shaft first, n = 1..N.
 
-    A_ij z_j + c_i beta = tau_i + theta'^2 S_in q_n - R_in r_n
-    V(0) = -m_V beta - h_i z_i + theta'^2 U_n q_n + Y_n r_n
-    P(0) = -m_a alpha + theta'' e.q + 2 theta' e.q' + theta'^2 s
+    A_ij z_j + c_i beta = tau_i + theta'^2 S_in q_n - R_in k_n
+    V(0) = -m_V beta - h_i z_i + theta'^2 U_n q_n + Y_n k_n
+    P(0) = -m_a alpha + theta'' e.q + 2 theta' e.q' + theta'^2 s_a
     """
 
     matrix: np.ndarray          # A, (1 + N, 1 + N)
@@ -80,7 +80,7 @@ class Newton(Formulation):
 
     @property
     def lever(self):
-        """Static moment of the arm about its root, s [kg m]."""
+        """Static moment of the arm about its root, s_a [kg m]."""
         return self.point_mass @ self.points.xi
 
     @property
@@ -108,7 +108,7 @@ class Newton(Formulation):
     def build(self):
         """Return the tables and the linear part; set the speed limit."""
         if len(self.modes):
-            # (T16): theta'^2 w acts as a negative stiffness, and the tension that would counter
+            # (T19): theta'^2 w acts as a negative stiffness, and the tension that would counter
             # it is not in the equations.
             weak = self.gram / np.outer(self.modes.omega, self.modes.omega)
             self.speed_limit = 1.0 / np.sqrt(np.linalg.eigvalsh(weak)[-1])
@@ -147,7 +147,7 @@ class Newton(Formulation):
         return np.concatenate([motion[free], motion[half + free]])
 
     def effort(self, motions, accelerations, loads):
-        """Return what rows of the shaft and of the carrier, with P(0), V(0), ask for (T37)."""
+        """Return what rows of the shaft and of the carrier, with P(0), V(0), ask for (T45)."""
         half, laws, theta = self.size // 2, self._laws, motions[:, 2]
         q, omega, qdot = motions[:, 3:half], motions[:, half + 2], motions[:, half + 3:]
         alpha, beta = rotate(-theta, *accelerations[:, :2].T)
@@ -177,7 +177,7 @@ class Newton(Formulation):
 
     def axial_share(self, state, load):
         """
-        Return the stiffness by the axial force, which is left out, over the first mode's (T39).
+        Return the stiffness by the axial force, which is left out, over the first mode's (T18).
 
         At a state and a load that acts; negative in compression, below -1 the arm buckles.
         """

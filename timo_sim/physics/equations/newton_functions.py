@@ -30,14 +30,14 @@ class Tables(NamedTuple):
 
     base_mass: float            # m_c + m_m
     arm_mass: float             # m_a
-    lever: float                # s
+    lever: float                # s_a
     inverse: np.ndarray         # A^-1 of the free rows, (n, n)
     coupling: np.ndarray        # A_i0 of a driven shaft, (1 + N,)
     response: np.ndarray        # v = A^-1 c, (1 + N,)
     across: float               # m_V - h.v: V(0) per beta
-    swing: np.ndarray           # theta'' per r_n, (N,)
-    reaction: np.ndarray        # V(0) per r_n at beta = 0, (N,)
-    in_linear: float            # share of beta per r_n that the linear part accounts for
+    swing: np.ndarray           # theta'' per k_n, (N,)
+    reaction: np.ndarray        # V(0) per k_n at beta = 0, (N,)
+    in_linear: float            # share of beta per k_n that the linear part accounts for
     softening: np.ndarray       # S, (1 + N, N)
     shear_row: np.ndarray       # h, (1 + N,)
     shear_softening: np.ndarray  # U, (N,)
@@ -86,7 +86,7 @@ def _set_unheld(tables, q, theta_rate, load, tip_2, tip_moment, force, z):
 
 @inlined
 def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
-    """Write the carrier's acceleration in world axes, (T15); return beta."""
+    """Write the carrier's acceleration in world axes, (T16); return beta."""
     axes, half = tables.axes, len(state) // 2
     force_x = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
     force_y = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]

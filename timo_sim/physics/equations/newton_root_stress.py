@@ -11,9 +11,9 @@ The `newton_root_stress` formulation: root reactions from the truncated series.
 
 This is the literal reading of the paper's section 3.3: `V(0) = kappa G A (w' - phi)(0)` and
 `M(0) = E I phi'(0)` with (36), where `kappa G A (W_n' - Phi_n)(0) = omega_n^2 a_n` and
-`E I Phi_n'(0) = omega_n^2 b_n`; a damped mode adds its damping stress. With `r_n` as in `newton`
+`E I Phi_n'(0) = omega_n^2 b_n`; a damped mode adds its damping stress. With `k_n` as in `newton`
 
-    J_m theta'' = tau + b.r     V(0) = a.r                               (T17)
+    J_m theta'' = tau + b.k     V(0) = a.k                               (T20)
 
 in place of its rows for theta and V(0); a load on the tip acts on the modes and P(0) alone. What
 the modes left out weigh is lost: with N = 5 in the paper's scene 5 % of the arm's mass.

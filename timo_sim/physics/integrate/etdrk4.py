@@ -10,7 +10,7 @@
 Fourth-order exponential time differencing, ETDRK4.
 
 For `y' = L y + n(y, t)`, with the stiff constant part L propagated exactly. Source: Cox and
-Matthews, J. Comput. Phys. 176 (2002) 430-455, eqs. (26)-(29); doc/theory.md (T29).
+Matthews, J. Comput. Phys. 176 (2002) 430-455, eqs. (26)-(29); doc/theory.md (T36).
 """
 
 import numpy as np

@@ -9,8 +9,8 @@
 """
 Coulomb friction of the joints: of the carrier along world x and y, and of the shaft.
 
-In each step the friction of a joint is a straight line in time, a mean r and a slope s, which is
-added to the load. It is found by trial steps, see doc/theory.md (T33)-(T36): sliding through the
+In each step the friction of a joint is a straight line in time, a mean R and a slope R', which is
+added to the load. It is found by trial steps, see doc/theory.md (T41)-(T43): sliding through the
 whole step takes one, and what comes to rest, is held or breaks away takes a few more. No trial
 knows of the steps before, so that it does not matter how many steps are done at once.
 """

@@ -56,7 +56,7 @@ def _hold(side, pull, mobility, room, r):
 def _follow(joints, speed, drift, bend, mobility, bending, now, change, room, turn, side, r, mean,
             slope, path):
     """
-    Follow speeds that are parabolas from event to event through a step, (T34).
+    Follow speeds that are parabolas from event to event through a step, (T42).
 
     Receives mean and slope of r over the step, and each joint's path in steps as of speeds that
     are straight lines; r itself is left with what it is at the end.
@@ -112,7 +112,7 @@ def same(joints, r, other):
 
 @inlined
 def fit(speed, end, travel, mobility, going, r, slope, drift, bend, cross, bending):
-    """Set the linear model of a step: drift and bend of the speeds without friction, (T36)."""
+    """Set the linear model of a step: drift and bend of the speeds without friction, (T43)."""
     for i in range(JOINTS):
         drift[i] = end[i] - speed[i]
         bend[i] = 6.0 * (speed[i] + end[i]) - 12.0 * travel[i]

@@ -10,7 +10,7 @@
 The error of a state after many steps, estimated from what the solution leaves of the equations.
 
 Numbers (T..) are those of doc/theory.md, section 7. The error E of the states obeys, to first
-order, the linear part of the equations, driven by the defect of each step (T42):
+order, the linear part of the equations, driven by the defect of each step (T38):
 
     E_{k+1} = exp(h L) E_k + y_{k+1} - exp(h L) y_k - int_0^h exp((h - s) L) n(t_k + s) ds
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""How far the tip is off because a model has no more modes, see doc/theory.md (T45), (T46)."""
+"""How far the tip is off because a model has no more modes, see doc/theory.md (T39), (T40)."""
 
 from functools import cached_property
 import math
@@ -132,7 +132,7 @@ class ModesError:
 
     def _left_out(self, q, force, moment, slope, normal):
         """
-        Return the curvature and shear strain at the nodes that are not in the modes (T45).
+        Return the curvature and shear strain at the nodes that are not in the modes (T39).
 
         Of q, (..., N); forces and moments at the points of mass, (..., p, 2), (..., p); slopes
         a, b of the centre line; cosine and sine of the sections' rotation.
@@ -191,7 +191,7 @@ class ModesError:
     @cached_property
     def _vibrations(self):
         """
-        The natural vibrations of the straight arm, as the modes have them (T46).
+        The natural vibrations of the straight arm, as the modes have them (T40).
 
         Their left eigenvectors, and by how much the tip runs ahead in a step, per rate.
         """  # noqa: D401

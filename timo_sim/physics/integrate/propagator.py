@@ -9,7 +9,7 @@
 """
 The matrices of a time step: functions phi_k of the linear part, exact to round-off.
 
-Source: Cox and Matthews, J. Comput. Phys. 176 (2002) 430-455, eqs. (26)-(29); doc/theory.md (T29).
+Source: Cox and Matthews, J. Comput. Phys. 176 (2002) 430-455, eqs. (26)-(29); doc/theory.md (T36).
 """
 
 import math

@@ -28,7 +28,7 @@ _LOOK = 16  # steps that pay for a look at the modes
 
 class RunError:
     """
-    The estimated error of a run, see doc/theory.md (T42).
+    The estimated error of a run, see doc/theory.md (T38).
 
     Steps between which no load jumps are told by their defects. Where loads jump every few steps,
     one step in a while is done in halves, too, and stands for those that are unseen.
