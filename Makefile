@@ -24,31 +24,37 @@ export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
 PIP := pip install --quiet --no-compile --disable-pip-version-check --use-pep517
 METADATA := pyproject.toml setup.py setup.cfg
 
-.PHONY: sim test test-lowest test-without-ros graphics gallery picture paper benchmark \
+.PHONY: help sim view test test-lowest test-without-ros graphics gallery picture pages paper benchmark \
 	benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
 	references stability stretch stress stress-quick clean
 
-sim: $(VENV)/.run
+help: ## say what there is
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
+
+sim: $(VENV)/.run ## run the node on the paper's scene for 10 s, log to run/paper.mcap
 	@mkdir -p $(dir $(RUN))
 	@$(BIN)/sim_node --ros-args --params-file config/paper.yaml \
 		-p duration:=10.0 -p record_file:=$(RUN) 2>&1 | sed 's/^\[[A-Z]*\] \[[0-9.]*\] //'
-	@echo "next: 'make picture' draws the arm; README.md shows how to command the node"
+	@echo "next: 'make view' shows the run; README.md shows how to command the node"
+
+view: $(VENV)/.gallery ## show that run in rerun
+	@$(BIN)/timo_sim view $(RUN)
 
 # The processes of pytest fill the cores: threads of BLAS would only wait for each other.
 test test-lowest test-without-ros: export OPENBLAS_NUM_THREADS := 1
 PYTEST := -m pytest test --numprocesses 3 --dist loadfile --no-loadscope-reorder
-test: $(VENV)/.test graphics
+test: $(VENV)/.test graphics ## pass all tests
 	@$(BIN)/python $(PYTEST)
 
 # Options that leave out the test files that import one of the modules $(1) (a pattern of grep).
 without = $(addprefix --ignore=,$(shell grep -rlE '^ *(import|from) ($(1))\b' test --include='*.py'))
 
 # The lowest versions that pyproject.toml allows, on Python 3.12. rerun needs NumPy 2.
-test-lowest: .venv-lowest/.test
+test-lowest: .venv-lowest/.test ## the same with the lowest versions of dependencies
 	@.venv-lowest/bin/python $(PYTEST) $(call without,rerun|rerun_cli)
 
 # Python without ROS: 3.13, for which Jazzy has no wheels, among others.
-test-without-ros: .venv-without-ros/.test graphics
+test-without-ros: .venv-without-ros/.test graphics ## the tests that need no ROS
 	@PYTHONPATH=test .venv-without-ros/bin/python $(PYTEST) -p no:ros_process -p without_ros
 
 # Pictures of views, in the tests and in the gallery, are drawn without a screen by Mesa's driver.
@@ -60,46 +66,49 @@ graphics:
 		$$sudo apt-get -qq update && $$sudo apt-get -qq install -y --no-install-recommends \
 		$(GRAPHICS) >/dev/null; } || echo "pictures of views need: apt-get install $(GRAPHICS)"
 
-gallery: $(VENV)/.gallery graphics
+gallery: $(VENV)/.gallery graphics ## draw the runs of doc/gallery.md
 	@$(BIN)/python -m benchmark.figures.gallery
 
-picture: $(VENV)/.plot
+picture: $(VENV)/.plot ## draw the pictures of README.md
 	@$(BIN)/python -m benchmark.figures.picture
 
-paper: $(VENV)/.plot
+paper: $(VENV)/.plot ## make doc/paper.md
 	@$(BIN)/python -m benchmark.figures.paper
 
-benchmark: $(VENV)/.benchmark
+pages: $(VENV)/.run ## fill the tables of README.md and doc/
+	@$(BIN)/python doc/tables.py
+
+benchmark: $(VENV)/.benchmark ## make doc/benchmark.md, half an hour
 	@$(BIN)/python -m benchmark.accuracy.work_precision
 
-benchmark-quick: $(VENV)/.benchmark
+benchmark-quick: $(VENV)/.benchmark ## a part of it, two minutes
 	@$(BIN)/python -m benchmark.accuracy.work_precision --quick
 
-references: $(VENV)/.benchmark
+references: $(VENV)/.benchmark ## compute the finite-element references again
 	@$(BIN)/python -m benchmark.accuracy.generate_references
 
-stability: $(VENV)/.run
+stability: $(VENV)/.run ## find the largest stable steps
 	@$(BIN)/python -m benchmark.accuracy.stability
 
-benchmark-speed: $(VENV)/.benchmark
+benchmark-speed: $(VENV)/.benchmark ## make doc/speed.md
 	@$(BIN)/python -m benchmark.speed
 
-benchmark-speed-quick: $(VENV)/.benchmark
+benchmark-speed-quick: $(VENV)/.benchmark ## a part of it
 	@$(BIN)/python -m benchmark.speed --quick
 
-benchmark-control: $(VENV)/.plot
+benchmark-control: $(VENV)/.plot ## compare the example controllers
 	@$(BIN)/python -m benchmark.figures.control
 
-benchmark-latency: $(VENV)/.benchmark
+benchmark-latency: $(VENV)/.benchmark ## measure how late a command shows
 	@$(BIN)/python -m benchmark.speed.latency
 
-stretch: $(VENV)/.benchmark
+stretch: $(VENV)/.benchmark ## compare arms that stretch with finite elements
 	@$(BIN)/python -m benchmark.accuracy.stretch
 
-stress: $(VENV)/.benchmark
+stress: $(VENV)/.benchmark ## make doc/stress.md, an hour and a half
 	@$(BIN)/python -m benchmark.stress
 
-stress-quick: $(VENV)/.benchmark
+stress-quick: $(VENV)/.benchmark ## a part of it
 	@$(BIN)/python -m benchmark.stress --quick
 
 clean:

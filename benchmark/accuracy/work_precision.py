@@ -66,16 +66,16 @@ def measure(scene, quick):
     return cases, comment
 
 
-def cheapest(cases, method, goal, lasting=False):
+def cheapest(cases, method, goal, robust=False):
     """
     Return the cheapest case of a method with at most this error in the tip deflection.
 
-    Errors of the mesh and of the step have opposite signs and can cancel; with `lasting`, all
+    Errors of the mesh and of the step have opposite signs and can cancel; with `robust`, all
     finer cases must be as good.
     """
     cases = [case for case in cases if case.method == method]
     good = [case for case in cases if case.errors and case.errors['w_l'] <= goal]
-    if lasting:
+    if robust:
         good = [case for case in good if all(
             other in good for other in cases
             if other.order[0] >= case.order[0] and other.order[1] <= case.order[1])]
@@ -95,16 +95,16 @@ def goal_table(cases):
     for method in methods:
         lines.append(f'| {method} | ' + ' | '.join(
             shown(cheapest(cases, method, goal)) for goal in GOALS) + ' |')
-    lines.append(f'| {ENGINE}, lasting | ' + ' | '.join(
-        shown(cheapest(cases, ENGINE, goal, lasting=True)) for goal in GOALS) + ' |')
+    lines.append(f'| {ENGINE}, robust | ' + ' | '.join(
+        shown(cheapest(cases, ENGINE, goal, robust=True)) for goal in GOALS) + ' |')
     ratios = {}
-    for name, own, lasting in (('exudyn over `exact`', ('exact',), False),
+    for name, own, robust in (('exudyn over `exact`', ('exact',), False),
                                ('exudyn over the cheapest formulation', OWN, False),
-                               ('exudyn over `exact`, both lasting', ('exact',), True)):
+                               ('exudyn over `exact`, both robust', ('exact',), True)):
         ratios[name] = []
         for goal in GOALS:
-            engine = cheapest(cases, ENGINE, goal, lasting)
-            ours = min((case.seconds for case in (cheapest(cases, formulation, goal, lasting)
+            engine = cheapest(cases, ENGINE, goal, robust)
+            ours = min((case.seconds for case in (cheapest(cases, formulation, goal, robust)
                                                   for formulation in own) if case), default=None)
             ratios[name].append(engine.seconds / ours if engine and ours else None)
         lines.append(f'| **{name}** | ' + ' | '.join(
@@ -200,7 +200,7 @@ the arm's mass do nothing.
         'the last two call the compiled rate from SciPy. exudyn runs with the settings that were '
         'fastest in `test/oracles/engine.py`; its times exclude the assembly of the '
         'model, those of this package the tables of a scene. Errors of the mesh and of the step '
-        'have opposite signs and can cancel: "lasting" is the cheapest case that no refinement '
+        'have opposite signs and can cancel: "robust" is the cheapest case that no refinement '
         'makes worse than the goal.\n\n' + '\n'.join(sections), encoding='utf-8')
 
 

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from click.testing import CliRunner
 from matplotlib.image import imread
 import numpy as np
+from PIL import Image
 import pytest
 from rerun.chunk import RrdReader
 from rosbags.highlevel import AnyReader
@@ -26,6 +27,7 @@ import timo_sim
 from timo_sim.cli import main
 from timo_sim.log.recording import Recording
 from timo_sim.simulation.energy import work
+from timo_sim.view.animation import animate
 from timo_sim.view.convert import write
 from timo_sim.view.show import picture
 from timo_sim.view.track import of_recording, of_run, TrackError, unique_names
@@ -98,6 +100,21 @@ def test_tip_and_centre_line_are_drawn_where_they_are(run, shown, tmp_path):
     root, shaft = project(0.0), run.shaft[sample]
     straight = root + scale * LENGTH * np.array([np.cos(shaft), -np.sin(shaft)])
     assert np.linalg.norm(straight - project(LENGTH)) > 10.0
+
+
+def test_an_animation_shows_the_arm_where_it_is(run, tmp_path):
+    animate([of_run(run)], tmp_path / 'run.gif', 10.0)
+    animation = Image.open(tmp_path / 'run.gif')
+    assert animation.n_frames == 31 and animation.info['duration'] == 100  # [ms], as in the run
+    for number, k in ((0, 0), (18, 900)):
+        animation.seek(number)
+        # The arm, or rather the line that its pixels are about; further left there is no other.
+        found = pixels(np.asarray(animation.convert('RGB'))[:, :360] / 255.0, (0, 114, 178))
+        x, y = np.linalg.svd(found - found.mean(axis=0), full_matrices=False)[2][0]
+        chord = run.position(LENGTH)[k] - run.carrier[k]
+        off = np.arctan2(-y, x) - np.arctan2(*chord[::-1])
+        # The bent arm lies to one side of its chord, and of the path of its tip there is some.
+        assert abs((off + np.pi / 2) % np.pi - np.pi / 2) < 0.02
 
 
 def test_curves_have_every_sample_and_frames_are_thinned(run, shown):
@@ -279,12 +296,18 @@ def test_names_are_told_apart():
 
 
 @pytest.mark.parametrize('option, words', [
-    (['--at', 'nan'], '--at must be a finite number, got nan'),
     (['--fps', 'nan'], '--fps must be a finite number > 0'),
     (['--fps', 'inf'], '--fps must be a finite number > 0')])
-def test_numbers_that_are_none(log, tmp_path, option, words):
-    result = CliRunner().invoke(main, ['view', str(log), '--save', str(tmp_path / 'a'), *option])
-    assert result.exit_code == 2 and words in result.output
+def test_numbers_that_are_none(log, option, words):
+    for wanted in ('--save', 'a'), ('--gif', 'a.gif'):
+        result = CliRunner().invoke(main, ['view', str(log), *wanted, *option])
+        assert result.exit_code == 2 and words in result.output
+
+
+def test_a_time_that_is_none(log, tmp_path):
+    result = CliRunner().invoke(main, ['view', str(log), '--save', str(tmp_path / 'a'),
+                                       '--at', 'nan'])
+    assert result.exit_code == 2 and '--at must be a finite number, got nan' in result.output
 
 
 def test_a_file_that_cannot_be_written_is_one_line(log, tmp_path):

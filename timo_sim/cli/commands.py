@@ -8,7 +8,6 @@
 
 """The subcommands of `timo_sim`, which import what they need when they run."""
 
-from functools import partial
 import sys
 import warnings
 
@@ -270,36 +269,3 @@ def sweep(file, output, workers, scheduler):
     """
     from timo_sim.sweep.store import run_sweep
     run_sweep(file, output, workers, scheduler)
-
-
-@main.command()
-@click.argument('files', nargs=-1, required=True, type=click.Path(exists=True))
-@click.option('--save', type=click.Path(dir_okay=False), metavar='OUT.rrd',
-              help='Write a file for rerun instead of opening it.')
-@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
-              help='Draw a picture instead, without a screen.')
-@click.option('--at', type=float, metavar='SECONDS', help='Sim time of the picture; the end.')
-@click.option('--web', is_flag=True, help='Open the browser instead of a window.')
-@click.option('--fps', type=click.FloatRange(min=0.0, min_open=True), default=30.0,
-              show_default=True, help='Frames of the moving arm per second; curves have all.')
-@click.option('--node', metavar='NAME', help='Which node of a bag with several.')
-def view(files, save, png, at, web, fps, node):
-    r"""
-    Show recorded runs, laid over each other, in rerun.
-
-    FILES are logs of the node, or bags of its topics. Everything stays on this machine.
-
-    \b
-        timo_sim view run.mcap
-        timo_sim view before.mcap after.mcap --png compared.png --at 1.81
-    """
-    import rerun  # noqa: F401  # before minutes are spent on reading
-    from timo_sim.log.recording import Recording
-    from timo_sim.view.show import show_tracks
-    from timo_sim.view.track import of_recording, unique_names
-    recordings = [Recording(path, node) for path in files]
-    names = unique_names([recording.path.stem for recording in recordings])
-    show_tracks([partial(of_recording, *pair) for pair in zip(recordings, names)],
-                save, png, at, web, fps)
-    for path in filter(None, (save, png)):
-        click.echo(f'{path} is written')

@@ -14,7 +14,7 @@ import numpy as np
 from timo_sim.scene.parameter import ParameterError
 
 # Okabe and Ito's colours, which colour-blind readers tell apart.
-_COLOURS = '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'
+COLOURS = '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'
 _ARMS, _POINTS = 8, 41  # shapes of the arm that are drawn, and points of each
 _FREQUENCIES = 4000
 
@@ -36,20 +36,21 @@ def plot(run):
     figure = Figure(figsize=(12, 1 + 2 * len(curves)), layout='constrained')
     axes = figure.subplot_mosaic([[name, 'plane'] for name in curves], width_ratios=[3, 2])
     for name, (label, lines) in curves.items():
-        for (line, values), colour in zip(lines.items(), _COLOURS):
+        for (line, values), colour in zip(lines.items(), COLOURS):
             axes[name].plot(run.t, values, color=colour, label=line)
         axes[name].set(ylabel=label, xlim=(run.t[0], run.t[-1] or 1.0))
         axes[name].grid(alpha=0.3)
         if len(lines) > 1:
-            axes[name].legend(fontsize='small')
+            axes[name].legend(fontsize='small', ncols=len(lines), frameon=False,
+                              loc='lower right', bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
     axes[[*curves][-1]].set(xlabel='time [s]')
 
     xi = np.linspace(0.0, length, _POINTS)
     shapes = run.position(xi)
-    axes['plane'].plot(*shapes[:, -1].T, color=_COLOURS[5], linewidth=0.8, label='path of the tip')
+    axes['plane'].plot(*shapes[:, -1].T, color=COLOURS[5], linewidth=0.8, label='path of the tip')
     picked = np.unique(np.linspace(0, len(run.t) - 1, _ARMS).astype(int))
     for number, k in enumerate(picked):
-        axes['plane'].plot(*shapes[k].T, color=_COLOURS[0], alpha=(1 + number) / len(picked),
+        axes['plane'].plot(*shapes[k].T, color=COLOURS[0], alpha=(1 + number) / len(picked),
                            label=f'arm until t = {run.t[-1]:g} s' if k == picked[-1] else None)
     axes['plane'].plot(*shapes[picked, 0].T, 's', color='0.3', markersize=4, label='carrier')
     axes['plane'].set(xlabel='x [m]', ylabel='y [m]', aspect='equal')
@@ -76,7 +77,7 @@ def bode(model):
 
     figure = Figure(figsize=(12, 6), layout='constrained')
     axes = figure.subplot_mosaic([['size', 'poles'], ['phase', 'poles']], width_ratios=[2, 1])
-    for name, values, colour in zip(model.outputs, response[:, :, 0].T, _COLOURS):
+    for name, values, colour in zip(model.outputs, response[:, :, 0].T, COLOURS):
         axes['size'].loglog(frequency, np.abs(values), color=colour, label=name)
         # Turned a little, so that round-off does not choose between 180 and -180 degrees.
         phase = np.angle(values * np.exp(-1e-3j)) + 1e-3
@@ -84,7 +85,7 @@ def bode(model):
     axes['size'].set(ylabel=f'output per {model.inputs[0]}')
     axes['size'].legend(fontsize='small')
     axes['phase'].set(xlabel='frequency [Hz]', ylabel='phase [deg]', yticks=range(-180, 181, 90))
-    axes['poles'].plot(poles.real, poles.imag / (2.0 * np.pi), 'x', color=_COLOURS[0])
+    axes['poles'].plot(poles.real, poles.imag / (2.0 * np.pi), 'x', color=COLOURS[0])
     axes['poles'].set(xlabel='real part [1/s]', ylabel='imaginary part / 2 pi [Hz]',
                       title='poles')
     if np.abs(poles.real).max() < 1e-3 * np.abs(poles.imag).max():

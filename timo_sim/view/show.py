@@ -22,9 +22,9 @@ from tqdm import tqdm
 
 from timo_sim.scene.parameter import Parameter
 from timo_sim.view.convert import write
+from timo_sim.view.track import FPS
 
 _AT = Parameter('--at', 0.0, 's', 'sim time of the picture')
-_FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
 _LOOPBACK = '127.0.0.1'
 _PATIENCE = 60.0  # [s] until a viewer must have loaded a file
 
@@ -50,7 +50,7 @@ def show_tracks(makers, save=None, png=None, at=None, web=False, fps=30.0):
         See `write`.
 
     """
-    at, fps = at if at is None else _AT.check(at), _FPS.check(fps)
+    at, fps = at if at is None else _AT.check(at), FPS.check(fps)
     with tempfile.TemporaryDirectory(prefix='timo_sim_') as folder:
         path = Path(save or Path(folder, 'run.rrd'))
         with tqdm(total=1000, desc='converting', bar_format='{l_bar}{bar}', delay=1.0,

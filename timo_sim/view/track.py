@@ -17,8 +17,10 @@ import numpy as np
 
 from timo_sim.physics.layout import rotate
 from timo_sim.scene.loads import CHANNELS
+from timo_sim.scene.parameter import Parameter
 from timo_sim.simulation.energy import integral, work
 
+FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
 _POINTS = 41     # of the centre line that is drawn
 _BLOCK = 1024    # samples that are worked out at once: what they need stays near the processor
 # Commands whose work is not in the efforts of joints: the others on a driven shaft.

@@ -1,0 +1,58 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The subcommand `view`."""
+
+from functools import partial
+
+import click
+
+from timo_sim.cli.commands import main
+
+
+@main.command()
+@click.argument('files', nargs=-1, required=True, type=click.Path(exists=True))
+@click.option('--save', type=click.Path(dir_okay=False), metavar='OUT.rrd',
+              help='Write a file for rerun instead of opening it.')
+@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+              help='Draw a picture instead, without a screen.')
+@click.option('--gif', type=click.Path(dir_okay=False), metavar='OUT.gif',
+              help='Draw an animation instead, without rerun.')
+@click.option('--at', type=float, metavar='SECONDS', help='Sim time of the picture; the end.')
+@click.option('--web', is_flag=True, help='Open the browser instead of a window.')
+@click.option('--fps', type=click.FloatRange(min=0.0, min_open=True), default=30.0,
+              show_default=True, help='Frames of the moving arm per second; curves have all.')
+@click.option('--node', metavar='NAME', help='Which node of a bag with several.')
+def view(files, save, png, gif, at, web, fps, node):
+    r"""
+    Show recorded runs, laid over each other, in rerun or as an animation.
+
+    FILES are logs of the node, or bags of its topics. Everything stays on this machine.
+
+    \b
+        timo_sim view run.mcap
+        timo_sim view before.mcap after.mcap --png compared.png --at 1.81
+        timo_sim view run.mcap --gif run.gif
+    """
+    wanted = save or png or web or not gif
+    if wanted:
+        import rerun  # noqa: F401  # before minutes are spent on reading
+    if gif:
+        from timo_sim.view.animation import animate
+    from timo_sim.log.recording import Recording
+    from timo_sim.view.track import of_recording, unique_names
+    recordings = [Recording(path, node) for path in files]
+    names = unique_names([recording.path.stem for recording in recordings])
+    makers = [partial(of_recording, *pair) for pair in zip(recordings, names)]
+    if gif:
+        animate([maker() for maker in makers], gif, fps)
+    if wanted:
+        from timo_sim.view.show import show_tracks
+        show_tracks(makers, save, png, at, web, fps)
+    for path in filter(None, (save, png, gif)):
+        click.echo(f'{path} is written')
