@@ -16,6 +16,7 @@ import warnings
 
 import numpy as np
 import pytest
+import yaml
 
 import timo_sim
 
@@ -212,6 +213,26 @@ def test_arguments_that_are_none(scene, call, words):
 
 def test_a_duration_may_be_a_text_as_in_a_file(scene):
     assert timo_sim.simulate(scene, '0.01').t[-1] == pytest.approx(0.01)
+
+
+def test_a_scene_may_be_given_as_load_scene_takes_it(tmp_path):
+    values = {'model.modes': 3, 'initial.shaft_velocity': 1.0}
+    path = tmp_path / 'scene.yaml'
+    path.write_text(yaml.dump({'/**': {'ros__parameters': values}}))
+    scene = timo_sim.load_scene(values)
+    assert timo_sim.load_scene(scene) is scene
+    assert timo_sim.load_scene(scene, {'arm.length': 1.0}).values['arm.length'] == 1.0
+    wanted = timo_sim.simulate(scene, 0.01).motion.tobytes()
+    for given in values, str(path), path:
+        assert timo_sim.simulate(given, 0.01).motion.tobytes() == wanted
+        assert timo_sim.Simulator(given).scene.values == scene.values
+    for call in (lambda: timo_sim.choose_resolution('paper'),
+                 lambda: timo_sim.choose_resolution(scene)):
+        with pytest.raises(timo_sim.ParameterError, match='model.accuracy must be > 0 m'):
+            call()
+    assert timo_sim.linearize('paper').poles().shape == (12,)
+    with pytest.raises(MemoryError, match='1000000000001 samples .* take sample_every > 1'):
+        timo_sim.simulate(scene, 1e9)
 
 
 def test_what_is_not_compiled_is_refused(monkeypatch):

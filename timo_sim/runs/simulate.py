@@ -19,13 +19,13 @@ from timo_sim.runs.run import Run
 from timo_sim.runs.sampled import sampled_run
 from timo_sim.runs.second_run import compared, in_doubt
 from timo_sim.scene.parameter import ModelWarning, Parameter, ParameterError
-from timo_sim.scene.scene import Scene
+from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.resolution import resolved
 
 _EVERY = Parameter('sample_every', 1, '', 'steps between samples', low=1)
 
 
-def simulate(scene: Scene, duration: float, sample_every: int = 1,
+def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
              compare: bool | None = None) -> Run:
     """
     Simulate a scene under its own loads.
@@ -36,7 +36,7 @@ def simulate(scene: Scene, duration: float, sample_every: int = 1,
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, or what `load_scene` takes
         With `model.accuracy`, modes and step are chosen first, see `choose_resolution`.
     duration : float
         [s], a whole multiple of the time step.
@@ -65,19 +65,23 @@ def simulate(scene: Scene, duration: float, sample_every: int = 1,
     Examples
     --------
     >>> import timo_sim
-    >>> run = timo_sim.simulate(timo_sim.load_scene('paper'), duration=1.0)
+    >>> run = timo_sim.simulate('paper', duration=1.0)
     >>> run.deflection(2.0).shape
     (1001, 2)
 
     """
-    scene, steps = resolved(scene, duration)
+    scene, steps = resolved(load_scene(scene), duration)
     sample_every = _EVERY.check(sample_every)
     if steps % sample_every:
         raise ParameterError(
             f'sample_every = {sample_every} must divide the number of steps, {steps}')
     with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
               leave=False) as bar:
-        run = sampled_run(scene, steps, sample_every, bar.update, _tell)
+        try:
+            run = sampled_run(scene, steps, sample_every, bar.update, _tell)
+        except MemoryError:
+            raise MemoryError(f'{1 + steps // sample_every} samples do not fit into memory: take '
+                              f'sample_every > {sample_every}') from None
         if in_doubt(run) if compare is None else compare:
             run = compared(run, tell=_tell)
     if run.warning:

@@ -180,14 +180,17 @@ class Scene:
         return np.concatenate([position, q, velocity, qdot])
 
 
-def load_scene(source: str | Path | Mapping[str, Any],
-               overrides: Mapping[str, Any] | None = None) -> Scene:
+# What stands for a scene wherever one is asked for, see `load_scene`.
+SceneLike = Scene | str | Path | Mapping[str, Any]
+
+
+def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) -> Scene:
     """
     Read and check a scene.
 
     Parameters
     ----------
-    source : str, Path or dict
+    source : str, Path, dict or Scene
         A ROS parameter file, the name of an installed scene ('paper', 'spin_up'), or values by
         (nested or dotted) name. What is not given has its default, the paper's manipulator at rest
         without loads; parameters of the node are checked and left out.
@@ -217,6 +220,8 @@ def load_scene(source: str | Path | Mapping[str, Any],
     5
 
     """
+    if isinstance(source, Scene):
+        return source.vary(overrides) if overrides else source
     if not isinstance(source, str | Path):
         given, origin = flatten(source), 'given values'
     else:

@@ -15,7 +15,7 @@ import numpy as np
 from timo_sim.physics.layout import ANGLE, LOADS
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameter import did_you_mean, Parameter, ParameterError
-from timo_sim.scene.scene import Scene
+from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.scene.summary import html_table
 from timo_sim.simulation.joints import Joints
 
@@ -145,13 +145,13 @@ class LinearModel:
         return np.abs(poles[poles.imag > 1e-3]) / (2.0 * np.pi)
 
 
-def linearize(scene: Scene, at: np.ndarray | None = None) -> LinearModel:
+def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     """
     Return the linear model of a scene about a state of rest, without its Coulomb friction.
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, or what `load_scene` takes
     at : ndarray, shape (2 (3 + N),), optional
         A motion, see `physics.layout`; by default the scene's initial one. A shaft that is
         driven or locked stays where it is.
@@ -177,6 +177,7 @@ def linearize(scene: Scene, at: np.ndarray | None = None) -> LinearModel:
     3
 
     """
+    scene = load_scene(scene)
     formulation = scene.build()
     at = scene.initial_motion() if at is None else np.asarray(at, dtype=float)
     half, axes, first = formulation.size // 2, list(formulation.axes), formulation.first

@@ -20,7 +20,7 @@ import numpy as np
 from timo_sim.physics.layout import Motion
 from timo_sim.scene.parameter import ModelWarning, ParameterError
 from timo_sim.scene.parameters import PARAMETERS, steps_in
-from timo_sim.scene.scene import Scene, scene_from
+from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.simulator import Simulator
 
@@ -77,7 +77,7 @@ class _Path(NamedTuple):
     simulator: Simulator
 
 
-def choose_resolution(scene: Scene, duration: float = 0.0,
+def choose_resolution(scene: SceneLike, duration: float = 0.0,
                       fits: Callable[[float], bool] = lambda step: True) -> Resolution:
     """
     Choose modes and step of a scene for the tip error that it states in `model.accuracy`.
@@ -91,7 +91,7 @@ def choose_resolution(scene: Scene, duration: float = 0.0,
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, or what `load_scene` takes
     duration : float
         Sim time of the run, of which 30 s are compared; 0: 10 s [s].
     fits : function(float) -> bool
@@ -104,7 +104,7 @@ def choose_resolution(scene: Scene, duration: float = 0.0,
     Raises
     ------
     ParameterError
-        If the scene is at rest, or no choice reaches the stated error; the text says why.
+        If the scene states no error, is at rest, or no choice reaches it; the text says why.
 
     Examples
     --------
@@ -114,7 +114,10 @@ def choose_resolution(scene: Scene, duration: float = 0.0,
     3
 
     """
+    scene = load_scene(scene)
     goal, duration = scene.values['model.accuracy'], PARAMETERS['duration'].check(duration)
+    if not goal:
+        raise ParameterError('model.accuracy must be > 0 m for a choice of modes and step, got 0')
     span = max(1, round(min(duration or HORIZON, LONGEST) / GRID))
     longer = max(1.0, duration / LONGEST)
     rich, truth, truth_error = _reference(scene, span, goal / AGREEMENT / longer)

@@ -15,6 +15,7 @@ from timo_sim.physics.integrate import steps_of
 from timo_sim.physics.integrate.run_error import CHUNK
 from timo_sim.physics.layout import ANGLE, Motion
 from timo_sim.scene.parameters import check_runtime, steps_in
+from timo_sim.scene.scene import load_scene
 from timo_sim.simulation import model_warnings
 from timo_sim.simulation.actuators import Actuators, commanded_load
 from timo_sim.simulation.load_table import advance_by_pieces, LoadTable
@@ -34,7 +35,7 @@ class Simulator:
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, or what `load_scene` takes
 
     Attributes
     ----------
@@ -61,7 +62,7 @@ class Simulator:
 
     def __init__(self, scene):
         self.steps, self._warm = 0, False
-        self._take(scene)
+        self._take(load_scene(scene))
         self.reset()
 
     def _take(self, scene):

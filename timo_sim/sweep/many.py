@@ -17,12 +17,12 @@ import numpy as np
 from timo_sim.scene.files import flatten
 from timo_sim.scene.parameter import ParameterError, SCENE, short
 from timo_sim.scene.parameters import PARAMETERS
-from timo_sim.scene.scene import Scene
+from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.sweep.jobs import jobs_of, run_job
 from timo_sim.sweep.workers import executor_of
 
 
-def simulate_many(scene: Scene, variations: Iterable[Mapping[str, Any]], duration: float,
+def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], duration: float,
                   workers: int | None = None,
                   scheduler: str | None = None) -> dict[str, np.ndarray]:
     """
@@ -34,7 +34,7 @@ def simulate_many(scene: Scene, variations: Iterable[Mapping[str, Any]], duratio
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, or what `load_scene` takes
     variations : iterable of dict
         Overrides of each run, by (nested or dotted) name of a parameter.
     duration : float
@@ -80,7 +80,7 @@ def simulate_many(scene: Scene, variations: Iterable[Mapping[str, Any]], duratio
     # In order of appearance; a name that is no parameter is the reason of its row.
     names = [name for name in {name: None for each in variations for name in flatten(each)}
              if name in PARAMETERS and PARAMETERS[name].scope == SCENE]
-    jobs = jobs_of(scene, duration, len(variations), variations, names)
+    jobs = jobs_of(load_scene(scene), duration, len(variations), variations, names)
     with executor_of(workers, scheduler) as executor:
         tables = [table for _, table in done(executor, jobs)]
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
