@@ -15,7 +15,7 @@ from timo_sim.messages.commands import COMMANDS, INPUTS, JOINTS, LARGEST, Refuse
 from timo_sim.messages.outputs import NANOSECONDS
 from timo_sim.ros.topics import message_class
 
-QUEUE = 10  # commands that may wait on a topic
+QUEUE = 10  # commands that may wait on a topic, by default
 
 
 def _wrench(message):
@@ -62,7 +62,8 @@ class Inlet:
         # A logger of its own: warnings are throttled for each.
         self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
         self._subscription = node.create_subscription(
-            self.type, command.name, lambda data: None, QUEUE, raw=True)
+            self.type, command.name, lambda data: None, QUEUE, raw=True,
+            qos_overriding_options=node.qos_overrides('subscription', command.name))
         self.publishers = self._subscription.get_publisher_count
         self.channel = Channel(self._subscription.topic_name, command.type_name)
         self.pending = None
@@ -106,7 +107,7 @@ class Inlet:
         handle, received = self._subscription.handle, False
         with handle:
             # No more than waited at first: a fast publisher would keep this up for ever.
-            for _ in range(QUEUE):
+            for _ in range(self._subscription.qos_profile.depth):
                 taken = handle.take_message(self.type, True)
                 if taken is None:
                     break
