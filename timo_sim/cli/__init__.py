@@ -7,11 +7,12 @@
 # language governing permissions and limitations under the License.
 
 """
-The commands `timo_sim` (`commands`) and `sim_node`.
+The commands `timo_sim` (`commands`, `teleop`) and `sim_node`.
 
 It may import everything; nothing imports it.
 """
 
+from timo_sim.cli import teleop as _teleop  # noqa: F401  # adds itself
 from timo_sim.cli.commands import main
 
 __all__ = ['main']
