@@ -12,7 +12,7 @@ The commands `timo_sim` (`commands`, `teleop`) and `sim_node`.
 It may import everything; nothing imports it.
 """
 
-from timo_sim.cli import teleop as _teleop  # noqa: F401  # adds itself
 from timo_sim.cli.commands import main
+from timo_sim.cli.teleop import teleop  # noqa: F401  # a subcommand of main
 
 __all__ = ['main']

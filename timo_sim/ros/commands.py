@@ -62,8 +62,7 @@ class Inlet:
         # A logger of its own: warnings are throttled for each.
         self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
         self._subscription = node.create_subscription(
-            self.type, command.name, lambda data: None, QUEUE, raw=True,
-            qos_overriding_options=node.qos_overrides('subscription', command.name))
+            self.type, command.name, lambda data: None, QUEUE, raw=True)
         self.publishers = self._subscription.get_publisher_count
         self.channel = Channel(self._subscription.topic_name, command.type_name)
         self.pending = None

@@ -50,12 +50,6 @@ class ParameterNode(Node):
         values.update(check(given, 'ROS parameter'))
         return values
 
-    def qos_overrides(self, kind, topic):
-        """Return which QoS of a topic parameters set; of kind 'publisher' or 'subscription'."""
-        prefix = f'{QOS}{self.resolve_topic_name(topic)}.{kind}.'
-        return QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in _POLICIES
-                                     if prefix + policy in self._parameter_overrides])
-
     def declare(self, values, apply):
         """
         Declare all parameters with these values, and update `values` with what is set later.
@@ -91,6 +85,23 @@ class ParameterNode(Node):
             return SetParametersResult(successful=True)
 
         self.add_on_set_parameters_callback(callback)
+
+    def create_publisher(self, msg_type, topic, *arguments, **options):
+        """Create a publisher with the QoS that parameters give it."""
+        return super().create_publisher(
+            msg_type, topic, *arguments, **options,
+            qos_overriding_options=self._overridden('publisher', topic))
+
+    def create_subscription(self, msg_type, topic, *arguments, **options):
+        """Create a subscription with the QoS that parameters give it."""
+        return super().create_subscription(
+            msg_type, topic, *arguments, **options,
+            qos_overriding_options=self._overridden('subscription', topic))
+
+    def _overridden(self, kind, topic):
+        prefix = f'{QOS}{self.resolve_topic_name(topic)}.{kind}.'
+        return QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in _POLICIES
+                                     if prefix + policy in self._parameter_overrides])
 
     def create_service(self, srv_type, srv_name, callback, **options):
         """Offer a service; rclpy's own for parameters comes by here and gets another callback."""

@@ -47,8 +47,7 @@ class Outlet:
         self._subscribed = False
         self._publisher = node.create_publisher(
             message_class(type_name), topic, 10,
-            event_callbacks=PublisherEventCallbacks(matched=lambda event: self.look()),
-            qos_overriding_options=node.qos_overrides('publisher', topic))
+            event_callbacks=PublisherEventCallbacks(matched=lambda event: self.look()))
         self.channel = Channel(self._publisher.topic_name, type_name)
         self.recorder, self.index = None, None
 
