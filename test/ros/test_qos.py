@@ -30,7 +30,7 @@ OVERRIDES = {f'qos_overrides.{name}': value for name, value in {
 def test_subscribers_of_sensor_data_hear_every_topic_and_overrides_act(start, client):
     node = start(record=False, publish_clock=True, **OVERRIDES)
     heard, topics = {}, {output.name: output.type_name for output in outputs(3)}
-    assert len(topics) == 9
+    assert len(topics) >= 9
     for topic, type_name in topics.items():
         full = topic.replace('~', '/timo_sim') if topic[0] in '~/' else f'/{topic}'
         heard[topic] = []
