@@ -12,10 +12,12 @@ import ast
 from importlib.util import find_spec
 from pathlib import Path
 import re
+import subprocess
 import sys
 import tomllib
 
 from catkin_pkg.package import parse_package
+from conftest import NEED
 from packaging.requirements import Requirement
 import pytest
 import timo_sim
@@ -127,3 +129,17 @@ def test_every_version_that_is_asked_for_is_pinned_and_allowed():
         for constraints in (lowest, pinned):
             version = str(constraints[name].specifier).removeprefix('==')
             assert requirement.specifier.contains(version), (name, version)
+
+
+def test_a_run_of_the_tests_that_leaves_some_out_says_so_in_its_last_line():
+    code = ('import sys; sys.modules["tf2_msgs"] = None; import pytest; sys.exit(pytest.main('
+            '["test/test_layers.py", "-ksorter", "-pno:xdist", "-pno:cacheprovider"]))')
+    told = subprocess.run([sys.executable, '-c', code], cwd=ROOT, capture_output=True, text=True)
+    assert told.returncode == 0, told.stdout + told.stderr
+    last = told.stdout.splitlines()[-1]
+    assert re.match(r'1 passed, .*left out for want of .*tf2_msgs', last), told.stdout
+
+
+def test_the_workflow_leaves_out_no_test_on_a_machine_with_ros():
+    ros = (ROOT / '.github/workflows/test.yml').read_text().partition('container: ros:jazzy')[2]
+    assert f"python -c 'import {', '.join(sorted(NEED.values()))}'" in ros

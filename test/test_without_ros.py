@@ -93,3 +93,8 @@ def test_a_divergent_run_is_written_and_has_code_1(python, tmp_path):
     (['--ros-args', '-p', 'duration:=1.0'], 'sim_node needs ROS 2', 1)])
 def test_arguments_of_the_node(python, arguments, words, code):
     assert words in python('-m', 'timo_sim.cli.sim_node', *arguments, code=code)
+
+
+def test_teleop_says_what_is_missing(python):
+    told = python('-m', 'timo_sim', 'teleop', code=1)
+    assert told == "timo_sim: geometry_msgs is missing: pip install 'timo_sim[ros]'\n"

@@ -31,7 +31,8 @@ SAME = {
     'stars that come last': 'timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
                             '/**: {ros__parameters: {arm: {length: 4.0}}}',
     'numbers': 'timo_sim: {ros__parameters: {arm.length: 010, arm.width: 2e-2, model.modes: 0x3}}',
-    "rclpy's own": 'timo_sim: {ros__parameters: {use_sim_time: false, arm.length: 3.0}}',
+    "rclpy's own": 'timo_sim: {ros__parameters: {use_sim_time: false, arm.length: 3.0, '
+                   'qos_overrides: {/timo_sim/tip_pose: {publisher: {depth: 5}}}}}',
     'a mark of UTF-8': '\ufefftimo_sim: {ros__parameters: {arm.length: 3.0}}'}
 TWICE = {
     'a name': 'timo_sim: {ros__parameters: {arm.length: 3.0, arm.length: 4.0}}',
@@ -65,8 +66,8 @@ def overrides(path, namespace='/'):
 def test_scene_and_node_take_the_same_sections(tmp_path, name):
     path = tmp_path / 'scene.yaml'
     path.write_text(SAME[name])
-    theirs = overrides(path)
-    theirs.pop('use_sim_time', None)
+    theirs = {name: value for name, value in overrides(path).items()
+              if name not in ('use_sim_time', 'qos_overrides./timo_sim/tip_pose.publisher.depth')}
     assert theirs and check(read_parameter_file(path), 'scene') == check(theirs, 'node')
     timo_sim.load_scene(path)
 
@@ -86,6 +87,13 @@ def test_the_node_refuses_it_too(start, tmp_path):
     (tmp_path / 'twice.yaml').write_text(TWICE['a name, nested'])
     code, output = start('--params-file', 'twice.yaml').wait()
     assert (code, output) == (2, 'timo_sim: arm.length is there twice (twice.yaml)\n')
+
+
+def test_names_that_only_begin_as_those_of_rclpy_are_refused(tmp_path):
+    path = tmp_path / 'scene.yaml'
+    path.write_text('timo_sim: {ros__parameters: {use_sim_times: true}}')
+    with pytest.raises(timo_sim.ParameterError, match='use_sim_times = True is not a parameter'):
+        timo_sim.load_scene(path)
 
 
 def test_a_file_for_other_nodes_says_nothing_of_this_one(tmp_path):

@@ -87,7 +87,8 @@ def test_a_dump_starts_an_equal_node(start, client, parameters, namespace, tmp_p
     first = {'model.accuracy': 1e-3, 'initial.shaft_velocity': 1.0 / 3.0, 'duration': 1.0,
              'carrier.force_limit': '1e-300', 'carrier.mass': 5, 'start_paused': True,
              'arm.damping_ratio': '[0]', 'load.torque.table.time': '[]',
-             'real_time_factor': 0.0, 'initial.carrier_x': '-0.0'}
+             'real_time_factor': 0.0, 'initial.carrier_x': '-0.0',
+             f'qos_overrides.{namespace}/timo_sim/tip_pose.publisher.depth': 5}
     name, dumped, states = f'{namespace}/timo_sim', [], []
     for number, arguments, values in ((1, (), first), (2, ('--params-file', 'dump.yaml'), {})):
         log = tmp_path / f'{number}.mcap'
@@ -95,6 +96,7 @@ def test_a_dump_starts_an_equal_node(start, client, parameters, namespace, tmp_p
         shown = dump(parameters, name)
         (tmp_path / 'dump.yaml').write_text(shown)
         shown = flatten(yaml.safe_load(shown)[name]['ros__parameters'])
+        assert shown[f'qos_overrides.{name}/tip_pose.publisher.depth'] == 5
         shown = {name: shown[name] for name in PARAMETERS}  # none is missing
         assert client.service(SetBool, f'{name}/pause')(data=False).success
         assert node.wait()[0] == 0

@@ -7,12 +7,12 @@
 # language governing permissions and limitations under the License.
 
 """
-The commands `timo_sim` (`commands`, `view`) and `sim_node`.
+The commands `timo_sim` (`commands`, `teleop`, `view`) and `sim_node`.
 
 It may import everything; nothing imports it.
 """
 
-from timo_sim.cli import view as _view  # noqa: F401  # adds itself
+from timo_sim.cli import teleop as _teleop, view as _view  # noqa: F401  # add themselves
 from timo_sim.cli.commands import main
 
 __all__ = ['main']

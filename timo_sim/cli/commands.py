@@ -15,8 +15,8 @@ import click
 
 from timo_sim.version import __version__
 
-_EXTRAS = {'pyarrow': 'sweep', 'distributed': 'cluster', 'rclpy': 'ros', 'rerun': 'view',
-           'rerun_cli': 'view', 'matplotlib': 'plot'}
+_EXTRAS = {'pyarrow': 'sweep', 'distributed': 'cluster', 'geometry_msgs': 'ros',
+           'rerun': 'view', 'rerun_cli': 'view', 'matplotlib': 'plot'}
 # By name, because the modules of most are not imported.
 _WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError', 'TrackError'
 

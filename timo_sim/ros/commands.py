@@ -15,7 +15,7 @@ from timo_sim.messages.commands import COMMANDS, INPUTS, JOINTS, LARGEST, Refuse
 from timo_sim.messages.outputs import NANOSECONDS
 from timo_sim.ros.topics import message_class
 
-QUEUE = 10  # commands that may wait on a topic
+QUEUE = 10  # commands that may wait on a topic, by default
 
 
 def _wrench(message):
@@ -106,7 +106,7 @@ class Inlet:
         handle, received = self._subscription.handle, False
         with handle:
             # No more than waited at first: a fast publisher would keep this up for ever.
-            for _ in range(QUEUE):
+            for _ in range(self._subscription.qos_profile.depth):
                 taken = handle.take_message(self.type, True)
                 if taken is None:
                     break

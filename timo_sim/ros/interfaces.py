@@ -104,12 +104,10 @@ class Interfaces:
 
     def _reset(self, request, response):
         state = ResetSimulation.Request.SCOPE_STATE
-        # By default what there is to reset.
-        if (request.scope or state) != state:
+        if request.scope != state:  # SCOPE_DEFAULT is SCOPE_ALL
             response.result = Result(
                 result=Result.RESULT_FEATURE_UNSUPPORTED,
-                error_message=f'scope {request.scope} is not that of the state, {state}: {_CLOCK} '
-                              'and nothing is spawned')
+                error_message=f'scope must be {state}, SCOPE_STATE, got {request.scope}: {_CLOCK}')
             return response
         self._node.reset()
         response.result.result = Result.RESULT_OK

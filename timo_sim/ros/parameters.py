@@ -8,6 +8,7 @@
 
 """The node's parameters: declared, described, checked by the same rules as a YAML file."""
 
+from dataclasses import replace
 import math
 import sys
 
@@ -17,13 +18,21 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSPolicyKind
+from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from timo_sim.scene.files import FOREIGN
-from timo_sim.scene.parameter import ParameterError, whole_ratio
+from timo_sim.scene.files import foreign, QOS
+from timo_sim.scene.parameter import did_you_mean, Parameter as Rule
+from timo_sim.scene.parameter import ParameterError, short, whole_ratio
 from timo_sim.scene.parameters import check, PARAMETERS, RATES
 from timo_sim.simulation.resolution import choose_resolution
 
 _SOURCE = 'set at run time'
+# What can be set of a topic's QoS. With history keep_all a slow subscriber would hold up the node.
+_POLICIES = {rule.name: rule for rule in (
+    Rule('history', 'keep_last', '', '', choices=('keep_last',)),
+    Rule('depth', 10, '', 'messages', low=1, high=10000),
+    Rule('reliability', 'reliable', '', '', choices=('reliable', 'best_effort')))}
 
 
 class ParameterNode(Node):
@@ -32,9 +41,11 @@ class ParameterNode(Node):
     def given(self):
         """Return the checked value of each parameter by name; raise ParameterError."""
         # rclpy has no public way to see names that nobody declares; these must not pass unseen.
-        given = {name: parameter.value
-                 for name, parameter in self._parameter_overrides.items()
-                 if not name.startswith(FOREIGN)}
+        given = {name: parameter.value for name, parameter in self._parameter_overrides.items()}
+        for name in filter(foreign, [*given]):
+            value = given.pop(name)
+            if name.startswith(QOS):
+                _check_qos(name, value)
         values = {name: parameter.default for name, parameter in PARAMETERS.items()}
         values.update(check(given, 'ROS parameter'))
         return values
@@ -43,8 +54,17 @@ class ParameterNode(Node):
         """
         Declare all parameters with these values, and update `values` with what is set later.
 
-        Before that `apply` is given what is set; it may raise ParameterError to refuse it.
+        Before that `apply` is given what is set; it may raise ParameterError to refuse it. Topics
+        are there by now: what is given of the QoS of others is a ParameterError.
         """
+        for name, parameter in self._parameter_overrides.items():
+            if name.startswith(QOS) and not self.has_parameter(name):
+                topics = {*(each.topic_name for each in self.publishers),
+                          *(each.topic_name for each in super().subscriptions)}
+                topic = name.removeprefix(QOS).partition('.')[0]
+                raise ParameterError(
+                    f'{name} = {short(parameter.value)} is for no publisher or subscription whose '
+                    f'QoS can be set{did_you_mean(topic, topics - {topic})}')
         for name, rule in PARAMETERS.items():
             parameter, descriptor = _of_rclpy(name, values[name]), _descriptor(rule)
             descriptor.type = parameter.type_.value
@@ -55,7 +75,7 @@ class ParameterNode(Node):
 
         def callback(parameters):
             changed = {parameter.name: parameter.value for parameter in parameters
-                       if not parameter.name.startswith(FOREIGN)}
+                       if not foreign(parameter.name)}
             try:
                 changed = check(changed, _SOURCE)
                 apply(changed)
@@ -65,6 +85,23 @@ class ParameterNode(Node):
             return SetParametersResult(successful=True)
 
         self.add_on_set_parameters_callback(callback)
+
+    def create_publisher(self, msg_type, topic, *arguments, **options):
+        """Create a publisher with the QoS that parameters give it."""
+        return super().create_publisher(
+            msg_type, topic, *arguments, **options,
+            qos_overriding_options=self._overridden('publisher', topic))
+
+    def create_subscription(self, msg_type, topic, *arguments, **options):
+        """Create a subscription with the QoS that parameters give it."""
+        return super().create_subscription(
+            msg_type, topic, *arguments, **options,
+            qos_overriding_options=self._overridden('subscription', topic))
+
+    def _overridden(self, kind, topic):
+        prefix = f'{QOS}{self.resolve_topic_name(topic)}.{kind}.'
+        return QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in _POLICIES
+                                     if prefix + policy in self._parameter_overrides])
 
     def create_service(self, srv_type, srv_name, callback, **options):
         """Offer a service; rclpy's own for parameters comes by here and gets another callback."""
@@ -76,7 +113,10 @@ class ParameterNode(Node):
         """Set parameters all at once, converted to their types; rclpy's services call this."""
         try:
             return super().set_parameters_atomically([*map(_converted, parameter_list)])
-        except (ParameterError, ParameterNotDeclaredException) as error:
+        except ParameterNotDeclaredException:
+            names = [each.name for each in parameter_list if not self.has_parameter(each.name)]
+            return _refused(f'{", ".join(names)} is not declared; QoS is set at the start alone')
+        except ParameterError as error:
             return _refused(error)
 
     def _set_each(self, request, response):
@@ -89,6 +129,13 @@ class ParameterNode(Node):
                    for group, parameters in together.items()}
         response.results = [results[_group(message.name)] for message in request.parameters]
         return response
+
+
+def _check_qos(name, value):
+    policy = name.rpartition('.')[2]
+    if policy not in _POLICIES:
+        raise ParameterError(f'{name} = {short(value)} must set one of {", ".join(_POLICIES)}')
+    replace(_POLICIES[policy], name=name).check(value)
 
 
 def _is_list(name):
@@ -107,7 +154,7 @@ def _refused(error):
 def _converted(parameter):
     # `ros2 param set` makes a text of [0, 0.5] and whole numbers of [1].
     name, value = parameter.name, parameter.value
-    if name.startswith(FOREIGN) or value is None:
+    if foreign(name) or value is None:
         return parameter
     if isinstance(value, str) and _is_list(name) and (value[:1], value[-1:]) == ('[', ']'):
         value = value[1:-1].split(',')

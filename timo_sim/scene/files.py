@@ -17,12 +17,16 @@ import yaml
 from timo_sim.scene.parameter import did_you_mean, ParameterError, short
 from timo_sim.scene.parameters import PARAMETERS
 
-# Names of parameters that rclpy itself takes.
-FOREIGN = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
+QOS = 'qos_overrides.'  # begins names of parameters of topics
 _DEEPEST = max(name.count('.') for name in PARAMETERS)
 # Beside the package in a clone; below the prefix of PREFIX/lib/python3.x/site-packages elsewhere.
 _ABOVE = [*Path(__file__).resolve().parents[2:]]
 _FOLDERS = [_ABOVE[0] / 'config', *(prefix / 'share/timo_sim/config' for prefix in _ABOVE[3:4])]
+
+
+def foreign(name):
+    """Return whether a parameter is one that rclpy itself takes."""
+    return name in ('use_sim_time', 'start_type_description_service') or name.startswith(QOS)
 
 
 def scene_file(source):
@@ -55,7 +59,7 @@ def read_parameter_file(path):
         others = f'; it has those of {short(", ".join(sections), str)}' if sections else ''
         raise ParameterError(
             f'{path} must have parameters under timo_sim: ros__parameters:{others}')
-    return {name: value for name, value in values.items() if not name.startswith(FOREIGN)}
+    return {name: value for name, value in values.items() if not foreign(name)}
 
 
 def read_sections(path):
