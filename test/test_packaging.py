@@ -31,8 +31,8 @@ ROSDEP = yaml.safe_load((ROOT / 'test/data/rosdep_keys.yaml').read_text())
 RUN_KEYS = {depend.name for depend in PACKAGE.exec_depends}
 
 # Distributions whose module has another name.
-DISTRIBUTIONS = {'llvmlite': 'numba', 'rerun': 'rerun-sdk', 'rerun_cli': 'rerun-sdk',
-                 'yaml': 'pyyaml'}
+DISTRIBUTIONS = {'llvmlite': 'numba', 'PIL': 'pillow', 'rerun': 'rerun-sdk',
+                 'rerun_cli': 'rerun-sdk', 'yaml': 'pyyaml'}
 # ROS packages that the node uses where they are installed, as README.md says.
 OPTIONAL_ROS = {'simulation_interfaces'}
 

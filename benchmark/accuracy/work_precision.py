@@ -99,8 +99,8 @@ def goal_table(cases):
         shown(cheapest(cases, ENGINE, goal, robust=True)) for goal in GOALS) + ' |')
     ratios = {}
     for name, own, robust in (('exudyn over `exact`', ('exact',), False),
-                               ('exudyn over the cheapest formulation', OWN, False),
-                               ('exudyn over `exact`, both robust', ('exact',), True)):
+                              ('exudyn over the cheapest formulation', OWN, False),
+                              ('exudyn over `exact`, both robust', ('exact',), True)):
         ratios[name] = []
         for goal in GOALS:
             engine = cheapest(cases, ENGINE, goal, robust)
