@@ -8,9 +8,15 @@
 
 """What a view shows is where physics says; as rerun itself reads and draws it."""
 
+from contextlib import suppress
+import os
+import signal
+import socket
 import subprocess
 import sys
+import time
 from types import SimpleNamespace
+import urllib.request
 
 from click.testing import CliRunner
 from matplotlib.image import imread
@@ -304,10 +310,37 @@ def test_numbers_that_are_none(log, option, words):
         assert result.exit_code == 2 and words in result.output
 
 
-def test_a_time_that_is_none(log, tmp_path):
-    result = CliRunner().invoke(main, ['view', str(log), '--save', str(tmp_path / 'a'),
-                                       '--at', 'nan'])
-    assert result.exit_code == 2 and '--at must be a finite number, got nan' in result.output
+@pytest.mark.parametrize('arguments, words', [
+    (['--save', 'a.rrd', '--at', 'nan'], '--at must be a finite number, got nan'),
+    (['--save', 'a.rrd', '--at', '99'], '--at = 99 s is not in the run, which is from 0 to'),
+    (['--save', 'a.png'], '--save is a file of rerun: name it *.rrd, not a.png'),
+    (['--gif', 'a.png'], 'an animation is a GIF: name it so, not a.png'),
+    (['--png', 'none/a.png'], '--png none/a.png cannot be written')])
+def test_views_that_cannot_be_are_one_line(log, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(main, ['view', str(log), *arguments])
+    assert result.exit_code == 2 and words in result.output and result.output.count('\n') == 1
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
+def test_the_browser_is_told_where_and_a_signal_ends_it(log, number):
+    command = [sys.executable, '-c', 'from timo_sim.cli import main; main()', 'view', str(log),
+               '--web']
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True,
+                          env={**os.environ, 'BROWSER': 'true'}) as process:
+        url = process.stdout.readline().split()[0]
+        page, _, feed = url.partition('?url=rerun%2Bhttp://127.0.0.1:')
+        for _ in range(200):
+            with suppress(OSError), urllib.request.urlopen(page) as answer:
+                break
+            time.sleep(0.1)
+        assert answer.status == 200
+        process.send_signal(number)
+        assert process.wait(30.0) == 0
+    for port in page.rpartition(':')[2], feed.partition('/')[0]:
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(('127.0.0.1', int(port))).close()
 
 
 def test_a_file_that_cannot_be_written_is_one_line(log, tmp_path):

@@ -11,6 +11,7 @@
 from contextlib import closing
 import os
 from pathlib import Path
+import signal
 import socket
 import subprocess
 import sys
@@ -20,7 +21,7 @@ import time
 import rerun_cli
 from tqdm import tqdm
 
-from timo_sim.scene.parameter import Parameter
+from timo_sim.scene.parameter import Parameter, ParameterError
 from timo_sim.view.convert import write
 from timo_sim.view.track import FPS
 
@@ -49,8 +50,18 @@ def show_tracks(makers, save=None, png=None, at=None, web=False, fps=30.0):
     fps : float
         See `write`.
 
+    Raises
+    ------
+    ParameterError
+        If a file cannot be written under its name, or the time is not in the runs.
+    ViewerError
+
     """
     at, fps = at if at is None else _AT.check(at), FPS.check(fps)
+    if save and not str(save).endswith('.rrd'):
+        raise ParameterError(f'--save is a file of rerun: name it *.rrd, not {save}')
+    if png and not os.access(Path(png).absolute().parent, os.W_OK):
+        raise ParameterError(f'--png {png} cannot be written: its folder is missing or read-only')
     with tempfile.TemporaryDirectory(prefix='timo_sim_') as folder:
         path = Path(save or Path(folder, 'run.rrd'))
         with tqdm(total=1000, desc='converting', bar_format='{l_bar}{bar}', delay=1.0,
@@ -59,6 +70,11 @@ def show_tracks(makers, save=None, png=None, at=None, web=False, fps=30.0):
             for maker in makers:
                 tracks.append(maker())
                 bar.update(500 // len(makers))
+            begin = min(track.ns[0] for track in tracks)
+            end = max(track.ns[-1] for track in tracks)
+            if at is not None and not begin <= round(1e9 * at) <= end:
+                raise ParameterError(f'--at = {at:g} s is not in the run, which is from '
+                                     f'{1e-9 * begin:g} to {1e-9 * end:g} s')
             write(tracks, path, fps, lambda done: bar.update(round(500 * done)), at)
         if png:
             picture(path, png, at)
@@ -71,9 +87,20 @@ def _show(path, web):
     if not web and sys.platform == 'linux' and not (
             os.environ.get('DISPLAY') or os.environ.get('WAYLAND_DISPLAY')):
         raise ViewerError('there is no screen (DISPLAY is not set): take --png, --save or --web')
-    code = _viewer(subprocess.call, '--port', 'auto', *(
-        ['--web-viewer', '--web-viewer-port', str(_free_port())] if web else []), path)
-    if code:
+    port, web_port = _free_port(), _free_port()
+    process = _viewer(subprocess.Popen, '--port', str(port), *(
+        ['--web-viewer', '--web-viewer-port', str(web_port)] if web else []), path)
+    if web:
+        print(f'http://{_LOOPBACK}:{web_port}?url=rerun%2Bhttp://{_LOOPBACK}:{port}/proxy'
+              ' shows the run; Ctrl-C ends', flush=True)
+    signal.signal(signal.SIGTERM, lambda *_: process.terminate())
+    try:
+        code = process.wait()
+    except KeyboardInterrupt:
+        process.terminate()
+        process.wait()
+        return
+    if code not in (0, -signal.SIGTERM):
         raise ViewerError(f'the viewer of rerun ended with code {code}')
 
 
