@@ -46,6 +46,7 @@ class LockStep(Node):
             self.create_subscription(
                 kind, name, lambda message, place=place: self.arrive(place, message), 10)
         self.clock = self.create_timer(QUIET, self.look)
+        self.get_logger().info('waiting for a node that shows its states on /joint_states')
 
     def arrive(self, place, message):
         """Keep a message; answer if it is the last one of its stamp."""

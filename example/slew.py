@@ -78,8 +78,10 @@ class Score(NamedTuple):
     peak: float
 
     def __str__(self):
-        return (f'tip within {1e3 * NEAR:g} mm of its goal from {self.settled:.2f} s on, '
-                f'bent by up to {1e3 * self.peak:.1f} mm, '
+        settled = (f'within {1e3 * NEAR:g} mm of its goal from {self.settled:.2f} s on'
+                   if self.settled < math.inf else
+                   f'not settled within {1e3 * NEAR:g} mm of its goal when the run ended')
+        return (f'tip {settled}, bent by up to {1e3 * self.peak:.1f} mm, '
                 f'by {1e3 * self.residual:.3f} mm after {DURATION:g} s')
 
 
@@ -136,6 +138,9 @@ def main(text, scene, controllers, **goal):
     else:
         from lock_step import with_the_node  # needs ROS
         record = with_the_node(controller)
-    print(f'{chosen.controller}: {len(record)} states answered; {score(record, **goal)}')
-    if chosen.plot:
+    told = f'{chosen.controller}: {len(record)} states answered'
+    if len(record) and record[-1, 0] > DURATION:
+        told += f'; {score(record, **goal)}'
+    print(told)
+    if chosen.plot and len(record):
         plot(record, chosen.controller, chosen.plot, **goal)

@@ -164,3 +164,4 @@ def test_score():
     assert (found.residual, found.peak) == (2e-3, 2e-3)
     record[-1, 11] = 2e-3
     assert score(record).settled == np.inf
+    assert 'not settled within 1 mm of its goal when the run ended' in str(score(record))

@@ -11,6 +11,7 @@
 import ast
 import os
 from pathlib import Path
+import re
 import runpy
 import socket
 import subprocess
@@ -82,6 +83,7 @@ def test_a_viewer_that_is_not_there_holds_nothing_up(start, paper):
     began = time.monotonic()
     code, output = node.wait()
     assert code == 0 and 'simulated 1 s' in output
+    assert re.search(r'\[WARN\].*no viewer listens at \S+:\d+/proxy yet: ', output)
     assert time.monotonic() - began < 20.0
 
 

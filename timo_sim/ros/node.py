@@ -91,7 +91,8 @@ class SimNode(ParameterNode):
     stop : StopRequest
     live_feed : function(Scene, str, str) -> object, optional
         For a scene, the address of a viewer and the name of the node returns what streams to it:
-        its `offer(now, simulator, effort)` is called at each tick, its `close()` at the end.
+        its `offer(now, simulator, effort)` is called at each tick, its `close()` at the end;
+        `doubt` is a warning or None.
     args : list of str, optional
         Command line with parameters; by default that of the process.
     **options
@@ -123,6 +124,8 @@ class SimNode(ParameterNode):
                               values['publish_clock'])
         self._live = values['rerun_live'] and live_feed(
             scene, values['rerun_live'], self.get_fully_qualified_name())
+        if self._live and self._live.doubt:
+            self.get_logger().warning(self._live.doubt)
         self._loop.configure(values, steps_each)
         self.declare(values, self._on_parameters)
         self._offer_services()

@@ -12,6 +12,7 @@ from importlib.util import find_spec
 import json
 import os
 import re
+import socket
 import subprocess
 import sys
 
@@ -21,7 +22,9 @@ from timo_sim.scene.parameter import ParameterError, short
 
 PERIOD = 1.0 / 30.0  # [s] of wall time between samples
 _PATIENCE = 2.0      # [s] for what is on its way at the end
-_ADDRESS = re.compile(r'rerun(\+https?)?://\S+/proxy')
+_PORT = 9876         # of rerun, where an address names none
+_CONNECTING = 0.5    # [s] for a viewer to answer
+_ADDRESS = re.compile(r'rerun(\+https?)?://(\S+?)(:(\d+))?/proxy')
 
 
 class Feed:
@@ -38,6 +41,11 @@ class Feed:
     name : str
         Of the node.
 
+    Attributes
+    ----------
+    doubt : str or None
+        Why nothing may be seen.
+
     Raises
     ------
     ParameterError
@@ -46,12 +54,18 @@ class Feed:
     """
 
     def __init__(self, scene, url, name):
-        if not _ADDRESS.fullmatch(url):
+        address = _ADDRESS.fullmatch(url)
+        if not address:
             raise ParameterError('rerun_live must be the address of a viewer of rerun, got '
                                  f'{short(url)}: it has the form rerun+http://HOST:PORT/proxy')
         if find_spec('rerun') is None:
             raise ParameterError('rerun_live needs rerun, which is not installed: '
                                  'pip install timo_sim[view]')
+        self.doubt = None
+        try:
+            socket.create_connection((address[2], int(address[4] or _PORT)), _CONNECTING).close()
+        except (OSError, OverflowError) as error:  # OverflowError: of a port
+            self.doubt = f'rerun_live: no viewer listens at {url} yet: {error}'
         # In a session of its own: Ctrl+C is for the node, which then ends it.
         self._process = subprocess.Popen(
             [sys.executable, '-m', 'timo_sim.view.live', url, name, json.dumps(scene.values)],
