@@ -278,7 +278,8 @@ def test_response_to_a_torque_is_the_sum_of_that_of_the_modes():
 def test_bode_diagram_from_the_command_line(tmp_path):
     scene, picture = tmp_path / 'scene.yaml', tmp_path / 'bode.png'
     scene.write_text('timo_sim: {ros__parameters: {arm.damping_ratio: [0.01]}}')
-    result = CliRunner().invoke(main, ['bode', str(scene), '--output', str(picture)])
+    result = CliRunner().invoke(main, ['bode', str(scene), '--output', str(picture),
+                                       '--set', 'model.modes=3'])
     assert result.exit_code == 0, result.output
     assert 'poles [Hz]: 4.27, 9.96, 30.6' in result.output and picture.stat().st_size > 20000
     for picture, name, words in ((picture, 'tip', "output 'tip' is none of"),

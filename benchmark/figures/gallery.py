@@ -86,7 +86,7 @@ def paper():
 def spin_up():
     """Draw the arm that is spun up, and what centrifugal stiffening does."""
     scene = timo_sim.load_scene(ROOT / 'config/spin_up.yaml', FINE)
-    run = timo_sim.simulate(scene, 20.0, sample_every=10)
+    run = timo_sim.simulate(scene, 20.0)  # fine samples: the path of the tip is round
     length = scene.manipulator.arm.length
     across = run.deflection(length)[:, 1]
     largest = int(np.abs(across).argmax())

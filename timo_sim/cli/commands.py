@@ -54,7 +54,7 @@ def main():
 main.command_class = _Command
 
 
-def _parsed(settings):
+def parsed(settings):
     """Return values by name of texts such as 'model.modes=5', written as in YAML."""
     from timo_sim.scene.files import parse_yaml
     from timo_sim.scene.parameter import ParameterError
@@ -71,7 +71,9 @@ def _parsed(settings):
 
 
 @main.command()
-@click.argument('file', type=click.Path(exists=True, dir_okay=False))
+@click.argument('scene')
+@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
+              help='A parameter that differs from the scene; several are allowed.')
 @click.option('--input', 'cause', default='torque_N_m', show_default=True,
               help='force_x_N, force_y_N or torque_N_m.')
 @click.option('--response', 'effects', multiple=True, metavar='NAME', show_default=True,
@@ -79,17 +81,17 @@ def _parsed(settings):
               help='Once for each curve, such as tip_acceleration_m_per_s2.')
 @click.option('--output', '-o', 'picture', type=click.Path(dir_okay=False), default='bode.png',
               show_default=True, help='PNG, PDF or SVG.')
-def bode(file, cause, effects, picture):
+def bode(scene, settings, cause, effects, picture):
     r"""
-    Draw Bode diagram and poles of FILE, a scene, about its initial state.
+    Draw Bode diagram and poles of SCENE, a file or a name, about its initial state.
 
     \b
-        timo_sim bode config/paper.yaml --response tip_transverse_m -o bode.png
+        timo_sim bode paper --set arm.damping_ratio=[0.01] -o bode.png
     """
     from timo_sim.simulation.linear import linearize
     from timo_sim.scene.scene import load_scene
     from timo_sim.view import plot
-    model = linearize(load_scene(file)).select([cause], effects)
+    model = linearize(load_scene(scene, parsed(settings))).select([cause], effects)
     plot.write(plot.bode(model), picture)
     click.echo(f'poles [Hz]: {", ".join(f"{each:.3g}" for each in model.frequencies())}')
     click.echo(f'{picture} is drawn')
@@ -189,7 +191,7 @@ def replay(file, settings, formulation, scene, output, start, duration, node):
     or the run diverges; 2 bad input.
     """
     from timo_sim.replay.replay import replay
-    changes = _parsed(settings)
+    changes = parsed(settings)
     if formulation:
         changes['model.formulation'] = formulation
     if not replay(file, changes, output, scene, start, duration, node, click.echo):
@@ -225,7 +227,7 @@ def simulate(scene, duration, settings, output, rate, compare, view, png):
     from timo_sim.scene.scene import load_scene
     from timo_sim.simulation.resolution import resolved
     from timo_sim.simulation.model_warnings import DivergenceError
-    scene, steps = resolved(load_scene(scene, _parsed(settings)), duration, click.echo)
+    scene, steps = resolved(load_scene(scene, parsed(settings)), duration, click.echo)
     if rate:
         every = whole_ratio('1/integrator.step', 1.0 / scene.step, '--rate', rate)
     else:

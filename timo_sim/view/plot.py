@@ -9,6 +9,7 @@
 """Figures: a run, and the Bode diagram of a linear model."""
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 import numpy as np
 
 from timo_sim.scene.parameter import ParameterError
@@ -80,11 +81,13 @@ def bode(model):
     for name, values, colour in zip(model.outputs, response[:, :, 0].T, COLOURS):
         axes['size'].loglog(frequency, np.abs(values), color=colour, label=name)
         # Turned a little, so that round-off does not choose between 180 and -180 degrees.
-        phase = np.angle(values * np.exp(-1e-3j)) + 1e-3
+        phase = np.unwrap(np.angle(values * np.exp(-1e-3j))) + 1e-3
+        phase -= 2.0 * np.pi * np.ceil((phase[0] - 0.5 * np.pi) / (2.0 * np.pi))
         axes['phase'].semilogx(frequency, np.degrees(phase), color=colour)
     axes['size'].set(ylabel=f'output per {model.inputs[0]}')
     axes['size'].legend(fontsize='small')
-    axes['phase'].set(xlabel='frequency [Hz]', ylabel='phase [deg]', yticks=range(-180, 181, 90))
+    axes['phase'].set(xlabel='frequency [Hz]', ylabel='phase [deg]')
+    axes['phase'].yaxis.set_major_locator(MultipleLocator(90.0))
     axes['poles'].plot(poles.real, poles.imag / (2.0 * np.pi), 'x', color=COLOURS[0])
     axes['poles'].set(xlabel='real part [1/s]', ylabel='imaginary part / 2 pi [Hz]',
                       title='poles')
