@@ -33,7 +33,7 @@ class ArmShape(Outlet):
         self._points = model.at(np.linspace(0.0, arm.length, _POINTS))
         self._thickness = float(np.max(arm.section.height))
 
-    def publish(self, snapshot):
+    def publish(self, snapshot, again=False):
         """Send the shape of a snapshot."""
         line = self._model.world(snapshot.motion[np.newaxis], self._points)[0]
         sec, nanosec = snapshot.time
@@ -43,4 +43,4 @@ class ArmShape(Outlet):
             pose=Pose(orientation=Quaternion(w=1.0)), scale=Vector3(x=self._thickness),
             color=ColorRGBA(r=0.34, g=0.71, b=0.91, a=1.0),
             points=[Point(x=x, y=y) for x, y in line.tolist()])),
-            snapshot.step, snapshot.nanoseconds)
+            snapshot.step, snapshot.nanoseconds, again)

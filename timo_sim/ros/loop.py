@@ -70,7 +70,7 @@ class Loop:
         self._outlets = outlets
         self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
         self._commanded, self._applied = np.zeros(LOADS), [0.0] * LOADS
-        self._shown_at = -math.inf  # wall time at which a state was last shown again
+        self._shown_at = -math.inf  # wall time at which the state was last shown, or shown again
 
     def configure(self, values, steps_each):
         """Take what can be set while the node runs; steps between messages by name of rate."""
@@ -92,6 +92,7 @@ class Loop:
     def tick(self, now, stop):
         """Do what is due at a wall time [s]; return how long nothing will be [s]."""
         if self.paused:
+            self._show_again(now)
             return _PAUSED_POLL
         free = self.pace.free
         # The rest of what is due comes with the next tick, after whoever waits for the lock.
@@ -136,12 +137,28 @@ class Loop:
         if gate.left and not left:
             self._logger.warning(f'nobody publishes commands any more: time stands at step {step} '
                                  'until the next one')
-        if closed and (gate.first or gate.left) and now >= self._shown_at + AGAIN:
+        if closed:
             # Until the controller is there, and has seen the state that it shall answer.
+            self._show_again(now, everybody=gate.first or gate.left)
+        else:
             self._shown_at = now
-            self.look()
-            self.publish(everything=True)
         return closed
+
+    def _show_again(self, now, everybody=False):
+        """Send the state again while time stands, where somebody has joined; not to the log."""
+        if now < self._shown_at + AGAIN:
+            return
+        self._shown_at = now
+        self.look()
+        step = self.simulator.steps
+        due = [outlet for outlet in self._outlets
+               if outlet.wanted and (everybody or outlet.watched_anew(now))
+               # What is measured now and comes later is no repeat.
+               and (outlet not in self._late or step % outlet.every == 0)]
+        if due:
+            snapshot = self.snapshot()
+            for outlet in due:
+                outlet.publish(snapshot, again=True)
 
     def _next_event(self, step):
         # The next step at which something is published or a command may begin or fall to zero.
@@ -216,6 +233,7 @@ class Loop:
         self.poll()
         goal = self.simulator.steps + count
         self._advance(count, stop)
+        self._shown_at = time.monotonic()
         reached = f'at step {self.simulator.steps}'
         if self.simulator.steps < goal:
             raise NotNow(self.diverged or reached + (
