@@ -13,6 +13,7 @@ from typing import Callable, NamedTuple
 
 import numpy as np
 
+from timo_sim.messages.outputs import FRAMES
 from timo_sim.physics.layout import (
     FORCE_I, FORCE_II, FORCE_X, FORCE_Y, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE, VOLTAGE)
 
@@ -26,6 +27,7 @@ INPUTS = {
             TIP_II: 'tip_force_across_arm_N', TIP_TORQUE: 'tip_torque_N_m'},
 }
 JOINTS = 'carrier_x', 'carrier_y', 'shaft'
+PLAIN = {name: name for name in FRAMES}
 LARGEST = 65536  # [B] of a command; ordinary ones have some hundreds
 
 
@@ -38,14 +40,15 @@ def _finite(numbers):
         raise Refused('every component must be finite')
 
 
-def _force(texts, numbers):
+def _force(texts, numbers, frames):
     _finite(numbers)
     frame, (x, y) = texts[0], numbers[:2]
-    if frame in ('', 'world'):
+    if frame in ('', frames['world']):
         return x, y, 0.0, 0.0
-    if frame == 'arm':
+    if frame == frames['arm']:
         return 0.0, 0.0, x, y
-    raise Refused(f"frame_id must be empty, 'world' or 'arm', got {frame[:40]!r}")
+    raise Refused(f'frame_id must be empty, {frames["world"]!r} or {frames["arm"]!r}, got '
+                  f'{frame[:40]!r}')
 
 
 def _scalar(lists):
@@ -54,7 +57,7 @@ def _scalar(lists):
     return lists[0][0]
 
 
-def _joint_command(texts, lists):
+def _joint_command(texts, lists, frames):
     names, efforts = texts[1:], lists[-1]
     if len(set(names)) < len(names) or not names:
         raise Refused(f'name must hold joints, once each, got {", ".join(names)[:80]!r}')
@@ -73,25 +76,25 @@ def _joint_command(texts, lists):
     return found
 
 
-def _commands(texts, lists):
+def _commands(texts, lists, frames):
     if len(lists[0]) != len(JOINTS):
         raise Refused(f'data must have {len(JOINTS)} elements, for {", ".join(JOINTS)}, got '
                       f'{len(lists[0])}')
     _finite(lists[0])
-    return _joint_command(['', *JOINTS], lists)
+    return _joint_command(['', *JOINTS], lists, frames)
 
 
 class Command(NamedTuple):
     """
     A command topic.
 
-    `load` takes the texts and the lists of numbers of a message, and returns what it says by
-    input; it raises Refused.
+    `load` takes the texts and the lists of numbers of a message, and the names of frames; it
+    returns what the message says by input, or raises Refused.
     """
 
     name: str
     type_name: str
-    load: Callable[[list, list], dict]
+    load: Callable[[list, list, dict], dict]
     inputs: tuple
 
     @property
@@ -104,9 +107,13 @@ class Command(NamedTuple):
         """Names of these columns, with units."""
         return tuple(name for key in self.inputs for name in INPUTS[key].values())
 
-    def row(self, texts, lists):
-        """Return values for its columns, NaN for what it does not set, or raise Refused."""
-        found = self.load(texts, lists)
+    def row(self, texts, lists, frames=PLAIN):
+        """
+        Return values for its columns, NaN for what it does not set, or raise Refused.
+
+        `frames` are the names of those of `messages.outputs`.
+        """
+        found = self.load(texts, lists, frames)
         return np.concatenate([found.get(key, [math.nan] * len(INPUTS[key]))
                                for key in self.inputs])
 
@@ -121,14 +128,16 @@ class Command(NamedTuple):
 # One topic for each input first, of those the messages that let an input fall to zero.
 COMMANDS = [
     Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped',
-            lambda texts, lists: {'carrier': _force(texts, lists[0])}, ('carrier',)),
+            lambda texts, lists, frames: {'carrier': _force(texts, lists[0], frames)},
+            ('carrier',)),
     Command('~/motor_torque', 'std_msgs/msg/Float64',
-            lambda texts, lists: {'shaft': (_scalar(lists), 0.0)}, ('shaft',)),
+            lambda texts, lists, frames: {'shaft': (_scalar(lists), 0.0)}, ('shaft',)),
     Command('~/tip_wrench', 'geometry_msgs/msg/WrenchStamped',
-            lambda texts, lists: {'tip': (*_force(texts, lists[0]), lists[0][5])}, ('tip',)),
+            lambda texts, lists, frames: {
+                'tip': (*_force(texts, lists[0], frames), lists[0][5])}, ('tip',)),
     Command('~/joint_command', 'sensor_msgs/msg/JointState', _joint_command,
             ('carrier', 'shaft')),
     Command('~/commands', 'std_msgs/msg/Float64MultiArray', _commands, ('carrier', 'shaft')),
     Command('~/motor_voltage', 'std_msgs/msg/Float64',
-            lambda texts, lists: {'shaft': (0.0, _scalar(lists))}, ('shaft',)),
+            lambda texts, lists, frames: {'shaft': (0.0, _scalar(lists))}, ('shaft',)),
 ]

@@ -25,7 +25,7 @@ from timo_sim.physics.layout import LOADS
 from timo_sim.replay.segments import late_steps, segments_of
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameter import ParameterError
-from timo_sim.scene.parameters import check, PARAMETERS
+from timo_sim.scene.parameters import check, frame_names, PARAMETERS
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.resolution import resolved
@@ -74,6 +74,8 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
     """
     recording = Recording(file, node)
     values = _values(recording, scene_file, changes or {})
+    if not recording.facts:
+        recording.frames = frame_names(values)
     scene = scene_from(values)
     same = recording.facts and scene == recording.scene
     if scene.values['model.accuracy']:

@@ -15,6 +15,7 @@ import time
 from rclpy.event_handler import PublisherEventCallbacks
 
 from timo_sim.log.recorder import Channel
+from timo_sim.messages.outputs import in_frames
 from timo_sim.messages.packing import Serializer
 
 _NEW = 10.0  # [s] of wall time, in which a subscriber has found the publisher, too
@@ -83,14 +84,14 @@ class Outlet:
 
 class MotionOutlet(Outlet):
     """
-    The outlet of a topic that carries the simulated motion.
+    The outlet of a topic that carries the simulated motion, with these names of frames.
 
     It is published each `every` steps; `watch(numbers, ns)` sees what is sent.
     """
 
-    def __init__(self, node, output):
+    def __init__(self, node, output, frames):
         super().__init__(node, output.name, output.type_name)
-        self._serialize = Serializer(output.type_name, output.template)
+        self._serialize = Serializer(output.type_name, in_frames(output.template, frames))
         self._output, self.rate = output, output.rate
         self.name, self.every, self.watch = output.name, 1, None
 
@@ -113,8 +114,8 @@ class LateOutlet(MotionOutlet):
     Their header and their step in the log are those of the measurement, `delay` steps before.
     """
 
-    def __init__(self, node, output, delay):
-        super().__init__(node, output)
+    def __init__(self, node, output, frames, delay):
+        super().__init__(node, output, frames)
         self._delay, self._under_way = delay, {}
 
     def publish(self, snapshot, again=False):
