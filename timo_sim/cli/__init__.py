@@ -7,11 +7,12 @@
 # language governing permissions and limitations under the License.
 
 """
-The commands `timo_sim` (`commands`) and `sim_node`.
+The commands `timo_sim` (`commands`, `urdf`) and `sim_node`.
 
 It may import everything; nothing imports it.
 """
 
 from timo_sim.cli.commands import main
+from timo_sim.cli.urdf import urdf  # noqa: F401  # a subcommand of main
 
 __all__ = ['main']

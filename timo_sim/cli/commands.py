@@ -55,7 +55,7 @@ def main():
 main.command_class = _Command
 
 
-def _parsed(settings):
+def parsed(settings):
     """Return values by name of texts such as 'model.modes=5', written as in YAML."""
     from timo_sim.scene.files import parse_yaml
     from timo_sim.scene.parameter import ParameterError
@@ -190,7 +190,7 @@ def replay(file, settings, formulation, scene, output, start, duration, node):
     or the run diverges; 2 bad input.
     """
     from timo_sim.replay.replay import replay
-    changes = _parsed(settings)
+    changes = parsed(settings)
     if formulation:
         changes['model.formulation'] = formulation
     if not replay(file, changes, output, scene, start, duration, node, click.echo):
@@ -226,7 +226,7 @@ def simulate(scene, duration, settings, output, rate, compare, view, png):
     from timo_sim.scene.scene import load_scene
     from timo_sim.simulation.resolution import resolved
     from timo_sim.simulation.model_warnings import DivergenceError
-    scene, steps = resolved(load_scene(scene, _parsed(settings)), duration, click.echo)
+    scene, steps = resolved(load_scene(scene, parsed(settings)), duration, click.echo)
     if rate:
         every = whole_ratio('1/integrator.step', 1.0 / scene.step, '--rate', rate)
     else:
