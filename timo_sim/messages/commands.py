@@ -15,16 +15,22 @@ import numpy as np
 
 from timo_sim.messages.outputs import FRAMES
 from timo_sim.physics.layout import (
-    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE, VOLTAGE)
+    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, rotate, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y,
+    TORQUE, VOLTAGE)
 
-# Columns of the load, and their names with units, by input. Each input follows the latest message
-# that set it; of messages that begin to act in the same step, the later entry of COMMANDS wins.
+# What is commanded has the columns of a load and a force on the tip along and across the section
+# there, see `acting`.
+ALONG_TIP, ACROSS_TIP = LOADS, LOADS + 1
+COMMANDED = LOADS + 2
+# Its columns, and their names with units, by input. Each input follows the latest message that set
+# it; of messages that begin to act in the same step, the later entry of COMMANDS wins.
 INPUTS = {
     'carrier': {FORCE_X: 'force_x_N', FORCE_Y: 'force_y_N', FORCE_I: 'force_along_arm_N',
                 FORCE_II: 'force_across_arm_N'},
     'shaft': {TORQUE: 'torque_N_m', VOLTAGE: 'voltage_V'},
     'tip': {TIP_X: 'tip_force_x_N', TIP_Y: 'tip_force_y_N', TIP_I: 'tip_force_along_arm_N',
-            TIP_II: 'tip_force_across_arm_N', TIP_TORQUE: 'tip_torque_N_m'},
+            TIP_II: 'tip_force_across_arm_N', TIP_TORQUE: 'tip_torque_N_m',
+            ALONG_TIP: 'tip_force_along_tip_N', ACROSS_TIP: 'tip_force_across_tip_N'},
 }
 JOINTS = 'carrier_x', 'carrier_y', 'shaft'
 PLAIN = {name: name for name in FRAMES}
@@ -40,15 +46,24 @@ def _finite(numbers):
         raise Refused('every component must be finite')
 
 
-def _force(texts, numbers, frames):
+def _forces(texts, numbers, names):
+    """Return the force of a wrench among those in frames of these names, (x, y) of each."""
     _finite(numbers)
-    frame, (x, y) = texts[0], numbers[:2]
-    if frame in ('', frames['world']):
-        return x, y, 0.0, 0.0
-    if frame == frames['arm']:
-        return 0.0, 0.0, x, y
-    raise Refused(f'frame_id must be empty, {frames["world"]!r} or {frames["arm"]!r}, got '
-                  f'{frame[:40]!r}')
+    frame = texts[0] or names[0]
+    if frame not in names:
+        raise Refused(f'frame_id must be empty, {", ".join(map(repr, names[:-1]))} or '
+                      f'{names[-1]!r}, got {frame[:40]!r}')
+    return [tuple(numbers[:2]) if frame == name else (0.0, 0.0) for name in names]
+
+
+def _carrier_wrench(texts, lists, frames):
+    world, arm = _forces(texts, lists[0], [frames['world'], frames['arm']])
+    return {'carrier': (*world, *arm)}
+
+
+def _tip_wrench(texts, lists, frames):
+    world, arm, tip = _forces(texts, lists[0], [frames[name] for name in ('world', 'arm', 'tip')])
+    return {'tip': (*world, *arm, lists[0][5], *tip)}
 
 
 def _scalar(lists):
@@ -99,7 +114,7 @@ class Command(NamedTuple):
 
     @property
     def columns(self):
-        """Columns of the load that it may set."""
+        """Columns of what is commanded that it may set."""
         return [column for key in self.inputs for column in INPUTS[key]]
 
     @property
@@ -118,7 +133,7 @@ class Command(NamedTuple):
                                for key in self.inputs])
 
     def apply(self, row, commanded):
-        """Let a row act on a load in place; return the inputs that it sets."""
+        """Put a row into what is commanded, (16,), in place; return the inputs that it sets."""
         given = np.flatnonzero(~np.isnan(row))
         columns = np.array(self.columns)[given]
         commanded[columns] = row[given]
@@ -127,17 +142,34 @@ class Command(NamedTuple):
 
 # One topic for each input first, of those the messages that let an input fall to zero.
 COMMANDS = [
-    Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped',
-            lambda texts, lists, frames: {'carrier': _force(texts, lists[0], frames)},
-            ('carrier',)),
+    Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped', _carrier_wrench, ('carrier',)),
     Command('~/motor_torque', 'std_msgs/msg/Float64',
             lambda texts, lists, frames: {'shaft': (_scalar(lists), 0.0)}, ('shaft',)),
-    Command('~/tip_wrench', 'geometry_msgs/msg/WrenchStamped',
-            lambda texts, lists, frames: {
-                'tip': (*_force(texts, lists[0], frames), lists[0][5])}, ('tip',)),
+    Command('~/tip_wrench', 'geometry_msgs/msg/WrenchStamped', _tip_wrench, ('tip',)),
     Command('~/joint_command', 'sensor_msgs/msg/JointState', _joint_command,
             ('carrier', 'shaft')),
     Command('~/commands', 'std_msgs/msg/Float64MultiArray', _commands, ('carrier', 'shaft')),
     Command('~/motor_voltage', 'std_msgs/msg/Float64',
             lambda texts, lists, frames: {'shaft': (0.0, _scalar(lists))}, ('shaft',)),
 ]
+
+
+def turns(commanded):
+    """Return whether something commanded, (16,), has another direction in each step."""
+    return commanded[LOADS:].any()
+
+
+def acting(commanded, simulator):
+    """
+    Return what acts of the commanded in the next step of a Simulator, a load, shape (14,).
+
+    A force in the axes of the tip has the direction that these have in the middle of the step, by
+    extrapolation: the error is of second order in the step.
+    """
+    if not turns(commanded):
+        return commanded[:LOADS]
+    load, motion, model = commanded[:LOADS].copy(), simulator.motion, simulator.model
+    middle = motion.q + 0.5 * simulator.scene.step * motion.qdot
+    rotation = model.section_rotation(middle, model.tip_point)[0]
+    load[[TIP_I, TIP_II]] += rotate(float(rotation), *commanded[LOADS:])
+    return load

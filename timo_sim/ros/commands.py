@@ -170,7 +170,7 @@ class Commands:
         """
         Let what was received act from this step on, and what is too old end.
 
-        The commanded load (14,) is updated in place; with `timeout_steps` 0 nothing is too old.
+        What is commanded, (16,), is updated in place; with `timeout_steps` 0 nothing is too old.
         Return index in COMMANDS and message, CDR, of each command that starts to act.
         """
         started, self.received = [], False

@@ -13,6 +13,7 @@ import time
 
 import numpy as np
 
+from timo_sim.messages.commands import acting, COMMANDED, turns
 from timo_sim.messages.outputs import NANOSECONDS
 from timo_sim.physics.layout import LOADS
 from timo_sim.ros.pacing import AGAIN, Gate, Pace
@@ -69,7 +70,7 @@ class Loop:
         self._commands, self._log, self._logger = commands, log, logger
         self._outlets = outlets
         self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
-        self._commanded, self._applied = np.zeros(LOADS), [0.0] * LOADS
+        self._commanded, self._applied = np.zeros(COMMANDED), [0.0] * LOADS
         self._shown_at = -math.inf  # wall time at which the state was last shown, or shown again
 
     def configure(self, values, steps_each):
@@ -112,10 +113,10 @@ class Loop:
                 return
             self._apply_commands(first)
             last = first + 1
-            if goal > last:
+            if goal > last and not turns(self._commanded):
                 last = min(goal, first + _BATCH, self._next_event(first))
             try:
-                simulator.advance(last - first, self._commanded)
+                simulator.advance(last - first, acting(self._commanded, simulator))
             except DivergenceError as error:
                 self.diverged, self.paused = str(error), True
                 self._logger.error(f'paused, {error}; ~/reset goes back to the start')
