@@ -156,7 +156,7 @@ COMMANDS = [
 
 def turns(commanded):
     """Return whether something commanded, (16,), has another direction in each step."""
-    return commanded[LOADS:].any()
+    return commanded[ALONG_TIP] != 0.0 or commanded[ACROSS_TIP] != 0.0
 
 
 def acting(commanded, simulator):
