@@ -171,7 +171,7 @@ def test_who_speaks_last_for_an_input_is_obeyed(start, client):
     recording = Recording(node.log)
     assert recording.summary['refused_commands'] == '5'
     assert int(recording.summary['foreign_joints']) >= 1
-    assert recording.topics['~/tip_wrench'].values.tolist() == [[3.0, 0.0, 0.0, 0.0, 0.0]]
+    assert recording.topics['~/tip_wrench'].values.tolist() == [[3.0, *6 * [0.0]]]
     assert np.isnan(recording.topics['~/joint_command'].values).any()
     lines = []
     assert replay(node.log, show=lines.append), lines
