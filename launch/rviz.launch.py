@@ -10,17 +10,42 @@
 
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import Command, LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import ExecutableInPackage
+
+_SHARE = Path(__file__).resolve().parents[1]
+
+
+def _nodes(context):
+    scene, namespace, prefix, clock = (LaunchConfiguration(name).perform(context) for name in (
+        'params_file', 'namespace', 'frame_prefix', 'clock'))
+    urdf = Command([ExecutableInPackage('timo_sim', 'timo_sim'), f" urdf '{scene}'",
+                    f" --set 'frame_prefix={prefix}'" if prefix else ''], on_stderr='warn')
+    common = {'namespace': namespace, 'output': 'screen'}
+    timed = {'use_sim_time': clock == 'true'}
+    return [
+        Node(package='robot_state_publisher', executable='robot_state_publisher', **common,
+             parameters=[{'robot_description': ParameterValue(urdf, value_type=str), **timed}]),
+        # Its topics are relative, and so in this namespace.
+        Node(package='rviz2', executable='rviz2', **common, parameters=[timed],
+             arguments=['-d', str(_SHARE / 'urdf/timo_sim.rviz')]),
+    ]
 
 
 def generate_launch_description():
     """Describe what turns joint states into frames, and RViz."""
-    share = Path(get_package_share_directory('timo_sim'))
     return LaunchDescription([
-        Node(package='robot_state_publisher', executable='robot_state_publisher',
-             parameters=[{'robot_description': (share / 'urdf/timo_sim.urdf').read_text()}]),
-        Node(package='rviz2', executable='rviz2',
-             arguments=['-d', str(share / 'urdf/timo_sim.rviz')]),
+        DeclareLaunchArgument('params_file', default_value=str(_SHARE / 'config/paper.yaml'),
+                              description='ROS parameter file with the scene, below /** '
+                                          'if there is a namespace'),
+        DeclareLaunchArgument('namespace', default_value='', description='of the simulator'),
+        DeclareLaunchArgument('frame_prefix', default_value='', description=(
+            'of all frames but world, such as left/; empty: as in the file')),
+        DeclareLaunchArgument('clock', default_value='true', choices=['true', 'false'],
+                              description='whether time is that of /clock'),
+        OpaqueFunction(function=_nodes),
     ])

@@ -14,7 +14,9 @@ from importlib.util import find_spec
 import os
 from pathlib import Path
 import random
+import subprocess
 import sys
+import sysconfig
 import tempfile
 
 import pytest
@@ -82,6 +84,22 @@ def paper():
 def spin_up():
     """Path of the spin-up manoeuvre."""
     return ROOT / 'config' / 'spin_up.yaml'
+
+
+@pytest.fixture(scope='session')
+def installed(tmp_path_factory):
+    """Install the package with colcon; return its prefix and what the environment then is."""
+    folder = tmp_path_factory.mktemp('colcon')
+    subprocess.run(
+        [sys.executable, '-m', 'colcon', '--log-base', folder / 'log', 'build',
+         '--base-paths', ROOT, '--packages-select', 'timo_sim', '--build-base', folder / 'build',
+         '--install-base', folder / 'install'], check=True, cwd=folder, capture_output=True)
+    prefix = folder / 'install' / 'timo_sim'
+    paths = {'PYTHONPATH': sysconfig.get_path('purelib', vars={'base': str(prefix)}),
+             'AMENT_PREFIX_PATH': str(prefix)}
+    return prefix, {**os.environ, **{
+        name: os.pathsep.join(filter(None, (path, os.environ.get(name))))
+        for name, path in paths.items()}}
 
 
 @pytest.fixture(scope='session')

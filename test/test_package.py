@@ -8,22 +8,14 @@
 
 """The package as a ROS user builds it: colcon, then the installed executable."""
 
-import os
 from pathlib import Path
 import subprocess
-import sys
-import sysconfig
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_colcon_builds_and_the_installed_node_runs(tmp_path):
-    subprocess.run(
-        [Path(sys.executable).with_name('colcon'), '--log-base', tmp_path / 'log', 'build',
-         '--base-paths', ROOT, '--packages-select', 'timo_sim', '--build-base',
-         tmp_path / 'build', '--install-base', tmp_path / 'install'],
-        check=True, cwd=tmp_path, capture_output=True)
-    prefix = tmp_path / 'install' / 'timo_sim'
+def test_colcon_builds_and_the_installed_node_runs(installed, tmp_path):
+    prefix, environment = installed
     share = prefix / 'share' / 'timo_sim'
     assert (prefix / 'share/ament_index/resource_index/packages/timo_sim').exists()
     assert (share / 'package.xml').exists() and (share / 'launch/sim.launch.py').exists()
@@ -32,8 +24,6 @@ def test_colcon_builds_and_the_installed_node_runs(tmp_path):
 
     executables = {path.name for path in (prefix / 'lib/timo_sim').iterdir()}
     assert executables == {'sim_node', 'timo_sim'}
-    purelib = sysconfig.get_path('purelib', vars={'base': str(prefix)})
-    environment = {**os.environ, 'PYTHONPATH': str(purelib)}
     result = subprocess.run(
         [prefix / 'lib/timo_sim/sim_node', '--ros-args', '--params-file', scene, '-p',
          'duration:=0.5', '-p', 'record_file:=run.mcap'],

@@ -78,3 +78,12 @@ def test_a_node_turns_the_frames_with_the_shaft_and_the_tip(start, client, paper
             assert abs(2.0 * math.atan2(turned.rotation.z, turned.rotation.w) - angle) < 1e-13
         place = run.deflection(2.0)[step] + [2.0, 0.0]
         assert np.allclose([tip.translation.x, tip.translation.y], place, rtol=0, atol=1e-14)
+
+
+def test_a_paused_node_shows_its_frames_by_their_names(start, client):
+    start(start_paused=True, publish_tf=True, record=False, frame_prefix='left/')
+    messages = client.collect(TFMessage, '/tf')
+    client.wait(lambda: len(messages) > 1, 'frames, again')
+    assert messages[-1] == messages[0]
+    assert [(frame.header.frame_id, frame.child_frame_id) for frame in messages[0].transforms] == [
+        ('world', 'left/carrier'), ('left/carrier', 'left/arm'), ('left/arm', 'left/tip')]

@@ -7,12 +7,13 @@
 # language governing permissions and limitations under the License.
 
 """
-The commands `timo_sim` (`commands`, `teleop`, `view`) and `sim_node`.
+The commands `timo_sim` (`commands`, `teleop`, `urdf`, `view`) and `sim_node`.
 
 It may import everything; nothing imports it.
 """
 
-from timo_sim.cli import teleop as _teleop, view as _view  # noqa: F401  # add themselves
+# Each adds itself.
+from timo_sim.cli import teleop as _teleop, urdf as _urdf, view as _view  # noqa: F401
 from timo_sim.cli.commands import main
 
 __all__ = ['main']

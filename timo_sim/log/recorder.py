@@ -24,9 +24,9 @@ from timo_sim.log.notes import Peak, start_note, START, SUMMARY
 from timo_sim.log.writer import channel_metadata, Chunk, Writer
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.definitions import schema_text, TYPE_HASHES
-from timo_sim.messages.outputs import outputs
+from timo_sim.messages.outputs import in_frames, outputs
 from timo_sim.messages.packing import Serializer
-from timo_sim.scene.parameters import changed
+from timo_sim.scene.parameters import changed, frame_names
 
 FLUSH_PERIOD = 0.5       # [s] of wall time; half of what a crash may cost
 CHUNK_SIZE = 512 * 1024  # [B] so that a day has few; none waits longer than `FLUSH_PERIOD`
@@ -212,14 +212,15 @@ class NewLog(Recorder):
     def __init__(self, path, scene, values, node='/timo_sim', **notes):
         namespace = node.rpartition('/')[0]
         channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
-        self._topics, self._peak = {}, Peak()
+        self._topics, self._peak, frames = {}, Peak(), frame_names(values)
         for output in outputs(scene.modal_count):
             name = output.name
             topic = (name if name.startswith('/') else
                      node + name[1:] if name.startswith('~') else f'{namespace}/{name}')
             delay = round(1e9 * scene.values[output.delay]) if output.delay else 0
             self._topics[name] = (
-                len(channels), Serializer(output.type_name, output.template), delay, output)
+                len(channels), Serializer(output.type_name, in_frames(output.template, frames)),
+                delay, output)
             channels.append(Channel(topic, output.type_name))
         super().__init__(path, channels, {
             START: {**start_note(node, values, changed(values), scene), **notes}})

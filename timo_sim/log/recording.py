@@ -25,7 +25,7 @@ from timo_sim.messages.cdr import CdrError
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.outputs import outputs
 from timo_sim.scene.parameter import ParameterError
-from timo_sim.scene.parameters import current
+from timo_sim.scene.parameters import current, frame_names
 from timo_sim.scene.scene import load_scene
 
 _WRAP = 2**32  # steps after which a sequence number starts again; 0: there is none
@@ -104,10 +104,16 @@ class Recording:
     @cached_property
     def scene(self):
         """The scene of a log of this package, else None."""
-        if not self.facts:
-            return None
+        return self._made(load_scene) if self.facts else None
+
+    @cached_property
+    def frames(self):
+        """Names of frames in commands, see `scene.parameters.frame_names`."""
+        return self._made(frame_names) if self.facts else frame_names({})
+
+    def _made(self, make):
         try:
-            return load_scene(self.parameters)
+            return make(self.parameters)
         except (KeyError, ValueError, RecursionError, ParameterError) as error:
             reason = ' '.join(str(error).split())[:300]
             raise LogError(f'{self.index.name}: its scene cannot be built: {reason}') from None
@@ -133,7 +139,7 @@ class Recording:
         dict of Series
 
         """
-        wanted = {number: Collector(*found) for number, found in self._wanted.items()
+        wanted = {number: Collector(*found, self.frames) for number, found in self._wanted.items()
                   if not names or found[0] in names}
         twice = Counter(collector.topic for collector in wanted.values()).most_common(1)
         if twice and twice[0][1] > 1:

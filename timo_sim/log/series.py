@@ -63,10 +63,11 @@ class Series:
 
 
 class Collector:
-    """Gathers the messages of a topic."""
+    """Gathers the messages of a topic; `frames` are the names of frames in commands."""
 
-    def __init__(self, name, topic, type_name):
+    def __init__(self, name, topic, type_name, frames):
         self.name, self.topic, self.type_name = name, topic, type_name
+        self._frames = frames
         self.command = _COMMANDS.get(name)
         self.columns = self.command.names if self.command else ()
         self.refused = 0
@@ -123,7 +124,8 @@ class Collector:
             kept, loads = [], []
             for number, row in enumerate(_doubles(rows, found.doubles).tolist()):
                 try:
-                    loads.append(self.command.row(found.texts, found.split(row)))
+                    loads.append(self.command.row(
+                        found.texts, found.split(row), self._frames))
                     kept.append(number)
                     messages[number] = rows[number].tobytes()
                 except Refused:

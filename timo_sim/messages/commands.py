@@ -13,19 +13,27 @@ from typing import Callable, NamedTuple
 
 import numpy as np
 
+from timo_sim.messages.outputs import FRAMES
 from timo_sim.physics.layout import (
-    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE, VOLTAGE)
+    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, rotate, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y,
+    TORQUE, VOLTAGE)
 
-# Columns of the load, and their names with units, by input. Each input follows the latest message
-# that set it; of messages that begin to act in the same step, the later entry of COMMANDS wins.
+# What is commanded has the columns of a load and a force on the tip along and across the section
+# there, see `acting`.
+ALONG_TIP, ACROSS_TIP = LOADS, LOADS + 1
+COMMANDED = LOADS + 2
+# Its columns, and their names with units, by input. Each input follows the latest message that set
+# it; of messages that begin to act in the same step, the later entry of COMMANDS wins.
 INPUTS = {
     'carrier': {FORCE_X: 'force_x_N', FORCE_Y: 'force_y_N', FORCE_I: 'force_along_arm_N',
                 FORCE_II: 'force_across_arm_N'},
     'shaft': {TORQUE: 'torque_N_m', VOLTAGE: 'voltage_V'},
     'tip': {TIP_X: 'tip_force_x_N', TIP_Y: 'tip_force_y_N', TIP_I: 'tip_force_along_arm_N',
-            TIP_II: 'tip_force_across_arm_N', TIP_TORQUE: 'tip_torque_N_m'},
+            TIP_II: 'tip_force_across_arm_N', TIP_TORQUE: 'tip_torque_N_m',
+            ALONG_TIP: 'tip_force_along_tip_N', ACROSS_TIP: 'tip_force_across_tip_N'},
 }
 JOINTS = 'carrier_x', 'carrier_y', 'shaft'
+PLAIN = {name: name for name in FRAMES}
 LARGEST = 65536  # [B] of a command; ordinary ones have some hundreds
 
 
@@ -38,14 +46,24 @@ def _finite(numbers):
         raise Refused('every component must be finite')
 
 
-def _force(texts, numbers):
+def _forces(texts, numbers, names):
+    """Return the force of a wrench among those in frames of these names, (x, y) of each."""
     _finite(numbers)
-    frame, (x, y) = texts[0], numbers[:2]
-    if frame in ('', 'world'):
-        return x, y, 0.0, 0.0
-    if frame == 'arm':
-        return 0.0, 0.0, x, y
-    raise Refused(f"frame_id must be empty, 'world' or 'arm', got {frame[:40]!r}")
+    frame = texts[0] or names[0]
+    if frame not in names:
+        raise Refused(f'frame_id must be empty, {", ".join(map(repr, names[:-1]))} or '
+                      f'{names[-1]!r}, got {frame[:40]!r}')
+    return [tuple(numbers[:2]) if frame == name else (0.0, 0.0) for name in names]
+
+
+def _carrier_wrench(texts, lists, frames):
+    world, arm = _forces(texts, lists[0], [frames['world'], frames['arm']])
+    return {'carrier': (*world, *arm)}
+
+
+def _tip_wrench(texts, lists, frames):
+    world, arm, tip = _forces(texts, lists[0], [frames[name] for name in ('world', 'arm', 'tip')])
+    return {'tip': (*world, *arm, lists[0][5], *tip)}
 
 
 def _scalar(lists):
@@ -54,7 +72,7 @@ def _scalar(lists):
     return lists[0][0]
 
 
-def _joint_command(texts, lists):
+def _joint_command(texts, lists, frames):
     names, efforts = texts[1:], lists[-1]
     if len(set(names)) < len(names) or not names:
         raise Refused(f'name must hold joints, once each, got {", ".join(names)[:80]!r}')
@@ -73,30 +91,30 @@ def _joint_command(texts, lists):
     return found
 
 
-def _commands(texts, lists):
+def _commands(texts, lists, frames):
     if len(lists[0]) != len(JOINTS):
         raise Refused(f'data must have {len(JOINTS)} elements, for {", ".join(JOINTS)}, got '
                       f'{len(lists[0])}')
     _finite(lists[0])
-    return _joint_command(['', *JOINTS], lists)
+    return _joint_command(['', *JOINTS], lists, frames)
 
 
 class Command(NamedTuple):
     """
     A command topic.
 
-    `load` takes the texts and the lists of numbers of a message, and returns what it says by
-    input; it raises Refused.
+    `load` takes the texts and the lists of numbers of a message, and the names of frames; it
+    returns what the message says by input, or raises Refused.
     """
 
     name: str
     type_name: str
-    load: Callable[[list, list], dict]
+    load: Callable[[list, list, dict], dict]
     inputs: tuple
 
     @property
     def columns(self):
-        """Columns of the load that it may set."""
+        """Columns of what is commanded that it may set."""
         return [column for key in self.inputs for column in INPUTS[key]]
 
     @property
@@ -104,14 +122,18 @@ class Command(NamedTuple):
         """Names of these columns, with units."""
         return tuple(name for key in self.inputs for name in INPUTS[key].values())
 
-    def row(self, texts, lists):
-        """Return values for its columns, NaN for what it does not set, or raise Refused."""
-        found = self.load(texts, lists)
+    def row(self, texts, lists, frames=PLAIN):
+        """
+        Return values for its columns, NaN for what it does not set, or raise Refused.
+
+        `frames` are the names of those of `messages.outputs`.
+        """
+        found = self.load(texts, lists, frames)
         return np.concatenate([found.get(key, [math.nan] * len(INPUTS[key]))
                                for key in self.inputs])
 
     def apply(self, row, commanded):
-        """Let a row act on a load in place; return the inputs that it sets."""
+        """Put a row into what is commanded, (16,), in place; return the inputs that it sets."""
         given = np.flatnonzero(~np.isnan(row))
         columns = np.array(self.columns)[given]
         commanded[columns] = row[given]
@@ -120,15 +142,34 @@ class Command(NamedTuple):
 
 # One topic for each input first, of those the messages that let an input fall to zero.
 COMMANDS = [
-    Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped',
-            lambda texts, lists: {'carrier': _force(texts, lists[0])}, ('carrier',)),
+    Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped', _carrier_wrench, ('carrier',)),
     Command('~/motor_torque', 'std_msgs/msg/Float64',
-            lambda texts, lists: {'shaft': (_scalar(lists), 0.0)}, ('shaft',)),
-    Command('~/tip_wrench', 'geometry_msgs/msg/WrenchStamped',
-            lambda texts, lists: {'tip': (*_force(texts, lists[0]), lists[0][5])}, ('tip',)),
+            lambda texts, lists, frames: {'shaft': (_scalar(lists), 0.0)}, ('shaft',)),
+    Command('~/tip_wrench', 'geometry_msgs/msg/WrenchStamped', _tip_wrench, ('tip',)),
     Command('~/joint_command', 'sensor_msgs/msg/JointState', _joint_command,
             ('carrier', 'shaft')),
     Command('~/commands', 'std_msgs/msg/Float64MultiArray', _commands, ('carrier', 'shaft')),
     Command('~/motor_voltage', 'std_msgs/msg/Float64',
-            lambda texts, lists: {'shaft': (0.0, _scalar(lists))}, ('shaft',)),
+            lambda texts, lists, frames: {'shaft': (0.0, _scalar(lists))}, ('shaft',)),
 ]
+
+
+def turns(commanded):
+    """Return whether something commanded, (16,), has another direction in each step."""
+    return commanded[ALONG_TIP] != 0.0 or commanded[ACROSS_TIP] != 0.0
+
+
+def acting(commanded, simulator):
+    """
+    Return what acts of the commanded in the next step of a Simulator, a load, shape (14,).
+
+    A force in the axes of the tip has the direction that these have in the middle of the step, by
+    extrapolation: the error is of second order in the step.
+    """
+    if not turns(commanded):
+        return commanded[:LOADS]
+    load, motion, model = commanded[:LOADS].copy(), simulator.motion, simulator.model
+    middle = motion.q + 0.5 * simulator.scene.step * motion.qdot
+    rotation = model.section_rotation(middle, model.tip_point)[0]
+    load[[TIP_I, TIP_II]] += rotate(float(rotation), *commanded[LOADS:])
+    return load

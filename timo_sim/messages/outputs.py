@@ -18,6 +18,9 @@ from timo_sim.physics.layout import place
 
 NANOSECONDS = 1000000000
 _GRAVITY = 9.80665  # [m/s2]
+# Frames: carrier in world, arm (which turns with the shaft) on it, tip in the arm frame. A node
+# may give them other names, see `in_frames`.
+FRAMES = 'world', 'carrier', 'arm', 'tip'
 
 
 def title(topic):
@@ -173,8 +176,7 @@ def outputs(modes):
     ]
 
 
-# Frames: carrier in world, arm (which turns with the shaft) on it, tip in the arm frame. They are
-# neither logged nor replayed, because they follow from the motion above.
+# Frames are neither logged nor replayed, because they follow from the motion above.
 TRANSFORMS = Output('/tf', 'tf2_msgs/msg/TFMessage', _transforms, {'transforms': [
     {'header': _frame('world'), 'child_frame_id': 'carrier',
      'transform': {'translation': _xy('carrier_x_m', 'carrier_y_m')}},
@@ -184,6 +186,15 @@ TRANSFORMS = Output('/tf', 'tf2_msgs/msg/TFMessage', _transforms, {'transforms':
      'transform': {'translation': _xy('tip_x_m', 'tip_y_m'),
                    'rotation': _turn('tip_orientation_z', 'tip_orientation_w')}},
 ]})
+
+
+def in_frames(template, names):
+    """Return a template with the names that a dictionary gives to FRAMES."""
+    if isinstance(template, dict):
+        return {key: names.get(part, part) if key.endswith('frame_id') else in_frames(part, names)
+                for key, part in template.items()}
+    return [in_frames(part, names) for part in template] if isinstance(
+        template, list) else template
 
 
 def with_angles(columns, values):

@@ -19,13 +19,13 @@ from tqdm import tqdm
 from timo_sim.log.notes import CHANGE, change_note, other_ground, RESET
 from timo_sim.log.recorder import NewLog
 from timo_sim.log.recording import Recording
-from timo_sim.messages.commands import COMMANDS
+from timo_sim.messages.commands import acting, COMMANDED, COMMANDS, turns
 from timo_sim.messages.outputs import outputs, title, with_angles
 from timo_sim.physics.layout import LOADS
 from timo_sim.replay.segments import late_steps, segments_of
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameter import ParameterError
-from timo_sim.scene.parameters import check, PARAMETERS
+from timo_sim.scene.parameters import check, frame_names, PARAMETERS
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.resolution import resolved
@@ -74,6 +74,8 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
     """
     recording = Recording(file, node)
     values = _values(recording, scene_file, changes or {})
+    if not recording.facts:
+        recording.frames = frame_names(values)
     scene = scene_from(values)
     same = recording.facts and scene == recording.scene
     if scene.values['model.accuracy']:
@@ -167,7 +169,7 @@ class Replay:
                 break
 
     def _run(self, segment, report):
-        commanded, load = np.zeros(LOADS), [0.0] * LOADS
+        commanded, load = np.zeros(COMMANDED), [0.0] * LOADS
         topics = [(name, self._outputs[name], segment.samples[name].tolist() + [math.inf])
                   for name in self._outputs if name in segment.samples]
         for name, output, steps in topics:
@@ -202,8 +204,9 @@ class Replay:
                 if self._log:
                     self._log.write(index, step, simulator.nanoseconds, data)
                 begun += 1
-            following = min(following, commands[begun][0], changes[made][0], step + _BATCH)
-            simulator.advance(following - step, commanded)
+            following = min(following, commands[begun][0], changes[made][0],
+                            step + (1 if turns(commanded) else _BATCH))
+            simulator.advance(following - step, acting(commanded, simulator))
             load = simulator.load.tolist()
             report(following - step)
 

@@ -21,26 +21,26 @@ _POINTS = 41
 
 
 class ArmShape(Outlet):
-    """The outlet of the centre line of a Formulation, among those that carry the motion."""
+    """The outlet of the centre line of a Formulation, in the frame of the world."""
 
     logged = False
     name, rate = '~/arm_shape', 'rate.arm_shape'
 
-    def __init__(self, node, model):
+    def __init__(self, node, model, frame):
         super().__init__(node, self.name, 'visualization_msgs/msg/Marker')
         arm = model.manipulator.arm
-        self._model, self.every = model, 1
+        self._model, self._frame, self.every = model, frame, 1
         self._points = model.at(np.linspace(0.0, arm.length, _POINTS))
         self._thickness = float(np.max(arm.section.height))
 
-    def publish(self, snapshot):
+    def publish(self, snapshot, again=False):
         """Send the shape of a snapshot."""
         line = self._model.world(snapshot.motion[np.newaxis], self._points)[0]
         sec, nanosec = snapshot.time
         self.send(serialize_message(Marker(
-            header=Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id='world'),
+            header=Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=self._frame),
             ns='arm', type=Marker.LINE_STRIP, action=Marker.ADD,
             pose=Pose(orientation=Quaternion(w=1.0)), scale=Vector3(x=self._thickness),
             color=ColorRGBA(r=0.34, g=0.71, b=0.91, a=1.0),
             points=[Point(x=x, y=y) for x, y in line.tolist()])),
-            snapshot.step, snapshot.nanoseconds)
+            snapshot.step, snapshot.nanoseconds, again)

@@ -56,8 +56,8 @@ class Inlet:
 
     """
 
-    def __init__(self, node, command):
-        self.command = command
+    def __init__(self, node, command, frames):
+        self.command, self._frames = command, frames
         self.type = message_class(command.type_name)
         # A logger of its own: warnings are throttled for each.
         self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
@@ -73,7 +73,7 @@ class Inlet:
         try:
             message = self._decoded(data)
             texts, lists = _READ[self.command.type_name](message)
-            row = self.command.row(texts, lists)
+            row = self.command.row(texts, lists, self._frames)
         except Refused as reason:
             self.refused += 1
             self.logger.warning(
@@ -129,8 +129,8 @@ class Commands:
 
     """
 
-    def __init__(self, node, voltage):
-        self._inlets = [Inlet(node, command) for command in COMMANDS
+    def __init__(self, node, voltage, frames):
+        self._inlets = [Inlet(node, command, frames) for command in COMMANDS
                         if voltage or command.name != '~/motor_voltage']
         self.channels = [inlet.channel for inlet in self._inlets]
         self.stale, self.received = 0, False
@@ -170,7 +170,7 @@ class Commands:
         """
         Let what was received act from this step on, and what is too old end.
 
-        The commanded load (14,) is updated in place; with `timeout_steps` 0 nothing is too old.
+        What is commanded, (16,), is updated in place; with `timeout_steps` 0 nothing is too old.
         Return index in COMMANDS and message, CDR, of each command that starts to act.
         """
         started, self.received = [], False

@@ -13,6 +13,7 @@ import time
 
 import numpy as np
 
+from timo_sim.messages.commands import acting, COMMANDED, turns
 from timo_sim.messages.outputs import NANOSECONDS
 from timo_sim.physics.layout import LOADS
 from timo_sim.ros.pacing import AGAIN, Gate, Pace
@@ -69,8 +70,8 @@ class Loop:
         self._commands, self._log, self._logger = commands, log, logger
         self._outlets = outlets
         self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
-        self._commanded, self._applied = np.zeros(LOADS), [0.0] * LOADS
-        self._shown_at = -math.inf  # wall time at which a state was last shown again
+        self._commanded, self._applied = np.zeros(COMMANDED), [0.0] * LOADS
+        self._shown_at = -math.inf  # wall time at which the state was last shown, or shown again
 
     def configure(self, values, steps_each):
         """Take what can be set while the node runs; steps between messages by name of rate."""
@@ -92,6 +93,7 @@ class Loop:
     def tick(self, now, stop):
         """Do what is due at a wall time [s]; return how long nothing will be [s]."""
         if self.paused:
+            self._show_again(now)
             return _PAUSED_POLL
         free = self.pace.free
         # The rest of what is due comes with the next tick, after whoever waits for the lock.
@@ -111,10 +113,10 @@ class Loop:
                 return
             self._apply_commands(first)
             last = first + 1
-            if goal > last:
+            if goal > last and not turns(self._commanded):
                 last = min(goal, first + _BATCH, self._next_event(first))
             try:
-                simulator.advance(last - first, self._commanded)
+                simulator.advance(last - first, acting(self._commanded, simulator))
             except DivergenceError as error:
                 self.diverged, self.paused = str(error), True
                 self._logger.error(f'paused, {error}; ~/reset goes back to the start')
@@ -136,12 +138,28 @@ class Loop:
         if gate.left and not left:
             self._logger.warning(f'nobody publishes commands any more: time stands at step {step} '
                                  'until the next one')
-        if closed and (gate.first or gate.left) and now >= self._shown_at + AGAIN:
+        if closed:
             # Until the controller is there, and has seen the state that it shall answer.
+            self._show_again(now, everybody=gate.first or gate.left)
+        else:
             self._shown_at = now
-            self.look()
-            self.publish(everything=True)
         return closed
+
+    def _show_again(self, now, everybody=False):
+        """Send the state again while time stands, where somebody has joined; not to the log."""
+        if now < self._shown_at + AGAIN:
+            return
+        self._shown_at = now
+        self.look()
+        step = self.simulator.steps
+        due = [outlet for outlet in self._outlets
+               if outlet.wanted and (everybody or outlet.watched_anew(now))
+               # What is measured now and comes later is no repeat.
+               and (outlet not in self._late or step % outlet.every == 0)]
+        if due:
+            snapshot = self.snapshot()
+            for outlet in due:
+                outlet.publish(snapshot, again=True)
 
     def _next_event(self, step):
         # The next step at which something is published or a command may begin or fall to zero.
@@ -216,6 +234,7 @@ class Loop:
         self.poll()
         goal = self.simulator.steps + count
         self._advance(count, stop)
+        self._shown_at = time.monotonic()
         reached = f'at step {self.simulator.steps}'
         if self.simulator.steps < goal:
             raise NotNow(self.diverged or reached + (

@@ -29,7 +29,7 @@ from timo_sim.ros.run_log import RunLog
 from timo_sim.ros.topics import LateOutlet, MotionOutlet
 from timo_sim.scene.build import implausible
 from timo_sim.scene.parameter import LATEST, ParameterError, SCENE, short, whole_ratio
-from timo_sim.scene.parameters import changed, PARAMETERS
+from timo_sim.scene.parameters import changed, frame_names, PARAMETERS
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.simulator import Simulator
 
@@ -108,6 +108,7 @@ class SimNode(ParameterNode):
         # What takes seconds is done before others see a node, and wait for its answers.
         with _unseen(args, options) as node:
             self._simulator, values, steps_each, end = _prepared(node)
+        self._frames = frame_names(values)
         super().__init__('timo_sim', **options)
         self._stop, self._values, scene = stop, values, self._simulator.scene
         self._lock = threading.Lock()
@@ -116,7 +117,7 @@ class SimNode(ParameterNode):
             self.get_logger().warning(doubts)
         self._step = scene.step
         self._log, self._peak = RunLog(self.get_logger()), Peak()
-        self._commands = Commands(self, values['motor.dc.resistance'] > 0.0)
+        self._commands = Commands(self, values['motor.dc.resistance'] > 0.0, self._frames)
         self._outlets = self._made_outlets(scene)
         self._loop = Loop(self._simulator, values, self._commands, self._outlets, self._log,
                           self.get_logger(), end)
@@ -142,10 +143,10 @@ class SimNode(ParameterNode):
             if self._values['publish_arm_shape']:
                 remedy = 'publish_arm_shape', 'visualization-msgs, or pip install it'
                 from timo_sim.ros.arm_shape import ArmShape
-                outlets.append(ArmShape(self, self._simulator.model))
+                outlets.append(ArmShape(self, self._simulator.model, self._frames['world']))
             if self._values['publish_tf']:
                 remedy = 'publish_tf', 'tf2-msgs'
-                outlets.append(MotionOutlet(self, TRANSFORMS))
+                outlets.append(MotionOutlet(self, TRANSFORMS, self._frames))
                 outlets[-1].logged = False
         except ModuleNotFoundError as error:
             raise ParameterError(f'{remedy[0]} needs {error.name}, which is not installed: '
@@ -154,7 +155,8 @@ class SimNode(ParameterNode):
 
     def _outlet(self, output):
         delay = output.delay and round(self._values[output.delay] / self._step)
-        outlet = LateOutlet(self, output, delay) if delay else MotionOutlet(self, output)
+        outlet = LateOutlet(self, output, self._frames, delay) if delay else MotionOutlet(
+            self, output, self._frames)
         outlet.asks = not output.delay or self._values['record_sensors']
         return outlet
 

@@ -10,11 +10,15 @@
 
 from importlib import import_module
 import math
+import time
 
 from rclpy.event_handler import PublisherEventCallbacks
 
 from timo_sim.log.recorder import Channel
+from timo_sim.messages.outputs import in_frames
 from timo_sim.messages.packing import Serializer
+
+_NEW = 10.0  # [s] of wall time, in which a subscriber has found the publisher, too
 
 
 def message_class(type_name):
@@ -44,12 +48,21 @@ class Outlet:
     logged = asks = True
 
     def __init__(self, node, topic, type_name):
-        self._subscribed = False
+        self._subscribed, self._joined = False, -math.inf
         self._publisher = node.create_publisher(
             message_class(type_name), topic, 10,
-            event_callbacks=PublisherEventCallbacks(matched=lambda event: self.look()))
+            event_callbacks=PublisherEventCallbacks(matched=self._matched))
         self.channel = Channel(self._publisher.topic_name, type_name)
         self.recorder, self.index = None, None
+
+    def _matched(self, event):
+        self.look()
+        if event.total_count_change:
+            self._joined = time.monotonic()
+
+    def watched_anew(self, now):
+        """Whether somebody has begun to subscribe not long before a wall time [s]."""
+        return self._subscribed and now < self._joined + _NEW
 
     def look(self):
         """Find out whether anybody subscribes; the executor does so on every change."""
@@ -61,31 +74,31 @@ class Outlet:
         return self._subscribed or (
             self.asks and self.recorder is not None and self.recorder.error is None)
 
-    def send(self, data, step, nanoseconds):
-        """Hand a message, CDR, to subscribers and to the log."""
+    def send(self, data, step, nanoseconds, again=False):
+        """Hand a message, CDR, to subscribers and to the log; `again` to subscribers alone."""
         if self._subscribed:
             self._publisher.publish(data)
-        if self.recorder is not None:
+        if self.recorder is not None and not again:
             self.recorder.write(self.index, step, nanoseconds, data)
 
 
 class MotionOutlet(Outlet):
     """
-    The outlet of a topic that carries the simulated motion.
+    The outlet of a topic that carries the simulated motion, with these names of frames.
 
     It is published each `every` steps; `watch(numbers, ns)` sees what is sent.
     """
 
-    def __init__(self, node, output):
+    def __init__(self, node, output, frames):
         super().__init__(node, output.name, output.type_name)
-        self._serialize = Serializer(output.type_name, output.template)
+        self._serialize = Serializer(output.type_name, in_frames(output.template, frames))
         self._output, self.rate = output, output.rate
         self.name, self.every, self.watch = output.name, 1, None
 
-    def publish(self, snapshot):
+    def publish(self, snapshot, again=False):
         """Send what a snapshot holds."""
         numbers, data = self._message(snapshot)
-        self.send(data, snapshot.step, snapshot.nanoseconds)
+        self.send(data, snapshot.step, snapshot.nanoseconds, again)
         if self.watch is not None:
             self.watch(numbers, snapshot.nanoseconds)
 
@@ -101,11 +114,11 @@ class LateOutlet(MotionOutlet):
     Their header and their step in the log are those of the measurement, `delay` steps before.
     """
 
-    def __init__(self, node, output, delay):
-        super().__init__(node, output)
+    def __init__(self, node, output, frames, delay):
+        super().__init__(node, output, frames)
         self._delay, self._under_way = delay, {}
 
-    def publish(self, snapshot):
+    def publish(self, snapshot, again=False):
         """Measure; measuring the same step again replaces the earlier measurement."""
         self._under_way[snapshot.step] = self._message(snapshot)[1]
 

@@ -21,7 +21,14 @@ QOS = 'qos_overrides.'  # begins names of parameters of topics
 _DEEPEST = max(name.count('.') for name in PARAMETERS)
 # Beside the package in a clone; below the prefix of PREFIX/lib/python3.x/site-packages elsewhere.
 _ABOVE = [*Path(__file__).resolve().parents[2:]]
-_FOLDERS = [_ABOVE[0] / 'config', *(prefix / 'share/timo_sim/config' for prefix in _ABOVE[3:4])]
+_SHARED = [_ABOVE[0], *(prefix / 'share/timo_sim' for prefix in _ABOVE[3:4])]
+_FOLDERS = [folder / 'config' for folder in _SHARED]
+
+
+def shared(path):
+    """Return the path of what is installed with the package, such as urdf/timo_sim.urdf."""
+    return next((folder / path for folder in _SHARED if (folder / path).exists()),
+                _SHARED[-1] / path)
 
 
 def foreign(name):

@@ -11,6 +11,7 @@
 from dataclasses import dataclass
 import difflib
 import math
+import re
 import reprlib
 
 import numpy as np
@@ -43,6 +44,7 @@ class Parameter:
     high: float = math.inf
     open_low: bool = False   # whether `low` itself is excluded
     choices: tuple = ()      # of texts
+    form: tuple = ()         # of a text: a regular expression, and what it asks for in words
     scope: str = SCENE       # part of the physics, or NODE: the node's own
     runtime: bool = False    # whether the node lets it be set while it runs
     finite: bool = True      # whether infinity is refused
@@ -55,6 +57,8 @@ class Parameter:
                 str: 'a text', tuple: 'a list of finite numbers'}[type(self.default)]
         if self.choices:
             return 'one of ' + ', '.join(self.choices)
+        if self.form:
+            return self.form[1]
         bounds = []
         if self.low > -math.inf:
             bounds.append(f'{">" if self.open_low else ">="} {self.low:g}')
@@ -83,7 +87,8 @@ class Parameter:
             if isinstance(value, np.generic):
                 value = value.item()
             if (type(value) is not type(self.default) or self.choices and value not in self.choices
-                    or isinstance(value, str) and '\0' in value
+                    or isinstance(value, str) and (
+                        '\0' in value or self.form and not re.fullmatch(self.form[0], value))
                     or isinstance(value, int) and not self.low <= value <= self.high):
                 raise ValueError
             return value

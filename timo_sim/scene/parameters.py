@@ -14,7 +14,7 @@ The defaults are the paper's manipulator (its Tables 1 and 3) at rest, without l
 
 import math
 
-from timo_sim.messages.outputs import outputs, TRANSFORMS
+from timo_sim.messages.outputs import FRAMES, outputs, TRANSFORMS
 from timo_sim.messages.sensors import SENSORS
 from timo_sim.physics.equations import FORMULATIONS
 from timo_sim.scene.parameter import (
@@ -84,6 +84,7 @@ def _delay(name, topic):
 
 _MAX_SENSOR_ERROR = 1e9  # keeps sensor arithmetic finite
 _MAX_ANGLE = 1e6         # [rad] up to which sine and cosine are accurate
+_FRAME = r'[^/\s]\S*'     # what tf2 takes
 _OUTPUTS = outputs(1)
 
 _ALL = [
@@ -198,6 +199,11 @@ _ALL = [
     *[_rate(output.rate, output.name, 100.0) for output in _OUTPUTS],
     _rate('rate.arm_shape', '~/arm_shape', 50.0),
     _rate(TRANSFORMS.rate, TRANSFORMS.name, 50.0),
+    Parameter('frame_prefix', '', '', 'what stands before the names of all frames but world',
+              form=(f'({_FRAME})?', 'empty or a text without blanks and / before it'), scope=NODE),
+    *[Parameter(f'frame.{name}', name, '', f'name of the frame {name} in messages',
+                form=(_FRAME, 'a name without blanks and / before it'), scope=NODE)
+      for name in FRAMES],
     Parameter('record', True, '', 'whether the run is logged to an MCAP file', scope=NODE),
     Parameter('record_file', '', '', 'path of the log; empty: timo_sim_DATE_TIME.mcap in the '
               'working directory', scope=NODE),
@@ -233,6 +239,22 @@ def check(values, source):
         except ParameterError as error:
             raise ParameterError(f'{error} ({source})') from None
     return checked
+
+
+def frame_names(values):
+    """
+    Return the names of `messages.outputs.FRAMES` by node's parameters, defaults where not given.
+
+    Raises ParameterError if a name breaks its rule or two are the same.
+    """
+    given = {name: PARAMETERS[name].check(values.get(name, PARAMETERS[name].default))
+             for name in ('frame_prefix', *(f'frame.{frame}' for frame in FRAMES))}
+    names = {frame: ('' if frame == 'world' else given['frame_prefix']) + given[f'frame.{frame}']
+             for frame in FRAMES}
+    if len({*names.values()}) < len(names):
+        raise ParameterError('frame.world, frame.carrier, frame.arm and frame.tip must differ, '
+                             f'got {", ".join(map(short, names.values()))}')
+    return names
 
 
 def steps_in(duration, step):

@@ -1,0 +1,109 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""`timo_sim urdf`, as the parser that ROS has for URDF files reads it."""
+
+from pathlib import Path
+import shutil
+import subprocess
+import xml.etree.ElementTree as ElementTree
+
+from click.testing import CliRunner
+import numpy as np
+import pytest
+
+import timo_sim
+from timo_sim.cli import main
+from timo_sim.messages.commands import JOINTS
+
+urdf_parser_py = pytest.importorskip('urdf_parser_py.urdf')
+
+URDF = Path(__file__).resolve().parents[1] / 'urdf' / 'timo_sim.urdf'
+TAPERED = {'arm.profile.position': [0.0, 2.0], 'arm.profile.height': [0.06, 0.02],
+           'carrier.mass': 7.0, 'motor.mass': 3.0, 'end_effector.mass': 0.5}
+
+
+def urdf(scene, changes=None, code=0):
+    """Return what the command prints of a scene with some parameters changed."""
+    settings = [text for name, value in (changes or {}).items()
+                for text in ('--set', f'{name}={value}')]
+    result = CliRunner().invoke(main, ['urdf', str(scene), *settings])
+    assert result.exit_code == code, (result.output, result.exception)
+    return result.output
+
+
+@pytest.mark.parametrize('name, changes', [('paper', {}), ('paper', TAPERED), ('spin_up', {})])
+def test_bodies_move_as_those_of_the_model(name, changes):
+    """Energy and momentum of the straight arm, turning and carried along, tell all of them."""
+    robot = urdf_parser_py.URDF.from_xml_string(urdf(name, changes).encode())
+    carrier, arm, tip = (robot.link_map[link].inertial for link in ('carrier', 'arm', 'tip'))
+    length = robot.joint_map['tip'].origin.xyz[0]
+    bodies = [(carrier.mass, carrier.origin.xyz[0]), (arm.mass, arm.origin.xyz[0]),
+              (tip.mass, length + tip.origin.xyz[0])]
+    total, first, second = (sum(mass * x**power for mass, x in bodies) for power in range(3))
+    speed, turning = 3.0, 2.0
+    scene = timo_sim.load_scene(name, changes)
+    motion = np.zeros(2 * (3 + scene.modal_count))
+    motion[len(motion) // 2 + 1:][:2] = speed, turning  # along y, across the arm
+    model = scene.build()
+    kinetic = 0.5 * (total * speed**2 + (second + arm.inertia.izz + tip.inertia.izz) * turning**2
+                     ) + first * speed * turning
+    assert kinetic == pytest.approx(model.energy(motion[np.newaxis])[0], rel=1e-8)  # 9 digits
+    assert total * speed + first * turning == pytest.approx(
+        model.momentum(motion[np.newaxis])[0, 1], rel=1e-8)
+    assert length == scene.values['arm.length']
+    for body in carrier, arm, tip:  # as of a body in space
+        moments = sorted([body.inertia.ixx, body.inertia.iyy, body.inertia.izz])
+        assert 0.0 <= moments[2] <= moments[0] + moments[1]
+
+
+def test_a_tapered_arm_has_its_mass_where_it_is_thick():
+    arm = urdf_parser_py.URDF.from_xml_string(urdf('paper', TAPERED).encode()).link_map['arm']
+    # The height falls on a line from 3 to 1 parts: mass 2, first moment (3 + 2)/6, of parts.
+    assert arm.inertial.mass == pytest.approx(2710.0 * 0.02 * 0.02 * 2.0 * 2.0, rel=1e-8)
+    assert arm.inertial.origin.xyz == pytest.approx([2.0 * (5.0 / 6.0) / 2.0, 0.0, 0.0], rel=1e-8)
+    assert arm.visual.geometry.size == [2.0, 0.06, 0.02]
+
+
+def test_joints_topics_and_the_file_that_is_installed(tmp_path):
+    printed = urdf('paper')
+    assert printed == URDF.read_text()
+    robot = urdf_parser_py.URDF.from_xml_string(printed.encode())
+    assert {name: joint.type for name, joint in robot.joint_map.items()} == {
+        'carrier_x': 'prismatic', 'carrier_y': 'prismatic', 'shaft': 'continuous', 'tip': 'fixed'}
+    # What ros2_control sends and reads is what the node obeys and publishes.
+    control = ElementTree.fromstring(printed).find('ros2_control')
+    assert tuple(joint.get('name') for joint in control.findall('joint')) == JOINTS
+    topics = {entry.get('name'): entry.text for entry in control.findall('hardware/param')}
+    assert topics['joint_commands_topic'] == '/timo_sim/joint_command'
+    assert topics['joint_states_topic'] == '/timo_sim/joint_states'
+    assert topics['trigger_joint_command_threshold'] == '-1'
+
+
+def test_links_are_the_frames_of_the_scene(tmp_path):
+    (tmp_path / 'left.yaml').write_text('timo_sim: {ros__parameters: {frame_prefix: left/}}')
+    printed = urdf(tmp_path / 'left.yaml', {'frame.world': 'odom'})
+    robot = urdf_parser_py.URDF.from_xml_string(printed.encode())
+    assert robot.get_root() == 'odom'
+    assert robot.get_chain('odom', 'left/tip', joints=False) == [
+        'odom', 'left/carrier_rail', 'left/carrier', 'left/arm', 'left/tip']
+    if shutil.which('check_urdf'):  # the parser in C++
+        (tmp_path / 'left.urdf').write_text(printed)
+        told = subprocess.run(['check_urdf', tmp_path / 'left.urdf'], capture_output=True,
+                              text=True)
+        assert told.returncode == 0 and 'root Link: odom' in told.stdout, told.stderr
+
+
+@pytest.mark.parametrize('scene, changes, words', [
+    ('papper', {}, 'did you mean paper?'),
+    ('paper', {'arm.length': -1.0}, 'arm.length must be a finite number > 0 m, got -1.0'),
+    ('paper', {'frame.tip': 'arm'}, 'must differ'),
+])
+def test_what_is_no_scene_is_one_line_and_code_2(scene, changes, words):
+    text = urdf(scene, changes, code=2)
+    assert words in text and text.count('\n') == 1

@@ -1,0 +1,143 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The launch files, by `ros2 launch`, where it is installed."""
+
+import os
+from pathlib import Path
+import re
+import signal
+import subprocess
+import time
+
+from mcap_ros2.reader import read_ros2_messages
+import pytest
+from rcl_interfaces.srv import GetParameters
+from rosgraph_msgs.msg import Clock
+from ros_process import PATIENCE
+import yaml
+
+from timo_sim.log.recording import Recording
+
+pytest.importorskip('ros2launch')
+
+
+class Launch:
+    """`ros2 launch timo_sim`, in a process of its own."""
+
+    def __init__(self, folder, environment, *arguments):
+        self._output = folder / 'output.txt'
+        with open(self._output, 'w') as output:
+            self.process = subprocess.Popen(
+                ['ros2', 'launch', 'timo_sim', *arguments], cwd=folder, stdout=output,
+                stderr=subprocess.STDOUT, env={**environment, 'ROS_LOG_DIR': str(folder)})
+
+    def seen(self, words):
+        """Return what a regular expression finds in the output so far."""
+        return re.findall(words, self._output.read_text())
+
+    def wait_for(self, words, count=1):
+        """Wait until that is found so often, and return it."""
+        end = time.monotonic() + PATIENCE
+        while len(self.seen(words)) < count:
+            assert time.monotonic() < end, self._output.read_text()
+            time.sleep(0.05)
+        return self.seen(words)
+
+    def wait(self):
+        """Wait for the end; return exit code and output."""
+        return self.process.wait(PATIENCE), self._output.read_text()
+
+
+@pytest.fixture
+def launch(installed, tmp_path):
+    """Return a function that launches, and ends it after the test."""
+    found = []
+
+    def launch(*arguments, **environment):
+        found.append(Launch(tmp_path, {**installed[1], **environment}, *arguments))
+        return found[-1]
+    yield launch
+    for each in found:
+        each.process.send_signal(signal.SIGINT)
+        each.process.wait(PATIENCE)
+
+
+def test_arguments_of_the_simulator(launch, client, tmp_path):
+    launched = launch('sim.launch.py', 'namespace:=left', 'frame_prefix:=left/', 'respawn:=true',
+                      'record_file:=1.mcap')  # a text, though it looks like none
+    clock = client.collect(Clock, '/clock')
+    client.wait(lambda: clock, 'the clock')
+    get = client.service(GetParameters, '/left/timo_sim/get_parameters')
+    names = ['publish_clock', 'publish_tf', 'frame_prefix', 'record_file',
+             'load.force_x.harmonic.amplitude']
+    clocked, framed, prefix, path, force = get(names=names).values
+    assert clocked.bool_value and not framed.bool_value and prefix.string_value == 'left/'
+    assert path.string_value == '1.mcap' and [*force.double_array_value] == [5.0]  # the paper's
+    pid, = launched.seen(r'sim_node-1\]: process started with pid \[(\d+)\]')
+    assert (tmp_path / '1.mcap').exists()
+    os.kill(int(pid), signal.SIGKILL)
+    launched.wait_for('waiting for commands', 2)
+    assert (tmp_path / '1_1.mcap').exists()
+    launched.process.send_signal(signal.SIGINT)
+    assert launched.wait()[0] == 0
+
+
+def test_what_is_not_given_is_as_in_the_file(launch, tmp_path):
+    (tmp_path / 'my scene.yaml').write_text(yaml.safe_dump({'/**': {'ros__parameters': {
+        'duration': 0.1, 'record_file': 'its.mcap', 'frame_prefix': 'its/',
+        'publish_tf': True, 'publish_clock': True}}}))
+    code, output = launch('sim.launch.py', 'params_file:=my scene.yaml', 'clock:=false',
+                          'tf:=false').wait()
+    assert code == 0, output
+    values = Recording(tmp_path / 'its.mcap').parameters
+    assert [values[name] for name in ('publish_clock', 'publish_tf', 'frame_prefix')] == [
+        False, False, 'its/']
+    assert {message.ros_msg.header.frame_id for message in read_ros2_messages(
+        str(tmp_path / 'its.mcap'), topics=['/timo_sim/tip_deflection'])} == {'its/arm'}
+
+
+@pytest.mark.parametrize('file, argument, words', [
+    ('sim.launch.py', 'params_file:=none.yaml', 'params_file must be a file, got none.yaml'),
+    ('rviz.launch.py', 'params_file:=none.yaml', "No such file or directory: 'none.yaml'"),
+    ('sim.launch.py', 'clock:=yes', 'Argument "clock" provided value "yes" is not valid'),
+])
+def test_what_is_wrong_ends_the_launch(launch, file, argument, words):
+    launched = launch(file, argument)
+    code, output = launched.wait()
+    assert code == 1 and words in output and not launched.seen('process started')
+
+
+def test_rviz_and_robot_state_publisher_get_the_scene_namespace_and_time(
+        launch, installed, tmp_path):
+    """Programs of these names say what they are started with."""
+    others = tmp_path / 'others'
+    (others / 'share/ament_index/resource_index/packages').mkdir(parents=True)
+    for name in 'robot_state_publisher', 'rviz2':
+        (others / 'share/ament_index/resource_index/packages' / name).touch()
+        program = others / 'lib' / name / name
+        program.parent.mkdir(parents=True)
+        program.write_text(f'#!/bin/sh\nprintf "%s\\n" "$@" > {name}.txt\nfor each; do case $each '
+                           f'in *launch_params*) cat "$each" > {name}.yaml; esac; done\n')
+        program.chmod(0o755)
+    (tmp_path / 'my scene.yaml').write_text('timo_sim: {ros__parameters: {arm.length: 1.5}}')
+    code, output = launch(
+        'rviz.launch.py', 'params_file:=my scene.yaml', 'namespace:=left', 'frame_prefix:=left/',
+        AMENT_PREFIX_PATH=f'{others}:{installed[1]["AMENT_PREFIX_PATH"]}').wait()
+    assert code == 0, output
+    told = {}
+    for name in 'robot_state_publisher', 'rviz2':
+        parameters = yaml.safe_load((tmp_path / f'{name}.yaml').read_text())
+        told[name] = (tmp_path / f'{name}.txt').read_text(), parameters['/**']['ros__parameters']
+        assert '__ns:=/left\n' in told[name][0] and told[name][1]['use_sim_time'] is True
+    urdf = told['robot_state_publisher'][1]['robot_description']
+    assert '<origin xyz="1.5 0 0"/>' in urdf and '<link name="left/tip">' in urdf
+    _, view, *_ = told['rviz2'][0].splitlines()
+    displays = yaml.safe_load(Path(view).read_text())['Visualization Manager']['Displays']
+    topics = [display[key]['Value'] for display in displays for key in display if 'Topic' in key]
+    assert topics == ['robot_description', 'timo_sim/arm_shape']  # relative, in the namespace
