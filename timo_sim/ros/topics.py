@@ -48,7 +48,7 @@ class Outlet:
         self._publisher = node.create_publisher(
             message_class(type_name), topic, 10,
             event_callbacks=PublisherEventCallbacks(matched=lambda event: self.look()))
-        self.channel = Channel(self._publisher.topic_name, type_name)
+        self.channel = Channel(self._publisher.topic_name, type_name, topic)
         self.recorder, self.index = None, None
 
     def look(self):
