@@ -51,6 +51,8 @@ def test_controllers_have_joints_and_interfaces_of_the_urdf_and_the_rate_of_the_
     hardware = {entry.get('name'): entry.text for entry in block.iterfind('hardware/param')}
     assert hardware['joint_commands_topic'] == '/timo_sim/joint_command'
     assert '~/joint_command' in [command.name for command in COMMANDS]
+    # A node of this name is made for it.
+    assert block.get('name').lower() != 'timo_sim'
 
 
 def law(angle, speed):
