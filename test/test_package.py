@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def test_colcon_builds_and_the_installed_node_runs(tmp_path):
     subprocess.run(
-        [Path(sys.executable).with_name('colcon'), '--log-base', tmp_path / 'log', 'build',
+        [sys.executable, '-m', 'colcon', '--log-base', tmp_path / 'log', 'build',
          '--base-paths', ROOT, '--packages-select', 'timo_sim', '--build-base',
          tmp_path / 'build', '--install-base', tmp_path / 'install'],
         check=True, cwd=tmp_path, capture_output=True)
