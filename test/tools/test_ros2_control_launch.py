@@ -59,7 +59,8 @@ def launched(command, folder):
     said = folder / 'said.txt'
     with said.open('w') as file:
         process = subprocess.Popen(['bash', '-c', f'exec {command}'], cwd=folder, stdout=file,
-                                   stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
+                                   stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
+                                   env={**os.environ, 'ROS_HOME': str(folder)})  # logs, locks
     try:
         yield said.read_text
     finally:
