@@ -256,7 +256,7 @@ def test_names_of_scenes(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert timo_sim.load_scene('paper').load
     assert timo_sim.load_scene('spin_up').values['motor.shaft'] == 'driven'
-    with pytest.raises(FileNotFoundError, match='paper, spin_up; did you mean paper'):
+    with pytest.raises(FileNotFoundError, match='scenes paper, spin_up; did you mean paper'):
         timo_sim.load_scene('papr')
 
 

@@ -118,6 +118,14 @@ def test_package_xml_and_the_pip_list_make_up_the_dependencies():
     assert 'requirements-pip.txt' in (ROOT / 'README.md').read_text()
 
 
+def test_the_page_on_ros2_control_installs_what_package_xml_says():
+    page = (ROOT / 'doc/ros.md').read_text()
+    named = {name.replace('-', '_') for name in re.findall(r'ros-jazzy-([\w-]+)', page)}
+    sources = 'ros2_control', 'ros2_controllers', 'topic_based_hardware_interfaces'
+    assert named == {'robot_state_publisher'} | {
+        key for key in RUN_KEYS if ROSDEP['jazzy'].get(key) in sources}
+
+
 def test_every_version_that_is_asked_for_is_pinned_and_allowed():
     optional = [line for extra in ('cluster', 'control', 'pandas', 'plot', 'sweep')
                 for line in EXTRAS[extra]]

@@ -41,9 +41,10 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 
 @pytest.fixture(scope='module')
 def log(tmp_path_factory, paper):
-    """Log two seconds of the paper's scene, some topics slower than others."""
+    """Log two seconds of the paper's scene, some topics slower than others, two remapped."""
     node = Process(tmp_path_factory.mktemp('log'), '--params-file', str(paper), '-r',
-                   '__ns:=/left', real_time_factor=0.0, duration=2.0,
+                   '__ns:=/left', '-r', 'joint_states:=timo_sim/joint_states', '-r',
+                   '~/commands:=/arm/commands', real_time_factor=0.0, duration=2.0,
                    **{'rate.joint_states': 500.0, 'rate.modal_state': 250.0})
     assert node.wait()[0] == 0
     return node.log
@@ -85,6 +86,19 @@ def test_an_imu_of_an_older_log_or_bag_has_its_present_name(tmp_path):
     assert recording.topics['~/tip_imu/data_raw'].values.tolist() == [[1.0, 2.0, 3.0]]
     columns, _ = table(recording, '~/tip_imu/data_raw')
     assert list(columns) == ['time_s', *output.columns]
+
+
+def test_joint_states_of_a_bag_are_those_of_the_simulator(tmp_path):
+    """Where ros2_control publishes joint_states, they are those below its name."""
+    output, = (output for output in outputs(0) if output.name == 'joint_states')
+    serialize = Serializer(output.type_name, output.template)
+    recorder = Recorder(tmp_path / 'bag.mcap', [
+        Channel('/joint_states', output.type_name), Channel('/sim/joint_states', output.type_name),
+        Channel('/sim/motor_torque', 'std_msgs/msg/Float64')], {})
+    for index in 0, 1:
+        recorder.write(index, 1, 1000000, serialize((0, 1000000), [float(index)] * 9))
+    recorder.close()
+    assert Recording(tmp_path / 'bag.mcap').topics['joint_states'].values.tolist() == [[1.0] * 9]
 
 
 def test_series_are_what_another_reader_finds(log):
@@ -249,7 +263,8 @@ def test_a_scene_that_is_none_is_one_line(log, tmp_path):
 
 
 @pytest.mark.parametrize('facts', [
-    {'node': '/timo_sim'}, {'parameters': '', 'node': '/timo_sim'}, {'parameters': '[]'}])
+    {'node': '/timo_sim'}, {'parameters': '', 'node': '/timo_sim'}, {'parameters': '[]'},
+    {'topics': '[1]'}, {'topics': '{"/timo_sim/motor_torque": [1]}'}])
 def test_a_log_that_says_nothing_of_its_scene_is_one_line(tmp_path, facts):
     path = tmp_path / 'run.mcap'
     recorder = Recorder(path, [

@@ -8,73 +8,51 @@
 
 """A controller manager with the plugin JointStateTopicSystem, and what is when it leaves."""
 
-import math
+from pathlib import Path
+from xml.etree import ElementTree
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
-from rclpy.qos import qos_profile_sensor_data
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from timo_sim.log.recording import Recording
+from timo_sim.messages.commands import COMMANDS, JOINTS
 from timo_sim.replay.replay import replay
+from timo_sim.scene.files import read_sections
+from timo_sim.scene.parameters import check
+from topic_hardware import ControllerManager
 
-JOINTS = ['carrier_x', 'carrier_y', 'shaft']
+ROOT = Path(__file__).resolve().parents[2]
 
 
-class ControllerManager:
-    """
-    Does what ros2_control_node does on sim time, with JointStateTopicSystem as its hardware.
+def test_controllers_have_joints_and_interfaces_of_the_urdf_and_the_rate_of_the_node():
+    block = ElementTree.parse(ROOT / 'urdf/timo_sim.urdf').find('ros2_control')
+    commands, states = ({f'{joint.get("name")}/{interface.get("name")}'
+                         for joint in block.iterfind('joint')
+                         for interface in joint.iterfind(f'{kind}_interface')}
+                        for kind in ('command', 'state'))
+    sections = read_sections(ROOT / 'config/controllers.yaml')
+    effort, pid = sections['/effort_controller'], sections['/pid_controller']
+    (dof,), (claimed,) = pid['dof_names'], effort['joints']
+    assert commands == {f'{joint}/effort' for joint in JOINTS}
+    assert {f'{claimed}/effort', f'{dof}/{pid["command_interface"]}'} <= commands
+    assert {f'{dof}/{name}' for name in pid['reference_and_state_interfaces']} <= states
+    assert [name for name in pid if name.startswith('gains') and f'.{dof}.' not in name] == []
+    # generate_parameter_library takes no whole number for a double.
+    assert all(type(value) is not int for value in pid.values())
 
-    Cycle, order, messages and QoS are those of ros2_control_node.cpp of ros2_control (jazzy) and
-    of joint_state_topic_hardware_interface.cpp (topic_based_hardware_interfaces): after the clock
-    has started it sleeps for a period, then reads, updates and writes at each. One controller has
-    claimed the shaft's effort: joints that nobody has claimed are NaN.
-    """
-
-    def __init__(self, client, period, law, threshold=-1.0):
-        self._client, self._law, self._threshold = client, law, threshold
-        self._period, self._until = round(1e9 * period), None
-        self._latest, self._states = JointState(), dict.fromkeys(JOINTS, (0.0, 0.0, 0.0))
-        self.publisher = client.create_publisher(JointState, '/timo_sim/joint_command', 1)
-        self._subscriptions = [client.create_subscription(kind, topic, take, qos) for (
-            kind, topic, take, qos) in (
-                (JointState, '/joint_states', self._take, qos_profile_sensor_data),
-                (Clock, '/clock', self._wake, qos_profile_sensor_data))]
-
-    def _take(self, message):
-        self._latest = message
-
-    def _wake(self, message):
-        now = 10**9 * message.clock.sec + message.clock.nanosec
-        if self._until is None and now > 0:
-            self._until = now + self._period
-        elif self._until is not None and now >= self._until:
-            self._until = now + self._period
-            self._read()
-            self._write(message.clock, [math.nan, math.nan, self._law(*self._states['shaft'][:2])])
-
-    def _read(self):
-        message = self._latest
-        for name, *found in zip(message.name, message.position, message.velocity, message.effort):
-            self._states[name] = [new if math.isfinite(new) else old
-                                  for new, old in zip(found, self._states[name])]
-
-    def _write(self, stamp, commands):
-        if sum(abs(self._states[name][2] - command) for name, command in zip(
-                JOINTS, commands)) <= self._threshold:
-            return
-        message = JointState(name=JOINTS, effort=commands)
-        message.header.stamp = stamp
-        self.publisher.publish(message)
-
-    def close(self):
-        """Leave."""
-        for subscription in self._subscriptions:
-            self._client.destroy_subscription(subscription)
-        self._client.destroy_publisher(self.publisher)
+    node = check(sections['/timo_sim'], 'controllers.yaml')
+    rate = sections['/controller_manager']['update_rate']
+    assert node['rate.joint_states'] == node['rate.clock'] == rate == round(
+        1.0 / node['sync_period']) and type(rate) is int
+    assert 0.0 < node['command_timeout'] <= 0.5 and node['publish_clock']
+    hardware = {entry.get('name'): entry.text for entry in block.iterfind('hardware/param')}
+    assert hardware['joint_commands_topic'] == '/timo_sim/joint_command'
+    assert '~/joint_command' in [command.name for command in COMMANDS]
+    # A node of this name is made for it.
+    assert block.get('name').lower() != 'timo_sim'
 
 
 def law(angle, speed):

@@ -82,6 +82,19 @@ def start_note(node, values, changed, scene):
         'initial_motion': json.dumps(scene.initial_motion().tolist()), **_here()}
 
 
+def names_note(channels):
+    """Return what a log says of the names of its topics before they were remapped."""
+    return {'topics': _json({channel.topic: channel.name for channel in channels})}
+
+
+def read_names(facts):
+    """Return the names of topics before they were remapped, by topic, as far as a log has them."""
+    try:
+        return {topic: str(name) for topic, name in json.loads(facts['topics']).items()}
+    except (KeyError, AttributeError, ValueError, RecursionError):
+        return {}
+
+
 def other_ground(facts):
     """Return in words what is not as it was when a log was made, '' if nothing is known to be."""
     return ', '.join(f'{name} {facts[name][:40]} (here {value})'

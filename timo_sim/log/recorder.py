@@ -39,6 +39,7 @@ class Channel(NamedTuple):
 
     topic: str      # fully qualified name
     type_name: str  # as in 'sensor_msgs/msg/JointState'
+    name: str = ''  # before remapping, as in '~/tip_pose'
 
 
 class Recorder:
@@ -87,7 +88,7 @@ class Recorder:
                    *(ChannelRecord(id=number, topic=topic, message_encoding='cdr',
                                    schema_id=types.index(name) + 1,
                                    metadata=channel_metadata(TYPE_HASHES[name]))
-                     for number, (topic, name) in enumerate(channels, start=1))]
+                     for number, (topic, name, _) in enumerate(channels, start=1))]
         self.path, self._file = create(Path(path))
         try:
             self._writer = Writer(self._file, 'ros2')

@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from timo_sim.log.index import Index
-from timo_sim.log.notes import read_notes
+from timo_sim.log.notes import read_names, read_notes
 from timo_sim.log.reader import Reader
 from timo_sim.log.records import LogError, open_file
 from timo_sim.log.series import Collector, common, Series
@@ -80,6 +80,10 @@ class Recording:
         self.facts, self.summary, resets, self.changes = read_notes(self.index)
         self.resets, self.reset_places = np.array(resets, dtype=np.int64).reshape(-1, 2).T
         self.name = node or self.facts.get('node') or self._find_node()
+        # Where ros2_control publishes joint_states, the node's are below its name.
+        topics = {channel.topic for channel in self.index.channels.values()}
+        own, usual = f'{self.name}/joint_states', f'{self.name.rpartition("/")[0]}/joint_states'
+        self._names = {own if own in topics else usual: 'joint_states', **read_names(self.facts)}
         self._wanted, self.unread = {}, {}
         for number, channel in self.index.channels.items():
             short, schema = self.short_name(channel.topic), self.index.schemas.get(
@@ -141,9 +145,9 @@ class Recording:
         """
         wanted = {number: Collector(*found, self.frames) for number, found in self._wanted.items()
                   if not names or found[0] in names}
-        twice = Counter(collector.topic for collector in wanted.values()).most_common(1)
+        twice = Counter(collector.name for collector in wanted.values()).most_common(1)
         if twice and twice[0][1] > 1:
-            raise LogError(f'{self.index.name} has two channels of {twice[0][0][:80]}')
+            raise LogError(f'{self.index.name} has two channels of {twice[0][0]}')
         for place, data, offsets in self._blocks(most_chunks):
             for number in wanted.keys() & offsets.keys():
                 try:
@@ -203,13 +207,12 @@ class Recording:
         return np.where(found < 0, -1, np.clip(found, first, last))
 
     def short_name(self, topic):
-        """Return a topic's name relative to the node: '~/tip_pose', 'joint_states', '/clock'."""
-        namespace = self.name.rpartition('/')[0] + '/'
+        """Return a topic's name before remapping: '~/tip_pose', 'joint_states', '/clock'."""
+        if topic in self._names:
+            return self._names[topic]
         if topic.startswith(self.name + '/'):
             short = '~/' + topic.removeprefix(self.name + '/')
             return _EARLIER.get(short, short)
-        if topic == namespace + 'joint_states':
-            return 'joint_states'
         return topic
 
     def _find_node(self):

@@ -64,7 +64,8 @@ class Inlet:
         self._subscription = node.create_subscription(
             self.type, command.name, lambda data: None, QUEUE, raw=True)
         self.publishers = self._subscription.get_publisher_count
-        self.channel = Channel(self._subscription.topic_name, command.type_name)
+        self.channel = Channel(
+            self._subscription.topic_name, command.type_name, command.name)
         self.pending = None
         self.refused = self.mismatched = self.foreign = 0
 

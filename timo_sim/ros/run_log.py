@@ -10,7 +10,7 @@
 
 from datetime import datetime
 
-from timo_sim.log.notes import START, SUMMARY
+from timo_sim.log.notes import names_note, START, SUMMARY
 from timo_sim.log.recorder import Recorder
 
 
@@ -39,9 +39,9 @@ class RunLog:
         """
         path = path or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap'
         outlets = [outlet for outlet in outlets if outlet.logged]
+        logged = [*channels, *(outlet.channel for outlet in outlets)]
         try:
-            self._recorder = Recorder(
-                path, [*channels, *(outlet.channel for outlet in outlets)], {START: note})
+            self._recorder = Recorder(path, logged, {START: {**note, **names_note(logged)}})
         except (OSError, ValueError) as error:  # ValueError: a path without a name
             self._fail(f'no log is written to {path}: {error}')
             return

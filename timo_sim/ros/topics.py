@@ -52,7 +52,7 @@ class Outlet:
         self._publisher = node.create_publisher(
             message_class(type_name), topic, 10,
             event_callbacks=PublisherEventCallbacks(matched=self._matched))
-        self.channel = Channel(self._publisher.topic_name, type_name)
+        self.channel = Channel(self._publisher.topic_name, type_name, topic)
         self.recorder, self.index = None, None
 
     def _matched(self, event):

@@ -41,8 +41,9 @@ def scene_file(source):
     path = Path(source)
     if path.is_file() or path.suffix or path.name != str(source):
         return path
+    # Scenes are for a node of any name.
     known = {entry.stem: entry for folder in _FOLDERS for entry in sorted(folder.glob('*.yaml'))
-             if 'ros__parameters' in entry.read_text(encoding='utf-8')}
+             if '\n/**:\n' in entry.read_text(encoding='utf-8')}
     if path.name not in known:
         raise FileNotFoundError(f'{source} is neither a file nor one of the scenes '
                                 f'{", ".join(known)}{did_you_mean(source, known)}')

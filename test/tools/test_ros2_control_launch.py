@@ -1,0 +1,117 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""`ros2 launch` of ros2_control.launch.py, and the commands of doc/ros.md, literally."""
+
+from contextlib import contextmanager
+import os
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from ros_process import PATIENCE
+from sensor_msgs.msg import JointState
+
+from timo_sim.log.recording import Recording
+from topic_hardware import ControllerManager
+
+pytest.importorskip('ros2launch')
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / 'doc/ros.md').read_text()
+LAUNCH, PUBLISH = (re.findall(f'^ros2 {name} .*', PAGE, re.M) for name in ('launch', 'topic pub'))
+PROGRAMS = {'controller_manager': ['ros2_control_node', 'spawner'],
+            'robot_state_publisher': ['robot_state_publisher'], 'timo_sim': ['sim_node']}
+PREFIXES = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+MISSING = [package for package in PROGRAMS
+           if not any(Path(prefix, 'share', package).is_dir() for prefix in PREFIXES)]
+
+
+@pytest.fixture
+def packages(tmp_path, monkeypatch):
+    """Install the simulator as `sim_node`; other programs just say their arguments and wait."""
+    for package, programs in PROGRAMS.items():
+        for program in programs:
+            path = tmp_path / 'lib' / package / program
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text('#!/bin/bash\n' + (
+                f'exec {sys.executable} -m timo_sim.cli.sim_node "$@"' if program == 'sim_node'
+                else f'echo "{program} $*"; exec sleep {PATIENCE}'))
+            path.chmod(0o755)
+        index = tmp_path / 'share/ament_index/resource_index/packages' / package
+        index.parent.mkdir(parents=True, exist_ok=True)
+        index.touch()
+    monkeypatch.setenv('AMENT_PREFIX_PATH', os.pathsep.join([str(tmp_path), *PREFIXES]))
+    return f'ros2 launch {ROOT}/launch/ros2_control.launch.py'
+
+
+@contextmanager
+def launched(command, folder):
+    """Run a launch file in a folder; yield a function that returns what it says."""
+    said = folder / 'said.txt'
+    with said.open('w') as file:
+        process = subprocess.Popen(['bash', '-c', f'exec {command}'], cwd=folder, stdout=file,
+                                   stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
+                                   env={**os.environ, 'ROS_HOME': str(folder)})  # logs, locks
+    try:
+        yield said.read_text
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(PATIENCE)
+        print(said.read_text())  # pytest shows it if the test fails
+
+
+def test_the_launched_simulator_does_what_hardware_and_manager_are_told(
+        packages, client, tmp_path):
+    controllers = ROOT / 'config/controllers.yaml'
+    with launched(f'{packages} controller:=pid_controller sync:=any_command', tmp_path) as said:
+        manager = ControllerManager(client, 0.002, lambda angle, speed: 1.0,
+                                    states='/timo_sim/joint_states')
+        states = client.collect(JointState, '/timo_sim/joint_states')
+        client.wait(lambda: states and states[-1].header.stamp.nanosec > 10**8, 'a tenth second')
+        assert client.count_publishers('/joint_states') == 0
+        spawned = ('spawner joint_state_broadcaster pid_controller --param-file '
+                   f'{controllers} --switch-timeout')
+        client.wait(lambda: spawned in said(), 'what the spawner is told')
+        assert f'ros2_control_node --ros-args --params-file {controllers}' in said()
+    manager.close()
+    log, = tmp_path.glob('timo_sim_*.mcap')
+    commands = Recording(log).topics['~/joint_command']
+    assert len(commands.step) > 10 and set(np.diff(commands.step)) == {2}
+
+
+def test_a_file_that_is_missing_ends_everything(packages, client, tmp_path):
+    with launched(f'{packages} params_file:=nowhere.yaml', tmp_path) as said:
+        client.wait(lambda: 'was required: shutting down' in said(), 'an end')
+        assert "'--params-file nowhere.yaml'" in said()
+
+
+@pytest.mark.skipif(bool(MISSING), reason=f'not installed: {", ".join(MISSING)}')
+@pytest.mark.parametrize('sync', ['free', 'any_command'])
+@pytest.mark.parametrize('launch, publish, moved', zip(LAUNCH, PUBLISH, [
+    lambda angle, speed, effort: effort == 1.0 and speed > 0.1,
+    lambda angle, speed, effort: abs(angle - 1.5) < 0.01 and abs(speed) < 0.01], strict=True),
+    ids=['effort', 'pid'])
+def test_the_commands_of_the_page_move_the_shaft(client, tmp_path, launch, publish, moved, sync):
+    """By the real ros2_control."""
+    with launched(f'{launch} sync:={sync}', tmp_path) as said:
+        client.wait(lambda: re.search(
+            'activated .*(effort|pid)_controller|process has died', said()), 'a controller')
+        states = client.collect(JointState, '/joint_states')
+        subprocess.run(['bash', '-c', publish], check=True, timeout=PATIENCE)
+
+        def reached():
+            return states and moved(*(getattr(states[-1], name)[states[-1].name.index('shaft')]
+                                      for name in ('position', 'velocity', 'effort')))
+        client.wait(reached, 'the motion of the shaft')
+    log, = tmp_path.glob('timo_sim_*.mcap')
+    summary = Recording(log).summary
+    assert summary['refused_commands'] == summary['foreign_joints'] == '0'
