@@ -8,7 +8,7 @@
 
 """`ros2 launch` of ros2_control.launch.py, and the commands of doc/ros.md, literally."""
 
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import os
 from pathlib import Path
 import re
@@ -60,13 +60,17 @@ def launched(command, folder):
     with said.open('w') as file:
         process = subprocess.Popen(['bash', '-c', f'exec {command}'], cwd=folder, stdout=file,
                                    stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
-                                   env={**os.environ, 'ROS_HOME': str(folder)})  # logs, locks
+                                   env={**os.environ, 'ROS_HOME': str(folder)},  # logs, locks
+                                   start_new_session=True)
     try:
         yield said.read_text
-    finally:
         process.send_signal(signal.SIGINT)
         process.wait(PATIENCE)
+    finally:
         print(said.read_text())  # pytest shows it if the test fails
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
 
 
 def test_the_launched_simulator_does_what_hardware_and_manager_are_told(
@@ -88,10 +92,12 @@ def test_the_launched_simulator_does_what_hardware_and_manager_are_told(
     assert len(commands.step) > 10 and set(np.diff(commands.step)) == {2}
 
 
-def test_a_file_that_is_missing_ends_everything(packages, client, tmp_path):
-    with launched(f'{packages} params_file:=nowhere.yaml', tmp_path) as said:
-        client.wait(lambda: 'was required: shutting down' in said(), 'an end')
-        assert "'--params-file nowhere.yaml'" in said()
+def test_a_file_that_is_missing_ends_everything(packages, tmp_path):
+    result = subprocess.run([*packages.split(), 'params_file:=nowhere.yaml'], cwd=tmp_path,
+                            capture_output=True, text=True, stdin=subprocess.DEVNULL,
+                            env={**os.environ, 'ROS_HOME': str(tmp_path)}, timeout=PATIENCE)
+    assert 'sim_node-1] was required: shutting down' in result.stdout + result.stderr
+    assert "'--params-file nowhere.yaml'" in result.stdout
 
 
 @pytest.mark.skipif(bool(MISSING), reason=f'not installed: {", ".join(MISSING)}')
