@@ -43,6 +43,7 @@ class LQR:
         weighed = model.select(outputs=list(BAD)).C / [[bad] for bad in BAD.values()]
         model = model.select(outputs=['shaft_rad', 'root_strain']).to_discrete(PERIOD)
         self.a, self.b, self.c = a, b, c = model.A, model.B, model.C
+        self.d = model.D  # the torque strains the root at once, by the shaft's acceleration
         self.limit = scene.values['motor.torque_limit']
 
         self.path, self.torque = rest_to_rest(model, {'shaft_rad': GOAL[2]})
@@ -55,17 +56,17 @@ class LQR:
         unknown = np.diag([UNKNOWN**2 * name.endswith('_per_s') for name in model.states])
         p = solve_discrete_are(a.T, c.T, unknown, noise)
         self.correction = p @ c.T @ np.linalg.inv(c @ p @ c.T + noise)
-        self.expected = np.zeros(len(a))
+        self.expected, self.acting = np.zeros(len(a)), np.zeros(1)
 
     def effort(self, t, seen):
         """Return the torque on the shaft [N m] that answers what is seen."""
         place = min(round(t / PERIOD), len(self.path) - 1)
         x = self.expected + self.correction @ (
-            [seen.encoder, seen.root_strain] - self.c @ self.expected)
+            [seen.encoder, seen.root_strain] - self.c @ self.expected - self.d @ self.acting)
         wanted = self.torque[place] - self.gain @ (x - self.path[place])
-        torque = np.clip(wanted, -self.limit, self.limit)
-        self.expected = self.a @ x + self.b @ torque
-        return {'shaft': float(torque[0])}
+        self.acting = np.clip(wanted, -self.limit, self.limit)
+        self.expected = self.a @ x + self.b @ self.acting
+        return {'shaft': float(self.acting[0])}
 
 
 if __name__ == '__main__':
