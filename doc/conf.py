@@ -8,8 +8,10 @@
 
 """Settings of Sphinx for `make docs`."""
 
+from pathlib import Path
 import re
 
+from sphinx.addnodes import pending_xref
 from timo_sim.version import __version__
 
 project = html_title = 'timo_sim'
@@ -49,5 +51,14 @@ def _relative_to_doc(app, path, page, text):
     text[0] = re.sub(r'\]\((?!https?:|#|doc/)', '](path:../', text[0])
 
 
+def _folders_as_text(app, page):
+    """Make a link to a folder, which a forge lists and the site does not have, its text."""
+    here = Path(app.env.doc2path(app.env.docname)).parent
+    for link in list(page.findall(pending_xref)):
+        if link['reftype'] == 'myst' and (here / link['reftarget']).is_dir():
+            link.replace_self(link.children)
+
+
 def setup(app):
     app.connect('include-read', _relative_to_doc)
+    app.connect('doctree-read', _folders_as_text)

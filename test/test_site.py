@@ -11,6 +11,7 @@
 
 from html import unescape
 from pathlib import Path
+from posixpath import dirname, join, normpath
 import re
 import subprocess
 import sys
@@ -38,8 +39,8 @@ def test_every_page_is_one_click_from_every_other(site):
              for path in (ROOT / 'doc').rglob('*.md')}
     assert pages <= site.keys()
     for page, text in site.items():
-        up = '../' * page.count('/')
-        linked = {href.removeprefix(up) for href in re.findall(r'href="([^"#]+)', text)}
+        linked = {normpath(join(dirname(page), href))
+                  for href in re.findall(r'href="([^"#]+)', text)}
         assert pages - {'index.html', page} <= linked, page
 
 
