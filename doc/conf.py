@@ -51,14 +51,17 @@ def _relative_to_doc(app, path, page, text):
     text[0] = re.sub(r'\]\((?!https?:|#|doc/)', '](path:../', text[0])
 
 
-def _folders_as_text(app, page):
-    """Make a link to a folder, which a forge lists and the site does not have, its text."""
+def _adapt_links(app, page):
+    """Point links to README.md at the front page; leave the text of those to folders."""
     here = Path(app.env.doc2path(app.env.docname)).parent
     for link in list(page.findall(pending_xref)):
-        if link['reftype'] == 'myst' and (here / link['reftarget']).is_dir():
-            link.replace_self(link.children)
+        if link['reftype'] == 'myst' and link['reftarget'] == str(app.srcdir.parent / 'README'):
+            link['reftarget'] = 'index'
+        elif link['reftype'] == 'myst' and not link['refdomain']:
+            if (here / link['reftarget']).is_dir():
+                link.replace_self(link.children)
 
 
 def setup(app):
     app.connect('include-read', _relative_to_doc)
-    app.connect('doctree-read', _folders_as_text)
+    app.connect('doctree-read', _adapt_links)

@@ -44,6 +44,14 @@ def test_every_page_is_one_click_from_every_other(site):
         assert pages - {'index.html', page} <= linked, page
 
 
+def test_links_between_pages_are_links(site):
+    for path in (ROOT / 'doc').rglob('*.md'):
+        text = site[str(path.relative_to(ROOT / 'doc').with_suffix('.html'))]
+        there = re.findall(r'<a class="reference internal" href="([^"]+)"><span class="std', text)
+        for name, place in re.findall(r'\]\(([\w/.]+)\.md(#[\w-]+)?\)', path.read_text()):
+            assert re.sub(r'\.\./README$', 'index', name) + '.html' + place in there, (path, name)
+
+
 def test_api_and_equations_are_there(site):
     for name in {*timo_sim.__all__} - {'__version__'}:
         assert f'id="timo_sim.{name}"' in site['api.html'], name
