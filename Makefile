@@ -26,7 +26,7 @@ METADATA := pyproject.toml setup.py setup.cfg
 
 .PHONY: help sim view test test-lowest test-without-ros graphics gallery picture pages paper benchmark \
 	benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
-	references stability stretch stress stress-quick clean
+	references stability stretch stress stress-quick docs clean
 
 help: ## say what there is
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
@@ -77,6 +77,10 @@ paper: $(VENV)/.plot ## make doc/paper.md
 
 pages: $(VENV)/.run ## fill the tables of README.md and doc/
 	@$(BIN)/python doc/tables.py
+
+docs: $(VENV)/.docs ## make a site of the pages, build/docs
+	@$(BIN)/python -m sphinx -EqW --keep-going doc build/docs
+	@echo "open build/docs/index.html in a browser"
 
 benchmark: $(VENV)/.benchmark ## make doc/benchmark.md, half an hour
 	@$(BIN)/python -m benchmark.accuracy.work_precision
@@ -130,7 +134,8 @@ $(VENV)/.plot: EXTRAS := ros,plot
 $(VENV)/.gallery: EXTRAS := ros,plot,view
 $(VENV)/.benchmark: EXTRAS := ros,benchmark
 $(VENV)/.test: EXTRAS := ros,all,test
-$(VENV)/.run $(VENV)/.plot $(VENV)/.gallery $(VENV)/.benchmark $(VENV)/.test: \
+$(VENV)/.docs: EXTRAS := docs
+$(VENV)/.run $(VENV)/.plot $(VENV)/.gallery $(VENV)/.benchmark $(VENV)/.test $(VENV)/.docs: \
 		constraints.txt $(METADATA) | $(VENV)/.made
 	@$(BIN)/$(PIP) --constraint constraints.txt --editable '.[$(EXTRAS)]' && touch $@
 

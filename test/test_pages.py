@@ -50,10 +50,12 @@ def _anchor(heading):
     return re.sub(r'[^\w\- ]', '', heading.lstrip('# ').lower()).replace(' ', '-')
 
 
-def test_every_page_is_named_in_the_readme():
-    text = (ROOT / 'README.md').read_text()
-    for page in tables.PAGES[1:]:
-        assert f'({named(page)})' in text, page
+def test_every_page_is_named_in_the_readme_and_in_the_contents_of_the_site():
+    readme, contents = ((ROOT / name).read_text() for name in ('README.md', 'doc/index.md'))
+    pages = {page.relative_to(ROOT / 'doc').with_suffix('').as_posix()
+             for page in tables.PAGES[1:]} - {'index', 'api'}
+    assert {*re.findall(r'\(doc/([\w/]+)\.md\)', readme)} >= pages
+    assert {*re.findall(r'^(?:.*<)?([\w/]+)>?$', contents, re.MULTILINE)} >= {*pages, 'api'}
 
 
 def test_the_readme_is_short():

@@ -6,12 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""
-A planar mobile manipulator with a flexible Timoshenko arm, simulated.
-
-The public names are imported when they are first used, so that `sim_node` can take care of signals
-before it loads NumPy, SciPy and numba.
-"""
+"""A planar mobile manipulator with a flexible Timoshenko arm, simulated."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -30,6 +25,8 @@ if TYPE_CHECKING:
     from timo_sim.simulation.simulator import Simulator
     from timo_sim.sweep.many import simulate_many
 
+# Imported when first used, so that `sim_node` can take care of signals before it loads NumPy,
+# SciPy and numba.
 _MODULES = {
     'DivergenceError': 'simulation.model_warnings',
     'LinearModel': 'simulation.linear',

@@ -240,8 +240,8 @@ class Run(MotionFields):
         Parameters
         ----------
         path : str or Path
-            *.mcap: a log, as the node writes it, which `timo_sim.open_log` reads; *.parquet or
-            *.csv: a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended.
+            `*.mcap`: a log, as the node writes it, which `timo_sim.open_log` reads; `*.parquet` or
+            `*.csv`: a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended.
 
         Returns
         -------

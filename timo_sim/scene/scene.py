@@ -247,9 +247,9 @@ def project_on_modes(scene: Scene, deflection: Callable[[np.ndarray], Any],
     ----------
     scene : Scene
     deflection : function(ndarray) -> array_like
-        w(xi) in the arm frame [m], or its rate [m/s], for xi of shape (p,) [m].
+        Deflection w(xi) in the arm frame [m], or its rate [m/s], for xi of shape (p,) [m].
     rotation : function(ndarray) -> array_like
-        phi(xi) [rad], or its rate [rad/s].
+        Rotation phi(xi) [rad], or its rate [rad/s].
 
     Returns
     -------
