@@ -75,7 +75,8 @@ def test_its_python_runs(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(ROOT / 'example')
     text, scope = (ROOT / page).read_text(), {}
-    for code, shown in re.findall(r'```python\n(.*?)```(?:\n\n```text\n(.*?)```)?', text, re.DOTALL):
+    for code, shown in re.findall(
+            r'```python\n(.*?)```(?:\n\n```text\n(.*?)```)?', text, re.DOTALL):
         exec(compile(code, page, 'exec'), scope)
         printed = capsys.readouterr().out
         if shown:
