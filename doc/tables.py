@@ -22,7 +22,7 @@ from timo_sim.messages.outputs import outputs, TRANSFORMS
 from timo_sim.scene.parameters import PARAMETERS
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / 'README.md', *sorted((ROOT / 'doc').glob('*.md'))]
+PAGES = [ROOT / 'README.md', *sorted((ROOT / 'doc').rglob('*.md'))]
 _TABLE = re.compile(r'(<!-- table: (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
 _COMMANDS = {
     '~/carrier_wrench': 'force x, y on the carrier',

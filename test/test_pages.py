@@ -9,16 +9,20 @@
 
 """README.md and the pages of doc/: tables that the code knows, links, and code that runs."""
 
+from decimal import Decimal
 import importlib.util
+import json
 from pathlib import Path
 import re
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 _SPEC = importlib.util.spec_from_file_location('tables', ROOT / 'doc' / 'tables.py')
 tables = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(tables)
+_NUMBER = re.compile(r'-?\d+(?:\.\d+)?(?:e[-+]\d+)?')
 
 
 def named(path):
@@ -65,10 +69,46 @@ def test_the_readme_is_short():
     assert all(len(line) <= 120 for line in lines if not line.startswith(('|', '![')))
 
 
-@pytest.mark.parametrize('page', [ROOT / 'README.md', ROOT / 'doc' / 'python.md'], ids=named)
-def test_its_python_runs(page, tmp_path, monkeypatch):
-    """All blocks of a page one after the other, in an empty folder."""
+@pytest.mark.parametrize('page', [
+    'README.md', 'doc/python.md', 'doc/tutorial/python.md', 'doc/tutorial/control.md'])
+@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
+def test_its_python_runs(page, tmp_path, monkeypatch, capsys):
+    """All blocks of a page one after the other; a block `text` is what the one before prints."""
     monkeypatch.chdir(tmp_path)
-    code = '\n'.join(re.findall(r'```python\n(.*?)```', page.read_text(), re.DOTALL))
-    exec(compile(code, page.name, 'exec'), {})
-    assert (tmp_path / 'run.mcap').stat().st_size > 0
+    monkeypatch.syspath_prepend(ROOT / 'example')
+    text, scope = (ROOT / page).read_text(), {}
+    for code, shown in re.findall(
+            r'```python\n(.*?)```(?:\n\n```text\n(.*?)```)?', text, re.DOTALL):
+        exec(compile(code, page, 'exec'), scope)
+        printed = capsys.readouterr().out
+        if shown:
+            assert _NUMBER.sub('', printed) == _NUMBER.sub('', shown)
+            for number, other in zip(_NUMBER.findall(shown), _NUMBER.findall(printed)):
+                # A unit of the last digit: the last bits depend on the processor.
+                unit = 10.0**Decimal(number).as_tuple().exponent
+                assert float(other) == pytest.approx(float(number), abs=1.01 * unit)
+    for name in re.findall(r"save(?:fig)?\('(.*?)'\)", text):
+        assert (tmp_path / name).stat().st_size > 0
+
+
+def test_the_notebook_runs():
+    """Its cells one after the other; it is kept without outputs."""
+    import matplotlib.pyplot as plt
+    cells = json.loads((ROOT / 'doc' / 'tutorial' / 'arm.ipynb').read_text())['cells']
+    scope = {}
+    with plt.rc_context({'animation.embed_limit': 0.1}):  # [MB] of frames, for speed
+        for cell in cells:
+            assert not cell.get('outputs')
+            if cell['cell_type'] == 'code':
+                exec(''.join(cell['source']), scope)
+        assert '<img' in scope['animation'].to_jshtml()
+        plt.close('all')
+    modes, xi, slender = scope['modes'], scope['xi'], scope['slender']
+    # Shear and rotary inertia lower the frequencies, the more the shorter the wave.
+    lower = 1.0 - modes.omega / slender
+    assert lower[0] > 0.0 and np.all(np.diff(lower) > 0.0) and lower[-1] < 4e-3
+    assert modes.deflection(xi) == pytest.approx(scope['shapes'], abs=0.01)
+    # The second mode has a thousandth of the deflection.
+    assert scope['decrement'] == pytest.approx(scope['expected'], rel=2e-3)
+    lowest = [run.deflection(10.0)[:, 1].min() for run in (scope['exact'], scope['newton'])]
+    assert lowest[0] == pytest.approx(-0.5738, abs=2e-4) and lowest[1] < -10.0

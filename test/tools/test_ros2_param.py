@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""`ros2 param` and the page's `ros2 service call`, where `ros2` is installed."""
+"""`ros2 param` and lines of the pages, where `ros2` is installed."""
 
 from pathlib import Path
 import re
@@ -14,7 +14,7 @@ import subprocess
 
 from timo_sim.scene.parameters import PARAMETERS
 
-CONTROL = Path(__file__).resolve().parents[2] / 'doc' / 'control.md'
+DOC = Path(__file__).resolve().parents[2] / 'doc'
 
 
 def ros2(command, *arguments):
@@ -48,7 +48,17 @@ def test_describe_load_set_get_and_the_line_of_the_page(start, tmp_path):
         assert 'Set parameter successful' in ros2('set', 'arm.damping_ratio', text)
         assert shown in ros2('get', 'arm.damping_ratio')
     line, = re.findall(r'^(ros2 service call \S*set_parameters_atomically .*\\\n.*)$',
-                       CONTROL.read_text(), re.MULTILINE)
+                       (DOC / 'control.md').read_text(), re.MULTILINE)
     result = subprocess.run(['bash', '-c', line], capture_output=True, text=True)
     assert 'successful=True' in result.stdout, result.stderr
     assert '[0.5, 0.0]' in ros2('get', 'load.torque.piecewise.value')
+
+
+def test_the_lines_of_the_tutorial(start):
+    start(record=False)
+    lines = re.findall(r'^ros2 (?:topic pub|service call) .*$',
+                       (DOC / 'tutorial' / 'ros.md').read_text(), re.MULTILINE)
+    for line, shown in zip(lines, ('publishing #1: ', "'paused'", "'at step ", "'running'"),
+                           strict=True):
+        result = subprocess.run(['bash', '-c', line], capture_output=True, text=True, timeout=60)
+        assert shown in result.stdout, result.stderr

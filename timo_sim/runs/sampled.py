@@ -50,7 +50,12 @@ def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=No
         try:
             motion[samples], heat[samples] = simulator.advance(count, sample_every=sample_every)
         except DivergenceError as error:
-            error.run = run(first)
+            last = simulator.steps // sample_every * sample_every
+            again = Simulator(scene)  # the batch that failed has left no samples
+            again.advance(first)
+            samples = slice(samples.start, last // sample_every + 1)
+            motion[samples], heat[samples] = again.advance(last - first, sample_every=sample_every)
+            error.run = run(last)
             raise
         report(count)
     return run(steps)

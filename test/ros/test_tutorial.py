@@ -1,0 +1,95 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Tutorials for ROS and control, as a reader types them; test_pages.py runs what needs no node."""
+
+from pathlib import Path
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+
+import pytest
+from ros_process import PATIENCE
+
+from timo_sim.log.recording import Recording
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULES = {'sim_node': ['-m', 'timo_sim.cli.sim_node'], 'timo_sim': ['-m', 'timo_sim'],
+           'python': []}
+
+
+class Reader:
+    """Types what a page shows, in a folder with a copy of the examples."""
+
+    def __init__(self, page, folder):
+        self.text, self.folder = (ROOT / 'doc' / 'tutorial' / page).read_text(), folder
+        shutil.copytree(ROOT / 'example', folder / 'example')
+        self.python = '\n'.join(re.findall(r'```python\n(.*?)```', self.text, re.DOTALL))
+
+    def _command(self, begin):
+        line, = re.findall(rf'^(?:\$ )?\.venv/bin/({begin}.*)$', self.text, re.MULTILINE)
+        name, *arguments = shlex.split(line)
+        return [sys.executable, *MODULES[name], *arguments]
+
+    def start(self, begin, *more):
+        """Start the node by the line that begins so."""
+        self.node = subprocess.Popen([*self._command(begin), *more], cwd=self.folder)
+
+    def run(self, begin):
+        """Return what the command on the line that begins so prints."""
+        result = subprocess.run(self._command(begin), cwd=self.folder, capture_output=True,
+                                text=True, timeout=PATIENCE)
+        assert result.returncode == 0, result.stderr
+        return result.stdout
+
+
+@pytest.fixture
+def reader(tmp_path):
+    """Return a function that lets somebody read a page."""
+    readers = []
+
+    def read(page):
+        readers.append(Reader(page, tmp_path))
+        return readers[-1]
+    yield read
+    for each in readers:
+        each.node.kill()
+        each.node.wait()
+
+
+def test_ros(reader):
+    ros = reader('ros.md')
+    ros.start('sim_node')
+    shown = subprocess.run([sys.executable, '-c', ros.python], capture_output=True, text=True,
+                           timeout=PATIENCE, check=True).stdout
+    # 23.00 mm between samples; a node that is held up may show less of them.
+    steps = re.fullmatch(
+        r'bent by up to 2[0-3] mm\npaused\nat step (\d+)\nat step (\d+)\nrunning\n', shown)
+    assert int(steps[2]) == int(steps[1]) + 1
+    ros.node.send_signal(signal.SIGINT)
+    assert ros.node.wait(PATIENCE) == 0
+    torques = Recording(ros.folder / 'push.mcap').topics['~/motor_torque'].values
+    assert torques[:, 0].tolist() == [10.0, 0.0]
+    assert '/timo_sim/motor_torque              2 ' in ros.run('timo_sim info')
+    assert 'all are the same to the last bit' in ros.run(r'timo_sim replay push.mcap$')
+    assert 'tip_deflection transverse_m' in ros.run('timo_sim replay push.mcap --set')
+
+
+def test_control(reader):
+    control = reader('control.md')
+    (control.folder / 'example' / 'my_lqr.py').write_text(control.python)
+    # Shorter and as fast as possible; the score is known after 3 s.
+    control.start('sim_node .* -p record_file:=my_lqr.mcap', '-p', 'real_time_factor:=0.0',
+                  '-p', 'sync_timeout:=60.0', '-p', 'duration:=3.0')
+    answered, score = control.run('python example/my_lqr.py$').splitlines()[-1].split(';')
+    assert answered == 'LQR: 1501 states answered' and f'answered;{score}\n' in control.text
+    assert control.node.wait(PATIENCE) == 0
+    assert 'all are the same to the last bit' in control.run(r'timo_sim replay my_lqr.mcap$')
