@@ -84,6 +84,7 @@ def test_in_python(extended):
 
 
 def test_in_the_node_its_log_and_a_table(extended):
+    import rclpy  # noqa: F401  # without which there is no node
     python(extended, '-m', 'timo_sim.cli.sim_node', '--ros-args', '--params-file',
            'config/paper.yaml', '-p', 'duration:=0.5', '-p', 'record_file:=run.mcap', '-p',
            'model.modes:=1', '-p', 'model.formulation:=newton_small_speed', '-p',

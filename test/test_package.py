@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def test_colcon_builds_and_the_installed_node_runs(installed, tmp_path):
+    import rclpy  # noqa: F401  # without which there is no node
     prefix, environment = installed
     share = prefix / 'share' / 'timo_sim'
     assert (prefix / 'share/ament_index/resource_index/packages/timo_sim').exists()
