@@ -23,13 +23,18 @@ def stamp(message):
     return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
 
 
+def once(messages):
+    """Return messages, ascending in time, one of each time."""
+    return list({stamp(message): message for message in messages}.values())
+
+
 class LockStep:
     """Steps a paused node, with commands that are known to have arrived."""
 
     def __init__(self, client, h=0.001):
         self.client, self.h = client, h
-        self.states = client.collect(JointState, '/joint_states')
-        self.tips = client.collect(Vector3Stamped, '/timo_sim/tip_deflection')
+        self._received = (client.collect(JointState, '/joint_states'),
+                          client.collect(Vector3Stamped, '/timo_sim/tip_deflection'))
         self.wrench = client.command(WrenchStamped, '/timo_sim/carrier_wrench')
         self.torque = client.command(Float64, '/timo_sim/motor_torque')
         self.call_step = client.service(Trigger, '/timo_sim/step')
@@ -39,9 +44,19 @@ class LockStep:
             self.push(x=1.0)
             self.turn(2.0)
             self.step()
-            effort = self.states[-1].effort.tolist()
+            effort = self._received[0][-1].effort.tolist()
         assert client.service(Trigger, '/timo_sim/reset')().success
         self.first = round(stamp(self.states[-1]) / h)
+
+    @property
+    def states(self):
+        """Each state once: what has joined sees it again if the next step comes late."""
+        return once(self._received[0])
+
+    @property
+    def tips(self):
+        """The same of the tip."""
+        return once(self._received[1])
 
     def push(self, x=0.0, y=0.0, frame=''):
         """Command a force on the carrier."""
@@ -59,7 +74,7 @@ class LockStep:
         response = self.call_step()
         assert response.success
         step = int(response.message.removeprefix('at step '))
-        for received in (self.states, self.tips):
+        for received in self._received:
             self.client.wait(lambda: received and round(stamp(received[-1]) / self.h) == step,
                              'the state after a step')
 
