@@ -115,14 +115,16 @@ def reference():
 
 # Tests of what PyPI has no wheels of: where these packages are installed.
 NEED = {'ros/test_transforms.py': 'tf2_msgs', 'ros/test_interfaces.py': 'simulation_interfaces',
-        'tools': 'ros2cli'}
+        'tools': 'ros2cli', 'tools/test_ros2_bag.py': 'rosbag2_py',
+        **dict.fromkeys(('tools/test_launch.py', 'tools/test_ros2_control_launch.py'),
+                        'ros2launch')}
 collect_ignore = [path for path, package in NEED.items() if find_spec(package) is None]
 
 
 def pytest_terminal_summary(terminalreporter):
     """Let the last line count and name what cannot run here."""
     if collect_ignore:
-        packages = ', '.join(NEED[path] for path in collect_ignore)
+        packages = ', '.join(dict.fromkeys(NEED[path] for path in collect_ignore))
         terminalreporter.stats[f'left out for want of {packages}'] = [
             pytest.CollectReport(path, 'skipped', None, None) for path in collect_ignore]
 

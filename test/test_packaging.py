@@ -151,4 +151,4 @@ def test_a_run_of_the_tests_that_leaves_some_out_says_so_in_its_last_line():
 
 def test_the_workflow_leaves_out_no_test_on_a_machine_with_ros():
     ros = (ROOT / '.github/workflows/test.yml').read_text().partition('container: ros:jazzy')[2]
-    assert f"python -c 'import {', '.join(sorted(NEED.values()))}'" in ros
+    assert f"python -c 'import {', '.join(sorted({*NEED.values()}))}'" in ros

@@ -24,8 +24,6 @@ import yaml
 
 from timo_sim.log.recording import Recording
 
-pytest.importorskip('ros2launch')
-
 
 class Launch:
     """`ros2 launch timo_sim`, in a process of its own."""

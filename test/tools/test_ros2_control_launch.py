@@ -24,7 +24,6 @@ from sensor_msgs.msg import JointState
 from timo_sim.log.recording import Recording
 from topic_hardware import ControllerManager
 
-pytest.importorskip('ros2launch')
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / 'doc/ros.md').read_text()
 LAUNCH, PUBLISH = (re.findall(f'^ros2 {name} .*', PAGE, re.M) for name in ('launch', 'topic pub'))
