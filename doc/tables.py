@@ -60,7 +60,7 @@ def published():
         rows.append((f'`{output.name}`', _short(output.type_name),
                      ', '.join(f'`{name}`' for name in names) or 'sim time',
                      f'{PARAMETERS[output.rate].default:g} Hz'))
-    return _table(('topic', 'type', 'numbers, with units', 'rate, unless `rate.TOPIC` says else'),
+    return _table(('topic', 'type', 'numbers, with units', 'default of `rate.TOPIC`'),
                   *rows)
 
 

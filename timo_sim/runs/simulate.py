@@ -55,6 +55,8 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
         If the duration does not fit the step, or `sample_every` the number of steps.
     DivergenceError
         If the state stops being that of an arm, or finite; `error.run` is the run so far.
+    MemoryError
+        If the samples do not fit into memory.
 
     Warns
     -----

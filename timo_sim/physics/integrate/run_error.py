@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What steps and modes of a run have got wrong, as seen at the tip; it costs a few percent."""
+"""What steps and modes of a run have got wrong, as seen at the tip."""
 
 from functools import cached_property
 import math
