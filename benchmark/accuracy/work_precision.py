@@ -128,7 +128,7 @@ def plot(scene, cases, path):
                'RK4': '#56B4E9', 'implicit midpoint': '#CC79A7', 'generalized-alpha': '#999999',
                'DOP853': '#000000', 'Radau': '#B8860B', ENGINE: '#D55E00', REDUCED: '#8B2500'}
     markers = dict(zip(colours, 'os^Dvp*hXP'))
-    figure, axis = plt.subplots(figsize=(8.5, 5.5))
+    figure, axis = plt.subplots(figsize=(10.5, 5.5), layout='constrained')
     for method, colour in colours.items():
         good = [case for case in cases if case.method == method and case.errors]
         if not good:
@@ -139,13 +139,12 @@ def plot(scene, cases, path):
         axis.loglog([case.seconds for case in best], [case.errors['w_l'] for case in best],
                     markers[method] + '-', color=colour, ms=5,
                     lw=2.2 if method == 'exact' else 1.2, label=method)
-    axis.set_ylim(1e-8, 10.0)
+    axis.set_ylim(1e-7, 1.0)
     axis.set_xlabel('time of the solver [s]')
     axis.set_ylabel('largest error of the tip deflection [m]')
     axis.set_title(f'{scene.title}: faint, all settings; lines, the best ones', fontsize=10)
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=8, loc='upper right')
-    figure.tight_layout()
+    figure.legend(fontsize=8, loc='outside right upper')
     figure.savefig(path, dpi=110)
     plt.close(figure)
 

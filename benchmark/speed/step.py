@@ -13,6 +13,7 @@ import time
 import matplotlib
 matplotlib.use('Agg')
 import matplotlib.pyplot as plt  # noqa: E402
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter  # noqa: E402
 import numpy as np  # noqa: E402
 
 from benchmark import ROOT  # noqa: E402
@@ -112,25 +113,28 @@ def run_time(horizon):
 def curves(path, quick=False):
     """Draw the cost over N, n_g and the length of a run; return rows of exponents."""
     modes = np.array([1, 3, 10, 14] if quick else [1, 2, 3, 4, 5, 6, 8, 10, 14, 20, 28, 40])
-    over_modes = np.array([Prepared(paper(modes=int(n)), 200).time_of_step(9).middle
+    over_modes = np.array([Prepared(paper(modes=int(n)), 200).time_of_step(25).least
                            for n in modes])
     nodes = np.array([6, 16] if quick else [6, 8, 12, 16, 24, 32, 48])
-    over_nodes = np.array([Prepared(paper(), 200, int(g)).time_of_step(9).middle for g in nodes])
+    over_nodes = np.array([Prepared(paper(), 200, int(g)).time_of_step(25).least for g in nodes])
     horizons = np.array([1, 10, 100] if quick else [1, 3, 10, 30, 100, 300, 1000, 3000])
     over_horizon = np.array([run_time(float(horizon)) for horizon in horizons])
 
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.6))
     for axis, x, y, label, unit in (
-            (axes[0], modes, 1e6 * over_modes, 'modes N', 'time of a step [us]'),
-            (axes[1], nodes, 1e6 * over_nodes, 'quadrature nodes, N = 3', 'time of a step [us]'),
+            (axes[0], modes, 1e6 * over_modes, 'modes N', 'least time of a step [us]'),
+            (axes[1], nodes, 1e6 * over_nodes, 'quadrature nodes, N = 3', 'least time of a step [us]'),
             (axes[2], horizons, over_horizon, 'sim time [s], h = 10 ms',
              'time of a run [s]')):
         axis.loglog(x, y, 'o-', color='#0072B2')
         axis.set_xlabel(label)
         axis.set_ylabel(unit)
-        axis.grid(alpha=0.3)
-        axis.minorticks_off()
+        axis.grid(alpha=0.3, which='both')
         axis.set_xticks(x[::2], [f'{value:g}' for value in x[::2]])
+        axis.set_xticks([], minor=True)
+        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+        axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f'{value:g}'))
+        axis.yaxis.set_minor_formatter(NullFormatter())
     figure.tight_layout()
     figure.savefig(path, dpi=110)
     plt.close(figure)

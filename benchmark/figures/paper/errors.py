@@ -36,7 +36,7 @@ def error_histories(t, runs, truth):
         axis.set_xlabel('t [s]')
     for axis in axes[:, 0]:
         axis.set_ylabel('error [%]')
-    axes[0, 1].legend(fontsize=7, ncol=3, loc='lower right')
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=5)
     text = save(figure, '11', f'Fig. 11: errors against finite elements, N = {MODES}, of newton '
                 '(left) and exact (right); dotted: the bound printed in the paper')
     for row, (name, bound) in enumerate(zip(names, (0.08, 0.15, 0.15))):
@@ -75,7 +75,7 @@ def errors_over_modes(truth):
         axis.set_xlabel('N')
     for axis in axes[:, 0]:
         axis.set_ylabel('largest error [%]')
-    axes[0, 0].legend(fontsize=7)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=4)
     text = save(figure, '12', 'Fig. 12: largest error over 10 s against the number of modes; '
                 'dotted: 3 %') + '\n'
     worst = {name: [max(error[key].max() for key in STATIONS) for error in each]

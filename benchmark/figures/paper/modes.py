@@ -66,7 +66,7 @@ def shapes():
             axis.plot(xi[::10], theirs[::2], 'o', color=ORANGE, ms=3.5, mfc='none',
                       label='200 elements')
             axis.set_title(f'mode {n + 1}, RMSE {error:.1e}', fontsize=9)
-        axes[0, 0].legend(fontsize=8)
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=2)
         for axis in axes[1]:
             axis.set_xlabel('xi [m]')
         for axis in axes[:, 0]:

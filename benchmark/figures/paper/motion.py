@@ -35,10 +35,7 @@ def histories(t, runs, truth, fem):
             draw(axis, pick(truth[name]), {key: pick(motion[name])
                                            for key, motion in motions.items()},
                  f'xi = {NAMES[name]}')
-            axis.set_xlabel('t [s]')
-        axes[0, 2].tick_params(labelbottom=True)
-        axes[1, 2].axis('off')
-        axes[1, 2].legend(*axes[0, 0].get_legend_handles_labels(), loc='center', fontsize=9)
+        label_times(axes)
         for axis in axes[:, 0]:
             axis.set_ylabel(label)
         text += save(figure, number, f'Fig. {int(number)}: {label} of five sections') + '\n'
@@ -59,9 +56,18 @@ def histories(t, runs, truth, fem):
             axis.set_xlabel('t [s]')
         for axis in axes[:, 0]:
             axis.set_ylabel(label)
-        axes[0, 0].legend(fontsize=7)
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=3)
         text += save(figure, number, f'Fig. {int(number)}: {label} of four sections') + '\n'
     return text
+
+
+def label_times(axes):
+    """Label the time axes of five panels (2, 3); the room of the sixth is for the legend."""
+    axes[0, 2].tick_params(labelbottom=True)
+    axes[1, 2].axis('off')
+    axes[1, 2].legend(*axes[0, 0].get_legend_handles_labels(), loc='center', fontsize=9)
+    for axis in (axes[1, 0], axes[1, 1], axes[0, 2]):
+        axis.set_xlabel('t [s]')
 
 
 def wrong_axial(t, fem, newton):
@@ -81,10 +87,7 @@ def wrong_axial(t, fem, newton):
         axis.plot(t, pick(run), '--', color=COLOURS['newton_rigid_axial'],
                   label='newton_rigid_axial, (35)')
         axis.set_ylabel(label)
-        axis.set_xlabel('t [s]')
-    axes[0, 2].tick_params(labelbottom=True)
-    axes[1, 2].axis('off')
-    axes[1, 2].legend(*axes[0, 0].get_legend_handles_labels(), loc='center')
+    label_times(axes)
     text = save(figure, '13', 'Fig. 13: the wrong axial assumption (35)')
     moved = np.abs(run.carrier - newton.carrier).max(axis=0)
     kept = max(np.abs(run.shaft - newton.shaft).max(), np.abs(

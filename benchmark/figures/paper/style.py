@@ -21,14 +21,14 @@ NAMES = {'0': '0', 'l4': 'l/4', 'l2': 'l/2', '3l4': '3l/4', 'l': 'l'}
 BLACK, ORANGE, BLUE, GREEN, RED = '#000000', '#E69F00', '#0072B2', '#009E73', '#D55E00'
 COLOURS = dict(zip(FORMULATIONS, (BLUE, ORANGE, GREEN, RED)))
 matplotlib.use('Agg')
-plt.rcParams.update({'font.size': 9, 'axes.grid': True, 'grid.alpha': 0.3, 'lines.linewidth': 1.2,
+plt.rcParams.update({'font.size': 9, 'axes.grid': True,
+                     'figure.constrained_layout.use': True, 'grid.alpha': 0.3, 'lines.linewidth': 1.2,
                      'svg.fonttype': 'none', 'svg.hashsalt': 'timo_sim',
                      'path.simplify_threshold': 1.0})
 
 
 def save(figure, number, text):
     """Save a figure as PNG and SVG; return its Markdown."""
-    figure.tight_layout()
     figure.savefig(FIGURES / f'fig{number}.png', dpi=110)
     figure.savefig(FIGURES / f'fig{number}.svg', metadata={'Date': None})
     plt.close(figure)
