@@ -13,10 +13,11 @@ import rerun as rr
 
 TIMELINE = 'sim_time'
 PLANE, CURVES, ABOUT = 'plane', 'curves', 'about'
-# Okabe-Ito colours that stand out on black, told apart by everyone.
+# Okabe-Ito colours, told apart by everyone; the greys are seen on dark and light themes.
 COLOURS = [(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (240, 228, 66),
            (213, 94, 0), (0, 114, 178)]
-GHOST, GRID, TICKS, EFFORT = (120, 120, 120), (50, 50, 50), (170, 170, 170), (255, 255, 255)
+GHOST, GRID, TICKS = (120, 120, 120), (128, 128, 128, 90), (170, 170, 170)
+EFFORT = COLOURS[3]
 TRAIL = 90  # frames
 # The longest force is so long, in arm lengths; the largest torque turns so far [rad].
 _LONGEST, _FARTHEST = 0.3, 1.5 * np.pi

@@ -85,7 +85,6 @@ def blueprint(panels, bounds, runs=1, live=False):
     (left, bottom), (right, top) = bounds
     plane = rrb.Spatial2DView(
         origin='/', contents=f'{PLANE}/**', name='plane of motion, x right, y up [m]',
-        background=(10, 10, 10),
         visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(-top, -bottom)))
     pages = [rrb.Grid(*views[:_ON_FIRST_PAGE], grid_columns=2, name='motion')]
     if len(views) > _ON_FIRST_PAGE:
