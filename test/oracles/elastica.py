@@ -59,26 +59,32 @@ def boundary_value(section, tip_load, line_load):
     """
     Return the same with shear and a load along the arm, by SciPy's boundary value solver.
 
-    A section at angle phi carries the force n across the undeformed arm: the moment changes by
-    `-n` times the slope along the arm, and the shear strain is `n cos(phi) / (kappa G A)`.
+    A section at angle phi carries the force (p, n) along and across the undeformed arm: the moment
+    changes by `p` times the slope across less `n` times that along, and the shear strain is
+    `(n cos(phi) - p sin(phi)) / (kappa G A)`.
 
     Parameters
     ----------
     section : Section
-    tip_load, line_load : float
-        [N], [N/m]
+    tip_load, line_load : float or ndarray, shape (2,)
+        Across the undeformed arm, or along and across it [N], [N/m].
 
     """
+    tip_load, line_load = (np.append(np.zeros(2 - np.size(load)), load)
+                           for load in (tip_load, line_load))
+
     def slopes(xi, y):
-        force = tip_load + line_load * (LENGTH - xi)
+        pull, force = tip_load[:, np.newaxis] + np.multiply.outer(line_load, LENGTH - xi)
         cosine, sine = np.cos(y[0]), np.sin(y[0])
-        shear = force * cosine / section.shear_stiffness
+        shear = (force * cosine - pull * sine) / section.shear_stiffness
         along, across = cosine - shear * sine, sine + shear * cosine
-        return np.stack([y[1] / section.bending_stiffness, -force * along, along, across])
+        return np.stack([y[1] / section.bending_stiffness, pull * across - force * along,
+                         along, across])
     mesh = np.linspace(0.0, LENGTH, 101)
     guess = np.stack([0.5 * mesh, 1.0 - mesh / LENGTH, mesh, 0.2 * mesh**2])
     solution = solve_bvp(slopes, lambda root, tip: np.array([root[0], tip[1], root[2], root[3]]),
                          mesh, guess, tol=1e-10, max_nodes=20000)
+    assert solution.success, solution.message
     angle, _, along, across = solution.sol(LENGTH)
     return np.array([angle, across / LENGTH, 1.0 - along / LENGTH])
 

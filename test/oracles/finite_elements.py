@@ -37,7 +37,7 @@ def simulate(scene, elements, step, duration, every, drive=None, tolerance=TOLER
     every : int
         Steps from sample to sample; loads may jump at samples only.
     drive : tuple of function(float) -> float, optional
-        theta(t) [rad], theta'(t) and theta''(t): the carrier is held and the shaft driven.
+        theta(t) [rad], theta'(t) and theta''(t) of a shaft that is driven.
         theta'' is 0 at t = 0, as exudyn's initial accelerations know no drive.
     tolerance : float
         Of the norm of a Newton increment [m, rad].
@@ -62,6 +62,8 @@ def simulate(scene, elements, step, duration, every, drive=None, tolerance=TOLER
     system = container.AddSystem()
     nodes = _add_arm(system, scene, elements, axial_factor=axial_factor)
     _add_bodies(system, scene, nodes)
+    _add_weight(system, scene, nodes)
+    _hold(system, scene, nodes[0])
     if drive:
         _drive(system, nodes[0], drive)
     watched = [nodes[0], *(nodes[round(share * elements)] for share in STATIONS.values())]
@@ -148,12 +150,30 @@ def _add_bodies(system, scene, nodes):
             mass=body.end_effector_mass, inertia=body.end_effector_inertia, nodeNumber=nodes[-1]))
 
 
+def _add_weight(system, scene, nodes):
+    # Of an element of linear shape functions half on either node.
+    body, arm = scene.manipulator, scene.manipulator.arm
+    mass = np.full(len(nodes), arm.section.mass_per_length * arm.length / (len(nodes) - 1))
+    mass[[0, -1]] *= 0.5
+    mass[0] += body.base_mass
+    mass[-1] += body.end_effector_mass
+    for axis, gravity in enumerate(scene.values['gravity']):
+        for node, share in zip(nodes, mass) if gravity else ():
+            system.AddLoad(items.LoadCoordinate(markerNumber=marker(system, node, axis),
+                                                load=share * gravity))
+
+
+def _hold(system, scene, root):
+    ground = marker(system, system.AddNode(items.NodePointGround()), 0)
+    for axis in set(range(2)) - set(scene.constraints.free_axes):
+        system.AddObject(items.ObjectConnectorCoordinate(
+            markerNumbers=[ground, marker(system, root, axis)]))
+
+
 def _drive(system, root, drive):
     ground = marker(system, system.AddNode(items.NodePointGround()), 0)
     angle, rate, _ = drive
-    for coordinate in range(3):
-        follow = {} if coordinate < 2 else {
-            'offsetUserFunction': lambda system, t, item, offset: angle(t) - angle(0.0),
-            'offsetUserFunction_t': lambda system, t, item, offset: rate(t)}
-        system.AddObject(items.ObjectConnectorCoordinate(
-            markerNumbers=[ground, marker(system, root, coordinate)], **follow))
+    system.AddObject(items.ObjectConnectorCoordinate(
+        markerNumbers=[ground, marker(system, root, 2)],
+        offsetUserFunction=lambda system, t, item, offset: angle(t) - angle(0.0),
+        offsetUserFunction_t=lambda system, t, item, offset: rate(t)))

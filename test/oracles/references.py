@@ -22,6 +22,8 @@ LENGTH, DURATION, PERIOD, STEP = 2.0, 10.0, 0.01, 0.002  # of the paper's scene,
 # Torque steps on the paper's manipulator, without forces.
 TORQUE = {'load.torque.piecewise.time': [0.0, 0.5, 1.0],
           'load.torque.piecewise.value': [20.0, -20.0, 0.0]}
+# The paper's arm, let go horizontally: it swings about a shaft on a held carrier.
+PENDULUM = {'gravity': [0.0, -9.81], 'carrier.held': 'both', 'initial.shaft': 0.0}
 STATIONS = {'0': 0.0, 'l4': 0.25, 'l2': 0.5, '3l4': 0.75, 'l': 1.0}  # xi / l
 
 

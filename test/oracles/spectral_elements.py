@@ -19,6 +19,8 @@ steps, short enough for the fastest wave of the mesh, are far below the error of
 knows no friction and no damping.
 """
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 from numpy.polynomial import legendre
@@ -55,6 +57,39 @@ def simulate(scene, period, samples, order=10, elements=2, courant=0.5,
         Carrier and tip in world axes [m], angles of shaft and end effector [rad].
 
     """
+    mesh = _mesh(scene, order, elements, stretch)
+    inverse, derivative, jacobian, stiffness = mesh[1:5]
+    motion = scene.initial_motion()
+    half, line = len(motion) // 2, mesh.line
+    angle, spin = motion[2], motion[half + 2]
+    along = np.array([np.cos(angle), np.sin(angle)])
+    q = _straight(mesh, motion)
+    v = np.column_stack([motion[half:half + 2] + spin * np.outer(line, [-along[1], along[0]]),
+                         np.full(len(line), spin)])
+    step = courant * _limit(q, inverse, derivative, jacobian, stiffness)
+    count = int(np.ceil(period / step))
+    step, found = period / count, [(q[0].copy(), q[-1].copy())]
+    for sample in range(samples):
+        for first in range(0, count, _CHUNK):
+            loads = scene.load.stages(sample * count + first, min(_CHUNK, count - first), step)
+            _advance(q, v, loads, step, inverse, derivative, jacobian, stiffness, mesh.weight,
+                     scene.constraints.driven)
+        found.append((q[0].copy(), q[-1].copy()))
+    root, tip = np.moveaxis(np.array(found), 1, 0)
+    return root[:, :2], root[:, 2], tip[:, :2], tip[:, 2]
+
+
+class _Mesh(NamedTuple):
+    line: np.ndarray        # distances of the nodes from the root [m], (n,)
+    inverse: np.ndarray     # of the mass of x, y and angle, 0 of what is held, (n, 3)
+    derivative: np.ndarray
+    jacobian: np.ndarray
+    stiffness: np.ndarray
+    mass: np.ndarray        # (n, 3)
+    weight: np.ndarray      # (n, 3)
+
+
+def _mesh(scene, order, elements, stretch):
     body = scene.manipulator
     breaks = np.concatenate([np.linspace(*ends, elements, endpoint=False) for ends in
                              zip(body.arm.breaks, body.arm.breaks[1:])] + [[body.arm.length]])
@@ -76,25 +111,53 @@ def simulate(scene, period, samples, order=10, elements=2, courant=0.5,
     inverse[0, [k for k in range(2) if k not in scene.constraints.free_axes]] = 0.0
     if scene.constraints.driven:
         inverse[0, 2] = 0.0
+    weight = mass * np.append(scene.values['gravity'], 0.0)
+    return _Mesh(np.unique(xi.round(13)), inverse, derivative, jacobian, stiffness, mass, weight)
 
-    motion = scene.initial_motion()
-    half, line = len(motion) // 2, np.unique(xi.round(13))
-    angle, spin = motion[2], motion[half + 2]
-    along = np.array([np.cos(angle), np.sin(angle)])
-    q = np.column_stack([motion[:2] + np.outer(line, along), np.full(len(line), angle)])
-    v = np.column_stack([motion[half:half + 2] + spin * np.outer(line, [-along[1], along[0]]),
-                         np.full(len(line), spin)])
-    step = courant * _limit(q, inverse, derivative, jacobian, stiffness)
-    count = int(np.ceil(period / step))
-    step, found = period / count, [(q[0].copy(), q[-1].copy())]
-    for sample in range(samples):
-        for first in range(0, count, _CHUNK):
-            loads = scene.load.stages(sample * count + first, min(_CHUNK, count - first), step)
-            _advance(q, v, loads, step, inverse, derivative, jacobian, stiffness,
-                     scene.constraints.driven)
-        found.append((q[0].copy(), q[-1].copy()))
-    root, tip = np.moveaxis(np.array(found), 1, 0)
-    return root[:, :2], root[:, 2], tip[:, :2], tip[:, 2]
+
+def _straight(mesh, motion):
+    along = np.array([np.cos(motion[2]), np.sin(motion[2])])
+    return np.column_stack([motion[:2] + np.outer(mesh.line, along),
+                            np.full(len(mesh.line), motion[2])])
+
+
+def equilibrium(scene, order=12, elements=2):
+    """
+    Return where a scene is at rest under gravity, and how it vibrates about it.
+
+    Gravity is raised in steps from the straight arm in the scene's initial place on, so that a
+    free shaft must be there already.
+
+    Returns
+    -------
+    tip : ndarray, shape (3,)
+        Place in world axes [m], angle of the end effector [rad].
+    frequency : ndarray
+        Natural frequencies, ascending [Hz].
+
+    """
+    mesh = _mesh(scene, order, elements, 1.0)
+    q, free = _straight(mesh, scene.initial_motion()), np.flatnonzero(mesh.inverse)
+
+    def force(shift, weight):
+        found, shifted = np.empty_like(q), q.copy()
+        shifted.ravel()[free] += shift
+        _force(shifted, mesh.derivative, mesh.jacobian, mesh.stiffness, weight, found)
+        return found.ravel()[free]
+
+    def slope(weight):
+        return np.stack([(force(shift, weight) - force(-shift, weight)) / 2e-6
+                         for shift in 1e-6 * np.eye(len(free))], axis=-1)
+
+    for share in np.linspace(0.0, 1.0, 11)[1:]:
+        for _ in range(20):
+            change = -np.linalg.solve(slope(share * mesh.weight),
+                                      force(np.zeros(len(free)), share * mesh.weight))
+            q.ravel()[free] += change
+            if np.abs(change).max() < 1e-11:
+                break
+    squares = np.linalg.eigvals(-mesh.inverse.ravel()[free, np.newaxis] * slope(mesh.weight)).real
+    return q[-1], np.sqrt(np.sort(squares)) / (2.0 * np.pi)
 
 
 def _rule(order):
@@ -115,15 +178,15 @@ def _limit(q, inverse, derivative, jacobian, stiffness):
         shift /= np.abs(shift).max()
         change = np.zeros_like(q)
         for side in (1.0, -1.0):
-            _force(q + side * 1e-6 * shift, derivative, jacobian, stiffness, force)
+            _force(q + side * 1e-6 * shift, derivative, jacobian, stiffness, np.zeros_like(q), force)
             change -= side * inverse * force / 2e-6
         size, shift = np.abs(change).max(), change
     return 2.0 / np.sqrt(1.1 * size)
 
 
 @numba.njit(fastmath=True)
-def _force(q, derivative, jacobian, stiffness, out):
-    out[:] = 0.0
+def _force(q, derivative, jacobian, stiffness, weight, out):
+    out[:] = weight
     n = len(derivative)
     for k in range(len(jacobian)):
         base = k * (n - 1)
@@ -161,9 +224,9 @@ def _push(force, q, load):
 
 
 @numba.njit
-def _advance(q, v, loads, step, inverse, derivative, jacobian, stiffness, driven):
+def _advance(q, v, loads, step, inverse, derivative, jacobian, stiffness, weight, driven):
     inner = np.empty_like(q)
-    _force(q, derivative, jacobian, stiffness, inner)
+    _force(q, derivative, jacobian, stiffness, weight, inner)
     for k in range(len(loads)):
         force = inner.copy()
         _push(force, q, loads[k, 0])
@@ -171,7 +234,7 @@ def _advance(q, v, loads, step, inverse, derivative, jacobian, stiffness, driven
         q += step * v
         if driven:
             q[0, 2], v[0, 2] = loads[k, 2, ANGLE], loads[k, 2, SPEED]
-        _force(q, derivative, jacobian, stiffness, inner)
+        _force(q, derivative, jacobian, stiffness, weight, inner)
         force = inner.copy()
         _push(force, q, loads[k, 2])
         v += 0.5 * step * inverse * force

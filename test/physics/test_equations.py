@@ -13,7 +13,7 @@ The formulations against their equations written out with velocities, by another
 physics is 3 + N rows for the accelerations along the turning axes, of the shaft and of the modes,
 turned into world axes. Rows and columns of what is held or driven are struck out, the rest is
 solved at once and integrated by SciPy's DOP853. The scene has a shear modulus so low that shear
-matters as much as bending, a spinning shaft, and loads.
+matters as much as bending, a spinning shaft, gravity, and loads.
 """
 
 from functools import cache, partial
@@ -26,6 +26,7 @@ import timo_sim
 
 MODES, DURATION = 3, 1.0
 DRAG = np.array([3.0, 3.0, 0.5])  # viscous friction of the carrier's axes and of the shaft
+GRAVITY = [0.7, -2.0]
 FREE = {'initial.carrier_x_velocity': 0.5, 'initial.shaft_velocity': 3.0}
 DRIVEN = {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.4, 1.0],
           'motor.drive.angle': [0.3, 1.2, 3.0], 'motor.drive.speed': [0.0, 4.0, 1.0],
@@ -50,7 +51,7 @@ STRETCHING = {'arm.height': 0.08, 'arm.young_modulus': 1e9, 'arm.density': 677.5
 def scene_of(formulation, constraints, damping=0.03, **values):
     return timo_sim.load_scene({
         'model.formulation': formulation, 'model.modes': MODES, 'integrator.step': 0.0005,
-        'arm.shear_modulus': 1e6, 'arm.damping_ratio': [damping],
+        'arm.shear_modulus': 1e6, 'gravity': GRAVITY, 'arm.damping_ratio': [damping],
         'carrier.viscous_friction': DRAG[0], 'motor.viscous_friction': DRAG[2],
         'initial.modal_rates': [1.0, 0.3, -0.1],
         'load.force_x.harmonic.amplitude': [8.0], 'load.force_x.harmonic.frequency': [2.0],
@@ -113,6 +114,7 @@ def solve(scene, equations):
         turn[:2, :2] = [[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]]
         matrix, right = turn.T @ matrix @ turn, turn.T @ right
         right[:2] -= DRAG[:2] * y[half:half + 2]
+        right += matrix[:, :2] @ GRAVITY  # as for who falls
         result = np.zeros(half)
         if driven:
             result[2] = acceleration(t)

@@ -75,6 +75,21 @@ def constraints_of(values):
                        values['initial.shaft'] if shaft == 'locked' else None)
 
 
+def check_initial(values):
+    """Raise ParameterError if gravity is no vector, or an equilibrium is given a motion."""
+    if len(values['gravity']) != 2:
+        raise ParameterError(f'gravity must have 2 elements, got {len(values["gravity"])}')
+    if not values['initial.equilibrium']:
+        return
+    if values['motor.shaft'] == 'driven':
+        raise ParameterError('initial.equilibrium must be false with motor.shaft = driven, whose '
+                             'shaft may move at t = 0')
+    for name, value in values.items():
+        if name.startswith('initial.') and ('velocity' in name or 'modal' in name) and value:
+            raise ParameterError(f'{name} must not be given with initial.equilibrium = true, got '
+                                 f'{short(value)}')
+
+
 def modal_count(values):
     """Return the number of modal coordinates of a scene's values, axial ones included."""
     return values['model.modes'] + values['model.axial_modes']

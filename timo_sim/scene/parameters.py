@@ -142,6 +142,8 @@ _ALL = [
               'accelerations at these times, the last 0'),
     _not_negative('end_effector.mass', 2.0, 'kg', 'mass at the tip'),
     _not_negative('end_effector.inertia', 0.5, 'kg m2', 'moment of inertia at the tip'),
+    Parameter('gravity', (0.0, 0.0), 'm/s2', 'acceleration of free fall along world x and y; 0: the '
+              'plane of motion is horizontal', low=-1e6, high=1e6),
     Parameter('initial.carrier_x', 0.0, 'm', 'carrier position at t = 0'),
     Parameter('initial.carrier_y', 0.0, 'm', 'carrier position at t = 0'),
     Parameter('initial.shaft', math.pi / 4, 'rad', 'shaft angle at t = 0',
@@ -152,11 +154,14 @@ _ALL = [
     Parameter('initial.modal_coordinates', (), 'm sqrt(kg)', 'modal coordinates at t = 0: none '
               '(straight arm) or one for each mode'),
     Parameter('initial.modal_rates', (), 'm sqrt(kg)/s', 'their rates at t = 0'),
+    Parameter('initial.equilibrium', False, '', 'whether the run begins at rest where gravity and '
+              'the loads of t = 0 balance; a free shaft is sought from initial.shaft on'),
     Parameter('model.formulation', 'exact', '', 'equations of motion',
               choices=tuple(FORMULATIONS)),
     Parameter('model.modes', 3, '', 'number of assumed modes; 0 is a rigid arm', low=0, high=40),
-    Parameter('model.static_modes', 'none', '', 'loads on the end effector whose static shapes '
-              'take the place of the last modes', choices=('none', 'force', 'torque', 'both')),
+    Parameter('model.static_modes', 'none', '', 'loads whose static shapes take the place of the '
+              'last modes: on the end effector, or the weight of an arm in gravity',
+              choices=('none', 'force', 'torque', 'both', 'weight')),
     Parameter('model.axial_modes', 0, '', 'number of modes in which the arm stretches, behind the '
               'others in all lists of modes; 0: it does not; > 0 with formulation exact only',
               low=0, high=3),

@@ -23,18 +23,19 @@ import numpy as np
 from timo_sim.physics.arm.bodies import Constraints, Manipulator
 from timo_sim.physics.equations import formulation_class
 from timo_sim.physics.equations.base import Formulation
+from timo_sim.physics.layout import START
 from timo_sim.scene.build import (
-    check_counts, constraints_of, implausible, load_of, manipulator_of, modal_count)
+    check_counts, check_initial, constraints_of, implausible, load_of, manipulator_of, modal_count)
 from timo_sim.scene.files import flatten, read_parameter_file
+from timo_sim.scene.initial import initial_motion, state_of
 from timo_sim.scene.loads import Load
 from timo_sim.scene.parameter import ModelWarning, ParameterError, SCENE, short, whole_ratio
 from timo_sim.scene.parameters import changed, check, DELAYS, PARAMETERS
 from timo_sim.scene.summary import html_table
 
-_POSITION = [f'initial.{joint}' for joint in ('carrier_x', 'carrier_y', 'shaft')]
-_VELOCITY = [f'{name}_velocity' for name in _POSITION]
 # Of `model.static_modes`, as the modes are told.
-_STATIC = {'none': (), 'force': ('force',), 'torque': ('torque',), 'both': ('force', 'torque')}
+_STATIC = {'none': (), 'force': ('force',), 'torque': ('torque',), 'both': ('force', 'torque'),
+           'weight': ('weight',)}
 
 
 @dataclass(frozen=True, repr=False)
@@ -91,7 +92,8 @@ class Scene:
         def model(damping):
             return formulation_class(values['model.formulation'])(
                 self.manipulator, values['model.modes'], damping, self.constraints,
-                static=_STATIC[values['model.static_modes']], axial=values['model.axial_modes'])
+                static=_STATIC[values['model.static_modes']], axial=values['model.axial_modes'],
+                gravity=values['gravity'])
 
         if values['arm.damping_of'] == 'clamped' or not damping.any():
             return model(damping)
@@ -149,20 +151,7 @@ class Scene:
         >>> further = timo_sim.simulate(scene.at(run, 1.0), 1.0)
 
         """
-        sample = int(np.argmin(np.abs(run.t - t)))
-        if not abs(run.t[sample] - t) <= 1e-9 * max(1.0, abs(t)):
-            raise ParameterError(f't = {t:g} s must be the time of a sample, the nearest is '
-                                 f'{run.t[sample]:.12g} s')
-        if run.q.shape[1] != self.modal_count:
-            raise ParameterError(f'the run must have {self.modal_count} modal coordinates, as '
-                                 f'many as the scene, got {run.q.shape[1]}')
-        if self.values['motor.shaft'] == 'driven':
-            raise ParameterError('motor.shaft = driven starts at the beginning of motor.drive, '
-                                 'not at the state of a run')
-        position, velocity = run.motion[sample].reshape(2, -1).tolist()
-        return self.vary({
-            **dict(zip(_POSITION, position)), **dict(zip(_VELOCITY, velocity)),
-            'initial.modal_coordinates': position[3:], 'initial.modal_rates': velocity[3:]})
+        return self.vary(state_of(self, run, t))
 
     def __getstate__(self):
         # Without the formulation, which another process makes again.
@@ -170,14 +159,15 @@ class Scene:
 
     def initial_motion(self) -> np.ndarray:
         """Return the motion at t = 0, shape (2 (3 + N),), see `physics.layout`."""
-        rest = np.zeros(self.modal_count)
-        position, velocity = ([self.values[name] for name in names]
-                              for names in (_POSITION, _VELOCITY))
-        if self.load.drive is not None:
-            position[2], velocity[2], _ = self.load.drive.stages(0, 1, self.step)[0, 0]
-        q = self.values['initial.modal_coordinates'] or rest
-        qdot = self.values['initial.modal_rates'] or rest
-        return np.concatenate([position, q, velocity, qdot])
+        return self._initial_motion.copy()
+
+    @cached_property
+    def _initial_motion(self):
+        return initial_motion(self)
+
+    def load_at_start(self) -> np.ndarray:
+        """Return the scene's own load at t = 0, shape (14,), see `physics.layout`."""
+        return self.load.stages(0, 1, self.step)[0, START]
 
 
 # What stands for a scene wherever one is asked for, see `load_scene`.
@@ -275,6 +265,7 @@ def scene_from(values):
     values = {name: values[name] for name, parameter in PARAMETERS.items()
               if parameter.scope == SCENE}
     check_counts(values)
+    check_initial(values)
     step = values['integrator.step']
     for name in DELAYS:
         whole_ratio(name, values[name], 'integrator.step', step)
@@ -289,6 +280,8 @@ def scene_from(values):
                 not motion[3:].any() or np.isfinite(formulation.energy(motion[np.newaxis])[0]))
     except ArithmeticError:
         finite = False
+    except ParameterError:
+        raise
     except ValueError as error:
         # What only the physics can tell, such as modes too close to each other.
         raise ParameterError(f'model.formulation = {values["model.formulation"]}, model.modes = '

@@ -154,7 +154,8 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     scene : Scene, or what `load_scene` takes
     at : ndarray, shape (2 (3 + N),), optional
         A motion, see `physics.layout`; by default the scene's initial one. A shaft that is
-        driven or locked stays where it is.
+        driven or locked stays where it is. The scene's loads of t = 0 act with
+        `initial.equilibrium`, otherwise none.
 
     Returns
     -------
@@ -181,17 +182,15 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     formulation = scene.build()
     at = scene.initial_motion() if at is None else np.asarray(at, dtype=float)
     half, axes, first = formulation.size // 2, list(formulation.axes), formulation.first
-    load = np.zeros(LOADS)
+    load = scene.load_at_start() if scene.values['initial.equilibrium'] else np.zeros(LOADS)
     load[ANGLE] = at[2]
     state = formulation.state(at)
-    _check(at, formulation.rate(state, load))
+    _check(formulation, at, state, load)
     free = np.array([*axes, *range(2 + first, half)], dtype=int)
     free, half = np.concatenate([free, half + free]), len(free)
-    modes, xi = formulation.modes, formulation.points.xi
-    turn = np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
-    turn = np.max(turn + np.abs(modes.stretch(xi)) if formulation.axial else turn, axis=0)
     length = formulation.manipulator.arm.length
-    steps = np.tile(_SHIFT * np.concatenate([[length, length, 1.0], 1.0 / turn]), 2)
+    steps = np.tile(_SHIFT * np.concatenate(
+        [[length, length, 1.0], 1.0 / formulation.section_turn]), 2)
 
     def jacobian(function):
         return _jacobian(function, at, steps, free)
@@ -208,27 +207,29 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     inputs = {name: per_load for name, per_load in inputs.items() if per_load.any()}
     b = np.linalg.solve(to_state, np.reshape([*inputs.values()], (len(inputs), len(a))).T)
 
-    outputs = _Outputs(formulation)
+    outputs = _Outputs(formulation, load)
     c = jacobian(outputs.values)
     d = np.zeros((len(c) + 1, len(inputs)))
     # Two outputs are made by loads and by accelerations, of which A and B have the rows.
     columns = [_INPUTS[name] for name in inputs]
-    strain = outputs.strain(at, accelerations=np.eye(formulation.size // 2)[free[:half]])
+    strain = outputs.strain_per(at, accelerations=np.eye(formulation.size // 2)[free[:half]])
     c[outputs.root_strain] += strain @ a[half:]
-    d[outputs.root_strain] = strain @ b[half:] + outputs.strain(at, loads=np.eye(LOADS)[columns])
+    d[outputs.root_strain] = strain @ b[half:] + outputs.strain_per(
+        at, loads=np.eye(LOADS)[columns])
     across = jacobian(lambda motion: outputs.across(motion, at[2]))[:, :half]
     c, d[-1] = np.vstack([c, across @ a[half:]]), across @ b[half:]
     return LinearModel(a, b, c, d, _state_names(axes, first, len(formulation.modes)),
                        tuple(inputs), (*outputs.names, 'tip_acceleration_m_per_s2'))
 
 
-def _check(at, rate):
-    moving = at[len(at) // 2:]
-    if moving.any() or not np.abs(rate).max() <= _STILL:
+def _check(formulation, at, state, load):
+    moving, rate = at[len(at) // 2:], np.abs(formulation.rate(state, load))
+    round_off = _STILL * (1.0 + np.abs(formulation.linear) @ np.abs(state))
+    if moving.any() or not (rate <= round_off).all():
         raise ParameterError(
-            'a scene is linearised about an equilibrium, where nothing moves and the arm is '
-            f'straight; got speeds of up to {np.abs(moving).max():.3g} and rates of the state of '
-            f'up to {np.abs(rate).max():.3g}: give another motion as `at`')
+            'a scene is linearised about an equilibrium, where nothing moves; got speeds of up to '
+            f'{np.abs(moving).max():.3g} and rates of the state of up to {rate.max():.3g}: set '
+            'initial.equilibrium, or give another motion as `at`')
 
 
 def _jacobian(function, at, steps, columns):
@@ -251,8 +252,8 @@ class _Outputs:
              'shaft_velocity_rad_per_s')
     root_strain = names.index('root_strain')
 
-    def __init__(self, formulation):
-        self._formulation, self._half = formulation, formulation.size // 2
+    def __init__(self, formulation, load):
+        self._formulation, self._half, self._load = formulation, formulation.size // 2, load
         self._tip = formulation.at([formulation.manipulator.arm.length])
 
     def values(self, motion):
@@ -262,14 +263,18 @@ class _Outputs:
         return np.concatenate([
             base, self._world(motion), self._formulation.centre_line(q, self._tip)[0, 0],
             self._formulation.section_rotation(q, self._tip)[0],
-            self.strain(motion, loads=np.zeros((1, LOADS))), rates])
+            self._strain(motion, np.zeros((1, self._half)), self._load[np.newaxis]), rates])
 
-    def strain(self, motion, accelerations=None, loads=None):
-        """Return the strain at the root for each of some accelerations, or loads, shape (k,)."""
+    def strain_per(self, motion, accelerations=None, loads=None):
+        """Return the strain at the root per each of some accelerations, or loads, shape (k,)."""
         count = len(loads if accelerations is None else accelerations)
-        accelerations, loads = (np.zeros((count, size)) if given is None else given
-                                for given, size in ((accelerations, self._half), (loads, LOADS)))
-        return Joints(self._formulation, np.tile(motion, (count, 1)), accelerations,
+        accelerations = np.zeros((count, self._half)) if accelerations is None else accelerations
+        loads = self._load + (np.zeros((count, LOADS)) if loads is None else loads)
+        still = self._strain(motion, np.zeros((1, self._half)), self._load[np.newaxis])
+        return self._strain(motion, accelerations, loads) - still
+
+    def _strain(self, motion, accelerations, loads):
+        return Joints(self._formulation, np.tile(motion, (len(loads), 1)), accelerations,
                       loads).root_strain
 
     def across(self, motion, angle):

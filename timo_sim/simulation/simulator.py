@@ -81,8 +81,9 @@ class Simulator:
         self.integration.memory[:] = 0.0
         self.integration.errors.reset()
         self.stretch.reset()
-        # Without speeds, deflection, loads and drive nothing changes until the first command.
-        self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any())
+        # Without speeds, deflection, loads, drive and gravity nothing changes until a command.
+        self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any()
+                             or self.model.gravity.any())
         self._origin = self.steps
         self._table, self._actuators = LoadTable(self.scene), Actuators(self.scene.values)
         self.load = self._table.at_start()

@@ -107,9 +107,9 @@ class Snapshot:
 
     @property
     def tip_acceleration(self):
-        """Acceleration of the tip along the axes of the end effector [m/s2]."""
+        """Specific force at the tip, acceleration less gravity, in its axes [m/s2]."""
         integration, state, acting = self._acts
-        x, y = integration.tip_acceleration(state, acting).tolist()
+        x, y = (integration.tip_acceleration(state, acting) - self._model.gravity).tolist()
         return rotate(-(self._values[2] + self.tip[2]), x, y)
 
     def sensor(self, name):

@@ -6,14 +6,23 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Eigenmodes, and what the static shapes of an arm under loads on its tip add to them."""
+"""Eigenmodes, and what static shapes of an arm, by loads on its tip or its weight, add to them."""
 
 import numpy as np
 
 from timo_sim.physics.arm.quadrature import Quadrature
 
-# Of a load on the tip: the power of the distance from there in its moment, and its shear force.
-LOADS = {'force': (1, 1.0), 'torque': (0, 0.0)}
+
+
+def _outboard(manipulator, rule):
+    """Return moment and shear force at the nodes of a rule, by load, shape (n_g,) each."""
+    distance = manipulator.arm.length - rule.nodes
+    mass, _ = manipulator.inertia(rule)
+    inner = rule.integrate_to(rule.nodes)
+    weight = mass.sum() - inner @ (mass[:-1] / rule.weights)
+    return {'force': (distance, np.ones_like(distance)),
+            'torque': (np.ones_like(distance), np.zeros_like(distance)),
+            'weight': ((rule.integrate_to(rule.points[-1:]) - inner) @ weight, weight)}
 
 
 class StaticModes:
@@ -28,7 +37,7 @@ class StaticModes:
     manipulator : Manipulator
     modes : UniformModes or GalerkinModes
     loads : sequence of str
-        Of `LOADS`.
+        Of `_outboard`.
 
     Attributes
     ----------
@@ -44,9 +53,9 @@ class StaticModes:
         section = arm.at(rule.nodes)
         bending, shearing = (np.broadcast_to(stiffness, rule.nodes.shape)[:, np.newaxis]
                              for stiffness in (section.bending_stiffness, section.shear_stiffness))
-        power, force = np.array([LOADS[load] for load in loads]).T
-        curvature = (arm.length - rule.nodes)[:, np.newaxis]**power / bending
-        shear = force / shearing
+        found = _outboard(manipulator, rule)
+        moment, force = np.moveaxis(np.array([found[load] for load in loads]), 0, -1)
+        curvature, shear = moment / bending, force / shearing
         weights = rule.weights[:, np.newaxis]
         bent, sheared = modes.curvature(rule.nodes), modes.shear(rule.nodes)
         for _ in range(2):  # twice: little is left beside many modes

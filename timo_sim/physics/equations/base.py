@@ -21,7 +21,7 @@ from timo_sim.physics.arm.bodies import Constraints
 from timo_sim.physics.arm.modes import modes_of
 from timo_sim.physics.arm.quadrature import Quadrature
 from timo_sim.physics.equations.functions import rate_once, tip_once
-from timo_sim.physics.layout import rotate
+from timo_sim.physics.equations.observables import Observables
 
 
 class Points(NamedTuple):
@@ -33,7 +33,7 @@ class Points(NamedTuple):
     rotation: np.ndarray    # Phi_n, (N, p)
 
 
-class Formulation(ABC):
+class Formulation(Observables, ABC):
     """
     Equations of motion of a manipulator in N assumed modes.
 
@@ -55,6 +55,8 @@ class Formulation(ABC):
         Number of quadrature nodes; by default as many as `node_count` finds good.
     static, axial : tuple of str, int
         See `modes_of`; number of axial modes, in formulations that know them.
+    gravity : sequence of float
+        Acceleration of free fall along world x and y [m/s2].
 
     Attributes
     ----------
@@ -72,8 +74,9 @@ class Formulation(ABC):
     sectors, speed_limit = 0, math.inf
 
     def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
-                 static=(), axial=0):
+                 static=(), axial=0, gravity=(0.0, 0.0)):
         self.manipulator, self.constraints = manipulator, constraints
+        self.gravity = np.array(gravity, dtype=float)
         self.modes, self.axial = modes_of(manipulator, count, static), axial
         if axial:
             self.modes = AxialModes(self.modes, manipulator, axial, constraints)
@@ -139,7 +142,6 @@ class Formulation(ABC):
     def centre_line_rate(self, q, qdot, points):
         """Return the rate of `centre_line` in the turning axes, shape (n, p, 2) [m/s]."""
 
-    @abstractmethod
     def effort(self, motions, accelerations, loads):
         """
         Return what must act on carrier and shaft, friction included, for accelerations (T45).
@@ -147,12 +149,26 @@ class Formulation(ABC):
         Motions, accelerations of their 3 + N coordinates, loads of which those on the tip act:
         n of each; forces in world axes [N] and torque [N m], shape (n, 3).
         """
+        specific = accelerations.copy()
+        specific[:, :2] -= self.gravity  # held in gravity is the same as accelerated against it
+        return self._effort(motions, specific, loads)
+
+    @abstractmethod
+    def _effort(self, motions, accelerations, loads):
+        """Return the effort where there is no gravity."""
 
     @cached_property
     def reach(self):
         """Shift of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, sizes, (3 + N,)."""
         length = self.manipulator.arm.length
         return np.concatenate([[1.0, 1.0, length], np.abs(self.modes.deflection([length]))[0]])
+
+    @cached_property
+    def section_turn(self):
+        """Largest turn, shear and stretch of a section by each modal coordinate, (N,)."""
+        xi, modes = self.points.xi, self.modes
+        turn = np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
+        return np.max(turn + np.abs(modes.stretch(xi)) if self.axial else turn, axis=0)
 
     def tip_shift(self):
         """
@@ -192,98 +208,6 @@ class Formulation(ABC):
         xi = np.asarray(xi, dtype=float)
         return Points(xi, self.quadrature.integrate_to(xi).T, self.modes.deflection(xi).T,
                       self.modes.rotation(xi).T)
-
-    def section_rotation(self, q, points):
-        """Return phi relative to the shaft, shape (n, p) [rad]. Source: paper eq. (36)."""
-        return q @ points.rotation
-
-    def world(self, motions, points):
-        """Return where points of the centre line are, in world axes, shape (n, p, 2) [m]."""
-        along, across = np.moveaxis(self.centre_line(self._split(motions)[0], points), -1, 0)
-        turned = np.stack(rotate(motions[:, 2, np.newaxis], along, across), axis=-1)
-        return motions[:, np.newaxis, 0:2] + turned
-
-    def energy(self, motions):
-        """
-        Return kinetic plus strain energy.
-
-        Parameters
-        ----------
-        motions : ndarray, shape (n, 2 (3 + N))
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            [J]
-
-        """
-        q, qdot = self._split(motions)
-        velocity, turning = self.velocities(motions, self.points)
-        base = motions[:, self.size // 2:][:, :3]
-        body = self.manipulator
-        kinetic = (body.base_mass * np.sum(base[:, :2]**2, axis=1)
-                   + body.shaft_inertia * base[:, 2]**2
-                   + np.sum(velocity**2, axis=2) @ self.point_mass
-                   + turning**2 @ self.point_inertia)
-        return 0.5 * (kinetic + q**2 @ self.modes.omega**2)
-
-    def dissipation(self, motions):
-        """Return the power that viscous friction and modal damping take, shape (n,) [W]."""
-        half, body = self.size // 2, self.manipulator
-        rates = motions[:, half:]**2
-        # What is held, locked or driven is not rubbed: a driven shaft's friction is its drive's.
-        return (body.carrier_friction * rates[:, self.axes].sum(axis=1)
-                + (1 - self.first) * body.shaft_friction * rates[:, 2]
-                + rates[:, 3:] @ (2.0 * self.damping * self.modes.omega))
-
-    def momentum(self, motions):
-        """
-        Return linear momentum in world axes and angular momentum about the world's origin.
-
-        Parameters
-        ----------
-        motions : ndarray, shape (n, 2 (3 + N))
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            [kg m/s], [kg m/s], [kg m2/s]
-
-        """
-        velocity, turning = self.velocities(motions, self.points)
-        base = motions[:, self.size // 2:][:, :3]
-        body = self.manipulator
-        position = self.world(motions, self.points)
-        linear = body.base_mass * base[:, :2] + np.einsum('p,npi->ni', self.point_mass, velocity)
-        angular = (
-            body.base_mass * (motions[:, 0] * base[:, 1] - motions[:, 1] * base[:, 0])
-            + body.shaft_inertia * base[:, 2]
-            + (position[..., 0] * velocity[..., 1] - position[..., 1] * velocity[..., 0])
-            @ self.point_mass
-            + turning @ self.point_inertia)
-        return np.column_stack([linear, angular])
-
-    def _split(self, motions):
-        half = self.size // 2
-        return motions[:, 3:half], motions[:, half + 3:]
-
-    def velocities(self, motions, points):
-        """
-        Return how points of the centre line move.
-
-        Velocity in world axes, shape (n, p, 2) [m/s], and angular velocity of the sections,
-        shape (n, p) [rad/s].
-
-        """
-        half = self.size // 2
-        q, qdot = self._split(motions)
-        omega = motions[:, half + 2, np.newaxis]
-        along, across = np.moveaxis(self.centre_line(q, points), -1, 0)
-        rate_1, rate_2 = np.moveaxis(self.centre_line_rate(q, qdot, points), -1, 0)
-        first, second = rate_1 - omega * across, rate_2 + omega * along
-        turned = np.stack(rotate(motions[:, 2, np.newaxis], first, second), axis=-1)
-        return (motions[:, np.newaxis, half:half + 2] + turned,
-                omega + self.section_rotation(qdot, points))
 
     def project_on_modes(self, deflection, rotation):
         """

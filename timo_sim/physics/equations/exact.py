@@ -85,7 +85,8 @@ class Exact(Formulation):
         self._kernel, self._slope = kernel, rotation + shear
         tables = Tables(self.mass, kernel if turns else kernel[:1], lever, rotation.T, shear.T,
                         rotary, np.empty(0), damping, self.manipulator.carrier_friction, self.axes,
-                        self.anchor, self.points.integral[:, -1], at_points[-1])
+                        self.anchor, self.points.integral[:, -1], at_points[-1],
+                        self.mass * self.gravity)
         return self._with_linear_part(tables, locked if turns else None)
 
     def sector(self, state, load):
@@ -173,7 +174,7 @@ class Exact(Formulation):
             (-b * turning - sine * shearing + cosine * stretching) @ points.integral,
             (a * turning + cosine * shearing + sine * stretching) @ points.integral], axis=-1)
 
-    def effort(self, motions, accelerations, loads):
+    def _effort(self, motions, accelerations, loads):
         """Return the rates of momentum, those by loads on the tip left out (T45)."""
         half, table, body = self.size // 2, self.tables, self.manipulator
         cosine, sine, a, b = self._slopes(motions[:, 2:half])

@@ -113,9 +113,13 @@ def _carrier_rate(tables, state, k, slope_rates, speed):
 
 @inlined
 def _translate(tables, state, load, angle, c1, c2, speed, out):
-    """Write the rates of the mass centre; return forces x, y on all, and on the tip."""
-    axes, half = tables.axes, len(state) // 2
-    push_x, push_y = 0.0, 0.0
+    """
+    Write the rates of the mass centre; return forces x, y on the carrier, and on the tip.
+
+    A carrier that is held in gravity is pushed against it, that is what bends the arm (T33a).
+    """
+    axes, half, weight = tables.axes, len(state) // 2, tables.weight
+    push_x, push_y = 0.0 - weight[0], 0.0 - weight[1]
     turned_y, turned_x = sincos(angle)
     tip_x = load[TIP_X] + turned_x * load[TIP_I] - turned_y * load[TIP_II]
     tip_y = load[TIP_Y] + turned_y * load[TIP_I] + turned_x * load[TIP_II]
@@ -129,7 +133,7 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
             if tables.drag != 0.0:
                 push_y -= tables.drag * _carrier_rate(tables, state, k, c2, speed)
         out[k] = 0.0  # X' = P / m_t is in the linear part
-        out[half + k] = push_x if axes[k] == 0 else push_y
+        out[half + k] = push_x + weight[0] if axes[k] == 0 else push_y + weight[1]
     return push_x, push_y, tip_x, tip_y
 
 

@@ -30,6 +30,7 @@ class Tables(NamedTuple):
     anchor: np.ndarray     # where it is held, (2,)
     reach: np.ndarray      # from nodal values to their integral over the arm, (n_g,)
     turn: np.ndarray       # Phi_i at the tip, (1 + N,)
+    weight: np.ndarray     # m_t g along world x and y, (2,)
 
 
 # The same for an arm that stretches, whose last A coordinates are axial, and

@@ -137,7 +137,7 @@ class Newton(Formulation):
             laws.shear_softening, laws.axial, stiffness, damping,
             np.array([self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
             self.axes, self.anchor, self.manipulator.arm.length, laws.tip_share,
-            self.points.deflection[:, -1], self.points.rotation[:, -1])
+            self.points.deflection[:, -1], self.points.rotation[:, -1], self.gravity)
         return tables, linear
 
     def state(self, motion):
@@ -146,7 +146,7 @@ class Newton(Formulation):
         free = np.concatenate([self.axes, np.arange(2 + self.first, half)])
         return np.concatenate([motion[free], motion[half + free]])
 
-    def effort(self, motions, accelerations, loads):
+    def _effort(self, motions, accelerations, loads):
         """Return what rows of the shaft and of the carrier, with P(0), V(0), ask for (T45)."""
         half, laws, theta = self.size // 2, self._laws, motions[:, 2]
         q, omega, qdot = motions[:, 3:half], motions[:, half + 2], motions[:, half + 3:]
@@ -186,7 +186,7 @@ class Newton(Formulation):
             state[len(axes)], state[half + len(axes)])
         acceleration = np.zeros(2)
         acceleration[axes] = self.rate(state, load)[half:half + len(axes)]
-        alpha, _ = rotate(-angle, *acceleration)
+        alpha, _ = rotate(-angle, *(acceleration - self.gravity))
         pull, _ = rotate(-angle, *np.ravel(tip_force(load[np.newaxis], np.array([angle]))))
         return float(self._tension @ [pull, alpha, speed**2] / self.modes.omega[0]**2)
 

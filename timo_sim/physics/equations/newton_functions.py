@@ -51,6 +51,7 @@ class Tables(NamedTuple):
     tip_share: float            # of a load on the tip, see `Laws`
     sway: np.ndarray            # W_n at the tip, (N,)
     turn: np.ndarray            # Phi_n at the tip, (N,)
+    gravity: np.ndarray         # g along world x and y, (2,)
 
 
 @inner
@@ -86,8 +87,21 @@ def _set_unheld(tables, q, theta_rate, load, tip_2, tip_moment, force, z):
 
 @inlined
 def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
-    """Write the carrier's acceleration in world axes, (T16); return beta."""
-    axes, half = tables.axes, len(state) // 2
+    """
+    Write the carrier's acceleration in world axes, (T16); return beta, less gravity.
+
+    Seen by who falls freely, a carrier that is held is accelerated against gravity.
+    """
+    axes, half, gravity = tables.axes, len(state) // 2, tables.gravity
+    held_x, held_y = 0.0 - gravity[0], 0.0 - gravity[1]
+    for k in range(len(axes)):
+        if axes[k] == 0:
+            held_x = 0.0
+        else:
+            held_y = 0.0
+    held_1, held_2 = cosine * held_x + sine * held_y, cosine * held_y - sine * held_x
+    axial -= tables.arm_mass * held_1 + tilt * held_2
+    shear -= tables.across * held_2
     force_x = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
     force_y = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
     for k in range(len(axes)):
@@ -95,20 +109,21 @@ def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
             force_x -= tables.drag[0] * state[half + k]
         else:
             force_y -= tables.drag[0] * state[half + k]
-    beta = 0.0
+    beta = held_2
     if len(axes) == 2:
         force_1 = cosine * force_x + sine * force_y
         force_2 = cosine * force_y - sine * force_x
         beta = (force_2 + shear) / (tables.base_mass + tables.across)
         alpha = (force_1 + axial - tilt * beta) / (tables.base_mass + tables.arm_mass)
-        out[half] = cosine * alpha - sine * beta
-        out[half + 1] = sine * alpha + cosine * beta
+        out[half] = cosine * alpha - sine * beta + gravity[0]
+        out[half + 1] = sine * alpha + cosine * beta + gravity[1]
     elif len(axes) == 1:
         push, along, across = (force_x, cosine, -sine) if axes[0] == 0 else (force_y, sine, cosine)
         inertia = (tables.base_mass + along**2 * tables.arm_mass + along * across * tilt
                    + across**2 * tables.across)
         out[half] = (push + along * axial + across * shear) / inertia
-        beta = across * out[half]
+        beta += across * out[half]
+        out[half] += gravity[axes[0]]
     return beta
 
 

@@ -113,6 +113,7 @@ class ModesError:
         velocity, turning = model.velocities(motions, model.points)
         force = -model.point_mass[:, np.newaxis] * (velocity[1] - velocity[0]) / (2.0 * half_time)
         moment = -model.point_inertia * (turning[1] - turning[0]) / (2.0 * half_time)
+        force += model.point_mass[:, np.newaxis] * model.gravity
         force[-1] += np.ravel(tip_force(load[np.newaxis], motion[2:3]))
         moment[-1] += load[TIP_TORQUE]
         # The arm is seen from the shaft.
