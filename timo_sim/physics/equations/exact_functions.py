@@ -116,7 +116,7 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
     """
     Write the rates of the mass centre; return forces x, y on the carrier, and on the tip.
 
-    A carrier that is held in gravity is pushed against it, that is what bends the arm (T33a).
+    A carrier that is held in gravity is pushed against it, which bends the arm (T34).
     """
     axes, half, weight = tables.axes, len(state) // 2, tables.weight
     push_x, push_y = 0.0 - weight[0], 0.0 - weight[1]

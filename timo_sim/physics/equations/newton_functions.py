@@ -87,21 +87,8 @@ def _set_unheld(tables, q, theta_rate, load, tip_2, tip_moment, force, z):
 
 @inlined
 def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
-    """
-    Write the carrier's acceleration in world axes, (T16); return beta, less gravity.
-
-    Seen by who falls freely, a carrier that is held is accelerated against gravity.
-    """
-    axes, half, gravity = tables.axes, len(state) // 2, tables.gravity
-    held_x, held_y = 0.0 - gravity[0], 0.0 - gravity[1]
-    for k in range(len(axes)):
-        if axes[k] == 0:
-            held_x = 0.0
-        else:
-            held_y = 0.0
-    held_1, held_2 = cosine * held_x + sine * held_y, cosine * held_y - sine * held_x
-    axial -= tables.arm_mass * held_1 + tilt * held_2
-    shear -= tables.across * held_2
+    """Write the carrier's acceleration in world axes, (T16); return beta."""
+    axes, half = tables.axes, len(state) // 2
     force_x = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
     force_y = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
     for k in range(len(axes)):
@@ -109,22 +96,47 @@ def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
             force_x -= tables.drag[0] * state[half + k]
         else:
             force_y -= tables.drag[0] * state[half + k]
-    beta = held_2
+    beta = 0.0
     if len(axes) == 2:
         force_1 = cosine * force_x + sine * force_y
         force_2 = cosine * force_y - sine * force_x
         beta = (force_2 + shear) / (tables.base_mass + tables.across)
         alpha = (force_1 + axial - tilt * beta) / (tables.base_mass + tables.arm_mass)
-        out[half] = cosine * alpha - sine * beta + gravity[0]
-        out[half + 1] = sine * alpha + cosine * beta + gravity[1]
+        out[half] = cosine * alpha - sine * beta
+        out[half + 1] = sine * alpha + cosine * beta
     elif len(axes) == 1:
         push, along, across = (force_x, cosine, -sine) if axes[0] == 0 else (force_y, sine, cosine)
         inertia = (tables.base_mass + along**2 * tables.arm_mass + along * across * tilt
                    + across**2 * tables.across)
         out[half] = (push + along * axial + across * shear) / inertia
-        beta += across * out[half]
-        out[half] += gravity[axes[0]]
+        beta = across * out[half]
     return beta
+
+
+@inlined
+def _fall(tables, cosine, sine, tilt, out):
+    """
+    Add what gravity does (T17).
+
+    Seen by who falls, a carrier that is held is accelerated against gravity, alpha and beta.
+    """
+    axes, half, gravity = tables.axes, len(out) // 2, tables.gravity
+    held_x = 0.0 if len(axes) == 2 or len(axes) == 1 and axes[0] == 0 else -gravity[0]
+    held_y = 0.0 if len(axes) == 2 or len(axes) == 1 and axes[0] == 1 else -gravity[1]
+    alpha, beta = cosine * held_x + sine * held_y, cosine * held_y - sine * held_x
+    if len(axes) == 1:
+        along, across = (cosine, -sine) if axes[0] == 0 else (sine, cosine)
+        inertia = (tables.base_mass + along**2 * tables.arm_mass + along * across * tilt
+                   + across**2 * tables.across)
+        pulled = -(along * (tables.arm_mass * alpha + tilt * beta)
+                   + across * tables.across * beta) / inertia
+        out[half] += pulled
+        beta += across * pulled
+    for k in range(len(axes)):
+        out[half + k] += gravity[axes[k]]
+    free = len(tables.inverse)
+    for i in range(free):
+        out[len(out) - free + i] -= tables.response[len(tables.response) - free + i] * beta
 
 
 @functions.rate.of(Tables)
@@ -171,6 +183,8 @@ def _rate(tables, state, load, out):
     beta -= tables.in_linear * linear_shear
     for i in range(first, rows):
         out[half + modal - 1 + i] = z[i] - tables.response[i] * beta
+    if tables.gravity[0] != 0.0 or tables.gravity[1] != 0.0:
+        _fall(tables, cosine, sine, tilt, out)
 
 
 @functions.observe.of(Tables)
