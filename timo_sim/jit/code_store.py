@@ -166,7 +166,7 @@ def _no_garbage_collection():
 def lock(name):
     """Let one process at a time run a block, of all that share the folder of machine code."""
     with ExitStack() as stack:
-        # Where no file can be made or locked, the block runs unlocked: at worst code is made twice.
+        # Where no file can be made or locked, the block runs unlocked: code may be compiled twice.
         with suppress(OSError):
             held = stack.enter_context(_file(name, 'ab'))
             fcntl.flock(held, fcntl.LOCK_EX)
