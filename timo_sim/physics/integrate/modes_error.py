@@ -195,7 +195,7 @@ class ModesError:
         """
         Return the left eigenvectors of the straight arm's natural vibrations (T40).
 
-        With them, how far the tip runs ahead in a step per component of the state's rate.
+        With them, how far the tip runs ahead in a step, per modal component of the state's rate.
         """
         model, step, tip_shift = self._model, self._steps.step, self._steps.errors.tip_shift
         values, left, right = eig(model.linear, left=True)
