@@ -16,7 +16,7 @@ import numpy as np
 from timo_sim.physics.integrate.split import FINEST
 from timo_sim.physics.layout import Motion
 
-# Largest part of the period of a harmonic load for a step, which sees three values of the load.
+# Longest step, in periods of a harmonic load; a step sees three values of the load.
 _MOST_OF_A_PERIOD = 0.25
 # Largest shift of the tip by what `newton`, or an arm without stretch, leaves out [arm lengths].
 _MOST_LEFT_OUT = 1e-3

@@ -18,8 +18,7 @@ class StretchError:
     An estimate for the straight arm that turns, see doc/theory.md, section 6.
 
     Centrifugal forces lengthen the arm by `omega^2 lengthening`. Its inertia about the centre of
-    rotation grows by a share `omega^2 growth`, so that a free shaft lags by `growth int omega^3
-    dt`.
+    rotation grows by a share `omega^2 growth`; a free shaft then lags by `growth int omega^3 dt`.
 
     Parameters
     ----------

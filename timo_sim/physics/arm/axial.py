@@ -40,7 +40,7 @@ class AxialModes:
     Attributes
     ----------
     omega : ndarray, shape (N + A,)
-        Angular frequencies of the bending modes, then of the axial ones; each ascend [rad/s].
+        Angular frequencies of the bending modes, then of the axial ones, both ascending [rad/s].
 
     """
 

@@ -21,8 +21,8 @@ class StaticModes:
     """
     Eigenmodes, then residual static shapes, all normalised as in doc/theory.md (T3).
 
-    The residual of a static shape, less its share in the eigenmodes, is orthogonal to them in mass
-    and stiffness. It is therefore a further mode, with the frequency of Rayleigh's quotient (T9).
+    A residual is a static shape less its share in the eigenmodes. It is orthogonal to them in mass
+    and stiffness, and therefore a further mode with the frequency of Rayleigh's quotient (T9).
 
     Parameters
     ----------

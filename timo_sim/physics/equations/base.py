@@ -37,10 +37,10 @@ class Formulation(ABC):
     """
     Equations of motion of a manipulator in N assumed modes.
 
-    The N modes are those in bending, followed by axial ones if the arm stretches. A *motion* is an
-    array of size 2 (3 + N), the same for all formulations: `[x_c, y_c, theta, q_1..q_N, d/dt of
-    each]`, carrier in world axes [m], shaft angle [rad], modal coordinates [m sqrt(kg)]. A *state*
-    is what a formulation integrates: its free coordinates, then as many momenta or rates; size m.
+    The N modes are those in bending, followed by axial ones if the arm stretches. A *motion*
+    `[x_c, y_c, theta, q_1..q_N, d/dt of each]` of size 2 (3 + N) is the same for all formulations:
+    carrier in world axes [m], shaft angle [rad], modal coordinates [m sqrt(kg)]. A *state* is what
+    a formulation integrates: its free coordinates, then as many momenta or rates; size m.
 
     Parameters
     ----------

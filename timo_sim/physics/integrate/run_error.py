@@ -21,9 +21,9 @@ CHUNK = 1024  # most steps at once
 _KEPT = 2048  # most steps between estimates, if their states are kept
 _STEPS_PER_ESTIMATE = 128  # least mean number of steps for each estimate, to limit its cost
 _OF_STEP = 16.0 / 15.0  # error of a step, over its difference from its halves
-_BENT = 1e-5  # rotation of the fastest turning section in the linearisation [rad]
+_BENT = 1e-5  # largest rotation of a section in the linearisation [rad]
 _FEW = 512  # most steps between estimates, if their states are not kept
-_STEPS_PER_LOOK = 16  # least number of steps for each estimate of the modes' error
+_STEPS_PER_LOOK = 16  # least number of steps after which `cut` estimates the modes' error again
 
 
 class RunError:
