@@ -29,7 +29,7 @@ _MOST_DRIFT = _MOST_ERROR = 3e-4  # [arm lengths]
 
 class DivergenceError(ArithmeticError):
     """
-    The state is not finite, or the arm is bent by many lengths; the text says when, what to do.
+    The state is not finite, or the arm is bent by many lengths; the text has time and remedy.
 
     Attributes
     ----------

@@ -51,7 +51,7 @@ class RunError:
     def __init__(self, steps):
         self._steps, self._error = steps, GlobalError(steps.model.linear, steps.step)
         self.tip, self.unseen, self.modes, self._unlooked = 0.0, 0, ModesError(steps), 0
-        # Number of steps since the last cut, and y and n at their starts.
+        # Number of steps since the last cut, and y and n of (T38) at their starts.
         self._open, self._credit = 0, CHUNK
         self._states, self._rates = np.zeros((2, _KEPT + 1, len(steps.model.linear)))
 
@@ -83,7 +83,7 @@ class RunError:
 
     @property
     def rest(self):
-        """Arrays for what coming steps keep, shapes (k, m): y and n, or `SplitSteps` errors."""
+        """Arrays for y and n of (T38) of coming steps, or their error in `SplitSteps`, (k, m)."""
         return self._states[self._open:], self._rates[self._open:]
 
     def count(self, done, state, load):
@@ -97,7 +97,7 @@ class RunError:
         """
         Estimate the error of the steps since the last cut.
 
-        If they are too few, or an estimate would cost too much, they are unseen until the next.
+        If they are too few, or an estimate would cost too much, a later estimate includes them.
 
         Parameters
         ----------
@@ -124,7 +124,7 @@ class RunError:
         """
         Estimate the error of `count` steps from step `number` on, and of all unseen ones.
 
-        It is that of the first of them, which is done as a whole and in halves on copies.
+        All are taken to have the error of step `number`, done as a whole and in halves on copies.
         """
         self.unseen += count
         if not self._pay():

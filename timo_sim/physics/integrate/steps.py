@@ -62,7 +62,7 @@ class Steps:
     """
 
     tolerance = 0.0
-    keeps_states = True  # whether the state and n at the start of each step go to `errors.rest`
+    keeps_states = True  # whether y and n of (T38) at each step's start go to `errors.rest`
     least = LEAST  # least number of steps between breaks of the load to estimate their error
 
     def __init__(self, model, step):
@@ -202,13 +202,13 @@ class Steps:
 
     def follow_errors(self, error, states, rates, load, weight):
         """
-        Follow the error of the state over steps, from the states and n that `advance` has kept.
+        Follow the error of the state over steps, from what `advance` has kept of them.
 
         Parameters
         ----------
         error : GlobalError
         states, rates : ndarray, shape (steps + 1, m)
-            y and n at the start of each step and at the end, where n is still to be computed.
+            y and n of (T38) at the start of each step and at the end; the last n is not set yet.
         load : ndarray, shape (14,)
             Load at the end of these steps.
         weight : float
