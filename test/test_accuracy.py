@@ -157,7 +157,7 @@ def test_a_step_must_suit_jumps_and_the_caller(paper):
     # ... and the duration.
     scene = timo_sim.load_scene(paper, {'model.accuracy': 1e-3})
     assert timo_sim.simulate(scene, 0.985).t[1] == 0.005
-    with pytest.raises(timo_sim.ParameterError, match='needs a step .* the duration is a mult'):
+    with pytest.raises(timo_sim.ParameterError, match='needs a step .* the duration are mult'):
         timo_sim.simulate(scene, 0.98503)
 
 

@@ -88,7 +88,7 @@ def test_what_is_too_coarse_in_the_smallest_parts_is_done_and_told():
     simulator, run = path(0.02, 1e-14)
     assert simulator.integration.unresolved == simulator.integration.splits == 100
     assert np.abs(run - path(1e-4)[1]).max() < 1e-6
-    assert 'above integrator.tolerance = 1e-14 m when done in 64 parts' in simulator.warning
+    assert 'integrator.tolerance = 1e-14 m even when done in 64 parts' in simulator.warning
 
 
 def test_splitting_carries_over_what_diverges_in_whole_steps():

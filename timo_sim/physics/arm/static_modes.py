@@ -6,13 +6,14 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Eigenmodes, and what the static shapes of an arm under loads on its tip add to them."""
+"""Eigenmodes, followed by residual static shapes of the arm under loads on its tip."""
 
 import numpy as np
 
 from timo_sim.physics.arm.quadrature import Quadrature
 
-# Of a load on the tip: the power of the distance from there in its moment, and its shear force.
+# For a unit load on the tip: its bending moment is this power of the distance from the tip; its
+# shear force.
 LOADS = {'force': (1, 1.0), 'torque': (0, 0.0)}
 
 
@@ -20,20 +21,20 @@ class StaticModes:
     """
     Eigenmodes, then residual static shapes, all normalised as in doc/theory.md (T3).
 
-    What eigenmodes leave of a static shape is orthogonal to them in mass and stiffness, so that
-    nothing else changes: a shape is a mode with a frequency by Rayleigh's quotient, (T9).
+    A residual is a static shape less its share in the eigenmodes. It is orthogonal to them in mass
+    and stiffness, and therefore a further mode with the frequency of Rayleigh's quotient (T9).
 
     Parameters
     ----------
     manipulator : Manipulator
     modes : UniformModes or GalerkinModes
     loads : sequence of str
-        Of `LOADS`.
+        Names in `LOADS`.
 
     Attributes
     ----------
     omega : ndarray, shape (N,)
-        [rad/s]
+        Angular frequencies of the eigenmodes, then of the static shapes [rad/s].
 
     """
 
@@ -49,11 +50,11 @@ class StaticModes:
         shear = force / shearing
         weights = rule.weights[:, np.newaxis]
         bent, sheared = modes.curvature(rule.nodes), modes.shear(rule.nodes)
-        for _ in range(2):  # twice: little is left beside many modes
+        for _ in range(2):  # twice, since cancellation is strong beside many modes
             share = (bent.T @ (weights * bending * curvature)
                      + sheared.T @ (weights * shearing * shear)) / modes.omega[:, np.newaxis]**2
             curvature, shear = curvature - bent @ share, shear - sheared @ share
-        # Uncoupled from each other, too, and normalised.
+        # The residuals of two loads are also uncoupled from each other, and normalised.
         self._curvature, self._shear = curvature, shear
         mass, inertia = manipulator.inertia(rule)
         deflection, rotation = (field(rule.points)[:, len(modes):] for field in (
