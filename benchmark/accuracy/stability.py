@@ -7,9 +7,9 @@
 # language governing permissions and limitations under the License.
 
 """
-How far the step carries: energy drift of a hard free scene over modes and step, `make stability`.
+Energy drift of fast arms without loads and damping, over modes and step: `make stability`.
 
-No loads, no damping, 5 s: energy should not change. In brackets h omega of the highest mode.
+A run lasts 5 s; energy should not change. Numbers in brackets are h omega of the highest mode.
 """
 
 import numpy as np

@@ -86,8 +86,8 @@ class Inlet:
         if stamp and answered is not None and stamp != answered:
             self.mismatched += 1
             self.logger.warning(
-                f'command dropped, its stamp is {stamp} ns, that of the state {answered} ns; a '
-                'controller that does not copy it, as ros2_control, needs sync: any_command',
+                f'command dropped, its stamp is {stamp} ns, that of the state {answered} ns; '
+                'controllers that do not copy it, as ros2_control, need sync: any_command',
                 once=True)
             return False
         self.foreign += sum(name not in JOINTS for name in texts[1:])
