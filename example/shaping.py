@@ -34,7 +34,7 @@ def vibration(scene):
 
 def shaper(pole, kind):
     """
-    Return times [s] and sizes of the impulses after which a pole does not vibrate.
+    Return times [s] and sizes, shape (n,), of the impulses after which a pole does not vibrate.
 
     Parameters
     ----------

@@ -23,7 +23,11 @@ MODES, STEPS = (3, 5, 8, 12, 20), (0.010, 0.005, 0.002, 0.001, 0.0005, 0.0002)
 
 
 def drift(modes, step, speed, velocity):
-    """Return the largest relative change of energy, infinite if the run diverges."""
+    """
+    Return the largest relative change of energy, infinite if the run diverges.
+
+    Units: `step` [s], `speed` of the shaft [rad/s], `velocity` of the bending tip [m/s].
+    """
     values = {'model.modes': modes, 'integrator.step': step, 'initial.shaft_velocity': speed}
     rates = timo_sim.project_on_modes(
         timo_sim.load_scene(values),

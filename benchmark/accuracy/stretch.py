@@ -71,7 +71,7 @@ SCENES = [
 
 
 def error(scene, tip, duration):
-    """Return the largest distance of the tip from a reference, in lengths of the arm."""
+    """Return the largest distance of the tip from a reference, (n, 2) [m], in arm lengths."""
     try:
         run = timo_sim.simulate(scene, duration, round(PERIOD / scene.step))
     except timo_sim.DivergenceError:

@@ -198,8 +198,8 @@ def _is_dry(cell):
 
 
 def _element_steps(cell):
-    # A step is half the stable one, which is two over the highest frequency, estimated from that of
-    # sections turning in place and that of the finest wave.
+    # A step is half the stable one: 1 over the highest frequency, which is about that of
+    # sections turning in place and of the finest wave.
     scene = timo_sim.load_scene(cell.values)
     arm, section = scene.manipulator.arm, scene.manipulator.arm.section
     turning = math.sqrt(section.shear_stiffness / section.inertia_per_length)

@@ -162,7 +162,7 @@ def turns(commanded):
 
 def acting(commanded, simulator):
     """
-    Return the load, shape (14,), that commanded values, (16,), are in a Simulator's next step.
+    Return the load, shape (14,), of commanded values, (16,), in a Simulator's next step.
 
     A force in the axes of the tip takes their direction in the middle of the step, extrapolated
     from the motion at its start: the error is of second order in the step.

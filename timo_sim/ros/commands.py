@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Subscriptions to commands; a command acts from the first whole step after it until the next."""
+"""Subscriptions to commands; each acts from the first whole step after receipt until the next."""
 
 from rclpy.serialization import deserialize_message, serialize_message
 
@@ -50,7 +50,7 @@ class Inlet:
     pending : tuple or None
         The command that will act next: its row and its message, serialised.
     refused, mismatched : int
-        Number of commands refused, and of those with the stamp of another state than the loop's.
+        Number of commands refused, and of those dropped because they answer another state.
     foreign : int
         Number of names in commands that are no joints here, such as those of other robots.
 

@@ -42,7 +42,7 @@ class Health:
         self._reported = now, self._simulator.steps
 
     def counters(self):
-        """Return counters by name, which grow only when something goes wrong."""
+        """Return counters by name; all but `foreign_joints` grow only if something goes wrong."""
         pace = self._loop.pace
         return {
             'overruns': pace.overruns,

@@ -76,7 +76,11 @@ class Outlet:
             self.asks and self.recorder is not None and self.recorder.error is None)
 
     def send(self, data, step, nanoseconds, again=False):
-        """Send a serialised message to subscribers and log; with `again` to subscribers alone."""
+        """
+        Send a serialised message to subscribers and log; with `again` to subscribers alone.
+
+        `step` and `nanoseconds`, sim time [ns], are those that the log notes.
+        """
         if self._subscribed:
             self._publisher.publish(data)
         if self.recorder is not None and not again:

@@ -40,7 +40,7 @@ def animate(tracks, path, fps=_MOST_FPS):
     Raises
     ------
     ParameterError
-        If the path does not end with .gif, or `fps` is not finite and above 0.
+        If the path does not end with .gif, or `fps` is not above 0 and at most 1e6.
 
     """
     if not str(path).endswith('.gif'):
