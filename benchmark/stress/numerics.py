@@ -37,7 +37,7 @@ import timo_sim  # noqa: E402
 from timo_sim.runs.sampled import sampled_run  # noqa: E402
 
 CELLS = 1020  # in full
-_FACTOR = 5.0  # from the true error within which an estimate is good
+_FACTOR = 5.0  # a good estimate is within this factor of the true error
 LISTED = ROOT / 'run' / 'stress_cells.jsonl'
 # Without loads and damping, at 1 ms.
 _DRIFT = {'initial.carrier_x_velocity': 0.4, 'initial.carrier_y_velocity': -0.3}

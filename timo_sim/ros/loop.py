@@ -71,7 +71,7 @@ class Loop:
         self._outlets = outlets
         self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
         self._commanded, self._applied = np.zeros(COMMANDED), [0.0] * LOADS
-        self._shown_at = -math.inf  # wall time at which the state was last shown, or shown again
+        self._shown_at = -math.inf  # wall time [s]; `AGAIN` after it the state is published again
 
     def configure(self, values, steps_each):
         """Take parameters that may change at run time, and steps between messages by rate."""

@@ -16,7 +16,7 @@ AGAIN = 0.2  # [s] of wall time after which a state is published again while tim
 
 class Pace:
     """
-    Keeps sim time in time with wall time.
+    Paces sim time by wall time and the real-time factor.
 
     Parameters
     ----------
