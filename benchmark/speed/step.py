@@ -32,7 +32,7 @@ TARGETS = [('exact', 3, 1.5e-6), ('exact', 5, 2.5e-6), ('exact', 10, 8e-6), ('ne
 
 
 def paper(**overrides):
-    """Return the paper's scene at 10 ms."""
+    """Return the paper's scene at 10 ms, with values of `model` by name."""
     values = {f'model.{name}': value for name, value in overrides.items()}
     return timo_sim.load_scene(PAPER, {'integrator.step': 0.01, **values})
 
@@ -70,7 +70,7 @@ class Prepared:
 
 
 def rows(quick=False):
-    """Return (line, target, measured, remark) of the table."""
+    """Return rows of the table, (line, target, measured, met, remark)."""
     table = []
     for formulation, modes, target in TARGETS:
         prepared = Prepared(paper(formulation=formulation, modes=modes))

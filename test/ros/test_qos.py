@@ -46,7 +46,7 @@ def test_subscribers_of_sensor_data_hear_every_topic_and_overrides_act(start, cl
     refused = remote.set_parameters([Parameter(late, value=3)])
     client.wait(lambda: names.done() and values.done() and refused.done(), 'parameters')
     assert refused.result().results[0].reason == (
-        f'{late} is not declared; QoS is set at the start alone')
+        f'{late} is not declared; QoS is set only at the start')
     assert {*names.result().result.names} == {*OVERRIDES}
     assert [*map(parameter_value_to_python, values.result().values)] == [*OVERRIDES.values()]
 

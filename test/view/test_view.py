@@ -313,8 +313,8 @@ def test_numbers_that_are_none(log, option, words):
 @pytest.mark.parametrize('arguments, words', [
     (['--save', 'a.rrd', '--at', 'nan'], '--at must be a finite number, got nan'),
     (['--save', 'a.rrd', '--at', '99'], '--at = 99 s is not in the run, which is from 0 to'),
-    (['--save', 'a.png'], '--save is a file of rerun: name it *.rrd, not a.png'),
-    (['--gif', 'a.png'], 'an animation is a GIF: name it so, not a.png'),
+    (['--save', 'a.png'], 'the path of --save, a rerun file, must end with .rrd, got a.png'),
+    (['--gif', 'a.png'], 'the path of an animation must end with .gif, got a.png'),
     (['--png', 'none/a.png'], '--png none/a.png cannot be written')])
 def test_views_that_cannot_be_are_one_line(log, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
