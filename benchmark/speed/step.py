@@ -126,7 +126,8 @@ def curves(path, quick=False):
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.6))
     for axis, x, y, label, unit in (
             (axes[0], modes, 1e6 * over_modes, 'modes N', 'least time of a step [us]'),
-            (axes[1], nodes, 1e6 * over_nodes, 'quadrature nodes, N = 3', 'least time of a step [us]'),
+            (axes[1], nodes, 1e6 * over_nodes, 'quadrature nodes, N = 3',
+             'least time of a step [us]'),
             (axes[2], horizons, over_horizon, 'sim time [s], h = 10 ms',
              'time of a run [s]')):
         axis.loglog(x, y, 'o-', color='#0072B2')

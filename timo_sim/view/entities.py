@@ -13,7 +13,7 @@ import rerun as rr
 
 TIMELINE = 'sim_time'
 PLANE, CURVES, ABOUT = 'plane', 'curves', 'about'
-# Okabe-Ito colours, which colour-blind viewers can tell apart; the greys suit dark and light themes.
+# Okabe-Ito colours, which colour-blind viewers can tell apart; greys for dark and light themes.
 COLOURS = [(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (240, 228, 66),
            (213, 94, 0), (0, 114, 178)]
 GHOST, GRID, TICKS = (120, 120, 120), (128, 128, 128, 90), (170, 170, 170)

@@ -21,8 +21,8 @@ NAMES = {'0': '0', 'l4': 'l/4', 'l2': 'l/2', '3l4': '3l/4', 'l': 'l'}
 BLACK, ORANGE, BLUE, GREEN, RED = '#000000', '#E69F00', '#0072B2', '#009E73', '#D55E00'
 COLOURS = dict(zip(FORMULATIONS, (BLUE, ORANGE, GREEN, RED)))
 matplotlib.use('Agg')
-plt.rcParams.update({'font.size': 9, 'axes.grid': True,
-                     'figure.constrained_layout.use': True, 'grid.alpha': 0.3, 'lines.linewidth': 1.2,
+plt.rcParams.update({'font.size': 9, 'axes.grid': True, 'grid.alpha': 0.3,
+                     'lines.linewidth': 1.2, 'figure.constrained_layout.use': True,
                      'svg.fonttype': 'none', 'svg.hashsalt': 'timo_sim',
                      'path.simplify_threshold': 1.0})
 
