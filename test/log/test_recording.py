@@ -243,7 +243,7 @@ def lying_index(log, folder, lie):
 
 
 @pytest.mark.parametrize('lie', [
-    lambda entries: entries.__setitem__((slice(None), 1), entries[0, 1]),   # all the same
+    lambda entries: entries.__setitem__((slice(None), 1), entries[0, 1]),   # all alike
     lambda entries: entries.__setitem__((3, 1), 2**63),                     # far outside
     lambda entries: entries.__setitem__((3, 1), entries[3, 1] + 1),         # beside a message
 ])

@@ -73,7 +73,7 @@ def test_a_complete_log_is_left_alone(log, intact):
 
 
 def records_of(path):
-    """Return what a reader finds besides messages."""
+    """Return profile, schemas, channels, metadata and statistics of a log."""
     with open(path, 'rb') as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
@@ -397,7 +397,7 @@ def test_a_disk_that_is_full_at_the_start_leaves_no_file(tmp_path, small_disk):
     assert not (tmp_path / 'run.mcap').exists()
 
 
-def test_whatever_ends_the_thread_does_not_end_the_simulation(tmp_path, monkeypatch):
+def test_an_error_in_the_recorders_thread_does_not_block_the_simulation(tmp_path, monkeypatch):
     def fail(_):
         raise RuntimeError('no lz4 today')
 

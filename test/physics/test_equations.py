@@ -233,7 +233,7 @@ FEWER = ['free', 'x held', 'carrier held', 'shaft driven, x held', 'shaft locked
 @pytest.mark.parametrize('formulation, constraints', [
     (formulation, constraints) for formulation in EQUATIONS
     for constraints in (CONSTRAINTS if formulation == 'exact' else FEWER)])
-def test_formulation_is_its_equations_written_out(formulation, constraints):
+def test_formulation_agrees_with_its_equations(formulation, constraints):
     scene = scene_of(formulation, constraints)
     run = timo_sim.simulate(scene, DURATION, sample_every=40)
     truth, forces = solve(scene, EQUATIONS[formulation])
@@ -249,7 +249,7 @@ def test_formulation_is_its_equations_written_out(formulation, constraints):
 @pytest.mark.parametrize('constraints, modes, axial_modes', [
     ('free', 3, 2), ('x held', 5, 1), ('carrier held', 5, 1),
     ('shaft driven, carrier held', 5, 1)])
-def test_an_arm_that_stretches_is_its_equations_written_out(constraints, modes, axial_modes):
+def test_an_arm_that_stretches_agrees_with_its_equations(constraints, modes, axial_modes):
     """Those are Lagrange's; the state of `timo_sim` has momenta and rates of axial coordinates."""
     scene = scene_of('exact', constraints, **STRETCHING, **{
         'model.modes': modes, 'model.axial_modes': axial_modes,

@@ -40,11 +40,11 @@ class Reader:
         return [sys.executable, *MODULES[name], *arguments]
 
     def start(self, begin, *more):
-        """Start the node by the line that begins so."""
+        """Start the node by the line of the page that begins with `begin`, and more arguments."""
         self.node = subprocess.Popen([*self._command(begin), *more], cwd=self.folder)
 
     def run(self, begin):
-        """Return what the command on the line that begins so prints."""
+        """Run the command on the line that begins with `begin`; return what it prints."""
         result = subprocess.run(self._command(begin), cwd=self.folder, capture_output=True,
                                 text=True, timeout=PATIENCE)
         assert result.returncode == 0, result.stderr

@@ -68,7 +68,7 @@ def launch(installed, tmp_path):
 
 def test_arguments_of_the_simulator(launch, client, tmp_path):
     launched = launch('sim.launch.py', 'namespace:=left', 'frame_prefix:=left/', 'respawn:=true',
-                      'record_file:=1.mcap')  # a text, though it looks like none
+                      'record_file:=1.mcap')  # a text that begins like a number
     clock = client.collect(Clock, '/clock')
     client.wait(lambda: clock, 'the clock')
     get = client.service(GetParameters, '/left/timo_sim/get_parameters')
