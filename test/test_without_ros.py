@@ -19,7 +19,7 @@ import pytest
 from timo_sim.log.recording import Recording
 
 ROOT = Path(__file__).resolve().parents[1]
-# Is imported by Python itself at its start, and lets no package of ROS be found.
+# Python imports this as sitecustomize at its start; it hides all packages of ROS.
 NO_ROS = """
 import re, sys
 class NoRos:
