@@ -123,7 +123,7 @@ def test_what_does_not_fit_at_all_is_refused(scene):
     ({'variations': [3]}, 'values must be given by name, got 3'),
     ({'variations': lambda: []}, 'variations must be a list of values by name, got <function'),
     ({'variations': {'arm.length': [2.0]}}, 'variations must be a list'),
-    ({'variations': [{'arm': {'length': 2.0}, 'arm.length': 3.0}]}, 'arm.length is there twice'),
+    ({'variations': [{'arm': {'length': 2.0}, 'arm.length': 3.0}]}, 'arm.length is given twice'),
     ({'duration': '1 s'}, "duration must be a finite number >= 0 .*got '1 s'"),
     ({'duration': -1.0}, 'duration must be a finite number >= 0 .*got -1.0'),
     ({'workers': -1}, 'workers must be a whole number >= 1, got -1'),
