@@ -119,7 +119,7 @@ def test_what_does_not_fit_at_all_is_refused(scene):
 
 
 @pytest.mark.parametrize('given, words', [
-    ({'variations': [{'arm.length': lambda: 2.0}]}, 'worker processes get must be plain values'),
+    ({'variations': [{'arm.length': lambda: 2.0}]}, 'calls of worker processes must be picklable'),
     ({'variations': [3]}, 'values must be given by name, got 3'),
     ({'variations': lambda: []}, 'variations must be a list of values by name, got <function'),
     ({'variations': {'arm.length': [2.0]}}, 'variations must be a list'),
