@@ -113,7 +113,7 @@ def _open_streams():
 
 
 def _outside_ros_args(arguments):
-    # What stands before --ros-args, or after the -- that ends it.
+    # Arguments before --ros-args, or after the -- that ends it.
     outside, inside = [], False
     for argument in arguments:
         if argument == '--ros-args':

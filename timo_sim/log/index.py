@@ -106,7 +106,7 @@ class Index:
     Raises
     ------
     LogError
-        If the file is no log, or has no summary: the text says what to do.
+        If the file is not a log, or has no summary: the text says what to do.
 
     """
 

@@ -119,7 +119,7 @@ class Reader:
         """
         Yield each Schema, Channel, Metadata, Attachment, Private and Chunk, in the file's order.
 
-        Each schema and channel comes once, and before what refers to it.
+        Each schema and channel comes once, before records that refer to it.
         """
         chunk, began = Chunk(), 0
         for record in self._intact():
@@ -194,7 +194,7 @@ class Reader:
             yield from self._entry(opcode, memoryview(content), 'log')
 
     def _inside(self, data):
-        """Yield what is in an uncompressed chunk."""
+        """Yield the records of an uncompressed chunk."""
         place = 0
         while place < len(data):
             if place + HEAD.size > len(data):
@@ -211,7 +211,7 @@ class Reader:
             place += length
 
     def _entry(self, opcode, content, where):
-        """Yield what may be in a chunk or beside it."""
+        """Yield the content of a record that may be inside or outside of a chunk."""
         if opcode == Opcode.MESSAGE:
             yield self._message(content)
         elif opcode in _KEPT:

@@ -77,12 +77,12 @@ def uncompressed(content):
                          f'{LARGEST_CHUNK}')
         if chunk.compression not in _DECOMPRESS:
             raise Broken(f'a chunk has an unknown compression, {chunk.compression[:20]!r}')
-        # One byte more than the chunk says, to find out if it holds more.
+        # One byte more than the chunk states, to find out if it has more.
         data = _DECOMPRESS[chunk.compression](chunk.data, chunk.uncompressed_size + 1)
     except (*UNREADABLE, RuntimeError, EOFError, zstandard.ZstdError) as error:
         raise Broken(f'a chunk cannot be read: {error}') from None
     if len(data) != chunk.uncompressed_size:
-        raise Broken(f'a chunk does not hold the {chunk.uncompressed_size} bytes that it says')
+        raise Broken(f'a chunk does not have the {chunk.uncompressed_size} bytes that it states')
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise Broken('the checksum of a chunk is wrong')
     return data

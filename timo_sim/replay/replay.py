@@ -46,7 +46,7 @@ class Difference(NamedTuple):
 def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration=None, node=None,
            show=print):
     """
-    Replay a log or a bag, compare it with the log, and report.
+    Replay a log or a bag, compare what it publishes with what was logged, and report.
 
     Parameters
     ----------
@@ -182,8 +182,8 @@ class Replay:
         for name, output, steps in topics:
             segment.replayed[name] = np.empty((len(steps) - 1, len(output.columns)))
             segment.done[name] = 0
-        commands, begun = [*segment.commands, (math.inf,)], 0
-        changes, made = [*segment.changes, (math.inf,)], 0
+        commands, next_command = [*segment.commands, (math.inf,)], 0
+        changes, next_change = [*segment.changes, (math.inf,)], 0
         simulator = self.simulator
         while True:
             step, snapshot, following = simulator.steps, None, segment.last
@@ -197,21 +197,21 @@ class Replay:
                         self._log.output(name, snapshot, numbers)
                     segment.done[name] = place = place + 1
                 following = min(following, steps[place])
-            while changes[made][0] <= step:
-                _, values = changes[made]
+            while changes[next_change][0] <= step:
+                _, values = changes[next_change]
                 simulator.change(simulator.scene.vary(values))
                 if self._log:
                     self._log.note(CHANGE, change_note(step, values))
-                made += 1
+                next_change += 1
             if step >= segment.last:
                 return
-            while commands[begun][0] <= step:
-                _, index, values, data = commands[begun]
+            while commands[next_command][0] <= step:
+                _, index, values, data = commands[next_command]
                 COMMANDS[index].apply(values, commanded)
                 if self._log:
                     self._log.write(index, step, simulator.nanoseconds, data)
-                begun += 1
-            following = min(following, commands[begun][0], changes[made][0],
+                next_command += 1
+            following = min(following, commands[next_command][0], changes[next_change][0],
                             step + (1 if turns(commanded) else _BATCH))
             simulator.advance(following - step, acting(commanded, simulator))
             load = simulator.load.tolist()

@@ -81,20 +81,20 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
                            'is not known')
     shift = _shift(recording, [series for _, series in commands], motions, start)
 
-    def steps(series, meet):
+    def steps(series, must_fit):
         if recording.facts:
             exact = series.step * (recording.scene.step / scene.step)
         else:
             exact = 1e-9 * (series.ns + shift) / scene.step
-        return _whole(exact, meet, scene.step, series.topic)
+        return _whole(exact, must_fit, scene.step, series.topic)
 
     # The motion in a plain bag is not compared: when commands began to act is not known exactly.
     own = motions if recording.facts else {}
     acting = [(number, series, steps(series, False)) for number, series in commands]
     published = {name: steps(series, True) for name, series in own.items()}
-    came = late_steps(known, recording.scene, scene.step) if own else {}
-    last = _last(acting, {name: at + came[name] for name, at in published.items()}, motions, shift,
-                 scene, duration)
+    delays = late_steps(known, recording.scene, scene.step) if own else {}
+    last = _last(acting, {name: at + delays[name] for name, at in published.items()}, motions,
+                 shift, scene, duration)
     ends = [*_steps_of(recording.resets, recording, scene).tolist(), last]
     unasked = {'/clock', *(name for name, output in known.items()
                            if output.delay and not values.get('record_sensors'))}
@@ -150,11 +150,11 @@ def _shift(recording, commands, motions, start):
         int(series.ns[0]) for series in commands if len(series.ns))
 
 
-def _whole(exact, meet, step, topic):
-    """Return times, counted in steps, rounded up to whole steps from 0 on."""
+def _whole(exact, must_fit, step, topic):
+    """Return times in steps, rounded up; raise ParameterError if they must fit and do not."""
     whole = np.ceil(exact - _ROUNDING * np.maximum(1.0, np.abs(exact))).astype(np.int64)
     missed = np.abs(whole - exact) > 1e-6
-    if meet and missed.any():
+    if must_fit and missed.any():
         raise ParameterError(
             f'integrator.step = {step:g} s does not meet the times of {topic}, such as '
             f'{exact[np.argmax(missed)] * step:.9g} s: take one that divides them')

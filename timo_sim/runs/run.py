@@ -112,7 +112,7 @@ class Run(MotionFields):
         Parameters
         ----------
         xi : float or array_like, shape (p,)
-            Distance from the root along the undeformed arm, 0 to its length [m].
+            Distance from the root along the undeformed arm, 0 to its length [m]; ValueError else.
 
         """
         return self._pick(xi, self.model.world(self.motion, self._at(xi)))
@@ -242,7 +242,8 @@ class Run(MotionFields):
         ----------
         path : str or Path
             `*.mcap`: a log, as the node writes it, which `timo_sim.open_log` reads; `*.parquet` or
-            `*.csv`: a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended.
+            `*.csv`: a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
+            existing table is a LogError.
 
         Returns
         -------

@@ -64,12 +64,12 @@ def motor_constants(values):
 def constraints_of(values):
     """Return the Constraints that the values describe; raise ParameterError if they conflict."""
     held, shaft, carrier = values['carrier.held'], values['motor.shaft'], [None, None]
-    still = {'initial.shaft_velocity': f'motor.shaft = {shaft}'} if shaft == 'locked' else {}
+    zero = {'initial.shaft_velocity': f'motor.shaft = {shaft}'} if shaft == 'locked' else {}
     for axis, name in enumerate('xy'):
         if held in (name, 'both'):
             carrier[axis] = values[f'initial.carrier_{name}']
-            still[f'initial.carrier_{name}_velocity'] = f'carrier.held = {held}'
-    for name, reason in still.items():
+            zero[f'initial.carrier_{name}_velocity'] = f'carrier.held = {held}'
+    for name, reason in zero.items():
         if values[name] != 0.0:
             raise ParameterError(f'{name} must be 0 with {reason}, got {values[name]}')
     if held == 'both' and shaft != 'free' and modal_count(values) == 0:

@@ -25,7 +25,7 @@ _SHORT.maxstring = 60
 
 
 class ParameterError(ValueError):
-    """A parameter that breaks its rule; the text names parameter, value and rule."""
+    """A value that breaks a rule; the text states name, value and rule."""
 
 
 class ModelWarning(UserWarning):

@@ -84,7 +84,7 @@ def _delay(name, topic):
 
 _MAX_SENSOR_ERROR = 1e9  # keeps sensor arithmetic finite
 _MAX_ANGLE = 1e6         # [rad] up to which sine and cosine are accurate
-_FRAME = r'[^/\s]\S*'     # what tf2 takes
+_FRAME = r'[^/\s]\S*'    # a name that tf2 accepts
 _OUTPUTS = outputs(1)
 
 _ALL = [

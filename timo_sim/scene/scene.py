@@ -70,7 +70,7 @@ class Scene:
         values = self.values
         return (f'<Scene: arm of {values["arm.length"]:g} m, {values["model.formulation"]} with '
                 f'N = {self.modal_count}, h = {1e3 * self.step:g} ms, '
-                f'{len(changed(values))} parameters not as by default>')
+                f'{len(changed(values))} parameters not at their defaults>')
 
     def _repr_html_(self) -> str:
         return html_table(repr(self)[1:-1], changed(self.values))
@@ -106,7 +106,7 @@ class Scene:
 
     @property
     def friction(self) -> np.ndarray:
-        """Largest Coulomb friction of carrier x, y [N] and shaft [N m], shape (3,)."""
+        """Largest Coulomb friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,)."""
         axis, shaft = (self.values[f'{body}.coulomb_friction'] for body in ('carrier', 'motor'))
         held = [position is not None for position in self.constraints.carrier]
         return np.where([*held, self.constraints.driven], 0.0, [axis, axis, shaft])
