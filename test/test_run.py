@@ -82,7 +82,7 @@ def test_energy_is_balanced_whatever_the_samples(tmp_path):
         assert np.abs(left).max() < 2e-6 and run.dissipated()[-1] > 0.5
 
     other = thin.values + 1e-9  # no run of the scene alone
-    with pytest.warns(timo_sim.ModelWarning, match='samples too far apart'):
+    with pytest.warns(timo_sim.ModelWarning, match='samples are too far apart'):
         timo_sim.Run(scene, thin.model, thin.t, other, thin.friction_heat).dissipated()
     slow = timo_sim.Run(scene, thin.model, thin.t, 0.0 * other, thin.friction_heat)
     assert not slow.dissipated().any()

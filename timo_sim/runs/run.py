@@ -149,8 +149,8 @@ class Run(MotionFields):
         """
         energy, doubt = dissipated(self.scene, self.t, self.motion)
         if doubt:
-            warnings.warn('the dissipated energy is not accurate, because samples are far apart '
-                          'and the run cannot be simulated again: take more samples',
+            warnings.warn('the dissipated energy is not accurate, because samples are too far '
+                          'apart and the run cannot be simulated again: take more samples',
                           ModelWarning, stacklevel=2)
         return energy
 
