@@ -173,9 +173,9 @@ def replay(file, settings, formulation, scene, output, start, duration, node):
     r"""
     Run the commands and resets of FILE again, at full speed, and compare.
 
-    An unchanged log of this package gives the same numbers to the last bit. With a changed scene
-    the same commands are run, a new log is written and the differences are shown: largest, its
-    time, rms.
+    With the recorded scene, a log of this package gives the same numbers to the last bit. With a
+    changed scene the same commands are run, a new log is written and the differences are shown:
+    largest, its time, rms.
 
     \b
         timo_sim replay run.mcap

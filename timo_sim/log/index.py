@@ -144,7 +144,7 @@ class Index:
                 chunk.chunk_start_offset, chunk.chunk_length, Opcode.CHUNK)), np.uint8), offsets
 
     def times(self, chunk):
-        """Return the log times of a chunk's messages by channel, (n,) [ns], without reading it."""
+        """Return log times of a chunk's messages by channel, (n,) [ns]; reads its index only."""
         with self._checked():
             return {channel: entries[:, 0].astype(np.int64)
                     for channel, entries in self._entries(chunk)}

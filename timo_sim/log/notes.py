@@ -124,7 +124,7 @@ class Peak:
 
 
 def _here():
-    from llvmlite.binding import get_host_cpu_name  # for which the steps are compiled
+    from llvmlite.binding import get_host_cpu_name  # steps are compiled for this processor
     return dict(zip(_ENVIRONMENT, (
         __version__, platform.python_version(),
         *(version(package) for package in ('numpy', 'scipy', 'numba')),

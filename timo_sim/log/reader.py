@@ -10,7 +10,7 @@
 Read what is intact in a log, complete or not.
 
 A file is read once from its beginning, a record at a time, in bounded memory. Every length, number
-and checksum is checked.
+and checksum is verified.
 """
 
 from collections import Counter
@@ -71,7 +71,7 @@ def _attachment(content):
 
 
 class _End(ValueError):
-    """The reason why nothing can be read from a place on."""
+    """An error from which on the rest of a file cannot be read."""
 
 
 class Reader:

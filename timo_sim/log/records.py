@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Parse and check MCAP records and chunks; the errors of logs."""
+"""Parse and check MCAP records and chunks, and define the errors of logs."""
 
 from io import BytesIO
 import os

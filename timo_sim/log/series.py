@@ -180,7 +180,7 @@ def common(first, second):
     keys = []
     for values in (first, second):
         _, place, count = np.unique(values, return_index=True, return_counts=True)
-        left = np.repeat(place + count, count) - np.arange(len(values))  # 1 for the last
+        left = np.repeat(place + count, count) - np.arange(len(values))  # 1 for the last of each
         keys.append(np.rec.fromarrays([values, left]))
     _, one, other = np.intersect1d(keys[0], keys[1], assume_unique=True, return_indices=True)
     order = np.argsort(one)

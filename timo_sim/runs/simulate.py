@@ -39,7 +39,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     scene : Scene, or what `load_scene` takes
         With `model.accuracy`, modes and step are chosen first, see `choose_resolution`.
     duration : float
-        [s], a whole multiple of the time step.
+        Sim time [s], a whole multiple of the time step.
     sample_every : int
         Steps between samples; divides the number of steps.
     compare : bool, optional
@@ -54,7 +54,8 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     ParameterError
         If the duration does not fit the step, or `sample_every` the number of steps.
     DivergenceError
-        If the state is no longer that of an arm, or not finite; `error.run` is the run so far.
+        If the state is no longer finite, or the arm is bent by more than ten times its length;
+        `error.run` is the run so far.
     MemoryError
         If the samples do not fit into memory.
 

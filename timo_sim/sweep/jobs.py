@@ -20,8 +20,8 @@ from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.parameters import PARAMETERS, steps_in
 from timo_sim.simulation.resolution import resolved
 
-# Most steps and runs of a job, and fewest jobs of a sweep. A job takes a fraction of a second, so
-# that little is lost if a worker dies, and all workers end at about the same time.
+# Most steps and runs of a job, and about the fewest jobs of a sweep. A job takes well below a
+# second, so that little is lost if a worker dies, and all workers end at about the same time.
 _STEPS, _RUNS, _FEWEST_JOBS = 100_000, 100, 32
 
 

@@ -39,7 +39,7 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     variations : iterable of dict
         Overrides of each run, by (nested or dotted) name of a parameter.
     duration : float
-        [s], a whole multiple of the time step.
+        Sim time of each run [s], a whole multiple of the time step.
     workers : int, optional
         Number of processes; by default the number of cores that this process may use.
     scheduler : str, optional
