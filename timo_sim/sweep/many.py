@@ -28,10 +28,10 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     """
     Simulate variations of a scene on all cores, or on a Dask cluster, and keep a summary of each.
 
-    The numbers of a row are, to the last bit, those of `simulate` for that variation alone on the
-    same kind of processor. Runs are not compared with finer ones. A run that fails has a row with
-    a reason. The first run with a new number of modes compiles for some seconds; the machine code
-    is kept.
+    The numbers of a row are, to the last bit, those of `simulate` for that variation alone, on the
+    same kind of processor and with one BLAS thread. Runs are not compared with finer ones. A run
+    that fails has a row with a reason. The first run with a new number of modes compiles for some
+    seconds; the machine code is kept.
 
     Parameters
     ----------
