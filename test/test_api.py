@@ -205,7 +205,7 @@ def test_a_divergent_run_is_kept_until_it_diverges():
     (lambda scene: scene.vary('arm'), "values must be given by name, got 'arm'"),
     (lambda scene: timo_sim.load_scene(None), 'values must be given by name, got None'),
     (lambda scene: timo_sim.load_scene({'arm': {'length': 2.0}, 'arm.length': 3.0}),
-     'arm.length is there twice'),
+     'arm.length is given twice'),
     (lambda scene: timo_sim.linearize(timo_sim.load_scene({})).to_discrete(-0.002),
      'dt must be a finite number > 0 s, got -0.002')])
 def test_invalid_arguments_are_refused(scene, call, words):
@@ -263,7 +263,7 @@ def test_names_of_scenes(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize('given, words', [
-    ({'arm.young_modulus': 70.5}, '70.5 Pa is that of no solid'),
+    ({'arm.young_modulus': 70.5}, '70.5 Pa is outside the range of real solids'),
     ({'arm.shear_modulus': 100e9}, 'above arm.young_modulus'),
     ({'arm.density': 2.71}, 'arm.density = 2.71'),
     ({'initial.shaft': 45.0}, '45 rad is more than a turn; in degrees it would be 0.7854 rad'),

@@ -81,8 +81,8 @@ def test_energy_is_balanced_whatever_the_samples(tmp_path):
         # Measured: 6e-7 J, by modes of up to 470 rad/s; from every 50th sample alone 0.4 J.
         assert np.abs(left).max() < 2e-6 and run.dissipated()[-1] > 0.5
 
-    other = thin.values + 1e-9  # such motions do not follow from the scene alone
-    with pytest.warns(timo_sim.ModelWarning, match='samples too far apart'):
+    other = thin.values + 1e-9  # no run of the scene alone
+    with pytest.warns(timo_sim.ModelWarning, match='samples are too far apart'):
         timo_sim.Run(scene, thin.model, thin.t, other, thin.friction_heat).dissipated()
     slow = timo_sim.Run(scene, thin.model, thin.t, 0.0 * other, thin.friction_heat)
     assert not slow.dissipated().any()

@@ -119,11 +119,11 @@ def test_sweeps_without_a_possible_run_are_refused(scene):
 
 
 @pytest.mark.parametrize('given, words', [
-    ({'variations': [{'arm.length': lambda: 2.0}]}, 'worker processes get must be plain values'),
+    ({'variations': [{'arm.length': lambda: 2.0}]}, 'calls of worker processes must be picklable'),
     ({'variations': [3]}, 'values must be given by name, got 3'),
     ({'variations': lambda: []}, 'variations must be a list of values by name, got <function'),
     ({'variations': {'arm.length': [2.0]}}, 'variations must be a list'),
-    ({'variations': [{'arm': {'length': 2.0}, 'arm.length': 3.0}]}, 'arm.length is there twice'),
+    ({'variations': [{'arm': {'length': 2.0}, 'arm.length': 3.0}]}, 'arm.length is given twice'),
     ({'duration': '1 s'}, "duration must be a finite number >= 0 .*got '1 s'"),
     ({'duration': -1.0}, 'duration must be a finite number >= 0 .*got -1.0'),
     ({'workers': -1}, 'workers must be a whole number >= 1, got -1'),

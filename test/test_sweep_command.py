@@ -217,7 +217,7 @@ def test_a_killed_sweep_is_resumed_and_repeats_no_part(write, tmp_path):
                                          [['seen'] * len(known)]), parts[1])
     parts[1].with_suffix('.sha256').unlink()
     # Another sweep must not use these parts.
-    assert 'study.parquet.parts is of another sweep' in refused(
+    assert 'study.parquet.parts belongs to another sweep' in refused(
         write(random=RANDOM, duration=5.0), tmp_path)
 
     assert end(start(tmp_path, write(random=RANDOM, duration=10.0)))[0] == 0
@@ -253,7 +253,7 @@ def test_the_parts_are_free_after_a_sweep_however_it_ended(write, tmp_path):
         with pytest.raises(timo_sim.ParameterError, match='another sweep is running'):
             Store(output, plan)
     other = read_plan(write(random={**RANDOM, 'seed': 8}))
-    with pytest.raises(timo_sim.ParameterError, match='is of another sweep'):
+    with pytest.raises(timo_sim.ParameterError, match='belongs to another sweep'):
         Store(output, other)
     # A kill, or a full disk, may leave an incomplete mark.
     mark = tmp_path / 'study.parquet.parts' / 'sweep'

@@ -248,7 +248,7 @@ def lying_index(log, folder, lie):
     lambda entries: entries.__setitem__((3, 1), entries[3, 1] + 1),         # beside a message
 ])
 def test_a_forged_index_is_refused(log, tmp_path, lie):
-    with pytest.raises(LogError, match='joint_states.*the index names something'):
+    with pytest.raises(LogError, match='joint_states.*the index points to something'):
         Recording(lying_index(log, tmp_path, lie)).topics
 
 

@@ -98,7 +98,7 @@ def test_a_replay_says_how_much_of_a_log_it_compared(source, write):
 
 
 def test_a_topic_that_cannot_be_read_fails_a_replay_and_is_named_in_a_table(write, tmp_path):
-    words = ('/timo_sim/tip_pose is not read: its type is not said, without a schema, encoded as '
+    words = ('/timo_sim/tip_pose is not read: its type is unknown, without a schema, encoded as '
              "'cdr'")
     path = write('a topic without a schema')
     text = call('replay', path, code=1)
@@ -110,7 +110,7 @@ def test_a_topic_that_cannot_be_read_fails_a_replay_and_is_named_in_a_table(writ
 
 @pytest.mark.parametrize('name, words', [
     ('shuffled', 'it does not say which messages were before a reset'),
-    ('metadata last', 'does not say whether .* at the step of a reset was before or after it')])
+    ('metadata last', 'whether .* at the step of a reset was before or after it is not known')])
 def test_an_unknown_order_at_a_reset_is_refused(name, words, reset, write):
     assert re.search(words, call('replay', write(name, reset), code=2))
 
@@ -162,5 +162,5 @@ def test_a_damaged_attachment_is_left_out_with_a_message(tmp_path):
     data[-6] ^= 1
     path = tmp_path / 'run.mcap'
     path.write_bytes(HEAD + written(NOTE) + bytes(data))
-    assert 'an attachment does not hold what it says' in recover(path, tmp_path / 'new.mcap')
+    assert 'an attachment is malformed' in recover(path, tmp_path / 'new.mcap')
     assert list(readable(tmp_path / 'new.mcap').elements()) == [repr(NOTE)]

@@ -95,7 +95,8 @@ def test_frames_of_tf_have_these_names():
 
 
 @pytest.mark.parametrize('given, words', [
-    ({'frame.arm': '/arm'}, "frame.arm must be a name without blanks and / before it, got '/arm'"),
+    ({'frame.arm': '/arm'},
+     "frame.arm must be a name without blanks that does not begin with /, got '/arm'"),
     ({'frame.tip': ''}, 'frame.tip must be a name'),
     ({'frame_prefix': 'my robot/'}, 'frame_prefix must be empty or a text without blanks'),
     ({'frame.tip': 'arm'}, "must differ, got 'world', 'carrier', 'arm', 'arm'"),

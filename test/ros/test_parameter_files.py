@@ -80,13 +80,13 @@ def test_ambiguous_files_are_refused(tmp_path, text):
     with pytest.raises(timo_sim.ParameterError) as caught:
         timo_sim.load_scene(path)
     assert '\n' not in str(caught.value) and str(path) in str(caught.value)
-    assert ('is there twice' in str(caught.value)) == (text in TWICE.values())
+    assert ('is given twice' in str(caught.value)) == (text in TWICE.values())
 
 
 def test_the_node_refuses_it_too(start, tmp_path):
     (tmp_path / 'twice.yaml').write_text(TWICE['a name, nested'])
     code, output = start('--params-file', 'twice.yaml').wait()
-    assert (code, output) == (2, 'timo_sim: arm.length is there twice (twice.yaml)\n')
+    assert (code, output) == (2, 'timo_sim: arm.length is given twice (twice.yaml)\n')
 
 
 def test_names_that_only_begin_like_those_of_rclpy_are_refused(tmp_path):
