@@ -14,7 +14,7 @@ RUN := run/paper.mcap
 
 # .venv has a ROS of its own: nothing of a sourced one, or of another environment, may leak in.
 unexport PYTHONPATH AMENT_PREFIX_PATH PYTHONHOME _ROS_WHEELS_BOOTSTRAP_COMPLETE
-# What is imported for the first time is kept compiled, whatever the shell says.
+# Python keeps compiled modules, even if the shell forbids it.
 unexport PYTHONDONTWRITEBYTECODE
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport LD_LIBRARY_PATH
@@ -28,7 +28,7 @@ METADATA := pyproject.toml setup.py setup.cfg
 	benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
 	references stability stretch stress stress-quick docs clean
 
-help: ## say what there is
+help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
 
 sim: $(VENV)/.run ## run the node on the paper's scene for 10 s, log to run/paper.mcap
@@ -37,10 +37,10 @@ sim: $(VENV)/.run ## run the node on the paper's scene for 10 s, log to run/pape
 		-p duration:=10.0 -p record_file:=$(RUN) 2>&1 | sed 's/^\[[A-Z]*\] \[[0-9.]*\] //'
 	@echo "next: 'make view' shows the run; README.md shows how to command the node"
 
-view: $(VENV)/.gallery ## show that run in rerun
+view: $(VENV)/.gallery ## show the run of `make sim` in rerun
 	@$(BIN)/timo_sim view $(RUN)
 
-# The processes of pytest fill the cores: threads of BLAS would only wait for each other.
+# The processes of pytest fill the cores; threads of BLAS would only wait for each other.
 test test-lowest test-without-ros: export OPENBLAS_NUM_THREADS := 1
 PYTEST := -m pytest test --numprocesses 3 --dist loadfile --no-loadscope-reorder
 test: $(VENV)/.test graphics ## pass all tests
@@ -50,11 +50,11 @@ test: $(VENV)/.test graphics ## pass all tests
 without = $(addprefix --ignore=,$(shell grep -rlE '^ *(import|from) ($(1))\b' test --include='*.py'))
 
 # The lowest versions that pyproject.toml allows, on Python 3.12. rerun needs NumPy 2.
-test-lowest: .venv-lowest/.test ## the same with the lowest versions of dependencies
+test-lowest: .venv-lowest/.test ## pass the tests with the lowest versions of dependencies
 	@.venv-lowest/bin/python $(PYTEST) $(call without,rerun|rerun_cli)
 
-# Python without ROS: 3.13, for which Jazzy has no wheels, among others.
-test-without-ros: .venv-without-ros/.test graphics ## the tests that need no ROS
+# For Python without ROS, such as 3.13, for which Jazzy has no wheels.
+test-without-ros: .venv-without-ros/.test graphics ## pass the tests that need no ROS
 	@PYTHONPATH=test .venv-without-ros/bin/python $(PYTEST) -p no:ros_process -p without_ros
 
 # Pictures of views, in the tests and in the gallery, are drawn without a screen by Mesa's driver.
@@ -85,7 +85,7 @@ docs: $(VENV)/.docs ## make a site of the pages, build/docs
 benchmark: $(VENV)/.benchmark ## make doc/benchmark.md, half an hour
 	@$(BIN)/python -m benchmark.accuracy.work_precision
 
-benchmark-quick: $(VENV)/.benchmark ## a part of it, two minutes
+benchmark-quick: $(VENV)/.benchmark ## do a part of make benchmark, two minutes
 	@$(BIN)/python -m benchmark.accuracy.work_precision --quick
 
 references: $(VENV)/.benchmark ## compute the finite-element references again
@@ -97,13 +97,13 @@ stability: $(VENV)/.run ## find the largest stable steps
 benchmark-speed: $(VENV)/.benchmark ## make doc/speed.md
 	@$(BIN)/python -m benchmark.speed
 
-benchmark-speed-quick: $(VENV)/.benchmark ## a part of it
+benchmark-speed-quick: $(VENV)/.benchmark ## do a part of make benchmark-speed
 	@$(BIN)/python -m benchmark.speed --quick
 
 benchmark-control: $(VENV)/.plot ## compare the example controllers
 	@$(BIN)/python -m benchmark.figures.control
 
-benchmark-latency: $(VENV)/.benchmark ## measure how late a command shows
+benchmark-latency: $(VENV)/.benchmark ## measure the time from a command to its effect
 	@$(BIN)/python -m benchmark.speed.latency
 
 stretch: $(VENV)/.benchmark ## compare arms that stretch with finite elements
@@ -112,7 +112,7 @@ stretch: $(VENV)/.benchmark ## compare arms that stretch with finite elements
 stress: $(VENV)/.benchmark ## make doc/stress.md, an hour and a half
 	@$(BIN)/python -m benchmark.stress
 
-stress-quick: $(VENV)/.benchmark ## a part of it
+stress-quick: $(VENV)/.benchmark ## do a part of make stress
 	@$(BIN)/python -m benchmark.stress --quick
 
 clean:
@@ -128,7 +128,7 @@ clean:
 	@echo "setting up $* with $$($(PYTHON) --version), this takes a minute or two"
 	@rm -rf $* && $(PYTHON) -m venv $* && echo '*' > $*/.gitignore && touch $@
 
-# What each kind of target installs beside the package itself.
+# Extras of the package that each kind of target installs.
 $(VENV)/.run: EXTRAS := ros
 $(VENV)/.plot: EXTRAS := ros,plot
 $(VENV)/.gallery: EXTRAS := ros,plot,view

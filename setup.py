@@ -1,4 +1,4 @@
-"""What colcon needs beside pyproject.toml."""
+"""Settings that colcon needs besides pyproject.toml."""
 
 from glob import glob
 
@@ -7,7 +7,7 @@ from setuptools import setup
 setup(
     # No spelling in pyproject.toml suits both setuptools 68 (Ubuntu 24.04) and newer ones.
     license='Apache-2.0',
-    # colcon reads metadata as literals, which setuptools' reading of pyproject.toml is not.
+    # colcon reads metadata as literals; from pyproject.toml setuptools makes an object of this.
     python_requires='>=3.11',
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/timo_sim']),

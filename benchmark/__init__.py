@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Measurements of this package: how true, how fast, how robust; and the pictures of its pages.
+Measures accuracy, speed and robustness of this package, and makes the pictures of its pages.
 
 Run from the root of the repository, as in `python -m benchmark.speed --quick`. Modules here import
 timo_sim, the examples and the tests' `oracles`. The folders share `command`, `process` and

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What all commands here share: help that says what a module does, and `--quick`."""
+"""The command line that all modules here share: help from their docstrings, and `--quick`."""
 
 import argparse
 
@@ -22,7 +22,7 @@ def parser(spec, words, quick=None):
     words : str
         Its docstring; the first paragraph is shown.
     quick : str, optional
-        What is said about `--quick`, for a module that has it.
+        Help of `--quick`, for a module that has it.
 
     Returns
     -------

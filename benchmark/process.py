@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Python processes and nodes as speed and stress start them: environment, arguments, end."""
+"""Starts and ends the Python processes and nodes that speed and stress measure."""
 
 from contextlib import contextmanager
 import os
@@ -18,8 +18,8 @@ import uuid
 from benchmark import ROOT
 
 RATES = ('joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
-# Nobody else may listen; a start reads the byte code that an earlier one wrote; and
-# `python -m benchmark...` is found from whatever folder.
+# No other node shall listen; a start reads the byte code that an earlier one wrote; and
+# `python -m benchmark...` is found from any folder.
 DOMAIN = 1 + uuid.uuid4().int % 90
 ENVIRONMENT = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
                'ROS_DOMAIN_ID': str(DOMAIN), 'PYTHONPATH': os.pathsep.join(
@@ -28,7 +28,7 @@ ENVIRONMENT.pop('PYTHONDONTWRITEBYTECODE', None)
 
 
 def arguments(rate=1000.0, **parameters):
-    """Return the command line of a node with all topics at one rate."""
+    """Return the command line of a node with all topics at one rate [Hz]."""
     values = {'record': False, 'publish_clock': True,
               **{f'rate.{topic}': rate for topic in RATES}, **parameters}
     given = [f'{name}:={str(value).lower() if isinstance(value, bool) else value}'
@@ -47,6 +47,6 @@ def running(arguments, **options):
         if process.poll() is None:
             process.send_signal(signal.SIGCONT)
             process.terminate()
-        if process.stdout is None or not process.stdout.closed:  # by whoever has read it all
+        if process.stdout is None or not process.stdout.closed:  # a reader closes it at its end
             process.communicate()
         process.wait()

@@ -19,7 +19,7 @@ import timo_sim
 
 
 def machine():
-    """Return what a benchmark was measured on."""
+    """Return what a benchmark was measured on: processor, cores and versions by name."""
     try:
         with open('/proc/cpuinfo', encoding='utf-8') as file:
             model = next(line.split(':')[1].strip() for line in file if 'model name' in line)

@@ -12,9 +12,9 @@ Carrier feed-forward: the carrier moves by 0.5 m across the arm, which should st
     ros2 run timo_sim sim_node --ros-args --params-file example/slew.yaml -p carrier.held:=none
     python example/carrier.py flexible --plot carrier.png
 
-PD control of carrier and shaft by itself leaves a vibration; so it does with the forces fed
-forward that a rigid arm would need. With those that bring the flexible arm to rest, and the motion
-that goes with them as the reference, next to nothing is left.
+PD control of carrier and shaft leaves a vibration, also if the forces that a rigid arm needs are
+fed forward. If the forces that bring the flexible arm to rest are fed forward, and the reference
+is the motion that they cause, almost no vibration is left.
 """
 
 from loop import PERIOD
@@ -38,7 +38,7 @@ class Follower:
     Parameters
     ----------
     scene : timo_sim.Scene
-        What the plan is made for.
+        For which the motion is planned.
     feed_forward : bool
         Whether the plan's forces are fed forward.
 

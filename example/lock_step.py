@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A controller in lock step with the node: each state is answered by a command of its stamp."""
+"""Lock step with the node: a controller answers each state by a command with the same stamp."""
 
 from geometry_msgs.msg import Vector3Stamped
 from loop import Seen
@@ -16,7 +16,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-TOPICS = (  # in the order of Seen: type, name, what is taken of a message
+TOPICS = (  # in the order of Seen: type, name, function that reads a message
     (JointState, '/timo_sim/encoder', lambda message: message.position[0]),
     (JointState, '/timo_sim/root_strain', lambda message: message.position[0]),
     (JointState, '/joint_states',
@@ -28,12 +28,12 @@ QUIET = 2.0  # [s] of wall time without a state: the node has ended
 
 class LockStep(Node):
     """
-    Answers when all topics of a stamp have arrived; sensors must have no delay.
+    Answers a state when all topics with its stamp have arrived; sensors must have no delay.
 
     Attributes
     ----------
     rows : list
-        The record, see `loop.Seen`.
+        The record, see `loop.Seen.row`.
 
     """
 
@@ -51,7 +51,7 @@ class LockStep(Node):
     def arrive(self, place, message):
         """Keep a message; answer if it is the last one of its stamp."""
         stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        # The first state is shown until it is answered.
+        # The node repeats the first state until it is answered.
         if stamp < self.stamp or stamp == self.answered:
             return
         if stamp > self.stamp:
@@ -69,14 +69,14 @@ class LockStep(Node):
         self.answered = stamp
 
     def look(self):
-        """End when the node has ended."""
+        """End if no state has come since the last call: the node has ended."""
         if self.rows and len(self.rows) == self.looked:
             raise ExternalShutdownException
         self.looked = len(self.rows)
 
 
 def with_the_node(controller):
-    """Control until the node ends; return the record."""
+    """Control until the node ends; return the record, shape (n, 12), see `loop.Seen.row`."""
     rclpy.init()
     node = LockStep(controller)
     try:

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A controller in a loop with the simulator, without ROS: what it sees is what the node shows."""
+"""A controller in a loop with the simulator, without ROS; it sees what the node publishes."""
 
 from typing import NamedTuple
 
@@ -17,20 +17,20 @@ PERIOD = 0.002  # of the controller: `sync_period` in slew.yaml [s]
 
 
 class Seen(NamedTuple):
-    """What there is to see at a time; on a real arm the encoder and the strain gauge."""
+    """What a controller may see at a time; a real arm only has encoder and strain gauge."""
 
     encoder: float       # shaft [rad]
     root_strain: float   # of the outer fibre
-    joints: tuple        # carrier x, y [m] and shaft [rad]; their rates; efforts as applied
+    joints: tuple        # carrier x, y [m] and shaft [rad]; their rates; efforts [N], [N m]
     tip: tuple           # deflection, axial and transverse [m]
 
     def row(self, t):
-        """Return what a record has of it: time, joints (9), tip (2)."""
+        """Return a row of a record: time, joints (9), tip (2)."""
         return [t, *self.joints, *self.tip]
 
 
 def look(simulator):
-    """Return what there is to see of a simulator now."""
+    """Return what a controller may see of a simulator now."""
     motion, sensors = simulator.motion, simulator.sensors
     joints = (*motion.carrier, motion.shaft, *motion.carrier_velocity, motion.shaft_velocity)
     return Seen(sensors.encoder, sensors.root_strain, (*joints, *simulator.effort),
@@ -50,8 +50,8 @@ def in_a_loop(scene, controller, duration=5.0):
     ----------
     scene : timo_sim.Scene
     controller
-        Has a method `effort(t, seen)`: the efforts by joint [N, N m] that answer what is seen at a
-        time [s].
+        Its method `effort(t, seen)` returns efforts by joint [N, N m] for what it sees at a time
+        [s].
     duration : float
         [s].
 

@@ -7,13 +7,13 @@
 # language governing permissions and limitations under the License.
 
 """
-LQR with an observer: a planned slew, held to by feedback from encoder and strain gauge.
+LQR with an observer: feedback from encoder and strain gauge keeps the arm to a planned slew.
 
     ros2 run timo_sim sim_node --ros-args --params-file example/slew.yaml -p record_file:=lqr.mcap
     python example/lqr.py --plot lqr.png
 
-Plan, regulator and Kalman filter are of the linear model of the scene; the node simulates the
-nonlinear one, with noise and with limits on the torque.
+Plan, regulator and Kalman filter are made from the linear model of the scene; the node simulates
+the nonlinear one, with noise and with limits on the torque.
 """
 
 from loop import PERIOD
@@ -22,9 +22,9 @@ from scipy.linalg import solve_discrete_are
 from slew import GOAL, main, rest_to_rest, SCENE
 import timo_sim
 
-# What is as bad as a torque of 1 N m.
-BAD = {'shaft_rad': 0.002, 'shaft_velocity_rad_per_s': 0.02, 'tip_transverse_m': 0.002}
-UNKNOWN = 3e-4  # standard deviation of what else each rate changes by in a period
+# Deviations that cost as much as a torque of 1 N m.
+SCALES = {'shaft_rad': 0.002, 'shaft_velocity_rad_per_s': 0.02, 'tip_transverse_m': 0.002}
+PROCESS_NOISE = 3e-4  # standard deviation of each rate's change in a period that is not modelled
 
 
 class LQR:
@@ -34,13 +34,13 @@ class LQR:
     Parameters
     ----------
     scene : timo_sim.Scene
-        With the noise of encoder and strain gauge, and the limit of the torque.
+        Has the noise of encoder and strain gauge, and the limit of the torque.
 
     """
 
     def __init__(self, scene):
         model = timo_sim.linearize(scene).select(['torque_N_m'])
-        weighed = model.select(outputs=list(BAD)).C / [[bad] for bad in BAD.values()]
+        weighed = model.select(outputs=list(SCALES)).C / [[scale] for scale in SCALES.values()]
         model = model.select(outputs=['shaft_rad', 'root_strain']).to_discrete(PERIOD)
         self.a, self.b, self.c = a, b, c = model.A, model.B, model.C
         self.d = model.D  # the torque strains the root at once, by the shaft's acceleration
@@ -53,8 +53,8 @@ class LQR:
         noise = np.diag([scene.values['sensor.encoder.noise']**2
                          + scene.values['sensor.encoder.resolution']**2 / 12.0,
                          scene.values['sensor.root_strain.noise']**2])
-        unknown = np.diag([UNKNOWN**2 * name.endswith('_per_s') for name in model.states])
-        p = solve_discrete_are(a.T, c.T, unknown, noise)
+        process = np.diag([PROCESS_NOISE**2 * name.endswith('_per_s') for name in model.states])
+        p = solve_discrete_are(a.T, c.T, process, noise)
         self.correction = p @ c.T @ np.linalg.inv(c @ p @ c.T + noise)
         self.expected, self.acting = np.zeros(len(a)), np.zeros(1)
 

@@ -7,13 +7,13 @@
 # language governing permissions and limitations under the License.
 
 """
-PD control of the shaft, from the encoder: the arm goes on vibrating after the slew.
+PD control of the shaft by its encoder: the arm goes on vibrating after the slew.
 
     ros2 run timo_sim sim_node --ros-args --params-file example/slew.yaml -p record_file:=pd.mcap
     python example/pd.py --plot pd.png
 
-The run has the same bits however busy the machine is, and ends with the node. `timo_sim view
-pd.mcap` shows it. `--loop` does the same without ROS.
+The run is the same to the last bit however busy the machine is, and ends with the node. `timo_sim
+view pd.mcap` shows it. `--loop` does the same without ROS.
 """
 
 from loop import PERIOD

@@ -12,9 +12,9 @@ Input shaping: the slew of a PD-controlled shaft in two or three parts whose vib
     ros2 run timo_sim sim_node --ros-args --params-file example/slew.yaml
     python example/shaping.py ZVD --plot shaping.png
 
-ZV (zero vibration) takes half a period of the vibration longer than the slew that it shapes, ZVD
-(zero vibration and derivative) a whole one, and forgives a wrong frequency. Both are made so that
-the shaped slew takes as long as the slew of the other examples.
+ZV (zero vibration) makes a slew longer by half a period of the vibration; ZVD (zero vibration and
+derivative) by a whole one, and tolerates errors of the frequency. Both shape a shorter slew, so
+that the shaped one takes as long as the slew of the other examples.
 N. C. Singer, W. P. Seering, J. Dyn. Syst. Meas. Control 112 (1990) 76-82.
 """
 
@@ -34,7 +34,7 @@ def vibration(scene):
 
 def shaper(pole, kind):
     """
-    Return times [s] and sizes of the impulses after which a pole does not vibrate.
+    Return times [s] and sizes, shape (n,), of the impulses after which a pole does not vibrate.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def shaper(pole, kind):
 
 
 class Shaped:
-    """A slew, shaped: a reference for PD."""
+    """A shaped slew, as a reference for PD: slews of some sizes that begin at some times [s]."""
 
     def __init__(self, times, sizes, duration):
         self.times, self.sizes, self.duration = times, sizes, duration

@@ -9,7 +9,7 @@
 """
 What the examples share: slew, plan of a motion from rest to rest, score, picture, command line.
 
-The arm turns by 45 degrees within 2 s, on a carrier with its brakes on; then all should be calm.
+The arm turns by 45 degrees within 2 s, on a carrier with its brakes on; then it should be at rest.
 """
 
 from argparse import ArgumentParser
@@ -24,29 +24,29 @@ SCENE = Path(__file__).with_name('slew.yaml')
 LENGTH = 2.0                  # of the arm [m]
 DURATION = 2.0                # of the motion [s]
 GOAL = 0.0, 0.0, math.pi / 4  # carrier x, y [m], shaft [rad]; all start at 0
-NEAR = 1e-3                   # of its goal is a tip that has settled [m]
-WINDOW = 1.0                  # after the motion, in which vibration is looked for [s]
+NEAR = 1e-3                   # distance from its goal within which a tip has settled [m]
+WINDOW = 1.0                  # time after the motion in which its vibration is measured [s]
 
 
 def smooth(t, duration=DURATION):
-    """Return the part of the way and its rate [1/s] that a motion of least jerk has done."""
+    """Return the share of the way that a minimum-jerk motion has done at t [s], its rate [1/s]."""
     s = np.clip(t / duration, 0.0, 1.0)
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s * (1.0 - s))**2 / duration
 
 
 def rest_to_rest(model, target, duration=DURATION):
     """
-    Plan the motion of a discrete linear model to another state of rest, its vibration included.
+    Plan a motion of a discrete linear model from rest to rest, after which it does not vibrate.
 
-    Inputs begin and end at zero, and the sum of their squared changes is the least: for a rigid
-    arm this is the motion of least jerk.
+    Inputs begin and end at zero, and the sum of their squared changes is minimal: for a rigid arm
+    this is the minimum-jerk motion.
 
     Parameters
     ----------
     model : timo_sim.LinearModel
         `to_discrete(PERIOD)`.
     target : dict
-        What is not 0 at the end, by name of the state.
+        Values at the end by name of state; the other states end at 0.
     duration : float
         [s].
 
@@ -59,7 +59,7 @@ def rest_to_rest(model, target, duration=DURATION):
     (n, m), steps = model.B.shape, round(duration / PERIOD)
     a = np.block([[model.A, model.B], [np.zeros((m, n)), np.eye(m)]])
     change = np.vstack([np.zeros((n, m)), np.eye(m)])
-    reached = [change]  # at the end: by the last change, by the last but one, ...
+    reached = [change]  # state at the end after a unit change: the last, the last but one, ...
     while len(reached) < steps:
         reached.append(a @ reached[-1])
     end = [target.get(name, 0.0) for name in model.states] + [0.0] * m
@@ -86,7 +86,7 @@ class Score(NamedTuple):
 
 
 def distance(record, goal=GOAL):
-    """Return how far the tip is from where it is meant to be [m]."""
+    """Return the distance of the tip from its goal, shape (n,) [m], in a record."""
     def place(x, y, angle, along, across):
         return np.array([x + along * np.cos(angle) - across * np.sin(angle),
                          y + along * np.sin(angle) + across * np.cos(angle)])
@@ -97,7 +97,7 @@ def distance(record, goal=GOAL):
 
 
 def score(record, goal=GOAL):
-    """Return the score of a record, see `loop.Seen.row`; inf if the tip does not settle."""
+    """Return the Score of a record, see `loop.Seen.row`; `settled` is inf if it never settles."""
     t, bent = record[:, 0], np.abs(record[:, 11])
     calm = np.append(np.flatnonzero(distance(record, goal) > NEAR), -1).max() + 1
     after = (t >= DURATION) & (t <= DURATION + WINDOW)
@@ -105,7 +105,7 @@ def score(record, goal=GOAL):
 
 
 def plot(record, title, file, goal=GOAL):
-    """Draw a record: what is moved and what moves it, and how calm the tip is."""
+    """Draw a record: coordinate and effort of the moved joint, deflection and error of the tip."""
     from matplotlib.figure import Figure
     t = record[:, 0]
     moved = np.argmax(np.abs(goal))
@@ -130,7 +130,7 @@ def main(text, scene, controllers, **goal):
     parser = ArgumentParser(description=text.strip().splitlines()[0])
     parser.add_argument('controller', nargs='?', choices=controllers, default=[*controllers][-1])
     parser.add_argument('--loop', action='store_true', help='without ROS, in a loop')
-    parser.add_argument('--plot', metavar='FILE', help='a picture of the run')
+    parser.add_argument('--plot', metavar='FILE', help='file for a picture of the run')
     chosen = parser.parse_args()
     controller = controllers[chosen.controller](scene)
     if chosen.loop:

@@ -22,7 +22,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 
 def generate_launch_description():
-    """Describe the simulator, the controller manager and what loads one controller into it."""
+    """Describe the simulator, the controller manager and the spawner of one controller."""
     share = Path(__file__).resolve().parents[1]
     controllers = LaunchConfiguration('controllers_file')
     urdf = ParameterValue((share / 'urdf/timo_sim.urdf').read_text(), value_type=str)
@@ -37,7 +37,7 @@ def generate_launch_description():
         DeclareLaunchArgument('params_file', default_value=controllers,
                               description='ROS parameter file with the scene; by default that of '
                                           'the paper, at rest'),
-        # Files that are missing are errors in ros_arguments, and passed over in parameters.
+        # A missing file is an error in ros_arguments, but is ignored in parameters.
         # joint_state_broadcaster publishes joint_states; the hardware reads the simulator's.
         Node(package='timo_sim', executable='sim_node', name='timo_sim', output='screen',
              ros_arguments=['--params-file', LaunchConfiguration('params_file'),
@@ -48,7 +48,7 @@ def generate_launch_description():
              parameters=[{'robot_description': urdf, 'use_sim_time': True}]),
         Node(package='controller_manager', executable='ros2_control_node', output='screen',
              ros_arguments=['--params-file', controllers], parameters=[{'use_sim_time': True}]),
-        # The simulator may compile before it shows a clock, and controllers start with that.
+        # Controllers start with /clock, before which the simulator may have to compile.
         Node(package='controller_manager', executable='spawner', output='screen',
              arguments=['joint_state_broadcaster', LaunchConfiguration('controller'),
                         '--param-file', controllers,

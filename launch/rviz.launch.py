@@ -30,21 +30,22 @@ def _nodes(context):
     return [
         Node(package='robot_state_publisher', executable='robot_state_publisher', **common,
              parameters=[{'robot_description': ParameterValue(urdf, value_type=str), **timed}]),
-        # Its topics are relative, and so in this namespace.
+        # The topics in the file are relative, and so in this namespace.
         Node(package='rviz2', executable='rviz2', **common, parameters=[timed],
              arguments=['-d', str(_SHARE / 'urdf/timo_sim.rviz')]),
     ]
 
 
 def generate_launch_description():
-    """Describe what turns joint states into frames, and RViz."""
+    """Describe RViz, and the publisher that turns joint states into frames."""
     return LaunchDescription([
         DeclareLaunchArgument('params_file', default_value=str(_SHARE / 'config/paper.yaml'),
                               description='ROS parameter file with the scene, below /** '
                                           'if there is a namespace'),
-        DeclareLaunchArgument('namespace', default_value='', description='of the simulator'),
+        DeclareLaunchArgument('namespace', default_value='',
+                              description='namespace of the simulator'),
         DeclareLaunchArgument('frame_prefix', default_value='', description=(
-            'of all frames but world, such as left/; empty: as in the file')),
+            'prefix of all frames but world, such as left/; empty: as in the file')),
         DeclareLaunchArgument('clock', default_value='true', choices=['true', 'false'],
                               description='whether time is that of /clock'),
         OpaqueFunction(function=_nodes),

@@ -17,19 +17,19 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 _SWITCH = 'true', 'false'
-# Parameter, default, choices and meaning by argument. An empty one leaves the file as it is.
+# By argument: parameter, default, choices and meaning. With an empty value the file's applies.
 _PARAMETERS = {
     'clock': ('publish_clock', 'true', _SWITCH, 'whether sim time goes to /clock'),
     'tf': ('publish_tf', '', ('', *_SWITCH), 'whether frames go to /tf; empty: as in the file'),
     'record_file': ('record_file', '', None, 'path of the log; empty: as in the file'),
-    'frame_prefix': ('frame_prefix', '', None, 'of all frames but world, such as left/; empty: '
-                                               'as in the file'),
+    'frame_prefix': ('frame_prefix', '', None, 'prefix of all frames but world, such as left/; '
+                                               'empty: as in the file'),
 }
 
 
 def _node(context):
     scene = Path(LaunchConfiguration('params_file').perform(context))
-    if not scene.is_file():  # which launch would pass over
+    if not scene.is_file():  # launch would ignore a missing file
         raise FileNotFoundError(f'params_file must be a file, got {scene}')
     given = {}
     for name, (parameter, _, choices, _) in _PARAMETERS.items():
@@ -50,7 +50,7 @@ def generate_launch_description():
         DeclareLaunchArgument('params_file', default_value=str(paper),
                               description='ROS parameter file with the scene, below /** '
                                           'if there is a namespace'),
-        DeclareLaunchArgument('namespace', default_value='', description='of the node'),
+        DeclareLaunchArgument('namespace', default_value='', description='namespace of the node'),
         DeclareLaunchArgument('respawn', default_value='false', choices=_SWITCH,
                               description='whether the node is started again when it has ended'),
         *[DeclareLaunchArgument(name, default_value=default, choices=choices,

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What several tests need: the paper's scene and the finite-element reference."""
+"""Fixtures and settings of all tests: scenes, reference, DDS domain, order, tests left out."""
 
 from contextlib import ExitStack, suppress
 import fcntl
@@ -39,13 +39,13 @@ def own_domain():
     raise RuntimeError('every DDS domain is in use by other runs of the tests')
 
 
-# Tests talk to nobody but themselves: neither to other runs nor to a worker process beside them.
+# Nodes of one test process must not see those of other runs or of other processes of pytest-xdist.
 os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(own_domain()))
 
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_collection():
-    """Let one process compile to bytes what the tests import, while the others wait for it."""
+    """Let one process compile the tests to bytecode, while the others wait for it."""
     with ExitStack() as stack:
         stack.enter_context(lock('collection.lock'))
         last = f'test/__pycache__/test_without_ros.{sys.implementation.cache_tag}*'
@@ -54,7 +54,7 @@ def pytest_collection():
         yield
 
 
-# What takes longest begins first; files that wait for nodes stand between those that compute.
+# The longest files begin first; files that wait for nodes stand between those that compute.
 LONGEST = [f'test_{name}.py' for name in (
     'equations storm accuracy node sweep_command formulations recover compiled log examples sync '
     'friction looking linear command_line step_control same_bits stretch api style '
@@ -62,14 +62,14 @@ LONGEST = [f'test_{name}.py' for name in (
 
 
 def pytest_collection_modifyitems(items):
-    """Put files in the order in which `--dist loadfile --no-loadscope-reorder` deals them out."""
+    """Sort the files, in the order in which `--dist loadfile --no-loadscope-reorder` runs them."""
     place = {name: number for number, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path.name, len(LONGEST)))
 
 
 @pytest.fixture(scope='session', autouse=True)
 def waves():
-    """Compile what every model needs in one process of the tests, while the others wait for it."""
+    """Compile the code of every model in one test process, while the others wait for it."""
     with lock('waves.lock'):
         timo_sim.load_scene({})
 
@@ -88,7 +88,7 @@ def spin_up():
 
 @pytest.fixture(scope='session')
 def installed(tmp_path_factory):
-    """Install the package with colcon; return its prefix and what the environment then is."""
+    """Install the package with colcon; return its prefix and the environment with it."""
     folder = tmp_path_factory.mktemp('colcon')
     subprocess.run(
         [sys.executable, '-m', 'colcon', '--log-base', folder / 'log', 'build',
@@ -107,13 +107,13 @@ def reference():
     """
     Columns of the finite-element reference of the paper's scene, by name.
 
-    Geometrically exact elements, extrapolated in mesh and step; by its own estimate off by 1e-7 m
+    Geometrically exact elements, extrapolated in mesh and step. Their estimated errors are 1e-7 m
     in w(l), 8e-8 rad in theta, 3e-8 m in x_c, and 1e-6 rad in the rotation of inner sections.
     """
     return read('paper')[1]
 
 
-# Tests of what PyPI has no wheels of: where these packages are installed.
+# These tests need packages without wheels on PyPI; they run where the packages are installed.
 NEED = {'ros/test_transforms.py': 'tf2_msgs', 'ros/test_interfaces.py': 'simulation_interfaces',
         'tools': 'ros2cli', 'tools/test_ros2_bag.py': 'rosbag2_py',
         **dict.fromkeys(('tools/test_launch.py', 'tools/test_ros2_control_launch.py'),
@@ -122,12 +122,12 @@ collect_ignore = [path for path, package in NEED.items() if find_spec(package) i
 
 
 def pytest_terminal_summary(terminalreporter):
-    """Let the last line count and name what cannot run here."""
+    """Count the files that cannot run here in the last line, with the packages they need."""
     if collect_ignore:
         packages = ', '.join(dict.fromkeys(NEED[path] for path in collect_ignore))
         terminalreporter.stats[f'left out for want of {packages}'] = [
             pytest.CollectReport(path, 'skipped', None, None) for path in collect_ignore]
 
 
-# A node in its own process and a client: `start`, `client`, `ros`.
+# The fixtures `start`, `client` and `ros`: a node in its own process, and a client of it.
 pytest_plugins = ['ros_process']

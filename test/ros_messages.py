@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Messages of rclpy with random content, and the same as plain values."""
+"""Random messages of rclpy for tests, each with its content as plain values."""
 
 from functools import cache
 from importlib import import_module
@@ -32,14 +32,14 @@ def random_message(type_name, random, most=3):
     """
     Return a message and its values.
 
-    The fields are those that rclpy's classes tell, not those of `messages.definitions`.
+    The fields come from rclpy's classes, not from `messages.definitions`.
 
     Parameters
     ----------
     type_name : str
     random : numpy.random.Generator
     most : int
-        Elements of an array of any length.
+        Largest number of elements of an array of any length.
 
     Returns
     -------

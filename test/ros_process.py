@@ -22,12 +22,12 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-# Upper bound of what takes milliseconds; a test never waits that long unless it fails.
-PATIENCE = 60.0  # [s] for what a busy machine does, compiling included
+# Longest wait for events that take milliseconds; a test waits that long only if it fails.
+PATIENCE = 60.0  # [s], on a busy machine, compiling included
 
 
 class Client(Node):
-    """A control engineer's node: collects messages, calls services, waits for conditions."""
+    """A client node: collects messages, calls services, waits for conditions."""
 
     def __init__(self):
         super().__init__('client')
@@ -43,7 +43,7 @@ class Client(Node):
         self.destroy_node()
 
     def collect(self, message_type, topic):
-        """Return a list that grows with what is received on a topic."""
+        """Return a list to which the messages of a topic are appended."""
         messages = []
         self.create_subscription(message_type, topic, messages.append, 1000)
         self.wait(lambda: self.count_publishers(topic) > 0, f'a publisher of {topic}')

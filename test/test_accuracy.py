@@ -80,8 +80,8 @@ def test_the_stated_error_holds(name, goal, source):
     reference = tip_of_reference(name, scene.manipulator.arm.length)
     error = np.linalg.norm(tip_of(run) - reference, axis=2).max()
     assert error <= goal
-    # The estimate is no guess either (it was within 6 % of what twelve modes are apart; for five
-    # of them 21 % are added), nor is the choice much finer than it must be.
+    # The estimate is close, too (within 6 % of the distance from twelve modes; 21 % are added for
+    # five modes), and the choice is not much finer than it must be.
     assert 0.7 * choice.estimate < error < 1.15 * choice.estimate
     assert choice.scene.values['model.modes'] <= 5 and choice.scene.step >= 0.01
 
@@ -92,10 +92,10 @@ def tip_of(run):
 
 
 @pytest.mark.parametrize('values, goal', KINDS.values(), ids=KINDS)
-@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # of stretch
-def test_the_estimate_is_that_of_a_much_finer_run(values, goal, few_sizes):
+@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # about stretch
+def test_the_estimate_agrees_with_a_much_finer_run(values, goal, few_sizes):
     choice = choose_resolution(timo_sim.load_scene({'model.accuracy': goal, **values}), 2.0)
-    finer = {'model.modes': 16, 'integrator.step': 5e-5}  # more modes than are looked at
+    finer = {'model.modes': 16, 'integrator.step': 5e-5}  # more modes than the choice tries
     run, truth = (timo_sim.simulate(scene, 2.0, round(PERIOD / scene.step))
                   for scene in (choice.scene, choice.scene.vary(finer)))
     error = np.linalg.norm(tip_of(run) - tip_of(truth), axis=2).max()
@@ -104,7 +104,7 @@ def test_the_estimate_is_that_of_a_much_finer_run(values, goal, few_sizes):
     assert run.warning is None or choice.warning and 'stretches' in run.warning
 
 
-def test_the_estimate_with_one_axis_held_is_that_of_spectral_elements(monkeypatch):
+def test_the_estimate_with_one_axis_held_agrees_with_spectral_elements(monkeypatch):
     monkeypatch.setattr(resolution, 'SIZES', (3, 5))
     scene = timo_sim.load_scene({
         'model.accuracy': 2e-4, **HEAVY, 'carrier.held': 'x', 'end_effector.inertia': 5.0})
@@ -115,8 +115,8 @@ def test_the_estimate_with_one_axis_held_is_that_of_spectral_elements(monkeypatc
     assert error < 2e-4 and error / 5.0 < choice.estimate < 5.0 * error
 
 
-def test_the_estimate_is_for_all_of_a_long_run(few_sizes, monkeypatch):
-    """At 10 ms errors are those of the modes for 2 s; until 120 s those of the steps outgrow."""
+def test_the_estimate_covers_a_long_run_to_its_end(few_sizes, monkeypatch):
+    """At 10 ms modes dominate the error for 2 s; by 120 s the error of the steps is larger."""
     monkeypatch.setattr(resolution, 'LONGEST', 2.0)
     goal, end = 3e-4, 120.0
     scene = timo_sim.load_scene({'model.accuracy': goal, **HEAVY, 'end_effector.inertia': 0.5})
@@ -131,7 +131,7 @@ def test_the_estimate_is_for_all_of_a_long_run(few_sizes, monkeypatch):
     assert np.linalg.norm(coarse - truth, axis=2).max() > goal
 
 
-def test_what_the_arm_does_not_stretch_is_told(few_sizes):
+def test_missing_stretch_is_a_warning(few_sizes):
     scene = timo_sim.load_scene({'model.accuracy': 2e-3, **FAST})
     with pytest.warns(timo_sim.ModelWarning) as told:
         timo_sim.simulate(scene, 2.0)
@@ -139,7 +139,7 @@ def test_what_the_arm_does_not_stretch_is_told(few_sizes):
     assert 'model.axial_modes 1' in str(choose_resolution(scene, 2.0))
 
 
-def test_simulate_chooses_and_the_run_says_what(paper):
+def test_simulate_chooses_modes_and_step_and_the_run_has_them(paper):
     run = timo_sim.simulate(timo_sim.load_scene(paper, {'model.accuracy': 1e-3}), 2.0)
     values = run.scene.values
     assert values['model.accuracy'] == 0.0
@@ -157,7 +157,7 @@ def test_a_step_must_suit_jumps_and_the_caller(paper):
     # ... and the duration.
     scene = timo_sim.load_scene(paper, {'model.accuracy': 1e-3})
     assert timo_sim.simulate(scene, 0.985).t[1] == 0.005
-    with pytest.raises(timo_sim.ParameterError, match='needs a step .* the duration is a mult'):
+    with pytest.raises(timo_sim.ParameterError, match='needs a step .* the duration are mult'):
         timo_sim.simulate(scene, 0.98503)
 
 
@@ -169,13 +169,13 @@ def test_a_step_must_suit_jumps_and_the_caller(paper):
     ({**SWING, 'model.accuracy': 1e-14}, 'needs a reference, but .* differ by'),
     ({**SWING, 'initial.shaft_velocity': 3000.0}, 'needs a reference, but .* all runs diverge'),
 ])
-def test_what_cannot_be_chosen_is_refused(values, message, few_sizes):
+def test_scenes_without_a_choice_are_refused(values, message, few_sizes):
     with pytest.raises(timo_sim.ParameterError, match=message):
         choose_resolution(timo_sim.load_scene({'model.accuracy': 1e-3, **values}), 1.0,
                           lambda step: step >= 0.001)
 
 
-def test_the_node_chooses_what_its_rates_allow_and_says_it(start, paper):
+def test_the_node_chooses_a_step_that_its_rates_allow_and_says_so(start, paper):
     node = start('--params-file', str(paper), duration=1.0, real_time_factor=0.0,
                  **{'model.accuracy': 1e-3, 'rate.tip_pose': 200.0})
     code, output = node.wait()

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Friction, limits and motor: closed forms, where the energy goes, and the same bits anyhow."""
+"""Friction, limits and motor: closed forms, energy balance, the same bits in any batches."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ RIGID = {'model.modes': 0, 'carrier.held': 'both', 'initial.shaft': 0.0}
 
 
 def commanded(scene, commands, last, every=1):
-    """Run with commands, column and value by step; return motions and what acted then."""
+    """Run with commands, (column, value) by step; return motions and the loads that acted."""
     simulator, held = Simulator(scene), np.zeros(LOADS)
     motions, loads = [simulator.motion.values], [np.zeros(LOADS)]
     while simulator.steps < last:
@@ -50,12 +50,12 @@ def test_viscous_friction_brakes_exponentially():
                                    'initial.carrier_x_velocity': 1.0})
     run = timo_sim.simulate(rolling, 5.0)
     speed = np.exp(-4.0 * run.t / rolling.build().mass)
-    # Not in the linear part; a step is wrong by (c h/m)^5.
+    # This friction is not in the linear part: the error of a step is (c h/m)^5.
     assert np.abs(run.carrier_velocity[:, 0] - speed).max() < 1e-12
 
 
 def test_a_motor_reaches_the_speed_at_which_its_back_emf_is_the_voltage():
-    """And on its way there with the time constant J R / (n k)^2."""
+    """It approaches that speed with the time constant J R / (n k)^2."""
     scene = timo_sim.load_scene({
         **RIGID, 'motor.dc.resistance': 0.5, 'motor.dc.torque_constant': 0.06,
         'motor.dc.gear_ratio': 50.0, 'motor.dc.voltage_limit': 24.0})
@@ -67,8 +67,8 @@ def test_a_motor_reaches_the_speed_at_which_its_back_emf_is_the_voltage():
 
 
 @pytest.mark.parametrize('tolerance', [0.0, 1e-9])
-def test_the_energy_that_is_not_stored_was_taken_or_done(tolerance):
-    """Stored and taken by friction and damping, of what forces within their limits have done."""
+def test_stored_and_dissipated_energy_are_the_work_of_the_forces(tolerance):
+    """The forces are held to limits and rates; friction and damping take energy."""
     left = []
     for step in (0.002, 0.001):
         scene = timo_sim.load_scene({
@@ -83,7 +83,7 @@ def test_the_energy_that_is_not_stored_was_taken_or_done(tolerance):
         motions, loads = commanded(scene, commands, round(1.6 / step))
         model, ns = scene.build(), 1e9 * step * np.arange(len(motions))
         half = model.size // 2
-        # Piece by piece: where a force jumps or bends, its slope is not that of its neighbours.
+        # Piece by piece: where a force jumps or bends, neighbouring samples do not tell its slope.
         kinks = [0.0, 0.08, 0.15, 0.5, 0.61, 0.9, 0.93, 1.1, 1.6]
         done = 0.0
         for begin, end in zip(kinks, kinks[1:]):
@@ -96,11 +96,11 @@ def test_the_energy_that_is_not_stored_was_taken_or_done(tolerance):
         assert np.abs(loads[:, TORQUE]).max() == 8.0 and np.abs(loads[:, FORCE_X]).max() == 6.0
         assert 0.2 < run.dissipated()[-1] < energy.max()
         left.append(abs(energy[-1] - energy[0] + run.dissipated()[-1] - done))
-    # Measured 2e-8 and 1e-9 of 3.4 J, of the rule for the integrals for the most part.
+    # Measured: 2e-8 and 1e-9 J of 3.4 J, mostly the error of the rule for the integrals.
     assert left[1] < 2e-9 and left[0] > 12.0 * left[1]
 
 
-def test_what_acts_follows_the_command_at_its_rate_whatever_is_done_at_once():
+def test_loads_follow_commands_at_the_rate_limit_in_any_batches():
     scene = timo_sim.load_scene({'motor.torque_limit': 2.0, 'motor.torque_rate_limit': 30.0})
     commands = {0: [(TORQUE, 5.0)], 40: [(TORQUE, -5.0)], 100: [(TORQUE, 0.5)],
                 160: [(TORQUE, -1.0)]}
@@ -113,7 +113,7 @@ def test_what_acts_follows_the_command_at_its_rate_whatever_is_done_at_once():
     assert np.abs(loads[:, TORQUE] - lines).max() < 1e-14
 
 
-def test_without_limits_a_command_is_what_acts():
+def test_without_limits_the_load_is_the_command():
     held = np.arange(float(LOADS))
     actuators = Actuators(timo_sim.load_scene({}).values)
     actuators.command(held, 0)
@@ -125,8 +125,8 @@ def test_a_motor_without_torque_is_refused():
         timo_sim.load_scene({'motor.dc.resistance': 1.0})
 
 
-def test_a_scene_may_change_on_the_way():
-    """Damping, loads and limits: as if the state was given to a new run."""
+def test_a_scene_may_change_during_a_run():
+    """New damping, friction and loads give the motion of a new run from the same state."""
     first = timo_sim.load_scene({'initial.modal_rates': [1.0, 0.0, 0.0]})
     later = {'arm.damping_ratio': [0.1], 'motor.viscous_friction': 2.0,
              'load.torque.piecewise.time': [0.0], 'load.torque.piecewise.value': [3.0]}

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The public names: what a user sees, types, and is told."""
+"""The public interface: names, annotations, examples, summaries, messages and refusals."""
 
 import doctest
 import importlib
@@ -34,7 +34,7 @@ def scene():
 
 @pytest.fixture(scope='module')
 def run(scene):
-    """Return a second of it."""
+    """Return a run of that scene over 1 s."""
     return timo_sim.simulate(scene, 1.0)
 
 
@@ -80,7 +80,7 @@ def test_arrays_of_points(run):
     for method in (run.position, run.deflection, run.rotation):
         many = method(xi)
         for k, point in enumerate(xi):
-            # Products of matrices with one and several columns round in other ways.
+            # Products of matrices with one and with several columns round differently.
             assert np.abs(many[:, k] - method(point)).max() < 1e-14
 
 
@@ -124,15 +124,15 @@ def test_sensors_are_those_of_their_step(scene):
 
 @pytest.mark.parametrize('name, value', [
     ('motor.coulomb_friction', 1.0), ('model.modes', 20), ('integrator.step', 0.002)])
-def test_what_cannot_change_while_a_simulation_runs(scene, name, value):
+def test_parameters_that_cannot_change_while_a_simulation_runs(scene, name, value):
     simulator = timo_sim.Simulator(scene)
     with pytest.raises(timo_sim.ParameterError, match=f'{name} = {value} cannot be set while'):
         simulator.change(scene.vary({name: value}))
     simulator.step()
 
 
-def test_a_command_is_momentum(scene):
-    """Without loads of its own: force times time in either axis, to round-off."""
+def test_constant_forces_give_momentum(scene):
+    """Force times time along either axis, to round-off; the scene has no loads of its own."""
     simulator = timo_sim.Simulator(timo_sim.load_scene({}))
     for _ in range(50):
         simulator.step(torque=2.0, force=(1.0, -2.0), tip_force=(0.5, 0.0), duration=0.02)
@@ -146,7 +146,7 @@ def test_a_scene_at_a_state_goes_on_from_there():
                                  'initial.modal_coordinates': [0.05, 0.0, 0.0]})
     whole = timo_sim.simulate(scene, 1.0)
     second = timo_sim.simulate(scene.at(whole, 0.5), 0.5)
-    # Momenta are made of rates and back: round-off, which half a second does not amplify much.
+    # Rates become momenta and rates again; half a second does not amplify that round-off much.
     assert np.abs(second.motion - whole.motion[500:]).max() < 1e-11
     with pytest.raises(timo_sim.ParameterError, match='nearest is 0.5'):
         scene.at(whole, 0.50002)
@@ -170,7 +170,7 @@ def test_effort_is_the_load_at_the_samples(run):
     assert np.abs(run.effort - expected).max() < 1e-12
 
 
-def test_a_run_says_what_there_is_to_say(run):
+def test_the_message_of_a_run(run):
     assert 'no warnings' in run.message and run.warning is None
     assert run.stats['steps'] == 1000 and run.stats['step_error_m'] < 1e-9
     assert run.stats['step_error_m'] < run.stats['estimated_tip_error_m'] < 1e-5
@@ -181,7 +181,7 @@ def test_a_run_says_what_there_is_to_say(run):
     assert fast.message == str(caught[0].message)
 
 
-def test_a_divergent_run_is_there_until_it_diverges():
+def test_a_divergent_run_is_kept_until_it_diverges():
     scene = timo_sim.load_scene({'integrator.step': 0.01, 'initial.shaft_velocity': 100.0,
                                  'initial.modal_rates': [10.0, 0.0, 0.0]})
     with pytest.raises(timo_sim.DivergenceError, match='after t = ') as caught:
@@ -205,10 +205,10 @@ def test_a_divergent_run_is_there_until_it_diverges():
     (lambda scene: scene.vary('arm'), "values must be given by name, got 'arm'"),
     (lambda scene: timo_sim.load_scene(None), 'values must be given by name, got None'),
     (lambda scene: timo_sim.load_scene({'arm': {'length': 2.0}, 'arm.length': 3.0}),
-     'arm.length is there twice'),
+     'arm.length is given twice'),
     (lambda scene: timo_sim.linearize(timo_sim.load_scene({})).to_discrete(-0.002),
      'dt must be a finite number > 0 s, got -0.002')])
-def test_arguments_that_are_none(scene, call, words):
+def test_invalid_arguments_are_refused(scene, call, words):
     with pytest.raises(timo_sim.ParameterError, match=words):
         call(scene)
 
@@ -237,7 +237,7 @@ def test_a_scene_may_be_given_as_load_scene_takes_it(tmp_path):
         timo_sim.simulate(scene, 1e9)
 
 
-def test_what_is_not_compiled_is_refused(monkeypatch):
+def test_disabled_compilation_is_refused(monkeypatch):
     monkeypatch.setenv('NUMBA_DISABLE_JIT', '1')
     with pytest.raises(timo_sim.ParameterError, match='NUMBA_DISABLE_JIT must be 0 or not set'):
         timo_sim.load_scene({})
@@ -263,18 +263,18 @@ def test_names_of_scenes(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize('given, words', [
-    ({'arm.young_modulus': 70.5}, '70.5 Pa is that of no solid'),
+    ({'arm.young_modulus': 70.5}, '70.5 Pa is outside the range of real solids'),
     ({'arm.shear_modulus': 100e9}, 'above arm.young_modulus'),
     ({'arm.density': 2.71}, 'arm.density = 2.71'),
     ({'initial.shaft': 45.0}, '45 rad is more than a turn; in degrees it would be 0.7854 rad'),
     ({'arm.length': 0.03}, 'less than 3 times arm.height')])
-def test_implausible_values_are_one_warning(given, words):
+def test_implausible_values_give_one_warning(given, words):
     with pytest.warns(timo_sim.ModelWarning, match=words) as caught:
         timo_sim.load_scene(given)
     assert len(caught) == 1
 
 
-def test_plausible_values_are_none():
+def test_plausible_values_give_no_warning():
     with warnings.catch_warnings():
         warnings.simplefilter('error')
         for name in ('paper', 'spin_up'):
@@ -294,7 +294,7 @@ def test_a_model_for_python_control():
 
 
 def test_a_discrete_model_knows_its_period():
-    """Poles are those of continuous time up to half the sampling rate; the response is of z."""
+    """Poles are those of continuous time up to half the sampling rate; the response is in z."""
     model = timo_sim.linearize(timo_sim.load_scene({'arm.damping_ratio': [0.01]})).select(
         ['torque_N_m'], ['tip_transverse_m'])
     sampled = model.to_discrete(0.002)

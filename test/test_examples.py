@@ -20,7 +20,7 @@ import timo_sim
 EXAMPLE = Path(__file__).resolve().parents[1] / 'example'
 sys.path.append(str(EXAMPLE))
 
-LONG = 3.0  # of a run: until the score is known [s]
+LONG = 3.0  # duration after which the score is known [s]
 IDEAL = {'sensor.encoder.noise': 0.0, 'sensor.encoder.resolution': 0.0,
          'motor.torque_limit': np.inf, 'motor.torque_rate_limit': np.inf}
 
@@ -33,7 +33,11 @@ def scene():
 
 
 def closed_loop(scene):
-    """Return the poles of arm and PD, whose speed is a difference, by size, upper half [1/s]."""
+    """
+    Return the poles of the arm with PD in the upper half plane, by size [1/s].
+
+    The PD takes the speed as a difference of the encoder's angles.
+    """
     from pd import DAMPING, PERIOD, STIFFNESS
     model = timo_sim.linearize(scene).select(['torque_N_m'], ['shaft_rad']).to_discrete(PERIOD)
     before = DAMPING / PERIOD
@@ -44,11 +48,11 @@ def closed_loop(scene):
 
 
 @pytest.mark.parametrize('mass', [2.0, 2.2])
-def test_a_shaper_leaves_of_a_vibration_what_its_impulses_leave(scene, mass):
+def test_a_shaper_leaves_the_share_of_a_vibration_that_its_impulses_predict(scene, mass):
     """
-    |sum A exp(-p t)| for a pole p and impulses A at t, also where the tip is not as thought.
+    That share is |sum A exp(-p t)| for a pole p and impulses A at t, also for an unexpected tip.
 
-    The vibration is found by a fit of all poles to the deflection.
+    A fit of all poles to the deflection gives the vibration.
     """
     from loop import in_a_loop
     from pd import PD
@@ -66,17 +70,17 @@ def test_a_shaper_leaves_of_a_vibration_what_its_impulses_leave(scene, mass):
         found[kind] = np.hypot(fit[0], fit[len(poles)])
         expected[kind] = abs(sizes @ np.exp(-poles[0] * times))
     for kind in ('ZV', 'ZVD'):
-        # What is of second order in the motion is 4e-4 of the unshaped vibration.
+        # Terms of second order in the motion are 4e-4 of the unshaped vibration.
         assert found[kind] / found['none'] == pytest.approx(expected[kind], abs=1e-3)
     if mass == 2.0:
-        # The pole that is shaped for is that of a measured speed without delay.
+        # The shaper takes the pole of a loop that measures the speed without delay.
         assert expected['ZV'] < 0.01 and expected['ZVD'] < 1e-4
     else:
         assert expected['ZV'] > 0.07 and expected['ZVD'] < 0.01
 
 
-def test_shaped_slews_leave_little_and_zvd_forgives(scene):
-    """With noise and limits, and a tip that is 10 % heavier; all take the same time."""
+def test_shaped_slews_leave_little_and_zvd_tolerates_a_heavier_tip(scene):
+    """With noise and limits, with the known tip and one 10 % heavier; all take the same time."""
     from loop import in_a_loop
     from shaping import shaped
     from slew import score
@@ -89,7 +93,7 @@ def test_shaped_slews_leave_little_and_zvd_forgives(scene):
 
 
 def test_the_plan_of_a_rigid_arm_is_the_motion_of_least_jerk(scene):
-    """Later by half a period, for torques that are held; else what is left is of second order."""
+    """Held torques delay it by half a period; the remaining difference is of second order."""
     from slew import GOAL, PERIOD, rest_to_rest, smooth
     rigid = timo_sim.linearize(scene.vary({'model.modes': 0})).select(['torque_N_m'])
     x, _ = rest_to_rest(rigid.to_discrete(PERIOD), {'shaft_rad': GOAL[2]})
@@ -99,7 +103,7 @@ def test_the_plan_of_a_rigid_arm_is_the_motion_of_least_jerk(scene):
 
 
 def test_a_plan_ends_at_rest(scene):
-    """It is the model's motion, with all modes of the arm."""
+    """The plan is a motion of the model, with all modes of the arm."""
     from slew import PERIOD, rest_to_rest
     model = timo_sim.linearize(scene).select(['torque_N_m']).to_discrete(PERIOD)
     x, u = rest_to_rest(model, {'shaft_rad': 1.0}, 1.0)
@@ -113,8 +117,8 @@ def test_a_plan_ends_at_rest(scene):
     (1, {'load.tip_force_y.piecewise.time': [1.0, 1.05],       # a stroke of 1 N s on the tip
          'load.tip_force_y.piecewise.value': [20.0, 0.0]}, 1.0 / 20.0),
     (2, {'motor.torque_limit': 14.5}, 1.0 / 100.0),            # the plan wants 15.4 N m
-    (3, {'end_effector.mass': 2.2}, 1.0 / 12.0)], ids=['as thought', 'stroke', 'limit', 'heavy'])
-def test_lqr_leaves_a_part_of_what_pd_leaves(scene, seed, other, left):
+    (3, {'end_effector.mass': 2.2}, 1.0 / 12.0)], ids=['as modelled', 'stroke', 'limit', 'heavy'])
+def test_lqr_leaves_less_vibration_than_pd(scene, seed, other, left):
     from loop import in_a_loop
     from lqr import LQR
     from pd import PD, turn
@@ -126,8 +130,8 @@ def test_lqr_leaves_a_part_of_what_pd_leaves(scene, seed, other, left):
     assert ours < left * theirs
 
 
-def test_the_flexible_feed_forward_of_the_carrier_leaves_next_to_nothing(scene):
-    """Measured: 3.1 mm by PD alone, 1.3 mm with the forces for a rigid arm, 3 um."""
+def test_feeding_the_flexible_arms_forces_forward_leaves_almost_no_vibration(scene):
+    """Measured: 3.1 mm by PD alone, 1.3 mm with a rigid arm's forces, 3 um with the true ones."""
     from carrier import Follower, GOAL, rigid
     from loop import in_a_loop
     from slew import score
@@ -135,12 +139,12 @@ def test_the_flexible_feed_forward_of_the_carrier_leaves_next_to_nothing(scene):
     pd, stiff, ours = (score(in_a_loop(free, follower, LONG), GOAL) for follower in (
         Follower(rigid(free), False), Follower(rigid(free)), Follower(free)))
     assert pd.residual > 2.0 * stiff.residual > 400.0 * ours.residual
-    # Nothing is hidden: the carrier arrives in time, and the arm bends as before.
+    # The reason is not a slower motion: the carrier arrives in time, and the arm bends as before.
     assert ours.settled < 2.0 and stiff.peak == pytest.approx(ours.peak, rel=0.1)
 
 
-def test_the_observer_expects_what_the_strain_gauge_shows(scene):
-    """But for noise of 1e-6, what is not known of the state, and what the linear model lacks."""
+def test_the_observer_predicts_the_strain_gauge(scene):
+    """Noise is 1e-6; the rest is the observer's error and that of the linear model."""
     from loop import in_a_loop
     from lqr import LQR
     controller, surprises = LQR(scene), []
@@ -152,7 +156,7 @@ def test_the_observer_expects_what_the_strain_gauge_shows(scene):
         return answer(t, seen)
     controller.effort = effort
     in_a_loop(scene, controller, LONG)
-    # 1.08e-6; without the strain that the torque makes at once 1.23e-6.
+    # Measured: 1.08e-6; without the strain that the torque makes at once 1.23e-6.
     assert np.std(surprises[:1000]) < 1.15e-6
 
 
@@ -170,7 +174,7 @@ def test_examples_need_no_ros_in_a_loop():
 
 
 def test_score():
-    """Of a straight arm that arrives at 1 s, and whose tip vibrates by 2 mm, at last by 0.5 mm."""
+    """The straight arm arrives at 1 s; its tip is bent by 2 mm, from 2.5 s on by 0.5 mm."""
     from slew import GOAL, score
     t = np.linspace(0.0, 5.0, 2501)
     record = np.zeros((len(t), 12))

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The worked example of doc/design.md, added to a copy of the package: a topic, a sensor, ..."""
+"""The worked examples of doc/design.md, added to a copy of the package: topic, sensor, ..."""
 
 import os
 from pathlib import Path
@@ -51,7 +51,7 @@ def insert(path, before, text):
 
 @pytest.fixture(scope='module')
 def extended(tmp_path_factory):
-    """Return a folder with the package, its scenes and what the page adds."""
+    """Return a folder with the package, its scenes and the additions of the page."""
     folder = tmp_path_factory.mktemp('extended')
     for name in ('timo_sim', 'config'):
         shutil.copytree(ROOT / name, folder / name,
@@ -79,7 +79,7 @@ def test_in_python(extended):
     bias, error, size, newton, ours = map(float, python(extended, '-c', RUN).split())
     assert bias == pytest.approx(0.5, abs=1e-12)
     assert error == 0.0 and size > 0.01
-    # The terms left out are theta'^2 of some 0.5 rad/s beside omega^2 of 20 and more: 1 % at most.
+    # The omitted terms are theta'^2, some 0.25 / s2, beside omega^2 > 20 / s2: 1 % at most.
     assert ours == pytest.approx(newton, rel=0.01) and ours != newton
 
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What holds and drives joints: closed forms, momentum, energy, and friction that holds others."""
+"""Forces that hold and drive joints: closed forms, momentum, energy, joints held by friction."""
 
 import numpy as np
 import pytest
@@ -32,19 +32,19 @@ SCENES = {
 
 
 @pytest.mark.parametrize('values', SCENES.values(), ids=SCENES)
-def test_energy_is_the_work_of_efforts_less_losses(values):
+def test_energy_is_the_work_of_efforts_minus_losses(values):
     scene = timo_sim.load_scene({'integrator.step': 0.0005, **LOSSES, **values})
     run = timo_sim.simulate(scene, 2.0)
     done = work(np.rint(run.t * 1e9), run.motion[:, :3],
                 np.column_stack([run.carrier_velocity, run.shaft_velocity]), run.effort)
     left = run.energy() - run.energy()[0] + run.dissipated() - np.append(0.0, np.cumsum(done))
-    # Measured: 2e-7, of rules of fourth order at 0.5 ms; drives are smooth up to the second.
+    # Measured: 2e-7, by rules of fourth order at 0.5 ms; drives have two smooth derivatives.
     assert np.abs(left).max() < 5e-7 * np.ptp(run.energy())
     assert run.dissipated()[-1] > 0.02 * np.ptp(run.energy())
 
 
 def test_a_driven_rigid_arm_on_a_carrier_held_along_x():
-    """Momentum along y is 0; drive and guide do what moment of inertia and mass centre ask for."""
+    """Momentum along y is 0; drive and guide give the rates of momentum and of spin."""
     scene = timo_sim.load_scene({**TURN, 'carrier.held': 'x', 'model.modes': 0})
     body, run = scene.manipulator, timo_sim.simulate(scene, 2.0)
     section, length = body.arm.section, body.arm.length
@@ -64,8 +64,8 @@ def test_a_driven_rigid_arm_on_a_carrier_held_along_x():
 
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
-def test_force_on_a_held_carrier_is_what_the_loads_lack_of_the_rate_of_momentum(formulation):
-    """m_t a_C - F, by differences of fourth order of the momentum."""
+def test_force_on_a_held_carrier_is_the_rate_of_momentum_minus_the_loads(formulation):
+    """It is m_t a_C - F, with differences of fourth order of the momentum."""
     scene = timo_sim.load_scene({
         'model.formulation': formulation, **SCENES['carrier held'], 'initial.shaft_velocity': 4.0,
         'load.tip_force_x.harmonic.amplitude': [1.0], 'integrator.step': 0.0005,
@@ -80,8 +80,8 @@ def test_force_on_a_held_carrier_is_what_the_loads_lack_of_the_rate_of_momentum(
     assert error < 2e-9 * np.abs(run.effort).max()
 
 
-def test_efforts_are_the_same_stepwise_in_a_log_and_in_a_run(tmp_path):
-    """Of a shaft with dry friction, too, which a run works out from its motion."""
+def test_efforts_agree_between_steps_log_and_run(tmp_path):
+    """Also for a shaft with dry friction, which a run computes from its motion."""
     scene = timo_sim.load_scene({
         **SCENES['y held'], 'motor.coulomb_friction': 2.0, 'initial.shaft': 0.0,
         'load.tip_force_y.harmonic.amplitude': [2.0],
@@ -94,7 +94,7 @@ def test_efforts_are_the_same_stepwise_in_a_log_and_in_a_run(tmp_path):
         strains.append(simulator.sensors.root_strain)
     held = np.abs(run.shaft_velocity[1:]) < 1e-7
     assert 300 < held.sum() < 1700
-    # Measured: 3e-6, of what moves at less than 1e-7 rad/s and is not held.
+    # Measured: 3e-6, in steps in which the shaft moves at less than 1e-7 rad/s but is not held.
     assert np.abs(run.effort[1:] - efforts).max() < 1e-5 * np.abs(efforts).max()
     assert np.abs(run.root_strain()[1:] - strains).max() < 1e-5 * np.abs(strains).max()
     again = timo_sim.open_log(run.save(tmp_path / 'run.mcap'))

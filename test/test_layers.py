@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Imports point down: no circle among modules or folders, lazy imports included."""
+"""Imports point down: no cycle among modules or folders, lazy imports included."""
 
 import ast
 from graphlib import TopologicalSorter
@@ -30,7 +30,7 @@ NAMED = re.compile(r'(timo_sim(?:\.\w+)+)(?::\w+)?')
 
 
 def named_modules(path):
-    """Return the modules that a file imports anywhere, or names in a text to be imported."""
+    """Yield the modules that a file imports anywhere, or names in a string for a later import."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -57,16 +57,16 @@ def layer(module):
 
 
 def folder(module):
-    """Return the innermost folder of a module, of the root its own name."""
+    """Return the innermost folder of a module; for a module of the root its name."""
     own = MODULES[module].parent.relative_to(PACKAGE).as_posix()
     return module if own == '.' else own
 
 
-def test_no_circle_among_modules():
+def test_no_cycle_among_modules():
     [*TopologicalSorter(IMPORTS).static_order()]  # raises CycleError
 
 
-def test_no_circle_among_folders():
+def test_no_cycle_among_folders():
     graph = {}
     for name, modules in IMPORTS.items():
         graph.setdefault(folder(name), set()).update(
@@ -81,19 +81,19 @@ def test_imports_point_down(name):
     assert not above
 
 
-def test_a_sorter_that_is_given_a_circle_says_so():
+def test_the_sorter_detects_a_cycle():
     with pytest.raises(ValueError, match='cycle'):
         [*TopologicalSorter({'a': {'b'}, 'b': {'a'}}).static_order()]
 
 
-def test_who_knows_what():
-    """ROS is known to `ros` alone, files to few, numba to `jit`, the viewer to no node."""
-    def knowing(*packages):
+def test_which_layers_import_which_packages():
+    """Only `ros` imports ROS; physics and messages open no files; no node imports the viewer."""
+    def importing(*packages):
         return {layer(name) for name, modules in OUTSIDE.items() if modules & {*packages}}
 
-    assert knowing('rclpy', 'std_msgs', 'sensor_msgs', 'geometry_msgs') == {'ros'}
-    assert knowing('numba', 'llvmlite') == {'jit', 'log'}  # a log notes their versions
-    assert knowing('rerun') == {'view', 'cli'}
+    assert importing('rclpy', 'std_msgs', 'sensor_msgs', 'geometry_msgs') == {'ros'}
+    assert importing('numba', 'llvmlite') == {'jit', 'log'}  # a log notes their versions
+    assert importing('rerun') == {'view', 'cli'}
     assert not any(modules & {'pathlib', 'yaml', 'mcap', 'os'} for name, modules in OUTSIDE.items()
                    if layer(name) in ('physics', 'messages'))
     assert not any(layer(module) == 'view' for name, modules in IMPORTS.items()
@@ -105,7 +105,7 @@ def test_modules_are_short():
     assert not {name: length for name, length in lengths.items() if length > 300 + LICENCE}
 
 
-def test_offline_use_needs_no_ros_and_the_package_itself_nothing_heavy():
+def test_offline_use_imports_no_ros_and_the_package_itself_nothing_heavy():
     code = ('import sys, timo_sim; assert not {"numpy", "numba", "rclpy"} & set(sys.modules); '
             'timo_sim.simulate(timo_sim.load_scene({}), 0.01); '
             'assert not {"rclpy", "mcap", "rerun", "matplotlib", "pyarrow", "distributed", '
@@ -115,7 +115,7 @@ def test_offline_use_needs_no_ros_and_the_package_itself_nothing_heavy():
     subprocess.run([sys.executable, '-c', code], check=True)
 
 
-def test_the_command_line_imports_what_a_subcommand_needs_when_it_runs():
+def test_the_command_line_imports_the_needs_of_a_subcommand_when_it_runs():
     code = ('import sys, timo_sim.cli; '
             'assert not {"numpy", "yaml", "tqdm", "pyarrow"} & set(sys.modules)')
     subprocess.run([sys.executable, '-c', code], check=True)

@@ -24,7 +24,7 @@ from timo_sim.simulation.simulator import Simulator
 
 
 def straight(formulation, angle, free):
-    """Return mass and stiffness of the straight arm at an angle, of the free coordinates."""
+    """Return mass and stiffness matrices of the free coordinates, the straight arm at an angle."""
     body, modes = formulation.manipulator, formulation.modes
     fine = Quadrature(body.arm.breaks, 100)
     mass, inertia = body.inertia(fine)
@@ -48,7 +48,7 @@ def straight(formulation, angle, free):
     ('exact', {'carrier.held': 'both', 'motor.shaft': 'locked'}, []),
     ('exact', {'carrier.held': 'y'}, [0, 2]), ('newton', {'carrier.held': 'x'}, [1, 2])], ids=str)
 def test_poles_are_the_frequencies_of_the_straight_arm(name, values, free):
-    """The first four of eight: quadrature moves the highest ones of `exact`."""
+    """Only the first four of eight, because quadrature moves the highest ones of `exact`."""
     scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': 8,
                                  'initial.shaft': 0.3, **values})
     model = timo_sim.linearize(scene)
@@ -60,13 +60,13 @@ def test_poles_are_the_frequencies_of_the_straight_arm(name, values, free):
     found = np.sort(poles.imag[poles.imag > 1.0])
     assert np.abs(found / expected - 1.0)[:4].max() < 1e-9
     assert len(found) == len(expected) == 8
-    # The others, of shaft and carrier at rest, are zeros, two each: round-off splits them.
+    # The other poles belong to shaft and carrier, two zeros each, which round-off splits.
     assert np.sum(np.abs(poles) < 1e-3) == 2 * (len(free) - len(expected))
     assert np.abs(poles.real).max() < 1e-3
 
 
 def test_free_free_frequencies():
-    """Of the whole system, as theory.md has them for many modes."""
+    """They are those of the paper's whole system, to 1e-4 with eight modes."""
     model = timo_sim.linearize(timo_sim.load_scene({'model.modes': 8}))
     poles = np.sort(model.poles().imag)
     assert poles[poles > 1.0][:5] / (2.0 * np.pi) == pytest.approx(
@@ -95,7 +95,7 @@ OUTPUTS = ['shaft_rad', 'tip_y_m', 'tip_transverse_m', 'tip_rotation_rad',
     ({**HEAVY, **HELD}, 'torque_N_m'), ({**HEAVY, **HELD}, 'tip_torque_N_m'),
     (HEAVY, 'force_y_N'), ({}, 'torque_N_m')], ids=str)
 def test_frequency_responses_converge_to_those_of_finite_elements(name, values, cause):
-    """Up to 60 Hz, beyond resonances; a heavy tip hardly moves however far the arm bends."""
+    """Up to 60 Hz, beyond resonances, also with a heavy tip, which hardly moves."""
     errors = []
     for modes in (4, 8):
         scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': modes,
@@ -111,7 +111,7 @@ def test_frequency_responses_converge_to_those_of_finite_elements(name, values, 
 
 LIGHT = {'end_effector.mass': 0.0, 'end_effector.inertia': 0.0}
 LOCKED = {'motor.shaft': 'locked'}
-# What the series of curvatures lacks with three modes, as doc/theory.md says, section 9.
+# Relative error of the series of curvatures with three modes; doc/theory.md, section 9, has these.
 SERIES = {'tip_force_y_N': 0.028, 'force_y_N': 1.0, 'tip_torque_N_m': 0.46}
 
 
@@ -120,7 +120,7 @@ SERIES = {'tip_force_y_N': 0.028, 'force_y_N': 1.0, 'tip_torque_N_m': 0.46}
     ({}, 'tip_force_y_N'), ({'motor.shaft_inertia': 0.1}, 'force_y_N'), (LIGHT, 'tip_torque_N_m'),
     (LOCKED, 'force_y_N'), ({**LOCKED, **HELD}, 'tip_torque_N_m')], ids=str)
 def test_root_strain_needs_few_modes(name, values, cause):
-    """Quasi-static with three modes; at 15 Hz, beyond resonances, as the motion itself does."""
+    """Three modes do for quasi-static loads; at 15 Hz the strain converges as the motion does."""
     errors = []
     for modes in (3, 6):
         scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': modes,
@@ -137,7 +137,7 @@ def test_root_strain_needs_few_modes(name, values, cause):
             assert lost == pytest.approx(SERIES[cause], rel=0.05)
         errors.append(np.abs([strain / beam.response(cause, frequency)['root_strain'] - 1.0
                               for frequency, strain in zip((0.1, 15.0), found)]))
-    # The stiffness beside inertia at 0.1 Hz leaves 1e-7 of a strain, 1.4e-6 with SciPy 1.11.
+    # Round-off of stiffness against inertia at 0.1 Hz is 1e-7 of a strain, 1.4e-6 with SciPy 1.11.
     assert errors[0][0] < 2e-6 and errors[1][1] < 2e-4 and errors[1][1] < errors[0][1] / 2.0**4
 
 
@@ -147,8 +147,8 @@ def test_root_strain_needs_few_modes(name, values, cause):
 @pytest.mark.parametrize('tip', [LIGHT, {'end_effector.mass': 0.05,
                                          'end_effector.inertia': 1e-4}], ids=str)
 @pytest.mark.parametrize('name', ['exact', 'newton'])
-def test_static_modes_do_what_a_light_tip_needs(name, tip, cause, static, at_15_hz):
-    """Four in all: eigenmodes alone are 0.9 to 13 % off when slow, and 17 to 35 % at 15 Hz."""
+def test_static_modes_converge_with_a_light_tip(name, tip, cause, static, at_15_hz):
+    """Four eigenmodes alone are 0.9 to 13 % off at 0.1 Hz, and 17 to 35 % at 15 Hz."""
     outputs, frequencies = ['tip_transverse_m', 'tip_rotation_rad'], [0.1, 15.0]
     errors = []
     for shapes in (static, 'none'):
@@ -164,7 +164,7 @@ def test_static_modes_do_what_a_light_tip_needs(name, tip, cause, static, at_15_
 
 
 def test_damping_takes_its_share_of_the_root_moment():
-    """A strain is that of the section, not of the moment; stiffness-proportional damping."""
+    """The strain follows the moment without that of damping, here proportional to stiffness."""
     rate, frequency = 5e-4, 5.0
     omega = timo_sim.load_scene({'model.modes': 8}).build().modes.omega
     scene = timo_sim.load_scene({'model.modes': 8, 'initial.shaft': 0.0,
@@ -173,14 +173,14 @@ def test_damping_takes_its_share_of_the_root_moment():
     expected = LinearBeam(scene, stress_damping=rate).response(
         'tip_force_y_N', frequency)['root_strain']
     found = model.frequency_response([frequency])[0, 0, 0]
-    # What damping takes is a sum of curvatures; without it the error is 2 pi 5 rate = 0.016.
+    # The damping moment is a sum of curvatures; without it the error is 2 pi 5 rate = 0.016.
     assert abs(found / expected - 1.0) < 2e-5
 
 
-# What of `newton` is not in its linear part costs an error of the step.
+# `newton` needs a smaller step: the terms that are not in its linear part cause an error of it.
 @pytest.mark.parametrize('name, step', [('exact', 0.005), ('newton', 0.0005)])
 def test_a_step_of_the_simulation_is_the_discrete_model(name, step):
-    """Small deviations and held commands, over one step: what is left is of second order."""
+    """Small deviations and held commands over one step: the difference is of second order."""
     scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': 3,
                                  'arm.damping_ratio': [0.02], 'integrator.step': step})
     model = timo_sim.linearize(scene).to_discrete(step)
@@ -203,7 +203,7 @@ def test_a_step_of_the_simulation_is_the_discrete_model(name, step):
 
 
 def test_outputs_of_a_small_motion():
-    """Torque on the paper's arm: what the model says it does, and what the simulation does."""
+    """Under a small torque on the paper's arm model and simulation have the same outputs."""
     torque, period = 1e-4, 0.002
     scene = timo_sim.load_scene({
         'model.modes': 3, 'integrator.step': period,
@@ -224,7 +224,7 @@ def test_outputs_of_a_small_motion():
             'tip_rotation_rad': run.rotation(2.0),
             'shaft_velocity_rad_per_s': run.shaft_velocity}.items():
         assert np.abs(found[name] - values).max() < 1e-5 * np.abs(values).max(), name
-    # Acceleration by differences of the position, of fourth order.
+    # Acceleration from differences of fourth order of the position.
     across = (tip - tip[0]) @ [-np.sin(run.shaft[0]), np.cos(run.shaft[0])]
     second = (-across[4:] + 16.0 * across[3:-1] - 30.0 * across[2:-2] + 16.0 * across[1:-3]
               - across[:-4]) / (12.0 * period**2)
@@ -240,7 +240,7 @@ def test_outputs_of_a_small_motion():
     ({'carrier.held': 'both'}, ['torque_N_m', 'tip_force_y_N', 'tip_torque_N_m']),
     ({'carrier.held': 'y', 'motor.shaft': 'locked', 'model.modes': 0},
      ['force_x_N', 'tip_force_x_N'])])
-def test_inputs_are_those_that_do_anything(values, inputs):
+def test_inputs_without_effect_are_left_out(values, inputs):
     model = timo_sim.linearize(timo_sim.load_scene({'initial.shaft': 0.0, **values}))
     assert list(model.inputs) == inputs
 
@@ -260,7 +260,7 @@ def test_selection_and_state_space():
         model.select(outputs=['tip'])
 
 
-def test_response_to_a_torque_is_the_sum_of_that_of_the_modes():
+def test_response_to_a_torque_is_the_sum_over_the_modes():
     """Carrier held: a rigid body at low frequencies, then eight resonances."""
     scene = timo_sim.load_scene({'model.formulation': 'newton', 'model.modes': 8,
                                  'carrier.held': 'both'})
@@ -268,7 +268,7 @@ def test_response_to_a_torque_is_the_sum_of_that_of_the_modes():
     frequency = np.geomspace(0.01, 100.0, 2001)
     response = model.frequency_response(frequency)[:, 0, 0]
     squares, shapes = scipy.linalg.eigh(*reversed(straight(scene.build(), 0.0, range(2, 11))))
-    squares[0] = 0.0  # of the shaft alone
+    squares[0] = 0.0  # the rigid rotation
     parts = shapes[0]**2 / (squares - (2.0 * np.pi * frequency[:, np.newaxis])**2)
     assert np.abs(response - parts.sum(axis=1)).max() < 1e-9 * np.abs(response).max()
     inside = np.abs(parts).sum(axis=1) < 10.0 * np.abs(response)  # not where parts cancel
@@ -291,7 +291,7 @@ def test_bode_diagram_from_the_command_line(tmp_path):
 
 @pytest.mark.parametrize('values', [{'initial.shaft_velocity': 1.0},
                                     {'initial.modal_coordinates': [0.1, 0.0, 0.0]}])
-def test_what_moves_is_no_equilibrium(values):
+def test_a_moving_scene_is_no_equilibrium(values):
     with pytest.raises(timo_sim.ParameterError, match='about an equilibrium'):
         timo_sim.linearize(timo_sim.load_scene(values))
 

@@ -32,7 +32,7 @@ def test_colcon_builds_and_the_installed_node_runs(installed, tmp_path):
     assert result.returncode == 0, result.stderr
     assert 'simulated 0.5 s' in result.stdout + result.stderr
     assert (tmp_path / 'run.mcap').stat().st_size > 1000
-    # What `ros2 run timo_sim timo_sim info` starts, and a scene by its name.
+    # The program that `ros2 run timo_sim timo_sim` starts, and a scene by its name.
     for command, words in ((['info', 'run.mcap'], 'sim time  0 to 0.5 s'),
                            (['simulate', 'spin_up', '--duration', '0.1'], 'no warnings')):
         told = subprocess.run([prefix / 'lib/timo_sim/timo_sim', *command], cwd=tmp_path,

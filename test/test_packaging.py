@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What pyproject.toml, package.xml and the lists of versions say, beside what is imported."""
+"""Dependencies in pyproject.toml, package.xml and the lists of versions match the imports."""
 
 import ast
 from importlib.util import find_spec
@@ -30,7 +30,7 @@ PACKAGE = parse_package(str(ROOT / 'package.xml'))
 ROSDEP = yaml.safe_load((ROOT / 'test/data/rosdep_keys.yaml').read_text())
 RUN_KEYS = {depend.name for depend in PACKAGE.exec_depends}
 
-# Distributions whose module has another name.
+# Distributions by module, where the names differ.
 DISTRIBUTIONS = {'llvmlite': 'numba', 'PIL': 'pillow', 'rerun': 'rerun-sdk',
                  'rerun_cli': 'rerun-sdk', 'yaml': 'pyyaml'}
 # ROS packages that the node uses where they are installed, as README.md says.
@@ -95,7 +95,7 @@ def test_rosdep_installs_it_with_apt(key):
         f'{key} in package.xml: test/data/rosdep_keys.yaml has neither an apt rule nor a package')
 
 
-def test_what_is_imported_is_declared():
+def test_imports_are_declared():
     declared = {*requirements(PROJECT['dependencies'])}
     for extra in re.findall(r'\w+', EXTRAS['all'][0].partition('[')[2]):
         declared |= {*requirements(EXTRAS[extra])}
@@ -139,7 +139,7 @@ def test_every_version_that_is_asked_for_is_pinned_and_allowed():
             assert requirement.specifier.contains(version), (name, version)
 
 
-def test_a_run_of_the_tests_that_leaves_some_out_says_so_in_its_last_line():
+def test_a_run_that_leaves_tests_out_says_so_in_its_last_line():
     import rclpy  # noqa: F401  # without which there is no node
     code = ('import sys; sys.modules["tf2_msgs"] = None; import pytest; sys.exit(pytest.main('
             '["test/test_layers.py", "-ksorter", "-pno:xdist", "-pno:cacheprovider"]))')

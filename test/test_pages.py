@@ -65,7 +65,7 @@ def test_every_page_is_named_in_the_readme_and_in_the_contents_of_the_site():
 def test_the_readme_is_short():
     lines = (ROOT / 'README.md').read_text().splitlines()
     assert len(lines) <= 150
-    # Tables apart: each row of them is a line.
+    # Rows of tables may be longer.
     assert all(len(line) <= 120 for line in lines if not line.startswith(('|', '![')))
 
 
@@ -73,7 +73,7 @@ def test_the_readme_is_short():
     'README.md', 'doc/python.md', 'doc/tutorial/python.md', 'doc/tutorial/control.md'])
 @pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
 def test_its_python_runs(page, tmp_path, monkeypatch, capsys):
-    """All blocks of a page one after the other; a block `text` is what the one before prints."""
+    """Run all blocks of a page in turn; a block `text` is the output of the one before."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(ROOT / 'example')
     text, scope = (ROOT / page).read_text(), {}
@@ -84,7 +84,7 @@ def test_its_python_runs(page, tmp_path, monkeypatch, capsys):
         if shown:
             assert _NUMBER.sub('', printed) == _NUMBER.sub('', shown)
             for number, other in zip(_NUMBER.findall(shown), _NUMBER.findall(printed)):
-                # A unit of the last digit: the last bits depend on the processor.
+                # Within a unit of the last digit, because last bits depend on the processor.
                 unit = 10.0**Decimal(number).as_tuple().exponent
                 assert float(other) == pytest.approx(float(number), abs=1.01 * unit)
     for name in re.findall(r"save(?:fig)?\('(.*?)'\)", text):
@@ -92,7 +92,7 @@ def test_its_python_runs(page, tmp_path, monkeypatch, capsys):
 
 
 def test_the_notebook_runs():
-    """Its cells one after the other; it is kept without outputs."""
+    """Run its cells in turn; it is kept without outputs."""
     import matplotlib.pyplot as plt
     cells = json.loads((ROOT / 'doc' / 'tutorial' / 'arm.ipynb').read_text())['cells']
     scope = {}

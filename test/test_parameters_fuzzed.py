@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Scenes made of random names, values and YAML: a scene that runs, or one line that says why."""
+"""Scenes from random names, values and YAML either run or are refused in one line."""
 
 import math
 
@@ -18,7 +18,7 @@ import timo_sim
 from timo_sim.scene.parameter import SCENE, short
 from timo_sim.scene.parameters import PARAMETERS
 
-# Time says nothing on a busy machine.
+# No deadline, because durations mean nothing on a busy machine.
 fuzzed = settings(deadline=None, derandomize=True, max_examples=150,
                   suppress_health_check=list(HealthCheck))
 
@@ -35,7 +35,7 @@ ANYTHING = st.recursive(
 
 
 def value_of(parameter):
-    """Return what is likely to be taken for a parameter."""
+    """Return a strategy for values that a parameter is likely to accept."""
     if parameter.name == 'model.modes':  # each size is compiled
         return st.sampled_from([0, 3])
     if parameter.name == 'model.formulation':
@@ -60,7 +60,7 @@ def likely_scenes(draw):
 
 
 def outcome(make, *arguments):
-    """Return the scene or None if it is refused, in one short line."""
+    """Return the scene, or None if it is refused; check that the error is one short line."""
     try:
         return make(*arguments)
     except timo_sim.ParameterError as error:
@@ -149,7 +149,7 @@ def test_a_folder_is_an_os_error_and_a_file_of_other_bytes_is_refused(tmp_path):
 
 
 def test_a_load_of_a_hundred_thousand_pieces_is_read(tmp_path):
-    """What looks up each of them among all takes minutes."""
+    """A search among all pieces for each of them would take minutes."""
     times = np.arange(100000) * 0.001
     scene = timo_sim.load_scene({'load.torque.piecewise.time': times,
                                  'load.torque.piecewise.value': np.ones(len(times))})
@@ -164,7 +164,7 @@ def test_a_load_of_a_hundred_thousand_pieces_is_read(tmp_path):
     ({'rate.joint_states': 1e13}, 'ratio'), ({'duration': 1e-13}, 'ratio'),
     ({'duration': 1e308}, 'must be a finite number >= 0 and <= 2.14748e.09 s'),
     ({'real_time_factor': 1e300}, '<= 1e.06'), ({'command_timeout': 1e300}, '<= 2.147')])
-def test_numbers_that_would_round_to_none_or_overflow(value, words):
+def test_numbers_that_would_round_to_zero_or_overflow(value, words):
     from timo_sim.ros.parameters import steps_between_messages
     from timo_sim.scene.parameter import whole_ratio
     from timo_sim.scene.parameters import check

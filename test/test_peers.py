@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The benchmarks' peers integrate the same equations: they agree."""
+"""The integrators that the benchmarks compare with agree with this package's own."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_scipy_agrees(truth):
 
 
 def test_generalized_alpha_is_of_second_order(truth):
-    """Of the compiled peers the one with a memory, which it must lose where the load jumps."""
+    """It keeps the rate of the state from step to step, and must renew it where the load jumps."""
     errors = []
     for step in (0.01, 0.005, 0.0025):
         scene = timo_sim.load_scene(SCENE, {'integrator.step': step})

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Replays of bags and of changed scenes, against runs whose loads are known beforehand."""
+"""Replays of logs, bags and changed scenes, against runs with the same loads in the scene."""
 
 from click.testing import CliRunner
 import numpy as np
@@ -20,7 +20,7 @@ from timo_sim.log.recorder import Channel, Recorder
 from timo_sim.log.recording import Recording
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-# Log time after the first [ns], torque; the last but one is refused.
+# Log time after the first [ns], torque [N m]; the infinite one is refused.
 TORQUES = ((0, 1.0), (299000001, -2.0), (500000000, np.inf), (700000000, 0.5))
 SCENE = {'load.torque.piecewise.time': [0.1, 0.4, 0.8],
          'load.torque.piecewise.value': [1.0, -2.0, 0.5]}
@@ -35,7 +35,7 @@ def call(*arguments, code=0):
 
 @pytest.fixture
 def bag(tmp_path):
-    """Write a bag of torques as others do, with wall clock as log time."""
+    """Write a bag of torques as other tools do, with wall time as log time."""
     kind = 'std_msgs/msg/Float64'
     with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         torque = writer.add_connection('/timo_sim/motor_torque', kind, typestore=STORE)
@@ -52,7 +52,7 @@ def test_a_bag_of_commands_gives_the_run_with_these_loads(bag, paper, tmp_path):
                 '-o', tmp_path / 'run.mcap')
     assert '3 commands' in text and '1 commands are left out' in text
     recording = Recording(tmp_path / 'run.mcap')
-    # 299.000001 ms after the first is in the 300th step; it acts from the next boundary on.
+    # A command 299.000001 ms after the first comes in the 300th step and acts from its end on.
     assert recording.topics['~/motor_torque'].step.tolist() == [100, 400, 800]
     scene = timo_sim.load_scene(paper, {
         'load.force_x.harmonic.amplitude': [], 'load.force_x.harmonic.frequency': [],
@@ -62,7 +62,7 @@ def test_a_bag_of_commands_gives_the_run_with_these_loads(bag, paper, tmp_path):
     assert step.tolist() == list(range(0, 1501, 10))
     # The same loads, added in another order.
     assert np.abs(motion - run.motion).max() < 1e-12
-    # One at the last step would act after it.
+    # A command at the last step would act only after it.
     for duration, count in ((0.1, 0), (0.4, 1), (0.401, 2)):
         path = tmp_path / f'{duration}.mcap'
         text = call('replay', bag, '--scene', paper, '--start', 0.1, '--duration', duration,
@@ -76,7 +76,7 @@ def test_a_bag_needs_a_scene_and_a_log_does_not(bag):
 
 
 def log_of(path, scene, torques, last):
-    """Write a log as the node would: joint states every 10 ms, by `simulate`; return it."""
+    """Write a log as the node would, joint states of `simulate` every 10 ms; return its path."""
     from timo_sim.log.notes import START, start_note
     from timo_sim.messages.outputs import outputs
     from timo_sim.messages.packing import Serializer
@@ -107,18 +107,18 @@ def log_of(path, scene, torques, last):
 
 @pytest.fixture
 def log(tmp_path):
-    """Log a second with two commands, by another way than the node's."""
+    """Log a second with two commands, from `simulate` instead of the node."""
     return log_of(tmp_path / 'run.mcap', timo_sim.load_scene({}), [(100, 1.0), (455, -1.0)], 1000)
 
 
-def test_a_log_gives_the_same_bits_and_a_wrong_one_does_not(log, tmp_path):
+def test_a_log_gives_the_same_bits_and_a_falsified_one_does_not(log, tmp_path):
     assert '909 of 909 logged numbers compared: all are the same to the last bit' in call(
         'replay', log)
     wrong = log_of(tmp_path / 'wrong.mcap', timo_sim.load_scene({'carrier.mass': 5.0000001}),
                    [(100, 1.0)], 1000)
     text = call('replay', wrong, '--duration', 0.5)
     assert 'same to the last bit' in text
-    # A log that says another mass than was simulated with.
+    # The log now names another mass than that of its run.
     data = wrong.read_bytes().replace(b'"carrier.mass": 5.0000001', b'"carrier.mass": 5.0000002')
     wrong.write_bytes(data)
     text = call('replay', wrong, code=1)
@@ -126,7 +126,7 @@ def test_a_log_gives_the_same_bits_and_a_wrong_one_does_not(log, tmp_path):
     assert 'joint_states carrier_x_m' in text
 
 
-def test_what_if_says_how_far_when_and_in_what_unit(log, tmp_path, monkeypatch):
+def test_a_changed_scene_gives_differences_with_time_and_unit(log, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = call('replay', log, '--set', 'model.modes=5', '--set', 'end_effector.mass=2.5')
     assert 'new log: run_replay.mcap' in text
@@ -145,7 +145,7 @@ def test_what_if_says_how_far_when_and_in_what_unit(log, tmp_path, monkeypatch):
     assert 'same to the last bit' in call('replay', 'run_replay.mcap')
 
 
-def test_modes_where_the_log_has_none(tmp_path):
+def test_a_log_without_modes_replays_with_modes(tmp_path):
     log = log_of(tmp_path / 'rigid.mcap', timo_sim.load_scene({'model.modes': 0}), [(1, 1.0)], 100)
     call('replay', log, '--set', 'model.modes=3', '-o', tmp_path / 'bent.mcap')
     step, _, motion = Recording(tmp_path / 'bent.mcap').motion()
@@ -161,7 +161,7 @@ def test_an_arm_that_stretches_replays_to_the_last_bit(tmp_path):
     assert 'same to the last bit' in call('replay', tmp_path / 'soft.mcap')
 
 
-def test_another_time_step_and_one_that_does_not_fit(log, tmp_path):
+def test_another_time_step_is_taken_if_it_fits(log, tmp_path):
     text = call('replay', log, '--set', 'integrator.step=0.0005', '-o', tmp_path / 'fine.mcap')
     assert '2 commands and 0 resets in 1 s' in text
     assert Recording(tmp_path / 'fine.mcap').topics['~/motor_torque'].step.tolist() == [200, 910]
@@ -175,8 +175,8 @@ def test_a_run_that_diverges_is_code_1_and_says_when(log, tmp_path):
     assert 'diverges after t' in text and Recording(tmp_path / 'new.mcap').topics
 
 
-def test_another_machine_is_said_in_one_line(log):
-    """The header is outside of all checksums but that of all data, which a replay does not ask."""
+def test_a_log_of_another_machine_gives_one_line(log):
+    """Only the checksum of all data covers the notes; a replay does not check it."""
     import platform
     data = log.read_bytes()
     name = platform.machine().encode()

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A manipulator at rest is not computed, and nothing shows the difference."""
+"""A manipulator at rest is not computed, and its motion is the same to the last bit."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def torque(value):
 
 
 def history(scene):
-    """Return motions of a simulator at rest, then turned, then left alone again."""
+    """Return motions of a simulator at rest, then under a torque, then without one again."""
     simulator = Simulator(scene)
     motions = list(simulator.advance(LONG, sample_every=1)[0])
     assert simulator.steps == LONG and len(motions) == 1 + LONG
@@ -40,7 +40,7 @@ def history(scene):
 
 @pytest.mark.parametrize('formulation', FORMULATIONS)
 @pytest.mark.parametrize('held', ['none', 'x', 'both'])
-def test_rest_is_what_computing_it_gives_to_the_last_bit(formulation, held, monkeypatch):
+def test_skipped_steps_give_the_same_bits_as_computed_ones(formulation, held, monkeypatch):
     scene = timo_sim.load_scene({
         'model.formulation': formulation, 'carrier.held': held, 'initial.shaft': 0.7,
         'initial.carrier_x': 0.3, 'initial.carrier_y': -1.7, 'arm.damping_ratio': [0.01]})
@@ -65,7 +65,7 @@ def test_no_step_is_computed_at_rest(monkeypatch):
     simulator.advance(1, torque(1.0))
     simulator.advance(5, torque(0.0))
     assert sum(computed) == 6
-    # Back at the start it rests again.
+    # After a reset it rests again.
     simulator.reset()
     simulator.advance(LONG)
     assert simulator.steps == 2 * LONG + 6 and sum(computed) == 6
@@ -79,6 +79,6 @@ def test_no_step_is_computed_at_rest(monkeypatch):
     {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 1.0], 'motor.drive.angle': [0.0, 1.0],
      'motor.drive.speed': [0.0, 0.0], 'motor.drive.acceleration': [0.0, 0.0]}],
     ids=lambda values: next(iter(values)))
-def test_what_moves_or_will_is_computed(moving):
+def test_scenes_that_move_now_or_later_are_computed(moving):
     motion = timo_sim.simulate(timo_sim.load_scene(moving), 1.0).motion
     assert not np.array_equal(motion[0], motion[-1])

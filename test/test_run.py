@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The public interface: shapes, units, what is read off a run, the progress bar."""
+"""Runs: shapes, kinematics, energy, samples, refusals, the progress bar."""
 
 import os
 import pty
@@ -44,7 +44,7 @@ def test_shapes_and_kinematics(paper):
     assert np.abs(run.position(2.0) - tip).max() < 1e-14
 
 
-def test_rates_are_the_rates_of_the_coordinates(paper):
+def test_rates_are_derivatives_of_the_coordinates(paper):
     run = timo_sim.simulate(timo_sim.load_scene(paper), 1.0)
     h = run.t[1]
     half = run.motion.shape[1] // 2
@@ -54,7 +54,7 @@ def test_rates_are_the_rates_of_the_coordinates(paper):
     assert np.abs(slope - run.motion[2:-2, half:]).max() < 1e-5
 
 
-def test_work_of_the_loads_is_the_energy(paper):
+def test_energy_is_the_work_of_the_loads(paper):
     run = timo_sim.simulate(timo_sim.load_scene(paper, {'model.modes': 5}), 2.0)
     power = (5 * np.sin(4 * np.pi * run.t) * run.carrier_velocity[:, 0]
              + 5 * np.sin(6 * np.pi * run.t) * run.carrier_velocity[:, 1]
@@ -78,11 +78,11 @@ def test_energy_is_balanced_whatever_the_samples(tmp_path):
     for run in dense, thin, timo_sim.open_log(thin.save(tmp_path / 'run.mcap')):
         every = round(run.t[1] / 0.001)
         left = run.energy() - run.energy()[0] + run.dissipated() - done[::every]
-        # Measured: 6e-7 J, of modes of up to 470 rad/s. By every 50th sample it is 0.4 J.
+        # Measured: 6e-7 J, by modes of up to 470 rad/s; from every 50th sample alone 0.4 J.
         assert np.abs(left).max() < 2e-6 and run.dissipated()[-1] > 0.5
 
     other = thin.values + 1e-9  # no run of the scene alone
-    with pytest.warns(timo_sim.ModelWarning, match='samples too far apart'):
+    with pytest.warns(timo_sim.ModelWarning, match='samples are too far apart'):
         timo_sim.Run(scene, thin.model, thin.t, other, thin.friction_heat).dissipated()
     slow = timo_sim.Run(scene, thin.model, thin.t, 0.0 * other, thin.friction_heat)
     assert not slow.dissipated().any()
@@ -129,13 +129,13 @@ def test_xi_must_be_on_the_arm(paper):
     (['papr'], 'did you mean paper?'),
     (['paper', '--set', 'model.mode=2'], 'did you mean model.modes?'),
     (['paper', '--duration', '0.1', '-o', 'run.txt'], 'must end with .parquet or .csv')])
-def test_what_the_command_refuses(arguments, words, tmp_path, monkeypatch):
+def test_the_command_refuses(arguments, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(main, ['simulate', *arguments])
     assert result.exit_code == 2 and words in result.output
 
 
-# A clock that gives each look at it 0.1 s: the bar comes after ten looks.
+# The clock goes on by 0.1 s each time it is read: the bar appears after ten readings.
 SHORT_AND_LONG = """
 import io, itertools, sys
 import timo_sim, tqdm

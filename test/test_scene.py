@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Scenes from files, dictionaries and overrides; what is refused, and in which words."""
+"""Scenes from files, dictionaries and overrides, and the messages of those that are refused."""
 
 import math
 
@@ -86,7 +86,7 @@ def test_numbers_that_yaml_reads_as_text_or_whole_numbers_are_accepted(tmp_path)
     ('record', 1, 'record must be true or false, got 1'),
     ('record_file', 3, 'record_file must be a text, got 3'),
 ])
-def test_what_is_refused(name, value, words):
+def test_values_that_are_refused(name, value, words):
     with pytest.raises(timo_sim.ParameterError, match=words):
         timo_sim.load_scene({}, {name: value})
 
@@ -116,7 +116,7 @@ DRIVE = {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 1.0], 'motor.drive.a
     ({'model.formulation': 'newton_root_stress', 'motor.shaft_inertia': 0.0},
      'newton_root_stress needs a shaft inertia > 0'),
 ])
-def test_what_does_not_fit_together_is_refused(values, words):
+def test_values_that_do_not_fit_together_are_refused(values, words):
     with pytest.raises(timo_sim.ParameterError, match=words):
         timo_sim.load_scene(values)
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A run in doubt is compared with a finer one: what that tells is what finite elements find."""
+"""A doubtful run is compared with a finer one, whose distance is that from finite elements."""
 
 import warnings
 
@@ -23,7 +23,7 @@ PULL = {'model.formulation': 'newton', 'carrier.held': 'both', 'motor.shaft': 'l
         'initial.shaft': 0.0, 'load.tip_force_x.piecewise.time': [0.0],
         'load.tip_force_x.piecewise.value': [400.0], 'load.tip_force_y.piecewise.time': [0.0],
         'load.tip_force_y.piecewise.value': [10.0]}
-# Light and soft, with dry friction; as scene 491 of the stress test.
+# A light, soft arm with dry friction: scene 491 of the stress test.
 DRY = {'integrator.step': 0.002, 'arm.length': 0.329, 'arm.height': 0.00213, 'arm.width': 0.00331,
        'arm.density': 1970.0, 'arm.young_modulus': 2.87e8, 'arm.shear_modulus': 1.96e7,
        'arm.shear_correction': 0.592, 'arm.damping_ratio': [0.0], 'end_effector.mass': 5.68e-05,
@@ -46,32 +46,32 @@ def quietly(values, duration, **options):
 
 
 @pytest.mark.parametrize('name', SCENES)
-def test_the_error_is_that_to_finite_elements(name):
+def test_the_error_is_the_distance_from_finite_elements(name):
     run = quietly(SCENES[name], 0.5)
     tip = spectral_elements.simulate(run.scene, 0.005, 100)[2]
     error = np.linalg.norm(run.position(2.0) - tip, axis=1).max()
     assert run.stats['compared'] and error > second_run.DOUBT
-    # Three further modes and one axial are most, but not all, of what is missing.
+    # Three further modes and one axial mode give most, but not all, of the error.
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.2)
     assert (run.warning is not None) == (error > 1.4e-3)  # 7e-4 of the arm's length
 
 
-def test_what_is_not_in_doubt_is_run_once():
+def test_runs_that_are_not_doubtful_have_no_second_run():
     assert 'compared' not in quietly('paper', 1.0).stats
-    assert 'compared' not in quietly(SCENES['stretch'], 2.5).stats  # too long to be unasked
+    assert 'compared' not in quietly(SCENES['stretch'], 2.5).stats  # too long
     assert 'compared' not in quietly({**SCENES['stretch'], 'model.modes': 0}, 0.5).stats  # rigid
     rigid = {'model.modes': 0, 'model.formulation': 'newton', 'initial.shaft_velocity': 1.0}
     assert 'compared' not in quietly(rigid, 0.5).stats
 
 
-def test_a_user_decides():
+def test_compare_overrides_the_choice():
     assert quietly('paper', 0.5, compare=True).stats['compared']
     once, twice = (quietly(SCENES['stretch'], 0.5, compare=choice) for choice in (False, None))
     assert 'compared' not in once.stats
     np.testing.assert_array_equal(once.motion, twice.motion)
 
 
-def test_a_wrong_alarm_is_taken_back(monkeypatch):
+def test_a_false_alarm_is_withdrawn(monkeypatch):
     monkeypatch.setattr(second_run, 'DOUBT', 0.0)
     scene = timo_sim.load_scene('paper')
     run = second_run.sampled_run(scene, 100)
@@ -96,7 +96,7 @@ def test_one_mode_has_a_second_run_too():
     assert quietly(values, 0.1, compare=True).stats['compared']
 
 
-def test_static_modes_bent_at_first_have_no_second_run():
+def test_a_run_that_starts_bent_in_static_modes_has_no_second_run():
     values = {**SCENES['stretch'], 'model.static_modes': 'force'}
     assert quietly(values, 0.1, compare=True).stats['compared']
     bent = {**values, 'initial.modal_coordinates': [1e-3, 0.0, 0.0]}
@@ -104,7 +104,7 @@ def test_static_modes_bent_at_first_have_no_second_run():
 
 
 def test_steps_with_dry_friction_are_fine_enough():
-    """A second run with half the step, 1e3 times further off than the first, does not see that."""
+    """A second run at half the step is 1e3 times further off than the first, and cannot see it."""
     run = quietly(DRY, 2.0, compare=True)
     fine = second_run._run(second_run.finer(run.scene, 64), 64, run, None)
     error = np.linalg.norm(run.position(0.329) - fine.position(0.329), axis=1).max()

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What sensors measure, by closed forms and differences; what they show of it, by statistics."""
+"""Sensors: measured quantities against closed forms and differences, noise by its statistics."""
 
 import numpy as np
 import pytest
@@ -32,8 +32,8 @@ def measured(simulator):
 
 
 @pytest.mark.parametrize('name', [*FORMULATIONS, 'driven'])
-def test_acceleration_is_the_second_difference_of_the_tips_place(name, paper, spin_up):
-    """Along the motion under loads, at the end of a step; of a driven shaft, too."""
+def test_acceleration_is_the_second_difference_of_the_tips_position(name, paper, spin_up):
+    """At the end of a step of a motion under loads, also with a driven shaft."""
     scene = timo_sim.load_scene(spin_up) if name == 'driven' else timo_sim.load_scene(
         paper, {'model.formulation': name, **MOVING})
     scene = scene.vary({'integrator.step': 5e-4})
@@ -51,15 +51,15 @@ def test_acceleration_is_the_second_difference_of_the_tips_place(name, paper, sp
         return np.linalg.norm(weights @ at / (stride * scene.step)**2 - found)
 
     second = [error(np.array([1.0, -2.0, 1.0]), stride) for stride in (8, 4, 2)]
-    # Observed order 2, while that is above the error of the motion.
+    # The observed order is 2 as long as this error is above that of the motion.
     assert np.array(second[:-1]) / second[1:] == pytest.approx([4.0, 4.0], rel=0.1)
     sixth = np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90])
-    # Measured: 3e-9 to 7e-9, the round-off of the places over the step squared.
+    # Measured: 3e-9 to 7e-9, the round-off of positions divided by the square of the step.
     assert error(sixth, 1) < 2e-8 * np.linalg.norm(found)
 
 
 def test_acceleration_depends_on_the_load_at_once():
-    """What a force on the tip changes is linear in it, and the force does work at that rate."""
+    """The change by a force on the tip is linear in the force and has a component along it."""
     scene = timo_sim.load_scene({**MOVING})
     simulator = Simulator(scene)
     simulator.advance(100)
@@ -73,10 +73,10 @@ def test_acceleration_depends_on_the_load_at_once():
     assert (pushed - before) @ force > 0.0
 
 
-# Without newton_root_stress, in which what no mode carries does not turn the shaft.
+# Without newton_root_stress, in which a rigid arm has no inertia for the shaft.
 @pytest.mark.parametrize('formulation', ['exact', 'newton', 'newton_rigid_axial'])
 def test_imu_on_a_rigid_arm(formulation):
-    """A free body under a torque: centripetal and tangential about its mass centre."""
+    """The acceleration of a free body under a torque, centripetal and tangential."""
     turning, torque = 3.0, 4.0
     scene = timo_sim.load_scene({
         'model.modes': 0, 'model.formulation': formulation, 'initial.shaft_velocity': turning,
@@ -96,7 +96,7 @@ def test_imu_on_a_rigid_arm(formulation):
             -(length - centre) * speed**2, (length - centre) * torque / inertia, speed],
             rel=1e-9)
         assert found['~/encoder'][0] == simulator.motion.values[2]
-        # A rigid arm has no strain, but its moment has that of one which nearly is.
+        # A rigid arm has no strain; the sensor shows that of a nearly rigid one with its moment.
         section = body.arm.section
         moment = (body.shaft_inertia / inertia - 1.0) * torque
         assert found['~/root_strain'][0] == pytest.approx(
@@ -105,8 +105,8 @@ def test_imu_on_a_rigid_arm(formulation):
 
 
 @pytest.mark.parametrize('formulation', FORMULATIONS)
-def test_root_strain_is_that_of_the_moment_which_accelerates_the_shaft(formulation):
-    """J_m theta'' less torque and viscous friction, theta'' by differences of fourth order."""
+def test_root_strain_follows_from_the_moment_on_the_shaft(formulation):
+    """The moment is J_m theta'' minus torque and friction; differences of fourth order."""
     torque, friction = 1.5, 0.5
     scene = timo_sim.load_scene({
         'model.formulation': formulation, **MOVING, 'motor.viscous_friction': friction,
@@ -122,13 +122,13 @@ def test_root_strain_is_that_of_the_moment_which_accelerates_the_shaft(formulati
     moment = scene.manipulator.shaft_inertia * second - torque + friction * speeds[2:-2]
     expected = 0.5 * section.height * moment / section.bending_stiffness
     assert np.abs(expected).max() > 1e-4
-    # The difference's error is (190 rad/s x 1 ms)^4 / 30 of what the third mode does.
+    # The error of the difference is (190 rad/s x 1 ms)^4 / 30 of the third mode's share.
     assert strains[2:-2] == pytest.approx(expected, abs=2e-5 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton', 'newton_rigid_axial'])
 def test_strain_under_a_constant_force_is_that_of_statics(formulation):
-    """A locked arm, damped until it is still: F l h / (2 E I), and no acceleration is left."""
+    """Of a locked arm, damped to rest: F l h / (2 E I), and no acceleration."""
     scene = timo_sim.load_scene({
         'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,
         'arm.damping_ratio': [0.7], 'load.tip_force_y.piecewise.time': [0.0],
@@ -143,17 +143,17 @@ def test_strain_under_a_constant_force_is_that_of_statics(formulation):
 
 
 def shown(values, sensor, step, *quantities):
-    """Return what a sensor reads of quantities."""
+    """Return the reading of a sensor for true values of its quantities."""
     number, = (place for place, entry in enumerate(SENSORS) if entry.name == sensor)
     return reading(values, sensor, number, step, quantities)
 
 
-def test_a_perfect_sensor_shows_what_is():
+def test_a_perfect_sensor_shows_the_true_value():
     assert shown(PERFECT, 'gyro', 7, 0.1, -3.0) == (0.1, -3.0)
 
 
 def noise_of(sensor, steps=range(STEPS), axes=1, **changed):
-    """Return what a sensor with unit noise shows of nothing."""
+    """Return readings of zeros by a sensor with unit noise, one row for each axis."""
     values = {**PERFECT, f'sensor.{sensor}.noise': 1.0, **changed}
     return np.array([shown(values, sensor, step, *[0.0] * axes) for step in steps]).T
 
@@ -162,7 +162,7 @@ def test_noise_is_white_normal_and_independent():
     rows = np.vstack([noise_of('tip_acceleration', axes=2), noise_of('root_strain'),
                       noise_of('gyro'), noise_of('encoder'),
                       noise_of('gyro', **{'sensor.seed': 1})])
-    # Four times the standard error of each estimate; seeds are fixed, so nothing here is chance.
+    # Four times the standard error of each estimate; seeds are fixed, so the test is repeatable.
     assert np.abs(rows.mean(axis=1)).max() < 4.0 / np.sqrt(STEPS)
     assert np.abs(rows.std(axis=1) - 1.0).max() < 4.0 / np.sqrt(2.0 * STEPS)
     assert np.abs((np.abs(rows) > 1.96).mean(axis=1) - 0.05).max() < 4.0 * np.sqrt(0.0475 / STEPS)
@@ -171,11 +171,11 @@ def test_noise_is_white_normal_and_independent():
         assert np.abs((rows[:, lag:] * rows[:, :-lag]).mean(axis=1)).max() < 4.0 / np.sqrt(STEPS)
 
 
-def test_noise_depends_on_the_step_and_not_on_what_was_asked_before():
+def test_noise_depends_on_the_step_and_not_on_earlier_readings():
     steps = [3, 2**40, 0, 255, 256, 70000, 3]
     at_once, backwards = noise_of('gyro', steps)[0], noise_of('gyro', steps[::-1])[0]
     assert np.array_equal(at_once, backwards[::-1]) and len(set(at_once)) == len(steps) - 1
-    # One axis is not disturbed by the other.
+    # The noise of one axis does not depend on the other.
     both = noise_of('tip_acceleration', steps, axes=2)
     assert np.array_equal(both[0], noise_of('tip_acceleration', steps)[0])
 
@@ -190,11 +190,11 @@ def test_bias_noise_and_resolution_in_this_order():
 
 
 @pytest.mark.parametrize('resolution', [5e-324, 1e-300, 1e-17])
-def test_what_is_finer_than_a_number_rounds_nothing(resolution):
+def test_a_resolution_below_that_of_numbers_rounds_nothing(resolution):
     assert shown({**PERFECT, 'sensor.gyro.resolution': resolution}, 'gyro', 0, 1e8) == (1e8,)
 
 
-def test_the_same_bits_however_the_steps_are_done(paper):
+def test_the_same_bits_in_any_batches_of_steps(paper):
     scene = timo_sim.load_scene(paper, {**MOVING, **{
         f'sensor.{name}.noise': 0.01 for name in ('root_strain', 'tip_acceleration', 'gyro')}})
     found = []

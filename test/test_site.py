@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 
-"""The site that `make docs` makes, where Sphinx is installed."""
+"""The site that `make docs` builds; skipped where Sphinx is missing."""
 
 from html import unescape
 from pathlib import Path
@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture(scope='module')
 def site(tmp_path_factory):
-    """Return the text of its pages by name; a warning, as of a broken link, is an error."""
+    """Return the text of the pages by name; a warning, such as a broken link, is an error."""
     folder = tmp_path_factory.mktemp('site')
     built = subprocess.run([sys.executable, '-m', 'sphinx', '-EqW', '--keep-going', ROOT / 'doc',
                             folder], capture_output=True, text=True)
@@ -59,6 +59,6 @@ def test_api_and_equations_are_there(site):
     tags = r'\\tag\{(T\d+)\}'
     assert re.findall(tags, site['theory.html']) == re.findall(
         tags, (ROOT / 'doc' / 'theory.md').read_text())
-    # MathJax comes with the site.
+    # Nothing is loaded from the network: MathJax is part of the site.
     assert not re.findall(r'<(?:script|link|img)[^>]*(?:src|href)="(https?:[^"]*)',
                           '\n'.join(site.values()))

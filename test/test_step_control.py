@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Errors of steps: estimated, kept below a tolerance by splitting, told when they are alarming."""
+"""Errors of steps: their estimate, splitting to stay below a tolerance, warnings, divergence."""
 
 import tracemalloc
 import warnings
@@ -23,7 +23,7 @@ DURATION, PERIOD = 2.0, 0.02
 
 
 def tip(simulator, motions):
-    """Return where the tip is in the world, shape (n, 2) [m]."""
+    """Return positions of the tip in the world, shape (n, 2) [m]."""
     formulation = simulator.model
     return formulation.world(motions, formulation.at([2.0]))[:, 0]
 
@@ -48,15 +48,15 @@ def test_the_error_follows_the_tolerance(formulation):
             assert 0.01 * tolerance < integration.largest_error <= tolerance
 
 
-def test_with_a_tolerance_that_no_step_exceeds_the_halves_count():
-    # Other machine code: the compiler may sum up in another order.
+def test_with_a_tolerance_that_no_step_exceeds_the_run_is_that_of_the_halves():
+    # It is other machine code, in which the compiler may sum in another order.
     (_, halves), (simulator, bound) = path(0.001), path(0.002, 1.0)
     assert simulator.integration.splits == 0
     np.testing.assert_allclose(bound, halves, atol=1e-11)
 
 
 @pytest.mark.parametrize('every', [1, 7])
-def test_bits_depend_neither_on_how_steps_are_asked_for_nor_on_samples(every):
+def test_bits_depend_neither_on_batches_nor_on_samples(every):
     whole = path(0.02, 1e-6)[0]
     pieces = Simulator(whole.scene)
     command = np.zeros(LOADS)
@@ -71,8 +71,8 @@ def test_bits_depend_neither_on_how_steps_are_asked_for_nor_on_samples(every):
     assert pieces.integration.splits == whole.integration.splits > 200
 
 
-def test_loads_are_those_of_the_parts():
-    # Ten periods in a step: sampled at its ends and middle the torque would be nothing.
+def test_each_part_of_a_split_step_has_its_own_loads():
+    # With ten periods in a step the torque is zero at the ends and the middle of the step.
     torque = {'load.torque.harmonic.amplitude': [100.0],
               'load.torque.harmonic.frequency': [500.0], 'initial.shaft_velocity': 5.0}
     drive = {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 1.0],
@@ -84,14 +84,14 @@ def test_loads_are_those_of_the_parts():
         assert np.abs(run - exact).max() < 1e-5
 
 
-def test_what_is_too_coarse_in_the_smallest_parts_is_done_and_told():
+def test_steps_above_the_tolerance_in_the_smallest_parts_are_kept_with_a_warning():
     simulator, run = path(0.02, 1e-14)
     assert simulator.integration.unresolved == simulator.integration.splits == 100
     assert np.abs(run - path(1e-4)[1]).max() < 1e-6
-    assert 'above integrator.tolerance = 1e-14 m when done in 64 parts' in simulator.warning
+    assert 'integrator.tolerance = 1e-14 m even when done in 64 parts' in simulator.warning
 
 
-def test_splitting_carries_over_what_diverges_in_whole_steps():
+def test_splitting_prevents_a_divergence():
     wild = {'initial.shaft_velocity': 100.0, 'initial.modal_rates': [40.0, 0.0, 0.0]}
     with pytest.raises(timo_sim.DivergenceError):
         path(0.02, **wild)
@@ -127,12 +127,12 @@ SHAKEN = {'load.torque.harmonic.amplitude': [50.0], 'load.torque.harmonic.freque
      'motor.drive.angle': [0.0, 3.0, 1.0], 'motor.drive.speed': [0.0, 5.0, 0.0],
      'motor.drive.acceleration': [0.0, 0.0, 0.0]}])
 @pytest.mark.parametrize('step', [0.005, 0.0025])
-def test_the_estimate_is_the_error_of_the_run(values, step):
+def test_the_estimate_is_near_the_error_of_the_run(values, step):
     error, estimate, _ = error_of(step, round(0.01 / step), **values)
     assert error / 5.0 < estimate < 5.0 * error
 
 
-def test_the_estimate_knows_no_samples_and_hardly_how_steps_are_asked_for():
+def test_the_estimate_depends_not_on_samples_and_hardly_on_batches():
     scene = timo_sim.load_scene({'integrator.step': 0.005, **SHAKEN, **TORQUE_STEPS})
     estimates = [timo_sim.simulate(scene, 6.0, every).stats['step_error_m']
                  for every in (1, 5, 300, 1200)]
@@ -156,12 +156,12 @@ def test_commands_that_change_often_are_estimated_by_some_steps():
             if parts == 1:
                 estimate = simulator.integration.errors.tip if simulator.estimated_error else 0.0
         error = np.linalg.norm(paths[0] - paths[1])
-        # One step stands for those between two looks, whose errors add up or cancel unseen.
+        # One repeated step stands for all since the last, whose errors may add up or cancel.
         assert error / 10.0 < estimate < 300.0 * error
 
 
-def test_short_runs_and_single_events_are_seen():
-    # 20 steps, of which the first is at rest; the same with a spike inside one of 400 steps.
+def test_errors_of_short_runs_and_single_events_are_estimated():
+    # First 20 steps, one of them at rest; then 100 steps, with a spike inside one.
     for values, duration in (
             ({'load.torque.piecewise.time': [0.01], 'load.torque.piecewise.value': [2000.0]}, 0.2),
             ({'load.torque.table.time': [0.501, 0.504, 0.508],
@@ -170,7 +170,7 @@ def test_short_runs_and_single_events_are_seen():
         assert error > 2e-3 and estimate > 0.1 * error and 'the tip about' in run.warning
 
 
-def test_slow_growth_of_the_error_is_told_when_it_matters():
+def test_slow_growth_of_the_error_gives_a_warning_when_it_matters():
     values = {**SHAKEN, 'carrier.held': 'x', 'load.torque.harmonic.amplitude': [100.0]}
     error, _, run = error_of(0.01, 10, 60.0, **values)
     assert error > 1e-3 and 'take a smaller integrator.step' in run.warning
@@ -178,7 +178,7 @@ def test_slow_growth_of_the_error_is_told_when_it_matters():
     assert error < 1e-4 and run.warning is None
 
 
-def test_memory_is_that_of_a_chunk():
+def test_memory_does_not_grow_with_the_steps():
     scene = timo_sim.load_scene({'initial.shaft_velocity': 1.0})
     timo_sim.simulate(scene, 1.0, 1000)
     tracemalloc.start()
@@ -190,18 +190,18 @@ def test_memory_is_that_of_a_chunk():
     assert peak < 4e6
 
 
-def test_a_run_of_wrong_steps_is_told_and_a_good_one_is_not():
+def test_steps_that_are_too_long_give_a_warning_and_others_none():
     wrong = {'initial.shaft_velocity': 40.0, 'initial.modal_rates': [20.0, 0.0, 0.0]}
     scene = timo_sim.load_scene({'integrator.step': 0.01, **wrong})
     with pytest.warns(timo_sim.ModelWarning, match='the steps have put the tip about .* m off'):
         timo_sim.simulate(scene, 10.0)
     simulator = Simulator(timo_sim.load_scene({'integrator.step': 0.001, **wrong}))
     simulator.advance(10000)
-    assert 'steps' not in simulator.warning  # but modes, and that it does not stretch
+    assert 'steps' not in simulator.warning  # it warns of modes and stretch
     assert 0.0 < simulator.integration.errors.tip < 1e-4 < simulator.estimated_error
 
 
-def test_a_load_that_vibrates_within_a_step_is_told():
+def test_a_load_that_is_too_fast_for_the_step_gives_a_warning():
     load = {'load.force_y.harmonic.amplitude': [1.0, 1.0],
             'load.force_y.harmonic.frequency': [1.0, 30.0]}
     with pytest.warns(timo_sim.ModelWarning, match=(
@@ -211,7 +211,7 @@ def test_a_load_that_vibrates_within_a_step_is_told():
     assert Simulator(timo_sim.load_scene({'integrator.step': 0.005, **load})).warning is None
 
 
-def test_divergence_says_what_when_and_what_to_do_and_keeps_the_state_before():
+def test_divergence_names_place_time_and_remedy_and_keeps_the_last_good_state():
     scene = timo_sim.load_scene({'integrator.step': 0.02, 'initial.shaft_velocity': 300.0})
     told = (r'diverges after t = \S+ s \(step \d+\), at [a-z ]+\d* = \S+ with the arm bent by '
             r'\S+ m: take a smaller integrator.step, an integrator.tolerance')
@@ -221,7 +221,7 @@ def test_divergence_says_what_when_and_what_to_do_and_keeps_the_state_before():
             single.advance(1)
     with pytest.raises(timo_sim.DivergenceError, match=told) as second:
         block.advance(1000)
-    # When other warnings come depends on how many steps are done at once.
+    # The time of other warnings depends on how many steps are done at once.
     assert str(first.value).split(';')[0] == str(second.value).split(';')[0]
     assert single.steps == block.steps > 0
     assert single.motion.values.tobytes() == block.motion.values.tobytes()

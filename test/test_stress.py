@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The numerics of `make stress`: it sees what is silent, and what was silent once is not."""
+"""The numerics of `make stress` find errors without a warning; those found once are gone."""
 
 from dataclasses import replace
 from functools import partial
@@ -20,7 +20,7 @@ import timo_sim
 
 @pytest.fixture(autouse=True)
 def few_modes(monkeypatch):
-    """Let references have fewer modes: of these scenes the errors are the same, within 7 %."""
+    """Let references have fewer modes; the errors of these scenes change by less than 7 %."""
     monkeypatch.setattr(truth, '_MODES', (6, 1))
     monkeypatch.setattr(truth, '_FEWER', (5, 1))
 
@@ -30,7 +30,7 @@ BODY = {'arm.length': 2.0, 'motor.mass': 0.0, 'initial.shaft_velocity': 1.0,
 
 
 def plain(steps=200, step=0.01, bend=0.01, **changes):
-    """Return a Cell: a spinning arm whose tip begins to vibrate [m]."""
+    """Return a Cell: a spinning arm that starts with its tip bent by `bend` [m]."""
     values = {**BODY, 'model.formulation': 'exact', 'model.modes': 3, 'integrator.step': step,
               'arm.height': 0.02, 'motor.shaft': 'free', **changes}
     scene = timo_sim.load_scene(values)
@@ -40,7 +40,7 @@ def plain(steps=200, step=0.01, bend=0.01, **changes):
 
 
 def at_resonance(number, ratio, **changes):
-    """Return a Cell whose torque has the frequency of a vibration, or that ratio of it."""
+    """Return a Cell whose torque has `ratio` times the frequency of a vibration."""
     cell = plain(**changes)
     scene = timo_sim.load_scene(cell.values)
     found = np.sort(np.linalg.eigvals(scene.build().linear).imag)
@@ -52,7 +52,7 @@ def at_resonance(number, ratio, **changes):
         'load.torque.harmonic.frequency': [ratio * found[number - 1] / (2.0 * np.pi)]})
 
 
-# What was wrong and silent once: with an embedded estimate of third order, or looked at too late.
+# Scenes whose errors once gave no warning: with an estimate of third order, or checked too late.
 SILENT_ONCE = {
     'thick': partial(plain, **{
         'model.formulation': 'newton', 'arm.height': 0.2, 'end_effector.mass': 21.68,
@@ -71,7 +71,7 @@ SILENT_ONCE = {
 
 
 @pytest.mark.parametrize('cell', SILENT_ONCE.values(), ids=SILENT_ONCE)
-def test_what_was_silent_once(cell):
+def test_errors_that_were_silent_once_no_longer_are(cell):
     for found in truth.judge(cell()):
         assert found['verdict'] != 'silent' or found['against'] == 'exact', found
 
@@ -82,7 +82,7 @@ def test_all_parameters_vary_and_a_number_is_the_same_scene():
     names = set().union(*(cell.values for cell in cells))
     bodies = [name for name in timo_sim.load_scene({}).values
               if name.startswith(('arm.', 'carrier.', 'motor.', 'end_effector.'))]
-    # Limits and motors act on commands; profiles would be other sizes; positions are no physics.
+    # Limits and motors act on commands only; profiles would need machine code for further sizes.
     assert {name for name in bodies if name not in names} == {
         name for name in bodies if 'limit' in name or '.dc.' in name or 'profile' in name} | {
             'arm.damping_of'}
@@ -97,8 +97,8 @@ def test_all_parameters_vary_and_a_number_is_the_same_scene():
         assert cell.steps % cell.every == 0
 
 
-def test_what_steps_do_wrong_is_told():
-    """Against the same modes at a tenth of the step: what is left out otherwise is not seen."""
+def test_errors_of_steps_give_a_warning():
+    """Compare with the same modes at finer steps, so that only the error of the steps shows."""
     cells = [scenes.cell(number, seed=2) for number in range(10 * len(scenes.KINDS))]
     seen = []
     for cell in cells:
@@ -116,20 +116,20 @@ def test_what_steps_do_wrong_is_told():
     assert len(seen) > 20 and np.median(seen) < 1e-5
 
 
-def without_a_word(monkeypatch):
-    """Let runs keep their warnings to themselves."""
+def without_warnings(monkeypatch):
+    """Remove the warnings of runs."""
     speaking = truth.sampled_run
     monkeypatch.setattr(truth, 'sampled_run', lambda *arguments: replace(
         speaking(*arguments), warning=None))
     monkeypatch.setattr(truth, 'compared', lambda run: run)
 
 
-def test_an_error_without_a_word_is_silent(monkeypatch):
+def test_an_error_without_a_warning_is_silent(monkeypatch):
     cell = plain(step=0.02, bend=0.3, **{'initial.shaft_velocity': 20.0, 'carrier.mass': 1.0})
     finer = truth._Finer(cell)
     monkeypatch.setattr(truth, '_Finer', lambda *_: finer)
     told = truth.judge(cell)[0]
-    without_a_word(monkeypatch)
+    without_warnings(monkeypatch)
     untold = truth.judge(cell)[0]
     assert told['verdict'] == 'flagged' and untold['verdict'] == 'silent'
     assert told['error'] == untold['error'] > truth.ACCURATE
@@ -137,7 +137,7 @@ def test_an_error_without_a_word_is_silent(monkeypatch):
 
 
 def test_the_two_references_agree_and_see_too_few_modes_and_stretch(monkeypatch):
-    """Of a spinning arm under a push: far beyond what separates the references."""
+    """The errors of a spinning arm under a push are far larger than the references' distance."""
     push = {'load.tip_force_y.piecewise.time': [0.0, 0.1],
             'load.tip_force_y.piecewise.value': [20.0, 0.0], 'initial.shaft_velocity': 10.0}
     cell = plain(step=0.005, steps=200, bend=0.0, **push)._replace(elements=True)
@@ -149,8 +149,8 @@ def test_the_two_references_agree_and_see_too_few_modes_and_stretch(monkeypatch)
     assert found == pytest.approx(found[:1] * 4, rel=0.1) and found[0] > 1e-4
 
 
-def test_a_push_that_grows_is_no_silent_error():
-    """A tip that is pushed along its arm at rest, beyond Euler's load: it leaves either way."""
+def test_an_unstable_motion_is_no_silent_error():
+    """A push along the arm beyond Euler's load: the arm may buckle to either side."""
     cell = plain(bend=0.0, **{
         'carrier.mass': 1e5, 'initial.shaft': 0.0, 'initial.shaft_velocity': 0.0,
         'load.tip_force_x.piecewise.time': [0.0],
@@ -162,6 +162,6 @@ def test_a_push_that_grows_is_no_silent_error():
 
 @pytest.mark.parametrize('number', range(6))
 def test_linear_models_of_heavy_tips(number):
-    """They converge with the modes, down to the elements' round-off beside a heavy tip."""
+    """They converge with the modes, down to the round-off of elements with a heavy tip."""
     few, many = (np.array(numerics.linear_errors(number, modes)) for modes in (3, 8))
     assert (many < np.maximum(1e-4, 0.1 * few)).all() and few.max() < 0.01

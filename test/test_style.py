@@ -31,7 +31,7 @@ def test_linter(command):
 
 
 def test_every_file_says_its_licence():
-    """As ament_copyright wants: it knows no shorter form."""
+    """In the form that ament_copyright requires; it knows no shorter one."""
     header = (ROOT / 'timo_sim/version.py').read_text().partition('\n\n')[0]
     assert header.startswith('# Copyright') and 'License, Version 2.0' in header
     files = [path for folder in FOLDERS for path in (ROOT / folder).rglob('*.py')]

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Many runs: rows are those of `simulate`, failures are rows, whoever works and whatever dies."""
+"""Many runs: rows as from `simulate`, failed runs, refusals, jobs, workers that are killed."""
 
 import os
 from pathlib import Path
@@ -32,7 +32,7 @@ def scene(paper):
 
 
 def expected(run):
-    """Return the numbers of a row, read off a run."""
+    """Return the numbers of a row, computed from a run."""
     deflection, rotation = run.deflection(2.0)[:, 1], run.rotation(2.0)
     peak = np.argmax(np.abs(deflection))
     return [abs(deflection[peak]), run.t[peak], np.sqrt(np.mean(deflection**2)), deflection[-1],
@@ -103,7 +103,7 @@ def test_a_run_that_fails_is_a_row_with_the_reason(scene):
     assert table['model.modes'].tolist()[:2] == [12, 3] and table['model.modes'][12] is None
 
 
-def test_a_run_that_should_not_be_trusted_says_so(scene):
+def test_a_run_with_a_warning_has_it_in_its_row(scene):
     fast = {'model.formulation': 'newton', 'initial.shaft_velocity': 20.0}
     table = timo_sim.simulate_many(scene, [fast, {}], 0.1, workers=1)
     with pytest.warns(timo_sim.ModelWarning) as caught:
@@ -111,7 +111,7 @@ def test_a_run_that_should_not_be_trusted_says_so(scene):
     assert table['warning'].tolist() == [str(caught[0].message), '']
 
 
-def test_what_does_not_fit_at_all_is_refused(scene):
+def test_sweeps_without_a_possible_run_are_refused(scene):
     with pytest.raises(timo_sim.ParameterError, match='at least one element, got none'):
         timo_sim.simulate_many(scene, [], 1.0)
     with pytest.raises(timo_sim.ParameterError, match='the ratio is 12.5'):
@@ -119,23 +119,23 @@ def test_what_does_not_fit_at_all_is_refused(scene):
 
 
 @pytest.mark.parametrize('given, words', [
-    ({'variations': [{'arm.length': lambda: 2.0}]}, 'worker processes get must be plain values'),
+    ({'variations': [{'arm.length': lambda: 2.0}]}, 'calls of worker processes must be picklable'),
     ({'variations': [3]}, 'values must be given by name, got 3'),
     ({'variations': lambda: []}, 'variations must be a list of values by name, got <function'),
     ({'variations': {'arm.length': [2.0]}}, 'variations must be a list'),
-    ({'variations': [{'arm': {'length': 2.0}, 'arm.length': 3.0}]}, 'arm.length is there twice'),
+    ({'variations': [{'arm': {'length': 2.0}, 'arm.length': 3.0}]}, 'arm.length is given twice'),
     ({'duration': '1 s'}, "duration must be a finite number >= 0 .*got '1 s'"),
     ({'duration': -1.0}, 'duration must be a finite number >= 0 .*got -1.0'),
     ({'workers': -1}, 'workers must be a whole number >= 1, got -1'),
     ({'workers': 0}, 'workers must be a whole number >= 1, got 0'),
     ({'workers': 1.5}, 'workers must be a whole number >= 1, got 1.5')])
-def test_arguments_that_are_none(scene, given, words):
+def test_invalid_arguments_are_refused(scene, given, words):
     with pytest.raises(timo_sim.ParameterError, match=words) as caught:
         timo_sim.simulate_many(scene, **{'variations': [{}], 'duration': 0.1, **given})
     assert '\n' not in str(caught.value)
 
 
-def test_jobs_hold_every_run_once_and_are_neither_long_nor_few(scene):
+def test_jobs_hold_every_run_once_and_are_short_and_many(scene):
     for count in (1, 7, 33, 1000, 100_003):
         sizes, first = [], 0
         for job in jobs_of(scene, 10.0, count, ({} for _ in range(count)), []):
@@ -187,14 +187,14 @@ def test_a_killed_worker_process_loses_nothing(tmp_path, monkeypatch):
         with pytest.raises(ConnectionError, match='ended 3 times over the same runs.* -9'):
             executor.submit(die).result()
         assert executor.submit(os.getenv, 'OPENBLAS_NUM_THREADS').result() == '1'
-        # What a call prints does not get between the answers.
+        # Output of a call does not get into the stream of results.
         assert executor.submit(os.system, 'echo noise').result() == 0
         last = executor.submit(os.getpid).result()
     assert not Path(f'/proc/{last}').exists()
 
 
 def test_a_job_needs_no_formulation_of_the_sender(scene):
-    """What goes to a worker is small."""
+    """A pickled job is small, and gives the same rows."""
     job = Job(0, scene, 0.1, ({},), ())
     assert len(pickle.dumps(job)) < 10_000
     again = run_job(pickle.loads(pickle.dumps(job)))

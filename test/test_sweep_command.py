@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""`timo_sim sweep`: file in, Parquet out; refusals; killed and given again; on a Dask cluster."""
+"""`timo_sim sweep`: file in, Parquet out; refusals; killed and resumed; on a Dask cluster."""
 
 from contextlib import chdir
 import os
@@ -39,7 +39,7 @@ RANDOM = {'seed': 7, 'count': 96, 'ranges': {
 
 @pytest.fixture
 def write(tmp_path, paper):
-    """Return a function that writes the file of a sweep, of the paper's scene unless it says."""
+    """Return a function that writes the file of a sweep, by default of the paper's scene."""
     def write(**entries):
         given = {'scene': str(paper), 'duration': 2.0, 'parameters': {'integrator.step': 0.01},
                  **entries}
@@ -59,13 +59,13 @@ def start(folder, *arguments):
 
 
 def end(command):
-    """Return code, output and errors of a command that ends."""
+    """Wait for a command; return its exit code, output and errors."""
     output, errors = command.communicate(timeout=120)
     return command.returncode, output, errors
 
 
 def refused(path, folder):
-    """Return what `timo_sim sweep` says in a folder, in this process, before it ends with 2."""
+    """Return the output of `timo_sim sweep` in this process; it must end with code 2."""
     with chdir(folder):
         result = CliRunner().invoke(main, ['sweep', str(path)])
     assert result.exit_code == 2
@@ -78,7 +78,7 @@ def rows(path):
 
 
 def wait_for_parts(folder, count):
-    """Return the names of the parts as soon as there are so many."""
+    """Return the paths of the parts as soon as there are `count` of them."""
     for _ in range(3000):
         parts = sorted(folder.glob('study.parquet.parts/*.parquet'))
         if len(parts) >= count:
@@ -178,7 +178,7 @@ def test_random_values_fill_their_ranges_and_repeat_with_their_seed(write):
     ({'random': {**RANDOM, 'ranges': {'end_effector.mass': [5.0]}}}, 'a lower and an upper end'),
     ({'random': {**RANDOM, 'ranges': {'model.modes': [1.5, 3]}}}, 'model.modes must be a whole'),
 ])
-def test_what_a_file_must_not_say(write, entries, words):
+def test_files_that_are_refused(write, entries, words):
     with pytest.raises((timo_sim.ParameterError, FileNotFoundError)) as caught:
         read_plan(write(**entries))
     assert words in str(caught.value) and 'yaml' in str(caught.value)
@@ -194,7 +194,7 @@ def test_bad_input_ends_with_one_line_and_code_2(write, tmp_path):
     assert code == 2 and "'nowhere.yaml' does not exist" in errors
 
 
-def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
+def test_a_killed_sweep_is_resumed_and_repeats_no_part(write, tmp_path):
     path = write(random=RANDOM, duration=10.0)
     sweep = start(tmp_path, path, '--workers', '2')
     wait_for_parts(tmp_path, 4)
@@ -210,14 +210,14 @@ def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
         time.sleep(0.01)
     assert not any(Path(f'/proc/{pid}').exists() for pid in workers)
 
-    # A part that is there is taken as it is: one of them says so in the result.
+    # A part that is there is used as it is: the changed column of one of them is in the result.
     known = parquet.read_table(parts[1])
     column = known.schema.get_field_index('warning')
     parquet.write_table(known.set_column(column, known.schema.field(column),
                                          [['seen'] * len(known)]), parts[1])
     parts[1].with_suffix('.sha256').unlink()
-    # Another sweep must not take over these parts.
-    assert 'study.parquet.parts is of another sweep' in refused(
+    # Another sweep must not use these parts.
+    assert 'study.parquet.parts belongs to another sweep' in refused(
         write(random=RANDOM, duration=5.0), tmp_path)
 
     assert end(start(tmp_path, write(random=RANDOM, duration=10.0)))[0] == 0
@@ -228,8 +228,8 @@ def test_a_killed_sweep_goes_on_and_does_nothing_twice(write, tmp_path):
     assert table == direct
 
 
-def test_two_sweeps_at_once_are_one_and_a_line(write, tmp_path):
-    """The first is done as if it were alone."""
+def test_a_second_sweep_at_the_same_time_is_refused(write, tmp_path):
+    """The first gives the same table as if it were alone."""
     path = write(random=RANDOM, duration=10.0)
     first = start(tmp_path, path, '--workers', '1')
     wait_for_parts(tmp_path, 2)
@@ -253,9 +253,9 @@ def test_the_parts_are_free_after_a_sweep_however_it_ended(write, tmp_path):
         with pytest.raises(timo_sim.ParameterError, match='another sweep is running'):
             Store(output, plan)
     other = read_plan(write(random={**RANDOM, 'seed': 8}))
-    with pytest.raises(timo_sim.ParameterError, match='is of another sweep'):
+    with pytest.raises(timo_sim.ParameterError, match='belongs to another sweep'):
         Store(output, other)
-    # A kill, or a full disk, may leave a part of the mark.
+    # A kill, or a full disk, may leave an incomplete mark.
     mark = tmp_path / 'study.parquet.parts' / 'sweep'
     mark.write_bytes(mark.read_bytes()[:9])
     with Store(output, plan):
@@ -293,7 +293,7 @@ def _other_columns(part):
     lambda part: part.write_bytes(bytes(1000)), _other_runs, _other_columns],
     ids=['cut', 'one bit', 'one bit of the footer', 'empty', 'zeros', 'of other runs',
          'of other columns'])
-def test_a_part_that_is_not_whole_is_done_again(write, tmp_path, damage):
+def test_a_damaged_part_is_computed_again(write, tmp_path, damage):
     plan = read_plan(write(random={**RANDOM, 'count': 2}))
     jobs = [*plan.jobs()]
     with Store(tmp_path / 'study.parquet', plan) as store:
@@ -311,7 +311,7 @@ def test_a_part_that_is_not_whole_is_done_again(write, tmp_path, damage):
     assert parquet.read_table(tmp_path / 'study.parquet')['run'].to_pylist() == [0, 1]
 
 
-def test_on_a_cluster_a_killed_worker_loses_and_doubles_nothing(write, tmp_path):
+def test_on_a_cluster_a_killed_worker_loses_and_repeats_nothing(write, tmp_path):
     path = write(random=RANDOM, duration=10.0)
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         with Client(cluster) as client:

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""`timo_sim urdf`, as the parser that ROS has for URDF files reads it."""
+"""`timo_sim urdf`, read by the URDF parser of ROS."""
 
 from pathlib import Path
 import shutil
@@ -29,7 +29,7 @@ TAPERED = {'arm.profile.position': [0.0, 2.0], 'arm.profile.height': [0.06, 0.02
 
 
 def urdf(scene, changes=None, code=0):
-    """Return what the command prints of a scene with some parameters changed."""
+    """Return the output of the command for a scene with some parameters changed."""
     settings = [text for name, value in (changes or {}).items()
                 for text in ('--set', f'{name}={value}')]
     result = CliRunner().invoke(main, ['urdf', str(scene), *settings])
@@ -39,7 +39,7 @@ def urdf(scene, changes=None, code=0):
 
 @pytest.mark.parametrize('name, changes', [('paper', {}), ('paper', TAPERED), ('spin_up', {})])
 def test_bodies_move_as_those_of_the_model(name, changes):
-    """Energy and momentum of the straight arm, turning and carried along, tell all of them."""
+    """Energy and momentum of the straight arm, which turns and moves along y, are the same."""
     robot = urdf_parser_py.URDF.from_xml_string(urdf(name, changes).encode())
     carrier, arm, tip = (robot.link_map[link].inertial for link in ('carrier', 'arm', 'tip'))
     length = robot.joint_map['tip'].origin.xyz[0]
@@ -57,14 +57,14 @@ def test_bodies_move_as_those_of_the_model(name, changes):
     assert total * speed + first * turning == pytest.approx(
         model.momentum(motion[np.newaxis])[0, 1], rel=1e-8)
     assert length == scene.values['arm.length']
-    for body in carrier, arm, tip:  # as of a body in space
+    for body in carrier, arm, tip:  # a rigid body has such moments of inertia
         moments = sorted([body.inertia.ixx, body.inertia.iyy, body.inertia.izz])
         assert 0.0 <= moments[2] <= moments[0] + moments[1]
 
 
 def test_a_tapered_arm_has_its_mass_where_it_is_thick():
     arm = urdf_parser_py.URDF.from_xml_string(urdf('paper', TAPERED).encode()).link_map['arm']
-    # The height falls on a line from 3 to 1 parts: mass 2, first moment (3 + 2)/6, of parts.
+    # The height falls from 3 to 1 on a line: mean 2, first moment (3 + 2 * 1) / 6.
     assert arm.inertial.mass == pytest.approx(2710.0 * 0.02 * 0.02 * 2.0 * 2.0, rel=1e-8)
     assert arm.inertial.origin.xyz == pytest.approx([2.0 * (5.0 / 6.0) / 2.0, 0.0, 0.0], rel=1e-8)
     assert arm.visual.geometry.size == [2.0, 0.06, 0.02]
@@ -76,7 +76,7 @@ def test_joints_topics_and_the_file_that_is_installed(tmp_path):
     robot = urdf_parser_py.URDF.from_xml_string(printed.encode())
     assert {name: joint.type for name, joint in robot.joint_map.items()} == {
         'carrier_x': 'prismatic', 'carrier_y': 'prismatic', 'shaft': 'continuous', 'tip': 'fixed'}
-    # What ros2_control sends and reads is what the node obeys and publishes.
+    # ros2_control must use the joints and topics of the node.
     control = ElementTree.fromstring(printed).find('ros2_control')
     assert tuple(joint.get('name') for joint in control.findall('joint')) == JOINTS
     topics = {entry.get('name'): entry.text for entry in control.findall('hardware/param')}
@@ -104,6 +104,6 @@ def test_links_are_the_frames_of_the_scene(tmp_path):
     ('paper', {'arm.length': -1.0}, 'arm.length must be a finite number > 0 m, got -1.0'),
     ('paper', {'frame.tip': 'arm'}, 'must differ'),
 ])
-def test_what_is_no_scene_is_one_line_and_code_2(scene, changes, words):
+def test_an_invalid_scene_gives_one_line_and_code_2(scene, changes, words):
     text = urdf(scene, changes, code=2)
     assert words in text and text.count('\n') == 1

@@ -19,7 +19,7 @@ import pytest
 from timo_sim.log.recording import Recording
 
 ROOT = Path(__file__).resolve().parents[1]
-# Is imported by Python itself at its start, and lets no package of ROS be found.
+# Python imports this as sitecustomize at its start; it hides all packages of ROS.
 NO_ROS = """
 import re, sys
 class NoRos:
@@ -87,8 +87,8 @@ def test_a_divergent_run_is_written_and_has_code_1(python, tmp_path):
 
 
 @pytest.mark.parametrize('arguments, words, code', [
-    (['duration:=1.0'], "'duration:=1.0' stands outside of --ros-args", 2),
-    (['--ros-args', '-p', 'duration:=1.0', '--', 'x'], "'x' stands outside", 2),
+    (['duration:=1.0'], "'duration:=1.0' must be inside of --ros-args", 2),
+    (['--ros-args', '-p', 'duration:=1.0', '--', 'x'], "'x' must be inside", 2),
     (['--help'], 'usage: sim_node', 0),
     (['--ros-args', '-p', 'duration:=1.0'], 'sim_node needs ROS 2', 1)])
 def test_arguments_of_the_node(python, arguments, words, code):

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A planar mobile manipulator with a flexible Timoshenko arm, simulated."""
+"""Simulate a planar mobile manipulator with a flexible Timoshenko arm."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from timo_sim.simulation.simulator import Simulator
     from timo_sim.sweep.many import simulate_many
 
-# Imported when first used, so that `sim_node` can take care of signals before it loads NumPy,
-# SciPy and numba.
+# Modules are imported when first used, so that `sim_node` installs its signal handlers before
+# NumPy, SciPy and numba are loaded.
 _MODULES = {
     'DivergenceError': 'simulation.model_warnings',
     'LinearModel': 'simulation.linear',

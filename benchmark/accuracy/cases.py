@@ -36,8 +36,8 @@ class Scene:
     source: object      # for `load_scene`
     duration: float     # [s]
     period: float       # of the reference [s]
-    drive: tuple | None
-    arm: str            # of the reference
+    drive: tuple | None  # of the shaft: angle, speed, acceleration as functions of time
+    arm: str            # of the reference, in words
     columns: dict = field(default_factory=dict)
 
     def load(self, overrides=None):
@@ -78,12 +78,12 @@ class Case:
 
 
 def tip_columns(theta, carrier, along, across):
-    """Return what errors are taken of: theta, tip deflection and tip position."""
+    """Return what is compared, by name: theta [rad], tip deflection and tip position [m]."""
     return {'theta': theta, 'w_l': across, 'tip': world(theta, carrier, along, across)}
 
 
 def of_motions(model, scene, motions):
-    """Return the same of motions, shape (n, 2 (3 + N))."""
+    """Return `tip_columns` of motions, shape (n, 2 (3 + N))."""
     tip = model.at([scene.length])
     count = len(model.modes)
     place = model.centre_line(motions[:, 3:3 + count], tip)[:, 0]
@@ -91,7 +91,7 @@ def of_motions(model, scene, motions):
 
 
 def of_reference(scene):
-    """Return the same of the stored reference, and its comment."""
+    """Return the comment of the stored reference, and its `tip_columns`."""
     comment, stored = read(scene.name)
     theta = stored.get('theta_rad')
     carrier = np.zeros((len(stored['t']), 2))

@@ -9,7 +9,7 @@
 """
 Write the finite-element references of the tests to test/data, or to a given folder.
 
-Each is extrapolated in the mesh and in the step; its first line says how far to trust it.
+Each is extrapolated in the mesh and in the step; its first line estimates its error.
 """
 
 from itertools import product
@@ -28,7 +28,7 @@ RIGID, TIP = ('x_c_m', 'y_c_m', 'theta_rad'), ('w_l_m', 'phi_l_rad', 'u_l_m')
 INNER = tuple(f'{field}_{name}_{unit}' for field, unit in (('w', 'm'), ('phi', 'rad'), ('u', 'm'))
               for name in ('l4', 'l2', '3l4'))
 LEVELS = 4
-# Powers of the mesh size and of the step; the damping is of third order.
+# Powers of the mesh size and of the step in the error; numerical damping is of third order.
 TRAPEZOIDAL, DAMPED = ((0, 2, 4, 6), (0, 2, 4, 6)), ((0, 2, 4, 6), (0, 2, 3, 4))
 
 
@@ -61,13 +61,13 @@ def extrapolate(values, levels, orders):
 
 
 def triangle(first, size):
-    """Return the levels (i, j) from first on with a total of less than size more."""
+    """Return the levels (i, j) = first + (a, b) with a + b < size, shape (n, 2)."""
     return np.array(sorted((first[0] + i, first[1] + j) for i, j in product(range(size), repeat=2)
                            if i + j < size))
 
 
 def reference(scene, duration, period, columns, elements, step, drive=None, axial_factor=1.0):
-    """Return the extrapolated columns, shape (n_t, n), their names, and how they came about."""
+    """Return the extrapolated columns, shape (n_t, n), their names, and a comment for the file."""
     levels, values = triangle((0, 0), LEVELS), {}
     orders = DAMPED if drive else TRAPEZOIDAL
     for i, j in levels.tolist():
@@ -96,7 +96,7 @@ def reference(scene, duration, period, columns, elements, step, drive=None, axia
 
 
 def modes(scene):
-    """Return six modes, shape (6, 84), their names, and a comment."""
+    """Return six modes as rows, shape (6, 84), names of the columns, and a comment."""
     frequency, *shapes = finite_elements.modes(scene, 200, 6)
     coarse, fine = (finite_elements.modes(scene, count, 6)[0] for count in (100, 400))
     limit, rough = (4.0 * fine - frequency) / 3.0, (4.0 * frequency - coarse) / 3.0
@@ -132,7 +132,7 @@ def write(path, rows, columns, comment):
 
 
 def main():
-    """Write the files of these names, or all, to a folder."""
+    """Write the files that the command line names, or all, to a folder."""
     command = parser(__spec__, __doc__)
     command.add_argument('folder', nargs='?', type=Path, default=ROOT / 'test' / 'data')
     command.add_argument('only', nargs='*', metavar='name', help='modes, spin_up, torque, pendulum, paper')

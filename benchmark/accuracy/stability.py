@@ -7,9 +7,9 @@
 # language governing permissions and limitations under the License.
 
 """
-How far the step carries: energy drift of a hard free scene over modes and step, `make stability`.
+Energy drift of fast arms without loads and damping, over modes and step: `make stability`.
 
-No loads, no damping, 5 s: energy should not change. In brackets h omega of the highest mode.
+A run lasts 5 s; energy should not change. Numbers in brackets are h omega of the highest mode.
 """
 
 import numpy as np
@@ -23,7 +23,11 @@ MODES, STEPS = (3, 5, 8, 12, 20), (0.010, 0.005, 0.002, 0.001, 0.0005, 0.0002)
 
 
 def drift(modes, step, speed, velocity):
-    """Return the largest relative change of energy, infinite if the run diverges."""
+    """
+    Return the largest relative change of energy, infinite if the run diverges.
+
+    Units: `step` [s], `speed` of the shaft [rad/s], `velocity` of the bending tip [m/s].
+    """
     values = {'model.modes': modes, 'integrator.step': step, 'initial.shaft_velocity': speed}
     rates = timo_sim.project_on_modes(
         timo_sim.load_scene(values),

@@ -7,10 +7,10 @@
 # language governing permissions and limitations under the License.
 
 """
-What axial modes are worth: `exact` against an arm that stretches, by spectral elements.
+Compares `exact`, with 0 to 3 axial modes, with an arm that stretches: `make stretch`.
 
-Largest distance of the tips over 2 to 5 s, in lengths of the arm; `make stretch`. The reference is
-`test/oracles/spectral_elements.py`, with the E A of the section.
+A number is the largest distance of the tips in a run of 2 to 20 s, in lengths of the arm. The
+reference is `test/oracles/spectral_elements.py`, with the E A of the section.
 """
 
 import math
@@ -71,7 +71,7 @@ SCENES = [
 
 
 def error(scene, tip, duration):
-    """Return the largest distance of the tip from a reference, in lengths of the arm."""
+    """Return the largest distance of the tip from a reference, (n, 2) [m], in arm lengths."""
     try:
         run = timo_sim.simulate(scene, duration, round(PERIOD / scene.step))
     except timo_sim.DivergenceError:

@@ -45,7 +45,7 @@ def measure(scene, quick):
     """Run all cases of a scene, taking turns; return the cases and the reference's comment."""
     comment, truth = of_reference(scene)
     cases = cases_of(scene, quick)
-    budget, most = (1.0, 3) if quick else (2.0, 5)  # [s] for a case, and its repetitions
+    budget, most = (1.0, 3) if quick else (2.0, 5)  # [s] for a case, and most repetitions of it
     for turn in range(most):
         for case in cases:
             if turn and (not case.errors or sum(case.times) * (1 + 1 / turn) > budget):
@@ -113,7 +113,7 @@ def goal_table(cases):
 
 
 def front(cases):
-    """Return those cases that no other one beats in both time and error, by time."""
+    """Return the cases that no other case beats in both time and error, sorted by time."""
     best, result = np.inf, []
     for case in sorted(cases, key=lambda case: case.seconds):
         if case.errors['w_l'] < best:

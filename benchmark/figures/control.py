@@ -86,7 +86,7 @@ def slews(scene):
 
 
 def ratios(scene, values):
-    """Return how many times less than PD the LQR leaves, for each seed of the noise."""
+    """Return the ratio of residual vibrations, PD over LQR, as its range over seeds, in words."""
     found = []
     for seed in SEEDS:
         plant = scene.vary({**values, 'sensor.seed': seed})

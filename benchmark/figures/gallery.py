@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Five pictures and what is on them: `make gallery` writes doc/gallery.md and doc/gallery/."""
+"""Draws five pictures with captions: `make gallery` writes doc/gallery.md and doc/gallery/."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,7 +20,7 @@ from benchmark.command import parser
 import timo_sim
 
 matplotlib.use('Agg')
-# Okabe-Ito colours, told apart by everyone, and grey for what is drawn behind.
+# Okabe-Ito colours, which colour-blind readers tell apart, and grey for the background.
 BLUE, ORANGE, GREEN, GREY = '#0072B2', '#D55E00', '#009E73', '#999999'
 LENGTH = 2.0  # of the paper's arm [m]
 FOLDER = ROOT / 'doc' / 'gallery'
@@ -60,7 +60,7 @@ def save(figure, name):
 
 
 def paper():
-    """Draw the paper's run."""
+    """Draw the paper's run; return the caption."""
     run = timo_sim.simulate(timo_sim.load_scene(ROOT / 'config/paper.yaml', FINE), 10.0)
     across = run.deflection(LENGTH)[:, 1]
     peak = int(np.abs(across).argmax())
@@ -84,7 +84,7 @@ def paper():
 
 
 def spin_up():
-    """Draw the arm that is spun up, and what centrifugal stiffening does."""
+    """Draw an arm that is spun up, and its centrifugal stiffening; return the caption."""
     scene = timo_sim.load_scene(ROOT / 'config/spin_up.yaml', FINE)
     run = timo_sim.simulate(scene, 20.0)  # fine samples: the path of the tip is round
     length = scene.manipulator.arm.length
@@ -116,7 +116,7 @@ def spin_up():
 
 
 def resonance():
-    """Draw what a torque does at, and beside, the first frequency."""
+    """Draw the response to a torque at and below the first frequency; return the caption."""
     rest = timo_sim.load_scene({**FINE, 'initial.shaft': 0.0})
     first = timo_sim.linearize(rest).frequencies()[0]
 
@@ -155,7 +155,7 @@ def resonance():
 
 
 def disturbance():
-    """Draw a stroke on the end effector."""
+    """Draw the response to a stroke on the end effector; return the caption."""
     force, lasting = 500.0, 0.01
     scene = timo_sim.load_scene({
         'model.modes': 7, 'initial.shaft': 0.0, 'integrator.step': 0.0005,
@@ -202,7 +202,7 @@ def slew(scene, reference, inertia):
 
 
 def vibration_control():
-    """Draw a turn by 45 degrees: a step of the reference, and a smooth one with feed-forward."""
+    """Draw turns by 45 degrees, a step and a smooth one with feed-forward; return the caption."""
     scene = timo_sim.load_scene({**FINE, 'initial.shaft': 0.0, 'carrier.held': 'both'})
     body, arm = scene.manipulator, scene.manipulator.arm
     inertia = (body.shaft_inertia + arm.section.mass_per_length * LENGTH**3 / 3.0
@@ -248,7 +248,7 @@ def window():
     with TemporaryDirectory() as folder:
         write([of_run(run, 'paper')], Path(folder, 'run.rrd'), at=1.81)
         picture(Path(folder, 'run.rrd'), Path(folder, 'view.png'), 1.81, (1500, 940))
-        # Without the menu, which tells of the machine.
+        # Without the viewer's menu, which says things about the machine.
         imsave(ROOT / 'doc' / 'view.png', imread(Path(folder, 'view.png'))[37:])
 
 

@@ -20,12 +20,12 @@ from timo_sim.view.track import of_run
 
 matplotlib.use('Agg')
 LENGTH = 2.0
-# Okabe-Ito colours, told apart by everyone.
+# Okabe-Ito colours, which colour-blind readers tell apart.
 BLUE, ORANGE, GREY = '#0072B2', '#D55E00', '#999999'
 
 
 def main():
-    """Draw the arm beside the reference, what the first lines of Python draw, an animation."""
+    """Draw the arm beside the reference, the plot of README's first script, and an animation."""
     parser(__spec__, __doc__).parse_args()
     _draw_arm()
     run = timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': 5}), 10.0)

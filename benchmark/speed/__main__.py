@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Every speed target, measured: step, run, memory, node, start, sweep, and what is left out.
+Measures all speed targets: step, run, memory, node, start, sweep, and what simple scenes save.
 
 `make benchmark-speed` writes doc/speed.md and its plot (a quarter of an hour), `--quick` the same
 in a few minutes to run/speed.
@@ -29,10 +29,10 @@ Made by `make benchmark-speed`. A time is a median; in brackets its least value 
 calibrating loop, a compiled product of a 16 x 16 matrix and a vector timed in between, since
 machines change their speed. Measured on: {}.
 """
-LIMITS = """Limits. N = 10: kernel, mass matrix and factor are most of a step (see the exponent
-below). Sweep: half of a run is its steps, the rest modes, tables, loads and summary, one by one.
-Cold start: type inference and optimisation by numba for one size. A locked shaft saves nothing:
-what is prescribed still moves every section.
+LIMITS = """What limits the speed. At N = 10 the kernel, the mass matrix and its factor are most of
+a step (see the exponent below). In a sweep half of a run's time is its steps; modes, tables, loads
+and summary, made for each run, are the rest. A cold start is type inference and optimisation by
+numba for one size.
 """
 SECTIONS = [('Step and run', step), ('Memory', memory), ('Node', node), ('Sweep', sweep)]
 

@@ -7,12 +7,13 @@
 # language governing permissions and limitations under the License.
 
 """
-How late a command shows, and how fast lock step goes: `make benchmark-latency`, two minutes.
+Measures the latency of commands and the speed of lock step: `make benchmark-latency`, two minutes.
 
 A client sends torques to a node at 1 kHz, at random times, and waits for the first message of
 joint_states with that effort; in turns it sends them to an echo, a node that answers at once. Then
-a controller answers each state of a node with `sync: wait`; in turns, as often as it can, those of
-a node that only sends the next one. All are processes of their own, in Python, and share a clock.
+a controller answers each state of a node with `sync: wait` as fast as it can; in turns, it answers
+a node without simulation that only sends the next state. All are Python processes of their own
+and share a clock.
 """
 
 from contextlib import ExitStack, suppress
@@ -88,7 +89,7 @@ class Controller(Node):
     Attributes
     ----------
     rate : float or None
-        Answers a second, once it has given them for some seconds.
+        Answers per second, known after `seconds` of answers.
 
     """
 
@@ -110,7 +111,7 @@ class Controller(Node):
 
 
 class Client(Node):
-    """Measures; received states are looked at in the main thread, which does nothing else."""
+    """Measures latencies; the main thread reads the states and does nothing else."""
 
     def __init__(self):
         super().__init__('client')
@@ -134,7 +135,11 @@ class Client(Node):
         return until()
 
     def sample(self, name):
-        """Send a torque; return when, when a state that shows it came, and that state."""
+        """
+        Send a torque; return when [s], when the first state that shows it came [s], and it.
+
+        Return None if no state shows it within two seconds.
+        """
         self._spin(lambda: False, random.uniform(*APART))
         self._sent += 1e-6
         self._seen.clear()
@@ -146,7 +151,7 @@ class Client(Node):
 
 
 def samples(count):
-    """Return times, rows (all, until the tick, tick, back) and of the echo (all, out, back)."""
+    """Return times [s]: rows (all, until tick, tick, back), and of the echo (all, out, back)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / 'ticks.npy'
         with ExitStack() as stack:
@@ -193,7 +198,7 @@ def periods(server, domain, executor, seconds):
             stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT), running(
             ['-m', MODULE, 'controller', executor, str(seconds)], env=environment,
             stdout=subprocess.PIPE) as controller:
-        # The middleware may have something to say, too.
+        # The middleware may print lines, too.
         return float(next(line for line in controller.stdout
                           if line.startswith('rate ')).removeprefix('rate '))
 
@@ -212,7 +217,7 @@ def lock_step(turns, seconds):
 
 
 def serve(kind, executor, *arguments):
-    """Be one of the processes, until SIGTERM; a controller ends with its rate."""
+    """Run one of the nodes until SIGTERM; a controller ends by printing its rate."""
     rclpy.init()
     node = {'echo': Echo, 'server': Server, 'controller': Controller}[kind](*arguments)
     executor = EXECUTORS[executor]()

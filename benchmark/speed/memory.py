@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Memory of a long logged run, from ten minutes of sim time: a row of doc/speed.md."""
+"""Memory of a logged day, extrapolated from ten minutes of sim time: a row of doc/speed.md."""
 
 import re
 import subprocess

@@ -7,12 +7,12 @@
 # language governing permissions and limitations under the License.
 
 """
-What the node costs, how evenly it ticks, how fast it starts: `python -m benchmark.speed.node`.
+Measures processor time, evenness of ticks and start of the node: `python -m benchmark.speed.node`.
 
 CPU is user and system time of a whole process, for each time step that it published. The peers of
-a comparison run in turns of a second or two, stopped in between, so that a busy machine is busy
-for all of them; what is shown is the median over the turns of the ratio within a turn. See
-node_processes.py for who they are.
+a comparison run in turns of one to three seconds, stopped in between, so that a busy machine is
+busy for all of them; the result is the median over the turns of the ratio within a turn.
+node_processes.py describes the peers.
 """
 
 from pathlib import Path
@@ -77,7 +77,7 @@ def costs(peers):
 
 
 def _durations(ticks):
-    # Those that did any step, and how many: a late tick makes up for others.
+    # Durations of ticks that did steps, and the steps of each: a late tick does several.
     done = ticks[ticks[:, 2] > 0]
     return done[:, 1] - done[:, 0], done[:, 2]
 
@@ -135,7 +135,7 @@ def free_rows(times, duration):
 
 
 def start_rows(times):
-    """Time from the start of the process to the first tick, just after the first message."""
+    """Measure from the start of the process to the first tick, just after the first message."""
     with tempfile.TemporaryDirectory() as cache:
         environment = {**ENVIRONMENT, 'NUMBA_CACHE_DIR': cache}
         taken, said = [], []
@@ -153,7 +153,7 @@ def start_rows(times):
 
 
 def overload_rows():
-    """Ask for more than the machine can do, and for an end."""
+    """Start a node that is too slow for real time, and end it by signals."""
     heavy = arguments(**{'model.modes': 20, 'integrator.step': 1e-5})
     finished(*heavy, '-p', 'duration:=0.001')  # compiles
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -12,8 +12,8 @@ The processes that benchmark/speed/node.py compares; each runs until SIGTERM.
     python -m benchmark.speed.node_processes NAME FILE [ROS arguments]
 
 `node` is sim_node itself. `bare` has the same loop and publishes the same messages at 1 kHz,
-without a simulation; `timer` does so from an rclpy timer in a SingleThreadedExecutor. They leave
-in FILE when each tick began and ended, and its steps. `listener` subscribes to all topics, says
+without a simulation; `timer` does so from an rclpy timer in a SingleThreadedExecutor. They write
+to FILE when each tick began and ended, and its steps. `listener` subscribes to all topics, says
 so, and says when it has heard all of them.
 """
 
@@ -58,7 +58,7 @@ class Ticks:
 
 
 class Bare(Node):
-    """Publishes what `timo_sim` publishes, as one writes it down."""
+    """Publishes the messages that `timo_sim` publishes, in plain rclpy."""
 
     def __init__(self):
         super().__init__('timo_sim')

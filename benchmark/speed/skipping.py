@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a scene does not need, how it is left out, and what that saves: a table of doc/speed.md."""
+"""Measures the time that simple scenes save: a table of doc/speed.md."""
 
 import time
 

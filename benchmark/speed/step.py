@@ -32,7 +32,7 @@ TARGETS = [('exact', 3, 1.5e-6), ('exact', 5, 2.5e-6), ('exact', 10, 8e-6), ('ne
 
 
 def paper(**overrides):
-    """Return the paper's scene at 10 ms."""
+    """Return the paper's scene at 10 ms, with values of `model` by name."""
     values = {f'model.{name}': value for name, value in overrides.items()}
     return timo_sim.load_scene(PAPER, {'integrator.step': 0.01, **values})
 
@@ -70,7 +70,7 @@ class Prepared:
 
 
 def rows(quick=False):
-    """Return (line, target, measured, remark) of the table."""
+    """Return rows of the table, (line, target, measured, met, remark)."""
     table = []
     for formulation, modes, target in TARGETS:
         prepared = Prepared(paper(formulation=formulation, modes=modes))
@@ -126,7 +126,8 @@ def curves(path, quick=False):
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.6))
     for axis, x, y, label, unit in (
             (axes[0], modes, 1e6 * over_modes, 'modes N', 'least time of a step [us]'),
-            (axes[1], nodes, 1e6 * over_nodes, 'quadrature nodes, N = 3', 'least time of a step [us]'),
+            (axes[1], nodes, 1e6 * over_nodes, 'quadrature nodes, N = 3',
+             'least time of a step [us]'),
             (axes[2], horizons, over_horizon, 'sim time [s], h = 10 ms',
              'time of a run [s]')):
         axis.loglog(x, y, 'o-', color='#0072B2')

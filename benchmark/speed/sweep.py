@@ -7,12 +7,12 @@
 # language governing permissions and limitations under the License.
 
 """
-How fast a sweep is: 10 000 runs of the paper's 10 s scene, N = 3, h = 10 ms, summary of the tip.
+Times a sweep: 10 000 runs of the paper's 10 s scene, N = 3, h = 10 ms, summary of the tip.
 
 Mass at the tip, amplitude of the torque and initial shaft speed all differ from run to run, so
 nothing is shared but the arm. The time is that of the whole call, start of the processes
 included. A compiled product of a 16 x 16 matrix and a vector, timed on as many cores at once right
-before and after, says what the machine gave; its peer is a plain loop over `simulate`.
+before and after, measures the speed of the machine. The sweep's peer is a loop over `simulate`.
 """
 
 import os
@@ -44,13 +44,13 @@ def variations(count):
 
 
 def products(executor):
-    """Return the median of that time on all workers at once [s]."""
+    """Return the median time of the product on all workers at once [s]."""
     futures = [executor.submit(product) for _ in range(PRODUCTS * executor.width)]
     return statistics.median(future.result() for future in futures)
 
 
 class Memory(threading.Thread):
-    """Largest memory of this process and of its children while it runs [MB]."""
+    """Finds the largest memory of this process and of any one child, while it runs [MB]."""
 
     def __init__(self):
         super().__init__(daemon=True)

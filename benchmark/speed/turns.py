@@ -91,7 +91,7 @@ class Peer:
 
 def _expect(process, word):
     lines = []
-    for line in process.stdout:  # the middleware may have something to say, too
+    for line in process.stdout:  # the middleware may print lines, too
         lines.append(line.strip())
         if lines[-1] == word:
             return
@@ -99,7 +99,7 @@ def _expect(process, word):
 
 
 def started(name, path, environment, *extra, **options):
-    """Start one of the processes, and end it."""
+    """Start one of `node_processes`, and end it after the context."""
     options = {'stdout': subprocess.DEVNULL, 'stderr': subprocess.STDOUT, **options}
     return running(['-m', 'benchmark.speed.node_processes', name, str(path), *extra],
                    env=environment, **options)

@@ -7,10 +7,10 @@
 # language governing permissions and limitations under the License.
 
 """
-The torture bench: numerics, node, log and files. It writes doc/stress.md.
+Stress tests of numerics, node, log and files: `make stress` writes doc/stress.md.
 
-`make stress` takes long, `--quick` does a part of each and writes to run/stress.md. With `--parts`
-only some of its parts are made again, the others stay on the page as they are.
+That takes long; `--quick` does a part of each and writes to run/stress.md. With `--parts` only
+some parts are made again, and the others stay on the page as they are.
 """
 
 import time
@@ -30,20 +30,20 @@ or the ends of the ranges. Each is run with its step and with `integrator.tolera
 arm's length, as `simulate` does, and compared (`benchmark/stress/truth.py`) with a finer run of
 `exact`: twelve modes, a tenth of the step, a tighter tolerance, and an arm that stretches; one
 round in sixteen with finite elements of an arm that stretches, too. Accurate: within 1/1000 of the
-arm's length. Flagged: not so, but the run says so. Refused: an error says why. Silent: none of
-these; there may be none. Open: the reference itself is not known to a third of the distance;
+arm's length. Flagged: not so, but the run warns. Refused: an error says why. Silent: none of
+these, a defect. Open: the reference itself is not known to a third of the distance;
 sensitive scenes, in which a tip that begins 1e-9 lengths off ends 1e-5 lengths off or more, are
 among them, unless the run is accurate all the same.
-What was silent once is a test now (`test/test_stress.py`).
+Scenes that were silent once are tests now (`test/test_stress.py`).
 """
 PARTS = [
     ('Node', node, """Real processes over real DDS (`benchmark/stress/node.py`). Survived:
-the node goes on, or has ended with code 0, answers, has counted what it should, does not leak, and
+the node goes on, or has ended with code 0, has counted what it should, does not leak, and
 its log can be read to the end. A leak: the lowest memory of a window of 4 s, in soaks a fifth of
-the time, grows by more than 1 MB in each of three windows in a row, for as long as one looks (ten
-windows). Pools that fill up end to grow, and so are none."""),
-    ('Log and files', log, """(`benchmark/stress/log.py`.) Survived: the simulation goes on
-unharmed, and what was written is readable, or is refused in one line.
+the time, grows by more than 1 MB in each of three windows in a row, however long one looks (at
+most ten windows). Pools of memory stop growing when they are full, and are no leaks."""),
+    ('Log and files', log, """Damage and full disks (`benchmark/stress/log.py`). Survived: the
+simulation goes on unharmed, and what was written is readable, or is refused in one line.
 `benchmark/stress/fuzz.py` looks for more, guided by coverage."""),
 ]
 

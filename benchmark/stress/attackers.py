@@ -12,11 +12,11 @@ The processes that attack a node; each runs until SIGTERM and prints what it cou
     python -m benchmark.stress.attackers NAME [NAMESPACE]
 
 `storm` sends commands of every kind, good and bad, as fast as it can; `bad` sends a hundred that
-must be refused, each after the other has had time to arrive; `reader` subscribes to all topics and
-says so; `setter` sets parameters, `caller` calls services; `clock` publishes a /clock of its own;
-`controller` answers each state of a node in lock step with 1 N m, and with 5 N m and stamps that
-are out of order before and after it; `rival` sends only such; `busy` keeps a core busy; `two` is
-two nodes in one process, for two seconds.
+must be refused, slowly enough for each to arrive; `reader` subscribes to all topics and says so;
+`setter` sets parameters, `caller` calls services; `clock` publishes a /clock of its own;
+`controller` answers each state of a node in lock step with 1 N m, and before and after it sends
+5 N m with stamps out of order; `rival` only sends the latter; `busy` keeps a core busy; `two` runs
+two nodes in one process for two seconds.
 """
 
 import itertools
@@ -70,7 +70,7 @@ def wrench(frame='', force=0.0, stamp=0):
 
 
 def bad_commands():
-    """Return what must be refused: topic, type and message, or bytes that should be one."""
+    """Return commands that must be refused: topic, type and message, or bytes in its place."""
     torque = ('timo_sim/motor_torque', Float64)
     push = ('timo_sim/carrier_wrench', WrenchStamped)
     tip = ('timo_sim/tip_wrench', WrenchStamped)
@@ -92,7 +92,7 @@ def bad_commands():
 
 
 def good_commands():
-    """Return what must be accepted, whatever its stamp."""
+    """Return commands that must be accepted, whatever their stamps."""
     return [*(('timo_sim/carrier_wrench', WrenchStamped, wrench('arm', 0.1, stamp))
               for stamp in (0, 2**31 - 1, -2**31, int(time.time()))),
             ('timo_sim/motor_torque', Float64, Float64(data=0.1)),
@@ -198,7 +198,7 @@ def clock(node):
 
 
 def controller(node, right=True):
-    """Answer each state, and again after a while, as an answer may be pushed out by others."""
+    """Answer each state, and again after a while: other commands may push out an answer."""
     states = []
     node.create_subscription(JointState, 'joint_states', states.append, 10)
     while not END.is_set():
@@ -215,7 +215,7 @@ def controller(node, right=True):
 
 
 def rival(node):
-    """Answer no state rightly."""
+    """Answer no state with the right stamp."""
     controller(node, right=False)
 
 

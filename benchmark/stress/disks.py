@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Disks that are full, and places where no log can be: what a recorder says there."""
+"""Full disks, and paths where no log can be: a recorder must say so in one line."""
 
 import os
 from pathlib import Path
@@ -22,7 +22,7 @@ from timo_sim.log.recorder import Recorder
 
 
 def full_disks(folder, quick):
-    """Let the disk be full at many a place of a log."""
+    """Let the disk be full at many places of a log."""
     tally = Tally('disk full while recording')
     with small_disk(folder, 4 << 20) as disk:
         ballast = disk / 'ballast' if disk else None
@@ -75,8 +75,8 @@ def _record_on(path, limit=None, **limits):
 
 
 def places_that_are_none(folder):
-    """Record where one cannot."""
-    tally = Tally('log where none can be: folder, read-only, below a file, no descriptor')
+    """Record to paths where no log can be."""
+    tally = Tally('log on an impossible path: a folder, read-only, below a file, no descriptor')
     (folder / 'file').write_text('a file')
     (folder / 'taken').mkdir()
     cases = {'below a file': folder / 'file' / 'run.mcap', 'a folder': folder / 'taken',

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Faults that logs of others, machine code and parts of a sweep must survive; see log.py."""
+"""Faults that rewritten logs, machine code and parts of a sweep must survive; see log.py."""
 
 from collections import Counter
 import os
@@ -56,7 +56,7 @@ if sys.argv[1] == 'removed':
 elif sys.argv[1] == 'full':
     with open(folder / 'ballast', 'wb', buffering=0) as ballast:
         try:
-            for _ in range(2048):  # eight times the disk, in case it is not that disk
+            for _ in range(2048):  # at most eight times the small disk, if this is another one
                 ballast.write(bytes(4096))
         except OSError:
             pass
@@ -108,7 +108,7 @@ def sweep_parts(folder, count, generator):
         content[place] ^= 1 << generator.randrange(8)
         part.write_bytes([content, content[:place], os.urandom(place)][number % 3])
         with tally.trial(f'byte {place}, kind {number % 3}'):
-            # What Parquet has no checksum for may be wrong in the file, but not in the table.
+            # Damage to bytes without a checksum may stay in the file, but not reach the table.
             ensure(not store.has(job) or store._read(part).equals(expected), 'it is taken')
     return tally.row('done again')
 

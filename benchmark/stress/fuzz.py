@@ -13,8 +13,8 @@ Search for a file that `timo_sim recover`, `info` or `Recording` does not surviv
 
 Needs atheris (`pip install atheris`; Python 3.11). What follows on the command line goes to
 libFuzzer, for instance `-max_total_time=600`, which is the default; a file that it finds is left
-in the working directory. What is tried: anything, also after the beginning of a log, and chunks
-whose checksum was made right, so that what is inside them is read.
+in the working directory. It tries any bytes, also after the beginning of a log, and chunks whose
+checksum is made right, so that their contents are read.
 """
 
 import os

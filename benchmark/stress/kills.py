@@ -37,7 +37,7 @@ ON_THE_WIRE = {**ENVIRONMENT, 'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4'}
 
 @contextmanager
 def _listening():
-    """Yield a function that says until which time a node of a namespace has been heard [s]."""
+    """Yield listen(namespace), which returns a function: the latest sim time heard there [s]."""
     os.environ.update(ON_THE_WIRE)
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
@@ -80,7 +80,7 @@ def kills(count, generator):
                 time.sleep(0.01)
             time.sleep(moments[number])
             process.kill()
-        time.sleep(0.2)  # what was on its way
+        time.sleep(0.2)  # for messages under way
         return number, path, heard()
 
     with tempfile.TemporaryDirectory() as folder, _listening() as listen:

@@ -9,9 +9,9 @@
 """
 Faults that logs and other files must survive: `python -m benchmark.stress.log`.
 
-Each fault is tried so many times; one that is survived has left the simulation unharmed, what was
-written readable, or has been refused in one line. `--quick` tries a few of each. The seed is shown
-and can be given, for what was found to be found again.
+A fault is survived if the simulation goes on unharmed and what was written is readable, or if the
+file is refused in one line. `--quick` tries a few of each. The seed is shown and can be given, to
+reproduce a failure.
 """
 
 import os
@@ -53,7 +53,7 @@ def cuts(folder, quick):
 
 def flips(folder, count, generator):
     """Flip bits of a log."""
-    tally, seen = Tally('one bit or some of a log flipped'), {}
+    tally, seen = Tally('one or more bits of a log flipped'), {}
     intact = hostile_logs.record(folder / 'whole.mcap')
     for number in range(count):
         damaged = bytearray(intact)
@@ -70,8 +70,9 @@ def flips(folder, count, generator):
 
 
 def hostile(folder, quick):
-    """Read files that lie, with little memory."""
-    tally, paths, most = Tally('file that lies, pretends or explodes'), [], 0
+    """Read forged files, with little memory."""
+    tally, paths, most = Tally(
+        'forged file: false lengths, bad records, huge when decompressed'), [], 0
     for name, content in hostile_logs.hostile(large=not quick).items():
         paths.append(folder / f'{name}.mcap')
         paths[-1].write_bytes(content)

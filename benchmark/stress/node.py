@@ -7,10 +7,10 @@
 # language governing permissions and limitations under the License.
 
 """
-Everything that may go wrong around a node, done to it: `python -m benchmark.stress.node`.
+Attacks and faults that a node must survive: `python -m benchmark.stress.node`.
 
 Real processes over real DDS. A fault is survived if the node goes on (or ended cleanly, with code
-0), answers a service, counted what it should, and left a log that can be read to its end.
+0), counted what it should, and left a log that can be read to its end.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -71,12 +71,12 @@ def attacked(what, seconds, attackers, killed=0, check=None, planted=False, **pa
 
 
 def counted(counters, output):
-    """Whether exactly what `bad` sent was refused."""
+    """Return whether exactly the commands of `bad` were refused."""
     return counters['refused_commands'] == '100'
 
 
 def warned_once(counters, output):
-    """Whether the other clock was seen, and said once."""
+    """Return whether the node warned of the other clock exactly once."""
     return output.count('somebody else publishes /clock') == 1
 
 
@@ -96,7 +96,7 @@ def attack_rows(seconds):
 
 
 def deaf_row(seconds):
-    """A reliable subscriber is stopped and never reads."""
+    """Stop a reliable subscriber, so that it never reads."""
     with tempfile.TemporaryDirectory() as folder, attack('reader') as reader:
         rates = {f'rate.{topic}': 1000.0 for topic in ('joint_states', 'tip_deflection')}
         node = Node(folder, **rates).ready()
@@ -109,7 +109,7 @@ def deaf_row(seconds):
 
 
 def lock_step_row(periods):
-    """A controller whose stamps are out of order, and two rivals; each period has one answer."""
+    """Run lock step with stamps out of order and two rivals; each period must have one answer."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         node = Node(folder, sync='wait', sync_period=0.01, sync_timeout=READY, duration=(
             0.01 * periods), real_time_factor=0.0).ready()
@@ -130,7 +130,7 @@ def lock_step_row(periods):
 
 
 def harmed_log_row():
-    """What others do to the log is told, and the node goes on."""
+    """Damage the log of a running node, which must report it and go on."""
     tally = Tally('log deleted, replaced, cut, emptied, written to or moved under the node')
     for harm, words in HARMS:
         with tally.trial(words), tempfile.TemporaryDirectory() as folder:
@@ -151,7 +151,7 @@ def harmed_log_row():
 
 
 def namespace_rows(number):
-    """Several nodes at once."""
+    """Run several nodes at once."""
     with tempfile.TemporaryDirectory() as folder:
         with attack('two', cwd=folder, stderr=subprocess.DEVNULL) as process:
             code = process.wait(READY)
@@ -168,7 +168,7 @@ def namespace_rows(number):
 
 
 def signal_row(number, cold):
-    """SIGINT or SIGTERM at a random moment, from the start of the process to its own end."""
+    """Send SIGINT or SIGTERM at a random moment, from the start of the process to its own end."""
     rng = random.Random(1)
     trials = [(trial < cold, rng.uniform(0.0, 8.0 if trial < cold else 3.0),
                rng.choice((signal.SIGINT, signal.SIGTERM))) for trial in range(number)]
@@ -195,7 +195,7 @@ def _signalled(cold, moment, sent):
 
 
 def overload_row(stops):
-    """All cores busy, and the process stopped again and again."""
+    """Keep all cores busy, and stop the process again and again."""
     import timo_sim
     paper = ROOT / 'config' / 'paper.yaml'
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
@@ -224,7 +224,7 @@ def overload_row(stops):
 
 
 def soak_row(what, seconds, **parameters):
-    """A long run."""
+    """Run for long, and look for leaks."""
     with tempfile.TemporaryDirectory() as folder:
         node = Node(folder, '--params-file', str(ROOT / 'config' / 'paper.yaml'),
                     **parameters).ready()

@@ -34,8 +34,8 @@ def keep(inlet, data, answered):
 Inlet._receive = keep
 main()
 """
-WINDOW = 4.0     # [s] whose lowest memory counts: what is under way comes and goes
-WINDOWS = 3      # in a row in which memory grows by more than `LEAK` are one
+WINDOW = 4.0     # [s] of which the lowest memory counts: that of messages under way varies
+WINDOWS = 3      # in a row, in each of which memory grows by more than `LEAK`, mean a leak
 LEAK = 1e6       # [B]
 MOST_WINDOWS = 10  # that are looked at; the middleware's pools grow more slowly after four or five
 
@@ -60,7 +60,7 @@ class Node:
         return (self.folder / 'output.txt').read_text(errors='replace')
 
     def ready(self, words='logging to'):
-        """Wait until the log is there, or the node has said something else, or the end."""
+        """Wait until the node prints `words`, by default that it logs, or until it has ended."""
         end = time.monotonic() + READY
         while words not in self.output() and self.process.poll() is None:
             if time.monotonic() > end:
@@ -69,16 +69,16 @@ class Node:
         return self
 
     def memory(self):
-        """Return the memory that the process has in use [B], none if it has ended."""
+        """Return the memory that the process has in use [B], 0 if it has ended."""
         found = re.search(r'VmRSS:\s+(\d+)', Path(
             f'/proc/{self.process.pid}/status').read_text())
         return 1024 * int(found[1]) if found else 0
 
     def leak(self, seconds):
         """
-        Watch the memory for some seconds or more; return whether it leaks, and in words.
+        Watch the memory for some seconds or more; return whether it leaks, and the growth as text.
 
-        Pools that fill up end to grow; a leak does not, however long one looks.
+        Pools of memory stop growing when they are full; a leak does not, however long one looks.
         """
         lows, window = [], max(WINDOW, seconds / (WINDOWS + 2))
         while len(lows) * window < seconds or len(lows) <= WINDOWS or (
@@ -119,7 +119,7 @@ class Node:
 
 
 def growth(lows):
-    """Return the least growth in one of the last windows; given is the least memory of each."""
+    """Return the least growth from window to window at the end, given each one's least memory."""
     last = lows[-1 - WINDOWS:]
     return min(after - before for before, after in zip(last, last[1:]))
 

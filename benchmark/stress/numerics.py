@@ -9,9 +9,9 @@
 """
 Stress test of the numerics: random scenes (`scenes.py`) against references (`truth.py`).
 
-All that is found goes to run/stress_cells.jsonl, and what is silent or badly estimated is listed;
-`python -m benchmark.stress.numerics --seed 1 --only 17` does number 17 of a seed alone. Besides:
-linear models of arms with heavy tips, and an hour without loads.
+All findings go to run/stress_cells.jsonl, and those that are silent or badly estimated are listed;
+`python -m benchmark.stress.numerics --seed 1 --only 17` does number 17 of a seed alone. It also
+tests linear models of arms with heavy tips, and an hour without loads.
 """
 
 import os
@@ -37,7 +37,7 @@ import timo_sim  # noqa: E402
 from timo_sim.runs.sampled import sampled_run  # noqa: E402
 
 CELLS = 1020  # in full
-_FACTOR = 5.0  # between an estimated error and the true one
+_FACTOR = 5.0  # a good estimate is within this factor of the true error
 LISTED = ROOT / 'run' / 'stress_cells.jsonl'
 # Without loads and damping, at 1 ms.
 _DRIFT = {'initial.carrier_x_velocity': 0.4, 'initial.carrier_y_velocity': -0.3}
@@ -54,7 +54,7 @@ OUTPUTS = ('tip_y_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain')
 
 
 def judged(number, seed=1):
-    """Return what `truth.judge` finds of a cell; an unexpected error is silent, too."""
+    """Return what `truth.judge` finds of a cell; an unexpected error counts as silent."""
     begun = time.process_time()
     try:
         found = judge(cell(number, seed))
@@ -77,7 +77,7 @@ def findings(numbers, seed=1, processes=2):
 
 
 def ratio(found):
-    """Return estimated over true error where that counts, else None; beyond a length both end."""
+    """Return estimated over true error, each at most a length, or None if this is not known."""
     if found['verdict'] in ('refused', 'open') or not (
             found['error'] > SEEN and found['doubt'] < found['error'] / 3.0):
         return None
@@ -122,7 +122,8 @@ def _remark(group):
             f'{sum(not each["warning"] for each in opened)} without a warning')
     if len(told):
         text += (f'; the estimate is within a factor of five of {100 * near.mean():.0f} % of '
-                 f'{len(told)} errors above 1e-6, {told.min():.1g} to {told.max():.1g} of them')
+                 f'{len(told)} errors above 1e-6, and {told.min():.1g} to {told.max():.1g} times '
+                 'the error')
     return text
 
 
@@ -199,11 +200,11 @@ def _show(rows):
 
 
 def main():
-    """Print the tables and the cells that need a look, or what is found of one alone."""
+    """Print the tables and the listed cells, or what is found of some cells."""
     words = parser(__spec__, __doc__, 'a tenth')
     words.add_argument('--seed', type=int, default=1, help='of the random scenes')
     words.add_argument('--cells', type=int, help='how many scenes')
-    words.add_argument('--only', type=int, nargs='+', help='scenes by number, and what they are')
+    words.add_argument('--only', type=int, nargs='+', help='numbers of scenes to run and print')
     words.add_argument('--processes', type=int, default=2)
     given = words.parse_args()
     for number in given.only or []:

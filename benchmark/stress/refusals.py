@@ -38,7 +38,7 @@ VALUES = (
 
 
 def rows(quick):
-    """Parameters that must be refused in one line with code 2, in the process itself."""
+    """Start nodes with bad parameters, which must be refused in one line with code 2."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / 'scene.yaml'
         good = 0

@@ -11,8 +11,8 @@ Random scenes for the stress test of the numerics, each drawn from a seed and it
 
 Every continuous parameter varies in every scene: sizes by the logarithm, loads and speeds in terms
 of the first clamped frequency and of the stiffness at the tip, so that arms of grams and of tons
-bend and turn alike. Besides, a scene is of one of `KINDS`, by its number; each 16th round of
-kinds is of scenes that finite elements can do, too.
+bend and turn alike. The number of a scene also says which of `KINDS` it is; each 16th round of
+kinds has scenes that finite elements can do, too.
 """
 
 from typing import NamedTuple
@@ -23,8 +23,8 @@ import timo_sim
 
 CHANNELS = ('force_x', 'force_y', 'torque', 'tip_force_x', 'tip_force_y', 'tip_torque')
 NEWTON = ('newton', 'newton_root_stress', 'newton_rigid_axial')
-ROUND = 16  # of kinds; the first of each so many is without damping, friction and first bend
-# What is compiled for each: others would take minutes for nothing new.
+ROUND = 16  # rounds of kinds, of which the first has no damping, friction and initial bend
+# Each number is compiled once; others would take minutes and test nothing new.
 _MODES, _CORNER_MODES = (3, 5), (0, 1, 8, 12)
 _MOST_STEPS = 2000
 
@@ -41,7 +41,7 @@ class Cell(NamedTuple):
 
 
 class _Draw:
-    """What a scene is made of, while its kind changes it: fields are scene values or sizes."""
+    """Random values and sizes of which a scene is made, after its kind has changed some."""
 
     def __init__(self, random):
         self.random, self.log = random, lambda low, high: float(
@@ -70,7 +70,7 @@ class _Draw:
         self.loads = int(random.integers(1, 4))  # their number, or the kind of one
 
     def maybe(self, share):
-        """Return whether something happens that does in a share of the scenes."""
+        """Return True with a probability of `share`."""
         return self.random.random() < share
 
     def one(self, *choices):
@@ -83,7 +83,7 @@ class _Draw:
 
 
 def _random(draw):
-    """Nothing besides: everything varies in all kinds."""
+    """Change nothing: everything varies in all kinds."""
 
 
 def _knots(draw):
@@ -135,7 +135,7 @@ def _sandwich(draw):
 def _stretch(draw):
     draw.formulation, draw.axial, draw.modes = 'exact', draw.one(0, 1), 5
     draw.slenderness, draw.strain = draw.log(4.0, 30.0), draw.log(1e-5, 5e-3)
-    draw.speed, draw.periods = draw.sign() * 1e6, draw.log(10.0, 100.0)  # as the strain lets it
+    draw.speed, draw.periods = draw.sign() * 1e6, draw.log(10.0, 100.0)  # `strain` limits it
     draw.joint, draw.spun_up = 'free', draw.maybe(0.5)
 
 
@@ -246,7 +246,7 @@ def _cell(draw, number, kind, elements):
 
 
 def _drive(draw, omega, fastest, step, duration):
-    # From rest to a speed, or, with the points closer than a step, a turn by a third of a radian.
+    # From rest to a speed, or, for 'knots', a turn by up to 0.1 rad within 0.2 to 3 steps.
     if draw.loads == 'knots':
         begin = (draw.random.integers(1, 10) + draw.random.random()) * step
         times, angles, speeds = [0.0, begin, begin + draw.random.uniform(0.2, 3.0) * step], [
@@ -262,7 +262,7 @@ def _drive(draw, omega, fastest, step, duration):
 
 
 def _load(draw, form, channel, values, omega, force, steps):
-    """Return the values of a load that would bend the arm by some thousandths to a third."""
+    """Return the values of a load that would bend the arm by 0.001 to 0.3 of its length."""
     step, random = values['integrator.step'], draw.random
     size = draw.sign() * draw.log(1e-3, 0.3) * force * (
         values['arm.length'] if 'torque' in channel else 1.0)
@@ -280,7 +280,7 @@ def _load(draw, form, channel, values, omega, force, steps):
             ('amplitude', size), ('frequency', frequency),
             ('phase', random.uniform(0.0, 2.0 * np.pi)))}
     begin = random.uniform(0.0, 0.8) * steps * step
-    if form == 'jump':  # next to a step boundary, by less than what rounds to it, or by more
+    if form == 'jump':  # at a step boundary, or beside it by more or less than what rounds to it
         begin = (1 + random.integers(max(1, steps // 2))) * step
         begin += draw.sign() * draw.one(0.0, 2e-12 * begin, 1e-10 * step, 4e-8 * step)
     length = draw.log(0.02, 2.0) * 2.0 * np.pi / omega

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What processes share on a disk: the folder of machine code, the parts of a sweep."""
+"""Attacks on what processes share on a disk: the folder of machine code, parts of a sweep."""
 
 from contextlib import ExitStack
 import os
@@ -63,7 +63,7 @@ def hostile_caches(folder):
 
 
 def sweeps_at_once(folder, count, generator):
-    """Start the same sweep three times at once, and kill one of them half of the times."""
+    """Start the same sweep two or three times at once, in turns; kill one of the three."""
     tally, refused, expected = Tally('two sweeps at once, or three, one killed'), 0, None
     (folder / 'study.yaml').write_text(SWEEP)
     for number in range(count):

@@ -43,7 +43,7 @@ def ensure(condition, text):
 
 @contextmanager
 def small_disk(folder, size):
-    """Yield a folder on a disk of its own [B], or None where one may not mount."""
+    """Yield a folder on a disk of its own, of a size [B], or None where one may not mount."""
     mounted = folder / 'disk'
     mounted.mkdir()
     if subprocess.run(['mount', '-t', 'tmpfs', '-o', f'size={size},mode=0700', 'tmpfs', mounted],

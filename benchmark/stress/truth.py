@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-What the scenes of the stress test are judged by, and the verdict.
+Judges the scenes of the stress test by references.
 
 A scene is run with its step, and with an `integrator.tolerance`; its tip is compared with
 
@@ -22,10 +22,10 @@ A run is
 - flagged: it does not, and the run says so (`ModelWarning`);
 - refused: a ParameterError or a DivergenceError says why;
 - silent: none of these. There must be none;
-- open: not told apart, since the reference is not known to a third of the distance: it is run
-  again with fewer modes (elements with polynomials of lower order), twice its step, and a tip
-  that begins 1e-9 lengths off. Scenes that make 1e-5 lengths or more of that with the same modes
-  and step are `sensitive`: of them no run knows where the tip will be.
+- open: no verdict, because the reference itself is not known to a third of the distance. This is
+  found by a run with fewer modes (elements with polynomials of lower order), twice its step, and a
+  tip that begins 1e-9 lengths off. Where that alone, with the same modes and step, grows to 1e-5
+  lengths or more, the scene is `sensitive`: no run can predict its tip.
 """
 
 from functools import cached_property
@@ -41,9 +41,10 @@ from timo_sim.runs.second_run import compared, in_doubt
 ACCURATE, SEEN, TOLERANCE = 1e-3, 1e-6, 1e-6  # [lengths]
 VERDICTS = ['accurate', 'flagged', 'refused', 'silent', 'open']
 _PUSH, _SENSITIVE = 1e-9, 1e-5  # [lengths]
-_MODES, _FEWER = (12, 3), (8, 3)  # of the reference, bending and axial; to see how far it is off
-_ORDER, _LOWER, _ELEMENTS = 10, 8, 2  # of the spectral elements; to see how far they are off
-_MOST_STEPS = 1e7  # of the finite elements of a scene
+# Modes in bending and axial ones of the reference, and of the run that shows its error.
+_MODES, _FEWER = (12, 3), (8, 3)
+_ORDER, _LOWER, _ELEMENTS = 10, 8, 2  # the same for spectral elements, by order; their number
+_MOST_STEPS = 1e7  # of the spectral elements for a scene
 
 
 def family(cell):
@@ -155,7 +156,7 @@ class _Finer:
 
 
 class _Elements:
-    """The reference by finite elements; of lower order, too, to see how far it is off."""
+    """The reference by spectral elements; those of a lower order show its error."""
 
     def __init__(self, cell, finer):
         self._cell, self._finer, self.path = cell, finer, _elements(cell, _ORDER)
@@ -197,7 +198,8 @@ def _is_dry(cell):
 
 
 def _element_steps(cell):
-    # Two over the highest frequency: of sections that turn in place, and of the finest wave.
+    # A step is half the stable one: 1 over the highest frequency, which is about that of
+    # sections turning in place and of the finest wave.
     scene = timo_sim.load_scene(cell.values)
     arm, section = scene.manipulator.arm, scene.manipulator.arm.section
     turning = math.sqrt(section.shear_stiffness / section.inertia_per_length)

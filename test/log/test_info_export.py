@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What `timo_sim info` says, and tables and bags that others read."""
+"""`timo_sim info` and `export`: the printed facts, tables and bags, read by other libraries."""
 
 import csv
 import json
@@ -56,7 +56,7 @@ def call(*arguments, code=0):
     return result.output
 
 
-def test_info_says_what_was_run(log, paper):
+def test_info_describes_the_run(log, paper):
     text = call('info', log)
     run = timo_sim.simulate(timo_sim.load_scene(paper), 2.0)
     across = np.abs(run.deflection(2.0)[:, 1])
@@ -70,7 +70,7 @@ def test_info_says_what_was_run(log, paper):
     assert '/timo_sim/motor_torque' in ' '.join(rows['without'])
 
 
-def test_info_finds_gaps_and_reads_the_peak_where_nobody_noted_it(tmp_path):
+def test_info_finds_gaps_and_a_peak_that_was_not_noted(tmp_path):
     output, = (output for output in outputs(0) if output.name == '~/tip_deflection')
     topics = [Channel('/timo_sim/tip_deflection', output.type_name)]
     recorder = Recorder(tmp_path / 'run.mcap', topics, {
@@ -83,7 +83,7 @@ def test_info_finds_gaps_and_reads_the_peak_where_nobody_noted_it(tmp_path):
     assert '0.031 s' in text and '99 m transverse, at 0.099 s' in text and 'not known' in text
 
 
-def test_info_says_nothing_that_a_terminal_would_obey(tmp_path):
+def test_info_prints_no_control_characters(tmp_path):
     recorder = Recorder(tmp_path / 'run.mcap', [Channel('/\x1b[2J', 'std_msgs/msg/Float64')], {
         'timo_sim': {'node': '\x1b]0;', 'changed': json.dumps({'\x1b': 1}), 'numpy': '\x1b'}})
     recorder.close()
@@ -92,7 +92,7 @@ def test_info_says_nothing_that_a_terminal_would_obey(tmp_path):
 
 
 def test_a_gigabyte_takes_no_longer_than_its_index(tmp_path):
-    """Time grows with chunks, not with bytes: 4000 chunks are a gigabyte, here they are small."""
+    """Time grows with chunks, not with bytes: 4000 small chunks stand for those of a gigabyte."""
     path = tmp_path / 'many.mcap'
     recorder = Recorder(path, [Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64')], {})
     for k in range(4000):
@@ -175,10 +175,10 @@ def test_a_bag_opens_as_a_folder(log, tmp_path):
     topics = content['rosbag2_bagfile_information']['topics_with_message_count']
     assert {topic['topic_metadata']['offered_qos_profiles'][0]['reliability']
             for topic in topics} == {'reliable'}
-    # Of such a name `ros2 bag reindex` makes metadata.yaml anew (rosbag2_cpp/reindexer.cpp).
+    # `ros2 bag reindex` accepts only such names (rosbag2_cpp/reindexer.cpp).
     file, = (tmp_path / 'bag').glob('*.mcap')
     assert re.fullmatch(r'(.+_(\d+)\.([a-zA-Z0-9])+)', str(file)) and file.name == 'bag_0.mcap'
-    # The folder stands for its file; with `view` in test_view.py, with `replay` in test_replay.py.
+    # Commands take the folder for its file, `view` in test_view.py, `replay` in test_replay.py.
     for command in ('info', 'recover'):
         assert call(command, file.parent) == call(command, file)
     call('export', file.parent, '-o', tmp_path / 'other', '--bag')
@@ -186,7 +186,7 @@ def test_a_bag_opens_as_a_folder(log, tmp_path):
 
 
 @pytest.mark.parametrize('command', ['info', 'export', 'replay'])
-def test_what_is_no_log_is_one_line_and_code_2(command, tmp_path):
+def test_a_file_that_is_no_log_gives_one_line_and_code_2(command, tmp_path):
     path = tmp_path / 'no.mcap'
     more = ['-o', tmp_path / 'out.csv'] if command == 'export' else []
     for content, words in ((None, 'No such file'), (b'', 'is empty'),

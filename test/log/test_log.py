@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The log, read back by other people's readers, and what happens when it cannot be written."""
+"""The node's log: contents by other readers, resets, names, and errors when it is not writable."""
 
 from collections import Counter
 import json
@@ -38,7 +38,7 @@ PUBLISHED = {'/joint_states': 'sensor_msgs/msg/JointState',
 
 @pytest.fixture(scope='module')
 def recorded(ros, paper, tmp_path_factory):
-    """Record a second of the paper's scene with a command in it; return log and what was seen."""
+    """Record a second of the paper's scene with a command; return log and received messages."""
     node, client = Process(tmp_path_factory.mktemp('run'), '--params-file', str(paper)), Client()
     seen = {'/joint_states': client.collect(JointState, '/joint_states'),
             '/timo_sim/tip_deflection': client.collect(Vector3Stamped,
@@ -56,7 +56,7 @@ def key(stamp):
     return stamp.sec * 1000000000 + stamp.nanosec
 
 
-def test_two_foreign_readers_find_what_was_published(recorded):
+def test_two_other_readers_find_the_published_messages(recorded):
     path, seen = recorded
     found = {topic: [] for topic in seen}
     with open(path, 'rb') as stream:
@@ -96,7 +96,7 @@ def test_two_foreign_readers_find_what_was_published(recorded):
             assert (logged.vector.x, logged.vector.y) == (message.vector.x, message.vector.y)
 
 
-def test_what_rosbag2_and_rerun_look_for(recorded):
+def test_metadata_that_rosbag2_and_rerun_need(recorded):
     path, _ = recorded
     with open(path, 'rb') as stream:
         reader = make_reader(stream)
@@ -110,7 +110,7 @@ def test_what_rosbag2_and_rerun_look_for(recorded):
         assert channel.metadata['topic_type_hash'].startswith('RIHS01_')
         assert len(channel.metadata['topic_type_hash']) == 7 + 64
         assert yaml.safe_load(channel.metadata['offered_qos_profiles'])[0]['depth'] == 10
-    # The hash that REP-2011 gives to this type, as every ROS 2 installation has it.
+    # This is the hash of the type by REP-2011, as in every installation of ROS 2.
     hashes = {channel.topic: channel.metadata['topic_type_hash']
               for channel in summary.channels.values()}
     assert hashes['/joint_states'] == (
@@ -140,7 +140,7 @@ def test_the_scene_in_the_log_repeats_the_run(recorded):
     assert {'numpy', 'scipy', 'numba', 'python', 'timo_sim'} <= set(record)
     last = seen['/joint_states'][-1]
     run = timo_sim.simulate(scene, key(last.header.stamp) * 1e-9, sample_every=10)
-    # Loads are summed in another order than command plus scene.
+    # Here the command is one of the scene's loads, which are summed in another order.
     assert np.abs(run.motion[-1, :3] - last.position).max() < 1e-13
 
 
@@ -180,7 +180,7 @@ def errors(client, health):
     return first.status[0].message
 
 
-def test_a_folder_that_cannot_be_made_is_an_error_and_no_more(start, client, tmp_path):
+def test_a_folder_that_cannot_be_made_is_an_error_and_the_node_goes_on(start, client, tmp_path):
     (tmp_path / 'file').write_text('not a folder')
     node = start(record_file=str(tmp_path / 'file' / 'run.mcap'))
     message = errors(client, client.collect(DiagnosticArray, '/diagnostics'))
@@ -209,6 +209,6 @@ def count_whole_chunks(stream):
     try:
         for _ in NonSeekingReader(stream).iter_messages(log_time_order=False):
             count += 1
-    except Exception:  # the cut; what came before it counts
+    except Exception:  # the end of a cut file; messages before it count
         pass
     return count

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A log that version 0.1.0 wrote: old names of parameters, limits of 0."""
+"""A log of version 0.1.0, with old names of parameters and limits of 0, is read and replayed."""
 
 import math
 from pathlib import Path
@@ -29,7 +29,7 @@ def test_its_parameters_have_their_present_names_and_meanings():
 
 
 def test_it_is_replayed(tmp_path, monkeypatch):
-    """To the last bit where it was made; other libraries and processors round differently."""
+    """To the last bit on the machine that made it; others round differently."""
     monkeypatch.chdir(tmp_path)
     told = []
     good = replay(LOG, show=told.append)

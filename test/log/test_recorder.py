@@ -66,7 +66,7 @@ def test_a_reader_that_seeks_finds_its_part(path):
     assert [channel.topic for channel in summary.channels.values()] == ['/a', '/b', '/silent']
 
 
-def test_a_log_without_messages_is_whole(tmp_path):
+def test_a_log_without_messages_is_complete(tmp_path):
     recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
     recorder.close()
     with open(recorder.path, 'rb') as stream:
@@ -75,7 +75,7 @@ def test_a_log_without_messages_is_whole(tmp_path):
 
 @pytest.mark.parametrize('make', [
     os.mkfifo, lambda path: path.symlink_to('/dev/null'), lambda path: path.symlink_to('/dev')])
-def test_what_is_no_regular_file_is_refused_and_gets_no_company(tmp_path, make):
+def test_a_path_that_is_no_regular_file_is_refused(tmp_path, make):
     path = tmp_path / 'run.mcap'
     make(path)
     with pytest.raises(OSError, match=str(path)):
@@ -84,7 +84,7 @@ def test_what_is_no_regular_file_is_refused_and_gets_no_company(tmp_path, make):
 
 
 def cut(path):
-    """Leave half of a file."""
+    """Cut a file to half its size."""
     os.truncate(path, path.stat().st_size // 2)
 
 
@@ -95,7 +95,7 @@ def add(path):
 
 
 def replace(path):
-    """Put another file in a file's place."""
+    """Replace a file by another of the same name."""
     path.with_stem('other').write_bytes(path.read_bytes())
     path.with_stem('other').replace(path)
 
@@ -103,8 +103,8 @@ def replace(path):
 @pytest.mark.parametrize('harm, words', [
     (os.unlink, 'deleted'), (replace, 'deleted'), (cut, 'bytes'), (add, 'bytes')])
 @pytest.mark.parametrize('last', [False, True], ids=['amid', 'at the end'])
-def test_what_others_do_to_a_log_is_noticed(tmp_path, monkeypatch, harm, words, last):
-    """At any time: the check before the chunk may have been too early to see it."""
+def test_changes_of_a_log_by_others_are_errors(tmp_path, monkeypatch, harm, words, last):
+    """Also when it happens after the last check before a chunk."""
     monkeypatch.setattr('timo_sim.log.recorder.FLUSH_PERIOD', 60.0)
     recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
     recorder.write(0, 0, 0, bytes(100))
@@ -118,7 +118,7 @@ def test_what_others_do_to_a_log_is_noticed(tmp_path, monkeypatch, harm, words, 
     assert str(recorder.path) in recorder.error and words in recorder.error
 
 
-def test_a_log_that_is_moved_goes_on_and_is_whole(tmp_path):
+def test_a_log_that_is_moved_goes_on_and_is_complete(tmp_path):
     recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
     moved = recorder.path.rename(tmp_path / 'moved.mcap')
     recorder.write(0, 0, 0, bytes(100))
@@ -128,7 +128,7 @@ def test_a_log_that_is_moved_goes_on_and_is_whole(tmp_path):
 
 
 @pytest.mark.parametrize('comes_back', [True, False])
-def test_a_disk_that_hangs_is_told_and_does_not_hold_up_the_node_for_ever(
+def test_a_disk_that_hangs_gives_a_warning_and_does_not_block_the_node_for_ever(
         tmp_path, monkeypatch, comes_back):
     monkeypatch.setattr('timo_sim.log.recorder.NOTABLE', 0.05)
     monkeypatch.setattr('timo_sim.log.recorder.PATIENCE', 60.0 if comes_back else 0.2)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Logs and bags as arrays: what other readers find, and files that lie."""
+"""Logs and bags as arrays: agreement with other readers, old logs, damaged and forged files."""
 
 import json
 import os
@@ -51,12 +51,12 @@ def log(tmp_path_factory, paper):
 
 
 def numbers(message):
-    """Return what the columns of a joint state say, by another reader."""
+    """Return the columns of a joint state that another reader has decoded."""
     return [*message.position, *message.velocity, *message.effort]
 
 
-def test_a_log_of_version_0_1_has_todays_names_and_limits(tmp_path):
-    """Two parameters had other names, and a limit of 0 meant that there was none."""
+def test_a_log_of_version_0_1_gets_the_present_names_and_limits(tmp_path):
+    """Two parameters had other names, and a limit of 0 meant no limit."""
     recorder = Recorder(tmp_path / 'old.mcap', [
         Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64')], {START: {
             'node': '/timo_sim', 'changed': '{}', 'parameters': json.dumps({
@@ -74,7 +74,7 @@ def test_a_log_of_version_0_1_has_todays_names_and_limits(tmp_path):
     assert step == 5 and values == {'carrier.force_limit': np.inf}
 
 
-def test_an_imu_of_an_older_log_or_bag_has_its_present_name(tmp_path):
+def test_an_imu_of_an_older_log_or_bag_gets_its_present_name(tmp_path):
     output, = (output for output in outputs(0) if output.name == '~/tip_imu/data_raw')
     recorder = Recorder(
         tmp_path / 'old.mcap', [Channel('/left/sim/tip_imu', output.type_name)], {})
@@ -89,7 +89,7 @@ def test_an_imu_of_an_older_log_or_bag_has_its_present_name(tmp_path):
 
 
 def test_joint_states_of_a_bag_are_those_of_the_simulator(tmp_path):
-    """Where ros2_control publishes joint_states, they are those below its name."""
+    """If ros2_control publishes joint_states, the simulator's are those below its name."""
     output, = (output for output in outputs(0) if output.name == 'joint_states')
     serialize = Serializer(output.type_name, output.template)
     recorder = Recorder(tmp_path / 'bag.mcap', [
@@ -101,7 +101,7 @@ def test_joint_states_of_a_bag_are_those_of_the_simulator(tmp_path):
     assert Recording(tmp_path / 'bag.mcap').topics['joint_states'].values.tolist() == [[1.0] * 9]
 
 
-def test_series_are_what_another_reader_finds(log):
+def test_series_agree_with_another_reader(log):
     recording = Recording(log)
     assert recording.name == '/left/timo_sim' and not len(recording.resets)
     topics = recording.topics
@@ -137,7 +137,7 @@ def test_motion_and_scene_are_those_of_the_run(log, paper):
 
 
 def test_a_bag_has_sim_time_of_headers_and_commands_by_log_time(tmp_path):
-    """A bag as others write it: wall clock as log time, one command that the node refuses."""
+    """A bag of another tool: wall time as log time, and one command that the node would refuse."""
     with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         deflection, torque = (
             bag.add_connection(topic, kind, typestore=STORE) for topic, kind in (
@@ -166,7 +166,7 @@ def test_a_bag_has_sim_time_of_headers_and_commands_by_log_time(tmp_path):
 
 
 def test_a_late_sensor_is_not_the_clock_of_a_bag(tmp_path):
-    """Its headers say when it measured, 0.2 s ago; the joint states know the time."""
+    """Its headers have the time of measurement, 0.2 s ago; joint states have the present time."""
     with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         encoder, joints, torque = (
             bag.add_connection(topic, kind, typestore=STORE) for topic, kind in (
@@ -219,14 +219,14 @@ def damage_summary(data):
     (damage_summary, 'checksum of the summary is wrong.*timo_sim recover'),
     (lambda data: data.clear(), 'is empty'),
     (lambda data: data.__setitem__(slice(0, 4), b'oops'), 'not an MCAP file')])
-def test_what_is_not_whole_is_refused_with_advice(log, tmp_path, change, words):
+def test_damaged_logs_are_refused_with_advice(log, tmp_path, change, words):
     with pytest.raises(LogError, match=words):
         recording = Recording(changed(log, tmp_path, change))
         recording.topics
 
 
 def lying_index(log, folder, lie):
-    """Return a copy in which `lie` has changed the entries of a channel's index, (n, 2)."""
+    """Return a copy of a log in which `lie` has changed the index of a channel, (n, 2)."""
     index = Recording(log).index
     chunk = index.chunks[0]
     number, place = next(
@@ -243,16 +243,16 @@ def lying_index(log, folder, lie):
 
 
 @pytest.mark.parametrize('lie', [
-    lambda entries: entries.__setitem__((slice(None), 1), entries[0, 1]),   # all the same
+    lambda entries: entries.__setitem__((slice(None), 1), entries[0, 1]),   # all alike
     lambda entries: entries.__setitem__((3, 1), 2**63),                     # far outside
     lambda entries: entries.__setitem__((3, 1), entries[3, 1] + 1),         # beside a message
 ])
-def test_an_index_that_lies_is_found_out(log, tmp_path, lie):
-    with pytest.raises(LogError, match='joint_states.*the index names something'):
+def test_a_forged_index_is_refused(log, tmp_path, lie):
+    with pytest.raises(LogError, match='joint_states.*the index points to something'):
         Recording(lying_index(log, tmp_path, lie)).topics
 
 
-def test_a_scene_that_is_none_is_one_line(log, tmp_path):
+def test_an_invalid_scene_in_a_log_is_an_error(log, tmp_path):
     def change(data):
         place = data.index(b'"arm.length": 2.0')
         data[place:place + 17] = b'"arm.length": -20'
@@ -265,7 +265,7 @@ def test_a_scene_that_is_none_is_one_line(log, tmp_path):
 @pytest.mark.parametrize('facts', [
     {'node': '/timo_sim'}, {'parameters': '', 'node': '/timo_sim'}, {'parameters': '[]'},
     {'topics': '[1]'}, {'topics': '{"/timo_sim/motor_torque": [1]}'}])
-def test_a_log_that_says_nothing_of_its_scene_is_one_line(tmp_path, facts):
+def test_a_log_without_a_scene_gives_one_line(tmp_path, facts):
     path = tmp_path / 'run.mcap'
     recorder = Recorder(path, [
         Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64')], {START: facts})
@@ -285,7 +285,7 @@ def test_a_log_is_open_only_while_it_is_read(log):
 
 
 def test_files_without_chunks_are_read_too(log, tmp_path):
-    """As rosbag2 writes with its profile `fastwrite`; mcap's own writer makes one here."""
+    """rosbag2 writes such files with its profile `fastwrite`; here mcap's writer makes one."""
     path = tmp_path / 'plain.mcap'
     with open(log, 'rb') as source, open(path, 'wb') as target:
         writer = McapWriter(target, use_chunking=False)
@@ -313,7 +313,7 @@ def test_a_folder_with_two_files_asks_for_one(log, tmp_path):
 
 @pytest.fixture(scope='module')
 def unchecked(log, tmp_path_factory):
-    """Return the bytes of a short log that has no checksums, so that every lie is believed."""
+    """Return the bytes of a short log without checksums, so that no change of bytes shows."""
     path = tmp_path_factory.mktemp('unchecked') / 'run.mcap'
     with open(log, 'rb') as source, open(path, 'wb') as target:
         writer = McapWriter(target, chunk_size=2000, compression=CompressionType.NONE,
@@ -334,8 +334,8 @@ def unchecked(log, tmp_path_factory):
     return path.read_bytes()
 
 
-def test_a_file_that_lies_is_a_log_or_a_log_error(unchecked, tmp_path):
-    """Single bytes and numbers changed: arrays or one line, and nothing else."""
+def test_a_changed_file_is_a_log_or_a_log_error(unchecked, tmp_path):
+    """With some bytes changed it gives arrays or a LogError of one line."""
     random, path, refused = np.random.default_rng(1), tmp_path / 'run.mcap', 0
     for _ in range(LIES):
         data = bytearray(unchecked)
@@ -355,7 +355,7 @@ def test_a_file_that_lies_is_a_log_or_a_log_error(unchecked, tmp_path):
 
 
 def test_samples_after_a_reset_are_joined_with_those_after_it():
-    """At 35 a reset: joint states before and after it, slower modal states after it only."""
+    """With a reset at 35 joint states are before and after it, modal states after it only."""
     joints, modes = np.array([25, 30, 35, 35, 40]), np.array([30, 35, 40])
     first, second = common(joints, modes)
     assert first.tolist() == [1, 3, 4] and second.tolist() == [0, 1, 2]

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Logs that end early, are damaged or lie: what `timo_sim recover` makes of them."""
+"""`timo_sim recover` on logs that end early, are damaged or forged; the recorder's errors."""
 
 from inspect import signature
 import os
@@ -39,7 +39,7 @@ from timo_sim.log.recorder import Channel, Recorder
 from timo_sim.log.records import LogError
 from timo_sim.log.recover import recover
 
-SEED = 20240  # of the random damage; another one tries other places
+SEED = 20240  # of the random damage
 
 
 @pytest.fixture(scope='module')
@@ -58,7 +58,7 @@ def log(tmp_path, intact):
 
 def run(*arguments):
     """Return code, output and errors of `timo_sim recover`."""
-    # Before click 8.2 output and errors were one unless they were asked for apart.
+    # Before click 8.2 output and errors were mixed by default.
     apart = {'mix_stderr'} & signature(CliRunner).parameters.keys()
     runner = CliRunner(**dict.fromkeys(apart, False))
     result = runner.invoke(main, ['recover', *map(str, arguments)], prog_name='timo_sim')
@@ -73,7 +73,7 @@ def test_a_complete_log_is_left_alone(log, intact):
 
 
 def records_of(path):
-    """Return what a reader finds besides messages."""
+    """Return profile, schemas, channels, metadata and statistics of a log."""
     with open(path, 'rb') as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
@@ -91,7 +91,7 @@ def messages_of(path):
 
 
 def test_a_log_without_its_summary_gets_the_same_again(log, intact):
-    """Cut where the summary begins: what is written is what the recorder had written."""
+    """A log cut where its summary begins gets the summary that the recorder had written."""
     end = next(place for place, opcode, _ in places(intact) if opcode == Opcode.DATA_END)
     cut = log.with_name('cut.mcap')
     cut.write_bytes(intact[:end])
@@ -119,7 +119,7 @@ def test_a_log_without_its_summary_gets_the_same_again(log, intact):
 
 @pytest.mark.parametrize('name', ['bag', '.'])
 def test_a_bag_of_a_wall_clock_is_recovered_beside_its_folder(tmp_path, monkeypatch, name):
-    """As rosbag2 leaves it when it is killed: what is written beside it plays, the bag stays."""
+    """rosbag2 was killed; the new file beside the bag is complete, and the bag does not change."""
     store, kind = get_typestore(Stores.ROS2_JAZZY), 'std_msgs/msg/Float64'
     bag = tmp_path / 'bag'
     with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
@@ -156,7 +156,7 @@ def test_no_file_is_overwritten(log, intact):
 
 @pytest.fixture
 def no_sync(monkeypatch):
-    """Let hundreds of logs not wait for the disk."""
+    """Skip fsync, to save time with hundreds of logs."""
     monkeypatch.setattr(os, 'fsync', lambda number: None)
 
 
@@ -168,7 +168,7 @@ def cuts(content):
     yield from (len(content) - 8, len(content) - 1)
 
 
-def test_a_cut_costs_what_is_behind_it(log, intact, no_sync):
+def test_a_cut_loses_only_the_part_behind_it(log, intact, no_sync):
     """Each chunk that is there as a whole is kept."""
     ends = [place + length for place, opcode, length in places(intact) if opcode == Opcode.CHUNK]
     each = [length for place, opcode, length in places(intact) if opcode == Opcode.CHUNK]
@@ -179,7 +179,7 @@ def test_a_cut_costs_what_is_behind_it(log, intact, no_sync):
         try:
             recover(log, new)
         except LogError:
-            # Nothing is there but the header, or less.
+            # The file has the header at most.
             assert cut < places(intact)[1][0] + places(intact)[1][2]
             continue
         with open(new, 'rb') as stream:
@@ -190,14 +190,14 @@ def test_a_cut_costs_what_is_behind_it(log, intact, no_sync):
 
 
 def flipped(content, generator):
-    """Return a log with one, or now and then several, of its bits wrong."""
+    """Return a log with one, two or twenty of its bits flipped."""
     damaged = bytearray(content)
     for _ in range(generator.choice((1, 1, 1, 2, 20))):
         damaged[generator.randrange(len(damaged))] ^= 1 << generator.randrange(8)
     return bytes(damaged)
 
 
-def test_flipped_bits_are_noticed(log, intact, no_sync):
+def test_flipped_bits_are_detected(log, intact, no_sync):
     """A log that was closed has a checksum over every byte but the magic at its end."""
     generator, seen = random.Random(SEED), set()
     for _ in range(300):
@@ -206,7 +206,7 @@ def test_flipped_bits_are_noticed(log, intact, no_sync):
     assert 'complete' not in seen and 'recovered' in seen
 
 
-def test_a_flipped_bit_costs_one_chunk(log, intact):
+def test_a_flipped_bit_loses_one_chunk(log, intact):
     place, _, length = [entry for entry in places(intact) if entry[1] == Opcode.CHUNK][2]
     damaged = bytearray(intact)
     damaged[place + length - 20] ^= 4
@@ -219,12 +219,12 @@ def test_a_flipped_bit_costs_one_chunk(log, intact):
 
 @pytest.fixture(scope='module')
 def hostile(tmp_path_factory):
-    """Return what became of hostile files where memory is scarce, and how much it took."""
+    """Return the outcomes for hostile files with limited memory, and the memory used."""
     folder = tmp_path_factory.mktemp('hostile')
     paths = [folder / f'{name}.mcap' for name in hostile_logs.hostile()]
     for path, content in zip(paths, hostile_logs.hostile().values()):
         path.write_bytes(content)
-    # 10 GB that a record claims and that are there, as a hole.
+    # A record of 10 GB that is really there, as a hole of the file.
     hole = folder / 'a hole of 10 GB.mcap'
     start = hostile_logs.hostile()['a length of 10 GB']
     with open(hole, 'wb') as stream:
@@ -243,11 +243,11 @@ def test_hostile_files_are_refused_or_recovered(hostile):
 
 
 def test_hostile_files_do_not_fill_the_memory(hostile):
-    # A chunk of 64 MB, compressed and not, twice, and what Python and its modules take.
+    # Two chunks of 64 MB, compressed and uncompressed, and the memory of Python and its modules.
     assert hostile[1] < 400
 
 
-def test_what_is_no_file_is_refused(tmp_path):
+def test_paths_that_are_no_files_are_refused(tmp_path):
     pipe = tmp_path / 'pipe'
     os.mkfifo(pipe)
     assert run(tmp_path) == (2, '', f'timo_sim: {tmp_path} has 0 files *.mcap: name one\n')
@@ -260,12 +260,12 @@ def test_what_is_no_file_is_refused(tmp_path):
     assert run(pipe / 'below')[0] == 2
 
 
-def test_what_may_not_be_read_or_written(log, intact):
+def test_files_without_permission_are_errors(log, intact):
     log.write_bytes(intact[:-20])
     log.chmod(0)
     before = os.geteuid()
     try:
-        if before == 0:  # who may read everything
+        if before == 0:  # root may read everything
             for folder in log.parents[:-2]:
                 folder.chmod(0o755)
             os.seteuid(65534)
@@ -307,7 +307,7 @@ def test_a_full_disk_leaves_no_half_recovered_log(log, intact, small_disk):
     assert [*log.parent.iterdir()] == [log]
 
 
-def test_a_name_that_is_no_text(tmp_path, intact):
+def test_a_name_that_is_no_utf_8(tmp_path, intact):
     path = tmp_path / os.fsdecode(b'run\xff.mcap')
     path.write_bytes(intact[:-20])
     assert 'run\ufffd_recovered.mcap' in recover(path)
@@ -317,7 +317,7 @@ def test_a_name_that_is_no_text(tmp_path, intact):
 
 
 def test_the_command_itself(log, intact):
-    """In a process of its own, from the shell."""
+    """In a separate process, as from the shell."""
     log.write_bytes(intact[:-20])
     command = [sys.executable, '-c', 'from timo_sim.cli import main; main()', 'recover', log.name]
     done = subprocess.run(command, cwd=log.parent, capture_output=True, text=True, env={
@@ -326,7 +326,7 @@ def test_the_command_itself(log, intact):
     assert done.stdout.startswith('run.mcap: ') and 'complete in run_recovered.mcap' in done.stdout
 
 
-def test_rerun_has_nothing_against_it(log, intact):
+def test_rerun_accepts_a_recovered_log(log, intact):
     log.write_bytes(intact[:-20])
     recover(log)
     pytest.importorskip('rerun')
@@ -336,7 +336,7 @@ def test_rerun_has_nothing_against_it(log, intact):
 
 
 def test_killed_nodes_leave_logs_that_can_be_recovered(start, client, tmp_path):
-    """At three random moments: all but the last second is there, for every reader."""
+    """Killed at random moments they keep all but the last second, for every reader."""
     generator = random.Random(SEED)
     nodes = []
     for name in ('first', 'second', 'third'):
@@ -350,7 +350,7 @@ def test_killed_nodes_leave_logs_that_can_be_recovered(start, client, tmp_path):
         client.wait(lambda: states and time_of(states[-1]) > moment, f'{moment} s of {name}')
         node.send(signal.SIGKILL)
         node.wait()
-    time.sleep(0.1)  # what was on its way to the client
+    time.sleep(0.1)  # for messages on their way to the client
     for name, node, states, _ in nodes:
         text = recover(tmp_path / f'{name}.mcap')
         new = tmp_path / f'{name}_recovered.mcap'
@@ -368,7 +368,7 @@ def time_of(state):
     return state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec
 
 
-# The recorder where it cannot write.
+# Errors of the recorder.
 
 CHANNELS = [Channel('/a', 'std_msgs/msg/Float64')]
 
@@ -397,7 +397,7 @@ def test_a_disk_that_is_full_at_the_start_leaves_no_file(tmp_path, small_disk):
     assert not (tmp_path / 'run.mcap').exists()
 
 
-def test_whatever_ends_the_thread_does_not_end_the_simulation(tmp_path, monkeypatch):
+def test_an_error_in_the_recorders_thread_does_not_block_the_simulation(tmp_path, monkeypatch):
     def fail(_):
         raise RuntimeError('no lz4 today')
 
@@ -432,7 +432,7 @@ def test_messages_in_any_order_keep_their_span(tmp_path):
 
 
 def test_only_the_name_of_a_log_depends_on_the_wall_clock():
-    """A clock that is set back moves no stamp and no deadline, because nobody looks at it."""
+    """A clock that is set back changes no stamp and no deadline, because no code reads it."""
     package = Path(recorder_module.__file__).parents[1]
     looking = {path.name: line.strip() for path in package.rglob('*.py')
                for line in path.read_text().splitlines()

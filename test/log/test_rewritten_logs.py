@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Logs that mcap's writer has written again: right results or one line, and nothing is lost."""
+"""Logs rewritten by mcap's writer give right results or one line; recovery loses nothing."""
 
 from collections import Counter
 from functools import partial
@@ -24,15 +24,15 @@ from oracles.rewritten_logs import NOTE, records, WRITTEN
 from timo_sim.cli import main
 from timo_sim.log.recover import recover
 
-# Of a log with a reset, because it takes a while to try them all.
+# The rewritings that are tried on a log with a reset; all would take too long.
 WITH_RESET = ['as it is', 'no chunks', 'shuffled', 'metadata reversed', 'metadata last',
               'no index of messages', 'merged with itself']
-# What replays, though it is in another order, or has more, or less, than was logged.
+# Rewritings that replay, though in another order, with more or with less than was logged.
 SAME = {'as it is', 'zstd', 'a chunk a message', 'no chunks', 'no index of messages', 'reversed',
         'reversed, no chunks', 'shuffled', 'topic after topic', 'metadata last', 'messages twice',
         'merged with itself', 'joint states dropped', 'channels of other tools', 'attachments',
         'no sequence numbers'}
-# Without these a log does not say what was run, or which messages are which.
+# Rewritings that cannot be exported, because the scene or the kind of messages is missing.
 NO_TABLE = {'no statistics', 'channels not repeated', 'schemas not repeated', 'without schemas',
             'no index of metadata', 'no indexes', 'no summary', 'merged with another run',
             'scene removed', 'records of its own', 'records of its own in a chunk',
@@ -58,7 +58,7 @@ def call(*arguments, code=0):
     return result.output
 
 
-def test_every_command_is_right_or_says_why_not(source, tmp_path):
+def test_every_command_is_right_or_an_error_of_one_line(source, tmp_path):
     judge, found = Judge(source), {}
     for name, path in rewritten_logs.rewritings(source, tmp_path):
         found[name] = {command: judge.judge(path, command) for command in Judge.COMMANDS}
@@ -80,7 +80,7 @@ def test_logs_with_a_reset_too(reset, tmp_path):
 
 @pytest.fixture
 def write(source, tmp_path):
-    """Return a function that writes the log again in one of the ways, by name."""
+    """Return a function that rewrites a log in the way with this name; it returns the path."""
     def write(name, log=source):
         change, options = WRITTEN[name]
         rewritten_logs.write(tmp_path / 'again.mcap', change(records(log)), **options)
@@ -98,7 +98,7 @@ def test_a_replay_says_how_much_of_a_log_it_compared(source, write):
 
 
 def test_a_topic_that_cannot_be_read_fails_a_replay_and_is_named_in_a_table(write, tmp_path):
-    words = ('/timo_sim/tip_pose is not read: its type is not said, without a schema, encoded as '
+    words = ('/timo_sim/tip_pose is not read: its type is unknown, without a schema, encoded as '
              "'cdr'")
     path = write('a topic without a schema')
     text = call('replay', path, code=1)
@@ -110,8 +110,8 @@ def test_a_topic_that_cannot_be_read_fails_a_replay_and_is_named_in_a_table(writ
 
 @pytest.mark.parametrize('name, words', [
     ('shuffled', 'it does not say which messages were before a reset'),
-    ('metadata last', 'does not say whether .* at the step of a reset was before or after it')])
-def test_before_or_after_a_reset_is_not_guessed(name, words, reset, write):
+    ('metadata last', 'whether .* at the step of a reset was before or after it is not known')])
+def test_an_unknown_order_at_a_reset_is_refused(name, words, reset, write):
     assert re.search(words, call('replay', write(name, reset), code=2))
 
 
@@ -127,8 +127,8 @@ TORQUE = partial(Channel, topic='/torque', message_encoding='cdr', metadata={})
 
 
 @pytest.mark.parametrize('name', ['channels of other tools', 'without schemas', 'attachments'])
-def test_what_other_tools_write_is_recovered_whole(name, write):
-    """Cut at its end: schemaless channels, types and attachments of others are kept."""
+def test_records_of_other_tools_are_recovered(name, write):
+    """From a log without its end: channels without schema, other types, attachments are kept."""
     path = write(name)
     expected = readable(path)
     data = path.read_bytes()
@@ -141,8 +141,8 @@ def test_what_other_tools_write_is_recovered_whole(name, write):
     assert 'is complete' in recover(new)
 
 
-def test_a_record_that_is_not_understood_costs_itself_alone(tmp_path):
-    """Messages beside it stay, those of an unknown schema, too; what is missing is counted."""
+def test_a_record_that_is_not_understood_is_skipped_alone(tmp_path):
+    """Other messages are kept, also of an unknown schema; skipped records are counted."""
     inside = written(message(), message(channel=9), message(), raw(0x20, b'?'), message(),
                      TORQUE(id=2, schema_id=7), message(channel=2))
     path, new = tmp_path / 'run.mcap', tmp_path / 'new.mcap'
@@ -157,10 +157,10 @@ def test_a_record_that_is_not_understood_costs_itself_alone(tmp_path):
     call('info', new)
 
 
-def test_a_damaged_attachment_is_left_out_and_said(tmp_path):
+def test_a_damaged_attachment_is_left_out_with_a_message(tmp_path):
     data = bytearray(written(NOTE))
     data[-6] ^= 1
     path = tmp_path / 'run.mcap'
     path.write_bytes(HEAD + written(NOTE) + bytes(data))
-    assert 'an attachment does not hold what it says' in recover(path, tmp_path / 'new.mcap')
+    assert 'an attachment is malformed' in recover(path, tmp_path / 'new.mcap')
     assert list(readable(tmp_path / 'new.mcap').elements()) == [repr(NOTE)]

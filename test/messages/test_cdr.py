@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""CDR is that of rclpy, and layouts name every byte of it that means something."""
+"""CDR is the same as from rclpy, and layouts name every byte of it that has a meaning."""
 
 import math
 import struct
@@ -37,7 +37,7 @@ def test_packed_is_what_rclpy_serializes(type_name):
         meant = found.meant()
         assert [packed[place] for place in meant] == [expected[place] for place in meant]
         assert len(set(meant)) == len(meant)
-        # Padding is zero, of at most 7 bytes in a row; rclpy may add some at the end.
+        # Padding is at most 7 zeros in a row; rclpy may add some at the end.
         assert not any(packed[place] for place in set(range(len(packed))) - set(meant))
         assert np.diff(sorted(meant)).max() <= 8
         assert found.size == len(packed) == max(meant) + 1 <= len(expected)
@@ -109,8 +109,8 @@ def test_a_sequence_is_a_list_of_its_own_between_single_numbers(monkeypatch):
 def test_layout_of_a_message_counted_by_hand():
     data = pack('sensor_msgs/msg/JointState', {
         'header': {'stamp': {'sec': 1, 'nanosec': 2}, 'frame_id': 'w'}, 'position': [3.0]})
-    # Encoding 0, stamp 4, length of the frame 12, frame 16, how many names 20 and positions 24,
-    # a position, aligned to eight from byte 4 on, 28, how many velocities 36 and efforts 40.
+    # Encoding 0, stamp 4, length of the frame 12, frame 16, number of names 20, of positions 24,
+    # a position 28 (aligned to eight from byte 4 on), number of velocities 36, of efforts 40.
     assert layout('sensor_msgs/msg/JointState', data) == Layout(
         44, [4], [28], [1, 0, 0], ['w'], [0, 1, *range(12, 18), *range(20, 28), *range(36, 44)])
     assert struct.unpack_from('<iI', data, 4) == (1, 2)
@@ -131,7 +131,7 @@ def test_a_message_that_ends_too_early_is_refused(type_name):
     assert layout(type_name, data + bytes(3)).size == len(data)
 
 
-def test_a_length_that_is_a_lie_ends_with_the_message():
+def test_a_wrong_length_does_not_read_beyond_the_message():
     data = bytearray(pack('sensor_msgs/msg/JointState', {}))
     data[-4:] = b'\xff\xff\xff\xff'
     with pytest.raises(CdrError, match='^it is too short$'):

@@ -30,7 +30,7 @@ def share(type_name, suffix):
             return path.read_text(encoding='utf-8')
     if package != 'tf2_msgs':
         raise ModuleNotFoundError(f'{type_name} is not installed', name=package)
-    # PyPI has no wheel of it; test_hashes_follow_from_the_definitions covers it.
+    # This package has no wheel on PyPI; test_hashes_follow_from_the_definitions covers it.
     pytest.skip(f'{package} is not installed')
 
 

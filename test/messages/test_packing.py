@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Messages with numbers filled in are what others read, number by number."""
+"""Other readers find the right number in each field of a packed message."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def _imu(message):
     return [acceleration.x, acceleration.y, turning.z]
 
 
-# What a reader of a message takes for the numbers of a topic.
+# Functions that read the numbers of a topic from the fields of a message, by topic.
 READ = {
     'joint_states': lambda message: _joints(['carrier_x', 'carrier_y', 'shaft'], message),
     '~/modal_state': lambda message: _joints([f'mode_{n}' for n in (1, 2, 3, 4)], message),

@@ -7,8 +7,8 @@
 # language governing permissions and limitations under the License.
 
 """
-What results are compared with: other models, other engines, closed forms, damaged files.
+Oracles for tests and benchmarks: other models, other engines, closed forms, damaged files.
 
-Tests and benchmarks share it and import it as `oracles`. It may import timo_sim, whose scenes it
-takes, but neither tests nor benchmarks.
+Both import this package as `oracles`. It may import timo_sim, whose scenes it takes, but neither
+tests nor benchmarks.
 """

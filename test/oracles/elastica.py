@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-A large deflection against the elastica: the arm bent by the inertia of its end effector.
+Large deflections by the elastica: an oracle for the arm bent by inertia of its end effector.
 
 The carrier is pushed along x, the shaft is locked at 90 degrees. Once the force is constant and
 the critically damped arm has come to rest in the accelerating frame, it is a cantilever under a
@@ -57,7 +57,7 @@ def elastica(load):
 
 def boundary_value(section, tip_load, line_load):
     """
-    Return the same with shear and a load along the arm, by SciPy's boundary value solver.
+    Return what `elastica` does, with shear and a distributed load, by a boundary value solver.
 
     A section at angle phi carries the force (p, n) along and across the undeformed arm: the moment
     changes by `p` times the slope across less `n` times that along, and the shear strain is
@@ -91,7 +91,7 @@ def boundary_value(section, tip_load, line_load):
 
 def compare(modes, load, formulation='exact', step=0.005):
     """
-    Return what `elastica` returns from a simulated run, and the boundary value solver's values.
+    Return the values of `elastica` from a simulated run, and those of `boundary_value`.
 
     Parameters
     ----------

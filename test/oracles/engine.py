@@ -7,11 +7,11 @@
 # language governing permissions and limitations under the License.
 
 """
-The solver of exudyn, the finite-element engine: time integration of a scene's loads.
+The finite-element engine exudyn: time integration of a system under the loads of a scene.
 
-The trapezoidal rule, or with a driven shaft generalized-alpha; second order in the step.
+It uses the trapezoidal rule, or generalized-alpha with a driven shaft; second order in the step.
 
-What was chosen, and measured on the paper's scene (20 elements, 1 ms; +- 20 %):
+These settings were chosen by CPU time for the paper's scene (20 elements, 1 ms; +- 20 %):
 
 - a modified Newton, its Jacobian renewed when an iteration gains less than a factor of 4: 0.44 s;
   renewed in every step 1.3 s, in every iteration 2.5 s;
@@ -19,7 +19,7 @@ What was chosen, and measured on the paper's scene (20 elements, 1 ms; +- 20 %):
   3e-4 rad at 0.2 ms; the default tolerance on the residual lies below round-off;
 - loads as compiled symbolic functions, whose values Python sets once in a step: 0.04 s; Python
   functions, called in every iteration, 0.12 s;
-- sparse factors, one thread, the build without range checks: 5 % less than the other one.
+- sparse factors, one thread, the build without range checks: 5 % less than with them.
 """
 
 import sys
@@ -82,8 +82,8 @@ def solve(system, scene, watched, root, coordinates, step, duration, every, tole
         outputVariableType=exudyn.OutputVariableType.Coordinates)) for node in watched]
     system.Assemble()
     settings = _settings(every * step, tolerance, damped)
-    # The rule takes the accelerations at both ends of a step, either of them with the load of
-    # that step: at a jump, it begins anew from the accelerations after the jump.
+    # The rule takes the accelerations at both ends of a step under the load of that step. After a
+    # jump it therefore begins anew, from the accelerations after the jump.
     jumps = 1 + np.flatnonzero((loads[1:, 0] != loads[:-1, -1]).any(axis=1))
     if (jumps % every).any():
         raise ValueError(f'loads may jump at samples only, every {every} steps, got {jumps}')
@@ -110,7 +110,7 @@ def marker(system, node, coordinate):
 
 
 def _add_load(system, node, coordinate, value):
-    # A load that is always `value`, a symbolic number set from outside.
+    # A load that equals `value`, a symbolic number that Python sets.
     def constant(system, t, load):
         return 1.0 * value
 
@@ -142,7 +142,7 @@ def _settings(period, tolerance, damped):
     settings.linearSolverType = exudyn.LinearSolverType.EigenSparse
     integration = settings.timeIntegration
     integration.verboseMode = 0
-    # Driven at 6 rad/s, the trapezoidal rule blows up in the axial modes that no step resolves.
+    # With a shaft driven at 6 rad/s the trapezoidal rule diverges in unresolved axial modes.
     integration.solverType = (exudyn.DynamicSolverType.GeneralizedAlpha if damped
                               else exudyn.DynamicSolverType.TrapezoidalIndex2)
     integration.generalizedAlpha.spectralRadius = 0.9

@@ -9,9 +9,9 @@
 """
 The manipulator by finite elements, with exudyn: references for the tests, peer of the benchmarks.
 
-Geometrically exact two-node beams (one integration point, so no shear locking), the rigid bodies
-on the end nodes; second order in the mesh. The beams are extensible, with the E A of the section.
-`engine` says how they are integrated.
+The arm is made of geometrically exact two-node beams (one integration point, so no shear locking)
+with the rigid bodies on the end nodes; second order in the mesh. The beams are extensible, with
+the E A of the section. `engine` integrates them.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ def simulate(scene, elements, step, duration, every, drive=None, tolerance=TOLER
     Parameters
     ----------
     scene : Scene
-        At rest or in rigid motion at first, undeformed; its modes and step are not used.
+        It starts undeformed, at rest or in rigid motion; its modes and step are not used.
     elements : int
         A multiple of 4.
     step, duration : float
@@ -38,9 +38,9 @@ def simulate(scene, elements, step, duration, every, drive=None, tolerance=TOLER
         Steps from sample to sample; loads may jump at samples only.
     drive : tuple of function(float) -> float, optional
         theta(t) [rad], theta'(t) and theta''(t) of a shaft that is driven.
-        theta'' is 0 at t = 0, as exudyn's initial accelerations know no drive.
+        theta'' is 0 at t = 0, because exudyn's initial accelerations leave the drive out.
     tolerance : float
-        Of the norm of a Newton increment [m, rad].
+        For the norm of a Newton increment [m, rad].
     axial_factor : float
         Axial stiffness over E A of the section.
 
@@ -103,7 +103,7 @@ def modes(scene, elements, count):
     system.Assemble()
     settings = exudyn.SimulationSettings()
     settings.linearSolverType = exudyn.LinearSolverType.EigenSparse
-    # Twice as many: axial modes lie between those in bending.
+    # Twice as many, because axial modes lie between those in bending.
     square, shape = system.ComputeODE2Eigenvalues(
         settings, useSparseSolver=True, numberOfEigenvalues=2 * count,
         constrainedCoordinates=[0, 1, 2])
@@ -120,7 +120,7 @@ def carrier(scene, kind=''):
 
 
 def _add_arm(system, scene, elements, angle=None, axial_factor=1.0):
-    # Coordinates count from the carrier's initial position, for fewer digits lost.
+    # Coordinates are relative to the carrier's initial position, to lose fewer digits.
     arm, spin = scene.manipulator.arm, scene.values['initial.shaft_velocity']
     section = arm.section
     angle = scene.values['initial.shaft'] if angle is None else angle

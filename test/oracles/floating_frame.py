@@ -19,8 +19,8 @@ def simulate(scene, modes, step, duration, every, elements=200):
     """
     Simulate a scene with exudyn's modally reduced floating frame (ObjectFFRFreducedOrder).
 
-    The frame sits on the shaft; the mesh is two rows of point masses at the radius of gyration
-    of the section, and of the end effector, on either side of the axis, moved by clamped modes.
+    The frame is that of the shaft. The mesh is two rows of point masses, on either side of the
+    axis at the radius of gyration of the section and of the end effector; clamped modes move them.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def simulate(scene, modes, step, duration, every, elements=200):
             initialVelocity=carrier(scene, '_velocity') + [0.0],
             initialAngularVelocity=[0.0, 0.0, values['initial.shaft_velocity']])
     root, modal = frame['nRigidBody'], frame['nGenericODE2']
-    # No motion leaves the plane, so nothing has to hold it there; the first two inertias are free.
+    # All motion is in the plane without constraints; the first two inertias have no effect.
     system.AddObject(items.ObjectRigidBody(
         mass=manipulator.base_mass, inertia=[1.0, 1.0, manipulator.shaft_inertia, 0.0, 0.0, 0.0],
         nodeNumber=root))

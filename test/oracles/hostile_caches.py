@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Folders and files of machine code as another user plants them: a pickle may run anything."""
+"""Attacks on the store of machine code: folders and files as another user would plant them."""
 
 import hashlib
 import os
@@ -14,7 +14,7 @@ import pickle
 
 
 class Hostile:
-    """Make a folder when unpickled."""
+    """An object that makes a folder when it is unpickled, as proof that code was run."""
 
     def __init__(self, proof):
         self.proof = str(proof)
@@ -25,9 +25,9 @@ class Hostile:
 
 def give_to_another(path, patch):
     """
-    Let a file belong to another user, or look so where this process may not give it away.
+    Give a file to another user, or simulate that where this process may not.
 
-    `patch` is a function(object, str, object) that replaces an attribute for a while.
+    `patch` is a function(object, str, object) that replaces an attribute until the test ends.
     """
     if os.geteuid() == 0:
         os.chown(path, 4321, -1)
@@ -77,7 +77,7 @@ FOLDERS = {
 
 
 def another_pipe(file, patch):
-    """Put a pipe in the place of a file: to open it for reading waits for somebody who writes."""
+    """Put a pipe in the place of a file: to open it for reading would wait for a writer."""
     file.unlink()
     os.mkfifo(file)
     give_to_another(file, patch)

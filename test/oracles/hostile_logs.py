@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Logs as a crash, a bad disk or somebody with bad intentions leaves them."""
+"""Damaged and forged logs, as a crash, a bad disk or an attacker would leave them."""
 
 import struct
 import zlib
@@ -58,7 +58,7 @@ def places(content):
 
 
 def raw(opcode, content, length=None):
-    """Return a record that may lie about its length."""
+    """Return a record, by default with its true length."""
     return struct.pack('<BQ', opcode, len(content) if length is None else length) + content
 
 
@@ -82,7 +82,7 @@ def message(channel=1, time=STEP, value=1.0):
 
 
 def chunk(data, compression='', size=None, crc=None, stored=None):
-    """Return a chunk record that may lie."""
+    """Return a chunk record; `size`, `crc` and `stored` may contradict its data."""
     compress = {'lz4': lz4.frame.compress, 'zstd': zstandard.compress}.get(compression, bytes)
     return Chunk(data=compress(data) if stored is None else stored, compression=compression,
                  message_start_time=STEP, message_end_time=STEP,
@@ -91,7 +91,7 @@ def chunk(data, compression='', size=None, crc=None, stored=None):
 
 
 def _bomb(compression, size):
-    """Return compressed zeros without ever holding them."""
+    """Return compressed zeros, made without holding them all in memory."""
     block = bytes(1 << 20)
     if compression == 'zstd':
         compressor = zstandard.ZstdCompressor().compressobj()
@@ -105,12 +105,12 @@ def _bomb(compression, size):
 
 def hostile(large=False):
     """
-    Return files that lie, by name.
+    Return forged files by name.
 
     Parameters
     ----------
     large : bool
-        Also those that take a while to make and to read.
+        Whether to add files that take long to make and to read.
 
     Returns
     -------

@@ -10,8 +10,8 @@
 The straight arm on its carrier by linear finite elements: an oracle for linear models.
 
 Timoshenko's equations in w and phi, both absolute, by elements of high order (Lagrange polynomials
-at Gauss-Lobatto nodes, exact quadrature): what is left of a mesh of the default size is round-off.
-The arm lies along x, so that only what acts across it, or turns it, is seen.
+at Gauss-Lobatto nodes, exact quadrature): the error of a mesh of the default size is round-off.
+The arm lies along x, so only motion across it and rotations are modelled.
 """
 
 import numpy as np
@@ -31,9 +31,9 @@ class LinearBeam:
     held, locked : bool
         Whether the carrier's y is held; whether the shaft is locked.
     stress_damping : float
-        Of a stiffness-proportional damping of the arm, C = stress_damping K [s].
+        Factor of a stiffness-proportional damping of the arm, C = stress_damping K [s].
     elements : int
-        Round-off grows with their number where a heavy tip makes inertia large beside stiffness.
+        Round-off grows with their number where a heavy tip makes inertia large against stiffness.
 
     """
 
@@ -78,7 +78,7 @@ class LinearBeam:
 
     def response(self, cause, frequency):
         """
-        Return what a harmonic load of size 1 does, outputs by name of `linearize`, complex.
+        Return the complex response to a harmonic load of size 1, by names of `linearize`.
 
         Parameters
         ----------

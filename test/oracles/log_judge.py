@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What commands make of logs that were written again, compared with what mcap's reader finds."""
+"""A judge of commands on rewritten logs: their results against the contents by mcap's reader."""
 
 from collections import Counter, defaultdict
 import csv
@@ -23,7 +23,7 @@ from timo_sim.messages.outputs import outputs
 
 
 def readable(path):
-    """Return counts of what mcap finds in a file but rosbag2's metadata, by topic or name."""
+    """Return counts of the records that mcap finds in a file, without rosbag2's metadata."""
     schemas, channels, found = {0: ('', '', b'')}, {}, Counter()
     for entry in records(path):
         if isinstance(entry, Schema):
@@ -39,14 +39,14 @@ def readable(path):
 
 
 class Wrong(AssertionError):
-    """A result that is not right, without a word."""
+    """A wrong result without an error."""
 
 
 class Judge:
     """
-    Says what commands make of a log that was written again: 'right' or 'error', a clear one.
+    Judges the results of commands on a rewritten log: 'right', or 'error' for a clear error.
 
-    Whatever else there is, is Wrong, or the exception that the command ended with.
+    Any other result raises Wrong, or the exception with which the command ended.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Judge:
             topic.removeprefix('/'), 0))
 
     def judge(self, path, command):
-        """Return what a command makes of a file."""
+        """Return 'right' or 'error' for a command on a file."""
         content = readable(path)
         return getattr(self, '_' + command)(path, content, content == self._content)
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What readers make of a log: this package's, checked by those of mcap, mcap_ros2 and rosbags."""
+"""Readers of logs as oracles: this package's is checked by mcap, mcap_ros2 and rosbags."""
 
 from collections import Counter
 import os
@@ -25,12 +25,12 @@ from timo_sim.log.recover import recover
 
 def outcome(path):
     """
-    Look at a log and recover it; check what came out.
+    Read a log and recover it; check the result.
 
     Returns
     -------
     str
-        'complete', 'refused' or 'recovered'. Whatever else happens is an exception.
+        'complete', 'refused' or 'recovered'; any other result is an exception.
 
     """
     new = path.with_name('out.mcap')
@@ -105,14 +105,14 @@ def limited(paths, limit, timeout):
     ----------
     paths : list of Path
     limit : int
-        Of its address space [MB].
+        Size of its address space [MB].
     timeout : float
         [s]
 
     Returns
     -------
     dict, int
-        What `outcome` says, by name; largest resident memory [MB].
+        `outcome` by name of the file; largest resident memory [MB].
 
     """
     process = subprocess.run(

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Other integrators on the equations of this package: peers of its own step in the benchmarks."""
+"""Other integrators for the equations of this package: peers of its own in the benchmarks."""
 
 import bisect
 import math
@@ -57,7 +57,7 @@ def rk4(tables, linear, state, loads, step, every, samples):
 
 @numba.njit
 def implicit_midpoint(tables, linear, state, loads, step, every, samples):
-    """Integrate by the implicit midpoint rule, the linear part solved for; return the steps."""
+    """Integrate by the implicit midpoint rule, linear part implicit; return the steps done."""
     inverse = np.linalg.inv(np.eye(len(state)) - 0.5 * step * linear)
     middle, nonlinear = state.copy(), np.zeros(len(state))
     for k in range(len(loads)):
@@ -156,12 +156,12 @@ def adaptive(method, model, start, load, jumps, times, tolerance):
         Motions after the first time.
 
     """
-    motion_of = Steps(model, times[1] - times[0]).motion  # whatever its step
+    motion_of = Steps(model, times[1] - times[0]).motion  # independent of the step
     state, motions = model.state(start), []
     edges = [times[0], *(jump for jump in jumps if times[0] < jump < times[-1]), times[-1]]
     for begin, end in zip(edges, edges[1:]):
         inside = times[(times > begin + 1e-9) & (times <= end + 1e-9)]
-        # A stage at the end of a piece sees the load of that piece.
+        # A stage at the end of a piece uses the load of that piece.
         solution = solve_ivp(
             lambda t, y: model.rate(y, load(min(t, end - 1e-9))), (begin, end), state, method,
             np.append(inside[inside < end - 1e-9], end), rtol=tolerance, atol=1e-3 * tolerance)
@@ -174,7 +174,7 @@ def adaptive(method, model, start, load, jumps, times, tolerance):
 
 
 def fixed_step(method, model, start, loads, step, every):
-    """Integrate by one of `FIXED_STEP`; return motions, or None if the state grows over all."""
+    """Integrate by one of `FIXED_STEP`; return motions, or None if the state diverges."""
     state = model.state(start)
     samples = np.empty((len(loads) // every, model.size))
     done = FIXED_STEP[method](model.packed, model.linear, state, loads, step, every, samples)

@@ -73,7 +73,7 @@ def spin_up():
 
 
 def simulate(formulation, modes, period=PERIOD):
-    """Return the paper's run, sampled as the reference unless told otherwise."""
+    """Return a run of the paper's scene, by default sampled as the reference."""
     scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml', {
         'model.formulation': formulation, 'model.modes': modes, 'integrator.step': STEP})
     return timo_sim.simulate(scene, DURATION, sample_every=round(period / STEP))
@@ -89,7 +89,7 @@ def errors(motion, truth):
     """
     Return the errors of x, y and angle at each station, in per cent, shape (n, 3).
 
-    Of the largest absolute value that the same quantity of the same section has in the reference.
+    They are relative to the largest absolute value of the same quantity in the reference.
     """
     result = {}
     for name in STATIONS:

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Logs as other MCAP tools write them again, all of them legal."""
+"""Logs as other MCAP tools rewrite them; all are legal MCAP files."""
 
 from dataclasses import replace
 import random
@@ -30,7 +30,7 @@ DATA_END, HEADER = 15, 1
 
 
 def record(path, resets=()):
-    """Log 0.4 s with a command every 50 ms, and resets and a setting at these steps."""
+    """Log 0.4 s, a command every 50 ms, resets at these steps and a setting 30 ms after each."""
     scene, torque = timo_sim.load_scene({}), [each.name for each in COMMANDS].index(
         '~/motor_torque')
     ends, segments = [*resets, 400], []
@@ -67,7 +67,7 @@ def records(path):
 
 
 def write(path, entries, profile='ros2', **options):
-    """Let mcap's writer write records, in chunks of 4 kB if nothing else is said."""
+    """Write records by mcap's writer, by default in chunks of 4 kB."""
     with open(path, 'wb') as stream:
         writer = Writer(stream, **{'chunk_size': 4096, **options})
         writer.start(profile)
@@ -99,7 +99,7 @@ def _split(entries):
 
 
 def _ordered(arrange):
-    """Return a change of the order of messages; the rest comes before them."""
+    """Return a function that puts messages in another order, after all other records."""
     def change(entries):
         messages, notes, rest = _split(entries)
         return [*rest, *notes, *arrange(messages)]
@@ -107,7 +107,7 @@ def _ordered(arrange):
 
 
 def _each(kind, change):
-    """Return a change of each record of a kind: a list of what takes its place."""
+    """Return a function that replaces each record of a kind by the list that `change` gives."""
     return lambda entries: [new for entry in entries for new in (
         change(entry) if isinstance(entry, kind) else [entry])]
 
@@ -117,14 +117,14 @@ def _shuffled(messages):
 
 
 def _beside(*more):
-    """Return a change that adds records before the messages, and a message of each channel."""
+    """Return a function that adds records before the messages, and a message of each channel."""
     channels = [entry for entry in more if isinstance(entry, Channel)]
     messages = [Message(channel.id, 7000000, b'{"a": 1}', 7000000, 0) for channel in channels]
     return lambda entries: [*more, *entries[:80], *messages, *entries[80:]]
 
 
 def _topic(end, change):
-    """Return a change of the messages of the topics that end like this."""
+    """Return a function that changes the messages of topics whose names end with `end`."""
     def changed(entries):
         numbers = {entry.id for entry in entries
                    if isinstance(entry, Channel) and entry.topic.endswith(end)}
@@ -139,7 +139,7 @@ OTHER = Channel(id=901, topic='/pose', message_encoding='protobuf', metadata={},
 NOTE = Attachment(create_time=1, log_time=2, name='note.txt', media_type='text/plain',
                   data=b'by hand')
 
-# What is done with the records, and how mcap's writer is asked to write them.
+# Changes of the records, by name, and options of mcap's writer for them.
 WRITTEN = {
     'as it is': (list, {}),
     'zstd': (list, {'compression': CompressionType.ZSTD}),
@@ -209,7 +209,7 @@ def _no_summary(data, *more):
 
 
 def _unchunked(change):
-    """Return a change of the records of a log without chunks and without a summary."""
+    """Return a function that changes the records of a log without chunks and summary."""
     def changed(data):
         content = _no_summary(data)
         return content[:8] + b''.join(change(content[place:place + length], opcode) for (
@@ -227,7 +227,7 @@ def _in_one_chunk(data):
         written(packed, DataEnd(0), Footer(0, 0, 0))) + MCAP0_MAGIC
 
 
-# What is done with the bytes of a log without chunks.
+# Changes of the bytes of a log without chunks, by name.
 BYTES = {
     'no summary': _no_summary,
     'records of its own': lambda data: _no_summary(data, raw(0x90, b'private data')),
@@ -238,7 +238,7 @@ BYTES = {
 
 
 def rewritings(source, folder, pairs=0, generator=random):
-    """Yield names and files of a log that is written again in all ways, and in some pairs."""
+    """Yield names and files of a log that is rewritten in all ways, and in some pairs of ways."""
     entries, path = records(source), folder / 'rewritten.mcap'
     for name, (change, options) in WRITTEN.items():
         write(path, change(entries), **options)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The slips in the text of the source paper, each with the check that proves its correction."""
+"""The slips in the text of the source paper, each with a check that confirms its correction."""
 
 import numpy as np
 from numpy.polynomial import Legendre
@@ -74,10 +74,10 @@ def _largest(corrected_11, corrected_22):
 
 def force_balance():
     """
-    Return by how much (32) fails in the paper's scene, as printed and as corrected [N].
+    Return the residual of (32) in the paper's scene, as printed and as corrected [N].
 
-    The reactions are integrals of (26), (27) over the arm, from the accelerations of a `newton`
-    run; whatever moves the carrier must be in the balance of its forces.
+    The reactions are integrals of (26), (27) over the arm, with the accelerations of a `newton`
+    run; with them the forces on the carrier must balance its inertia.
     """
     scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml', {
         'model.formulation': 'newton', 'model.modes': 5, 'integrator.step': 0.005})
@@ -101,9 +101,9 @@ def force_balance():
 
 def operators():
     """
-    Return by how much a mode fails (20), and (22) with (24), as printed and as corrected.
+    Return the residuals of a mode in (20), and in (22) with (24), as printed and as corrected.
 
-    Each row of operators, applied to mode 3, against the inertia that must balance it.
+    Each row of operators, applied to mode 3, is compared with the inertia that it must balance.
     """
     model = timo_sim.load_scene({'model.modes': 3}).build()
     modes, section, xi = model.modes, SECTION, np.linspace(0.0, 2.0, 400)
@@ -124,7 +124,7 @@ def operators():
 
 
 def rows():
-    """Return the table: where, printed, corrected, check, and what it gives for either."""
+    """Return the rows: equation, printed, corrected, check, and its result for either."""
     printed_32, corrected_32 = force_balance()
     (printed_20, corrected_20), (printed_22, corrected_22) = operators()
     first = timo_sim.load_scene({'model.modes': 1}).build().modes.omega[0] / (2 * np.pi)

@@ -9,14 +9,14 @@
 """
 The manipulator with an extensible arm by spectral elements: a reference for all constraints.
 
-Positions and section angles at Gauss-Lobatto nodes, in world axes, are the unknowns, so that the
+The unknowns are positions and section angles at Gauss-Lobatto nodes in world axes, so that the
 mass matrix is diagonal and constant and all nonlinearity is in the strains,
 
     e = r' . t - 1     gamma = r' . n     kappa = phi'     t = (cos phi, sin phi), n normal to it
 
-(Simo and Vu-Quoc 1986); neither modes nor momenta nor turning axes are there. Stoermer-Verlet
-steps, short enough for the fastest wave of the mesh, are far below the error of the mesh. It
-knows no friction and no damping.
+(Simo and Vu-Quoc 1986); there are no modes, momenta or turning axes. Stoermer-Verlet steps are
+short enough for the fastest wave of the mesh; their error is far below that of the mesh. Friction
+and damping are not modelled.
 """
 
 from typing import NamedTuple
@@ -41,7 +41,7 @@ def simulate(scene, period, samples, order=10, elements=2, courant=0.5,
     scene : Scene
         Its modes and step are not used; its loads jump at samples only.
     period : float
-        From sample to sample [s].
+        Time from sample to sample [s].
     samples : int
     order, elements : int
         Polynomial order of an element, and their number; each span of a varying section has as
@@ -161,7 +161,7 @@ def equilibrium(scene, order=12, elements=2):
 
 
 def _rule(order):
-    # Gauss-Lobatto nodes and weights in [-1, 1], and the derivative of the polynomial there.
+    # Gauss-Lobatto nodes and weights in [-1, 1], and the differentiation matrix there.
     last = np.eye(order + 1)[order]
     x = np.concatenate([[-1.0], np.sort(legendre.legroots(legendre.legder(last))), [1.0]])
     weights = 2.0 / (order * (order + 1) * legendre.legval(x, last)**2)
@@ -178,7 +178,8 @@ def _limit(q, inverse, derivative, jacobian, stiffness):
         shift /= np.abs(shift).max()
         change = np.zeros_like(q)
         for side in (1.0, -1.0):
-            _force(q + side * 1e-6 * shift, derivative, jacobian, stiffness, np.zeros_like(q), force)
+            _force(q + side * 1e-6 * shift, derivative, jacobian, stiffness,
+                   np.zeros_like(q), force)
             change -= side * inverse * force / 2e-6
         size, shift = np.abs(change).max(), change
     return 2.0 / np.sqrt(1.1 * size)

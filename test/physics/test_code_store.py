@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Machine code that others have planted is not loaded: a pickle may run anything."""
+"""The store of machine code loads nothing that other users may have planted."""
 
 import os
 import pwd
@@ -29,7 +29,7 @@ def tripled(number):
 
 
 def call():
-    """Compile, or load, as a new process would; return whether it was loaded."""
+    """Compile or load a function as a new process would; return whether it was loaded."""
     function = entry_point(tripled)
     assert function(1.5) == 4.5
     return sum(function._cache_hits.values()) == 1
@@ -37,7 +37,7 @@ def call():
 
 @pytest.fixture
 def find(tmp_path, monkeypatch):
-    """Return what looks for the store as a new process would: below `root`, or `temporary`."""
+    """Return a function that looks for the store anew: below `root`, else in `temporary`."""
     look = code_store.store_directory.__wrapped__
 
     def find():
@@ -52,8 +52,8 @@ def find(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize('attack', FOLDERS)
-def test_a_folder_that_is_not_ours_alone_is_not_read(find, tmp_path, monkeypatch, attack):
-    """Neither if it becomes so while a process runs, nor if it is so before one begins."""
+def test_a_folder_that_others_may_write_to_is_not_read(find, tmp_path, monkeypatch, attack):
+    """The attack comes while a process runs; then a new search must avoid the folder."""
     store = find()
     call()
     plant(store, tmp_path / 'proof')
@@ -67,7 +67,7 @@ def test_a_folder_that_is_not_ours_alone_is_not_read(find, tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize('attack', FILES)
-def test_a_file_that_is_not_ours_alone_is_not_unpickled(find, tmp_path, monkeypatch, attack):
+def test_a_file_that_others_may_write_to_is_not_unpickled(find, tmp_path, monkeypatch, attack):
     store = find()
     call()
     file = plant(store, tmp_path / 'proof')
@@ -90,7 +90,7 @@ def test_locks_and_marks_follow_no_links(find, tmp_path):
 
 
 @pytest.mark.parametrize('umask', [0, 0o2, 0o277])
-def test_folders_are_ours_alone_whatever_the_umask(find, tmp_path, umask):
+def test_folders_have_mode_0700_whatever_the_umask(find, tmp_path, umask):
     before = os.umask(umask)
     try:
         store = find()
@@ -100,7 +100,7 @@ def test_folders_are_ours_alone_whatever_the_umask(find, tmp_path, umask):
     assert [stat.S_IMODE(path.stat().st_mode) for path in (store, store.parent)] == [0o700] * 2
 
 
-def test_a_folder_of_earlier_versions_is_no_reason_to_keep_code_elsewhere(
+def test_code_is_kept_below_a_folder_of_earlier_versions(
         find, tmp_path, monkeypatch):
     monkeypatch.delenv('NUMBA_CACHE_DIR')
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
@@ -115,7 +115,7 @@ def old_platformdirs(name):
 
 @pytest.mark.parametrize('default', [platformdirs.user_cache_dir, old_platformdirs])
 @pytest.mark.parametrize('given', [None, '~/cache'])
-def test_no_folder_is_named_after_a_home_that_is_missing(
+def test_without_a_home_no_folder_named_tilde_is_made(
         find, tmp_path, monkeypatch, default, given):
     for name in ('HOME', 'XDG_CACHE_HOME', 'NUMBA_CACHE_DIR'):
         monkeypatch.delenv(name, raising=False)
@@ -141,7 +141,7 @@ with lock('a.lock'), compiling(1.0):
 """
 
 
-def test_without_a_folder_that_is_ours_alone_the_program_goes_on_and_says_so_once(tmp_path):
+def test_without_a_safe_folder_the_program_goes_on_with_one_warning(tmp_path):
     fallback = tmp_path / f'timo_sim-{os.geteuid()}'
     for folder in (tmp_path / 'root', fallback):
         folder.mkdir()

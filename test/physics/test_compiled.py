@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The compiled side: arithmetic of its own, memory, sizes."""
+"""Compiled code: sine and cosine, memory, sizes of models, the store on disk."""
 
 import math
 import os
@@ -43,13 +43,13 @@ def test_sine_and_cosine_to_the_last_place(largest, limit):
                              np.arange(-8, 9) * math.pi / 4])
     sines, cosines = np.empty_like(angles), np.empty_like(angles)
     _sincos(angles, sines, cosines)
-    # Units in the last place, but near a zero, where the angle itself is known no better.
+    # In units of the last place; near a zero in those of 0.1, as the angle is no more accurate.
     for ours, libm in ((sines, np.sin(angles)), (cosines, np.cos(angles))):
         error = np.abs(ours - libm) / np.maximum(np.spacing(np.abs(libm)), np.spacing(0.1))
         assert error.max() <= limit
 
 
-def test_sine_of_what_is_not_finite_is_not_a_number():
+def test_sine_and_cosine_of_infinity_are_nan():
     angles = np.array([np.nan, np.inf, -np.inf])
     sines, cosines = np.zeros(3), np.zeros(3)
     _sincos(angles, sines, cosines)
@@ -73,8 +73,8 @@ def test_a_step_allocates_nothing(paper, formulation):
         after = rtsys.get_allocation_stats()
         return after.alloc - before.alloc, after.mi_alloc - before.mi_alloc
 
-    # What there is, is for the arrays that are handed over, once per call; more than 64 steps are
-    # looked at for what modes leave out.
+    # Each call allocates for the arrays that it is given. From 64 steps on the estimate of the
+    # modes' error would allocate, too.
     assert allocations(60) == allocations(10)
 
 
@@ -101,7 +101,7 @@ def test_single_rates_have_one_code_for_all_sizes():
         timo_sim.linearize(scene, at=np.zeros(scene.build().size))
         return len(rate_once.signatures)
 
-    # A carrier held along one axis has constants of its own.
+    # A carrier held along one axis has constants of another type.
     for held in ({}, {'carrier.held': 'x'}):
         assert len({compiled({**held, **values}) for values in (
             {}, {'model.modes': 1}, {'motor.shaft': 'locked'})}) == 1
@@ -119,15 +119,15 @@ for modes in {}:
 
 
 def take_single_rates(folder):
-    """Put what the tests have compiled of them in another store: they have one code for all."""
+    """Copy the code of single rates, the same for all sizes, to another store, to save time."""
     store = folder / store_directory().name
     store.mkdir(mode=0o700)
     for file in store_directory().glob('*.functions.*.code'):
         shutil.copy(file, store)
 
 
-def test_sizes_compiled_apart_live_together(tmp_path):
-    """Sizes from the disk, compiled by two processes at once: the same to the last bit."""
+def test_sizes_compiled_by_two_processes_work_in_a_third(tmp_path):
+    """Two processes compile a size each at once; a third loads both and gives the same bits."""
     def start(*modes):
         return subprocess.Popen(
             [sys.executable, '-c', RUN.format(modes)], text=True, stdout=subprocess.PIPE,
@@ -150,7 +150,7 @@ print(timo_sim.simulate(scene, 1.5, compare=False).motion.tobytes().hex())
 
 
 def test_bits_do_not_depend_on_what_was_compiled_before(tmp_path):
-    """The waves of the modes compiled in the same process, or loaded from disk: powers of both."""
+    """Code of the modes' waves may be compiled in the process or loaded; powers must agree."""
     def run():
         return subprocess.run([sys.executable, '-c', SPEEDS], stdout=subprocess.PIPE, text=True,
                               env={**os.environ, 'NUMBA_CACHE_DIR': tmp_path}).stdout
@@ -192,7 +192,7 @@ def doubled(number):
 
 
 def compile_and_call():
-    """Compile, or load, as a new process would; return whether it was loaded."""
+    """Compile or load a function as a new process would; return whether it was loaded."""
     function = entry_point(doubled)
     assert function(1.5) == 3.0
     return sum(function._cache_hits.values()) == 1
@@ -216,7 +216,7 @@ def test_damaged_code_is_compiled_again(store, damage):
     assert compile_and_call()
 
 
-def test_code_that_cannot_be_read_is_compiled_and_one_that_cannot_be_written_warned_of(store):
+def test_unreadable_code_is_compiled_and_unwritable_code_gives_a_warning(store):
     compile_and_call()
     file, = store.glob('*.code')
     file.unlink()
@@ -228,7 +228,7 @@ def test_code_that_cannot_be_read_is_compiled_and_one_that_cannot_be_written_war
 
 @pytest.mark.parametrize('kept', [True, False], ids=['made again', 'a file in its place'])
 def test_a_folder_of_code_that_disappears_does_no_harm(store, kept):
-    """While a simulator warms up, and what it compiles."""
+    """It disappears before a simulator warms up."""
     simulator = Simulator(timo_sim.load_scene({}))
     store.rmdir()
     if not kept:

@@ -10,8 +10,8 @@
 The formulations against their equations written out with velocities, by another integrator.
 
 `timo_sim` integrates momenta about the mass centre, or eliminates the carrier. Here the same
-physics is 3 + N rows for the accelerations along the turning axes, of the shaft and of the modes,
-turned into world axes. Rows and columns of what is held or driven are struck out, the rest is
+physics is 3 + N rows for the accelerations of carrier (along turning axes), shaft and modes,
+turned into world axes. Rows and columns of held or driven coordinates are removed, the rest is
 solved at once and integrated by SciPy's DOP853. The scene has a shear modulus so low that shear
 matters as much as bending, a spinning shaft, gravity, and loads.
 """
@@ -76,7 +76,7 @@ def loads(t, theta):
 
 
 def shaft_drive(scene):
-    """Return theta'' of a driven or locked shaft by time: its two pieces, from end conditions."""
+    """Return theta''(t) of a driven or locked shaft, from the end conditions of its two pieces."""
     if scene.values['motor.shaft'] == 'locked':
         return lambda t: 0.0
     points = list(zip(*(DRIVEN[f'motor.drive.{name}']
@@ -95,9 +95,9 @@ def shaft_drive(scene):
 
 def solve(scene, equations):
     """
-    Integrate the motion with the given equations, constrained rows and columns struck out.
+    Integrate the motion with the given equations, without constrained rows and columns.
 
-    Returns the coordinates and, of the rows of carrier and shaft, what the equations lack: the
+    Returns the coordinates and the residuals of the rows of carrier and shaft, which are the
     forces of the constraints.
     """
     model, values = scene.build(), scene.values
@@ -228,22 +228,22 @@ EQUATIONS = {
 }
 
 
-# The three that are made of `newton` share its code: the constraints that differ most.
+# `newton` and the two formulations derived from it share code, so these constraints are enough.
 FEWER = ['free', 'x held', 'carrier held', 'shaft driven, x held', 'shaft locked']
 
 
 @pytest.mark.parametrize('formulation, constraints', [
     (formulation, constraints) for formulation in EQUATIONS
     for constraints in (CONSTRAINTS if formulation == 'exact' else FEWER)])
-def test_formulation_is_its_equations_written_out(formulation, constraints):
+def test_formulation_agrees_with_its_equations(formulation, constraints):
     scene = scene_of(formulation, constraints)
     run = timo_sim.simulate(scene, DURATION, sample_every=40)
     truth, forces = solve(scene, EQUATIONS[formulation])
-    # Shear is at work: it makes a good part of the tip's deflection.
+    # The deflection is large, and shear makes a good part of it.
     assert np.abs(run.deflection(2.0)[:, 1]).max() > 0.04
-    # ETDRK4 at 0.5 ms: 1e-9, found by halving the step.
+    # The error of ETDRK4 at 0.5 ms is 1e-9, found by halving the step.
     assert np.abs(run.motion[:, :3 + MODES] - truth).max() < 2e-8
-    # Measured: 1.4e-9; sampled motions are differentiated, which costs more than their round-off.
+    # Measured: 1.4e-9, mostly by differentiating the sampled motions.
     error = np.abs(run.effort - forces)[:, run.model.constrained].max(initial=0.0)
     assert error <= 5e-9 * np.abs(forces).max()
 
@@ -251,8 +251,8 @@ def test_formulation_is_its_equations_written_out(formulation, constraints):
 @pytest.mark.parametrize('constraints, modes, axial_modes', [
     ('free', 3, 2), ('x held', 5, 1), ('carrier held', 5, 1),
     ('shaft driven, carrier held', 5, 1)])
-def test_an_arm_that_stretches_is_its_equations_written_out(constraints, modes, axial_modes):
-    """They are Lagrange's; `timo_sim` has momenta, and rates of the axial coordinates."""
+def test_an_arm_that_stretches_agrees_with_its_equations(constraints, modes, axial_modes):
+    """Those are Lagrange's; the state of `timo_sim` has momenta and rates of axial coordinates."""
     scene = scene_of('exact', constraints, **STRETCHING, **{
         'model.modes': modes, 'model.axial_modes': axial_modes,
         'initial.modal_rates': [1.0, 0.3, -0.1] + [0.0] * (modes + axial_modes - 3)})
@@ -260,11 +260,11 @@ def test_an_arm_that_stretches_is_its_equations_written_out(constraints, modes, 
     truth, forces = solve(scene, exact)
     model, axial = scene.build(), run.q.copy()
     axial[:, :modes] = 0.0
-    # More than a thousand times the tolerance.
+    # The stretch is a thousand times the tolerance below.
     assert np.abs(axial @ model.modes.displacement([2.0])[0]).max() > 2e-5
     assert np.abs(run.motion[:, :model.size // 2] - truth).max() < 2e-8
     error = np.abs(run.effort - forces)[:, run.model.constrained].max(initial=0.0)
-    # Measured: 2.2e-7 with one axis held; the acceleration of a stiff mode is large beside its q.
+    # Measured: 2.2e-7 with one axis held; accelerations of stiff modes are large for their q.
     assert error <= 1e-6 * np.abs(forces).max()
 
 

@@ -24,8 +24,8 @@ def test_matrices_of_an_oscillator_are_sines_and_cosines():
     assert np.allclose(whole, [[c, s / omega], [-omega * s, c]], rtol=1e-13, atol=1e-13)
 
 
-def test_weights_integrate_a_cubic_exactly():
-    """With a rate that is cubic in time alone, the step is Simpson's rule against exp(L t)."""
+def test_weights_integrate_a_constant_exactly():
+    """Under a constant n the step is the exact solution, L^-1 (exp(h L) - 1) n."""
     linear = np.array([[0.0, 1.0], [-4.0, -0.3]])
     h = 0.2
     p = propagator(linear, h)
@@ -36,7 +36,7 @@ def test_weights_integrate_a_cubic_exactly():
 
 
 def test_stiff_and_slow_parts_keep_their_digits():
-    """Ten decades of stiffness, as 40 modes have: the oscillators stay oscillators."""
+    """With ten decades of stiffness, as 40 modes have, oscillators neither grow nor decay."""
     omega = np.array([1.0, 1e3, 1e5])
     linear = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.diag(omega**2), np.zeros((3, 3))]])
     h = 0.01
@@ -53,8 +53,8 @@ def max_error(run, truth):
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
 def test_order_is_four(paper, formulation):
-    # From rest under the paper's smooth loads. Steps at which the fastest mode of three (30 Hz)
-    # is resolved and errors are well above round-off (1e-13).
+    # The run starts from rest under the paper's smooth loads. The steps resolve the fastest of
+    # three modes (30 Hz), and errors are well above round-off (1e-13).
     def run(step):
         scene = timo_sim.load_scene(paper, {'integrator.step': step,
                                             'model.formulation': formulation})
@@ -68,7 +68,7 @@ def test_order_is_four(paper, formulation):
 
 
 def test_a_jump_on_a_step_boundary_costs_no_order(paper):
-    """The torque step of theory: a stage that saw the next piece would be wrong by 1e-2 rad."""
+    """A stage that used the torque after the jump would be wrong by 1e-2 rad."""
     def run(step):
         scene = timo_sim.load_scene({
             'integrator.step': step, 'load.torque.piecewise.time': [0.1, 0.6],

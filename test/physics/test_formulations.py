@@ -20,7 +20,7 @@ from timo_sim.physics.integrate.steps import Steps
 from timo_sim.physics.layout import LOADS
 
 ARM_LENGTH = 2.0
-# Those that account for every force on the carrier and the shaft, whatever the number of modes.
+# Formulations that account for every force on carrier and shaft, whatever the number of modes.
 ALL_FORCES = ['exact', 'newton']
 MANY_MODES = [('exact', 12), ('newton', 40)]  # 40 of `exact` take long to compile
 
@@ -40,7 +40,7 @@ def errors(paper, reference, formulation, modes, step):
 @pytest.mark.parametrize('formulation, modes, step, limits', [
     ('exact', 3, 0.010, (6e-5, 6e-5, 5e-5, 1.0e-4)),
     ('exact', 5, 0.005, (2e-5, 2e-5, 2e-6, 4.0e-6)),
-    # The paper's own equations: what they leave out costs 0.3 mm of carrier motion, not the modes.
+    # The paper's equations: their own error is 0.3 mm of carrier motion, more than the modes'.
     ('newton', 3, 0.005, (3.5e-4, 4.2e-4, 1.9e-4, 1.4e-4)),
 ])
 def test_paper_scene_against_finite_elements(paper, reference, formulation, modes, step, limits):
@@ -48,7 +48,7 @@ def test_paper_scene_against_finite_elements(paper, reference, formulation, mode
 
 
 def test_newton_has_its_own_error(paper, reference):
-    """More modes do not help it: the error is in the equations, as theory says (3.4e-4 m)."""
+    """More modes do not help: the error is that of its equations, 3.3e-4 m."""
     x, y, theta, w = errors(paper, reference, 'newton', 5, 0.005)
     assert x == pytest.approx(3.3e-4, abs=2e-5)
 
@@ -58,7 +58,7 @@ def test_inner_points_against_finite_elements(paper, reference):
     run = timo_sim.simulate(scene, 10.0, sample_every=2)
     for share, name in ((0.25, 'l4'), (0.5, 'l2'), (0.75, '3l4'), (1.0, 'l')):
         xi = share * ARM_LENGTH
-        # Truncation after five modes: 1e-5 of the length of a wave of the sixth.
+        # Five modes are 1e-5 of the wavelength of the sixth off.
         assert np.abs(run.deflection(xi)[:, 1] - reference[f'w_{name}_m']).max() < 4e-6
         assert np.abs(run.rotation(xi) - reference[f'phi_{name}_rad']).max() < 2e-5
 
@@ -75,7 +75,7 @@ def test_peaks_of_the_paper(paper):
 @pytest.mark.parametrize('formulation', ALL_FORCES)
 @pytest.mark.parametrize('modes', [8, 40])
 def test_free_free_frequencies_of_the_whole_system(formulation, modes):
-    """The linear part alone gives the frequencies in theory's section 4."""
+    """The linear part alone gives the natural frequencies of the free manipulator [Hz]."""
     model = timo_sim.load_scene({'model.modes': modes, 'model.formulation': formulation}).build()
     omega = np.sort(np.abs(np.linalg.eigvals(model.linear).imag))[-2 * modes:]
     hertz = omega[::2] / (2 * np.pi)
@@ -100,11 +100,11 @@ def test_exact_conserves_energy_and_momentum(modes):
     run = timo_sim.simulate(scene, 5.0)
     energy, momentum = run.energy(), run.momentum()
     assert np.abs(energy / energy[0] - 1).max() < 1e-8
-    # Constant by construction in P and spin; the rest is round-off of what is read off.
+    # P and spin are constant by construction; computing momenta from a motion adds round-off.
     assert np.abs(momentum / momentum[0] - 1).max() < 1e-11
 
 
-def test_exact_conserves_in_the_vibrating_scene():
+def test_exact_conserves_energy_and_momentum_of_a_vibrating_arm():
     run = timo_sim.simulate(vibrating('exact'), 5.0)
     energy, momentum = run.energy(), run.momentum()
     scale = 2.0 * ARM_LENGTH  # momentum of the tip mass at 1 m/s, and its moment about the root
@@ -113,7 +113,7 @@ def test_exact_conserves_in_the_vibrating_scene():
 
 
 def test_newton_conserves_linear_momentum_only():
-    """Its (29) leaves out the moment of the axial inertia force, so angular momentum drifts."""
+    """Its equation (29) lacks the moment of axial inertia forces: angular momentum drifts."""
     run = timo_sim.simulate(vibrating('newton'), 5.0)
     momentum = run.momentum()
     # Kept to the error of the step, not by construction: 1e-9 at 1 ms.
@@ -123,7 +123,7 @@ def test_newton_conserves_linear_momentum_only():
 
 @pytest.mark.parametrize('formulation', ALL_FORCES + ['newton_rigid_axial'])
 def test_rigid_arm_is_a_rigid_body(formulation):
-    """Against Euler's equations for a body pushed off its mass centre, integrated by SciPy."""
+    """Compare with Euler's equations of a body pushed off its mass centre, solved by SciPy."""
     scene = timo_sim.load_scene({
         'model.modes': 0, 'model.formulation': formulation, 'integrator.step': 0.001,
         'initial.shaft_velocity': 2.0, 'load.force_x.harmonic.amplitude': [7.0],
@@ -166,7 +166,7 @@ def test_state_and_motion_are_inverse(formulation, modes):
 
 
 @pytest.mark.parametrize('formulation, modes', MANY_MODES)
-def test_many_modes_stay_true(formulation, modes, paper, reference):
+def test_many_modes_agree_with_finite_elements(formulation, modes, paper, reference):
     scene = timo_sim.load_scene(paper, {'model.modes': modes, 'model.formulation': formulation,
                                         'integrator.step': 0.005})
     run = timo_sim.simulate(scene, 2.0, sample_every=2)
@@ -197,7 +197,7 @@ def test_damping_takes_energy_at_the_modal_rate():
     omega, zeta = scene.build().modes.omega[0], 0.02
     damped = omega * np.sqrt(1 - zeta**2)
     expected = 1e-3 * np.exp(-zeta * omega * run.t) * np.sin(damped * run.t) / damped
-    # The base yields by 14 kg m2 / 1e9 kg m2, over 45 rad of motion that decays.
+    # The base gives way by 14 kg m2 / 1e9 kg m2, over 45 rad of decaying vibration.
     assert np.abs(run.q[:, 0] - expected).max() < 2e-7 * np.abs(expected).max()
 
 
@@ -208,7 +208,7 @@ def test_a_rotating_arm_stiffens_under_its_centrifugal_force():
         'arm.density': 1.0, 'arm.height': 0.005, 'carrier.mass': 1e8, 'motor.shaft_inertia': 1e8,
         'end_effector.mass': tip, 'end_effector.inertia': 0.0, 'model.modes': 5,
         'initial.shaft_velocity': speed, 'initial.modal_rates': [1e-4] + [0.0] * 4,
-        # The light arm under tension is a string: its fifth mode turns 0.8 rad in a step.
+        # The light arm under tension is a string: the phase of mode 5 grows by 0.8 rad in a step.
         'integrator.step': 1e-4})
     run = timo_sim.simulate(scene, 10.0)
     across = run.deflection(length)[:, 1]
@@ -216,32 +216,32 @@ def test_a_rotating_arm_stiffens_under_its_centrifugal_force():
     measured = 2 * np.pi * (len(crossings) - 1) / (crossings[-1] - crossings[0])
 
     # EI w'''' = T w'': tip stiffness T k / (k l - tanh k l), k^2 = T / EI; in the plane of the
-    # spin the mass itself takes m Omega^2 off.
+    # spin it is lower by m Omega^2.
     bending = scene.manipulator.arm.section.bending_stiffness
     tension = tip * length * speed**2
     k = np.sqrt(tension / bending)
     stiffness = tension * k / (k * length - np.tanh(k * length))
     expected = np.sqrt(stiffness / tip - speed**2)
-    # The arm's own mass is 1e-4 of the tip's, and a quarter of it counts.
+    # A quarter of the arm's mass counts, which is 1e-4 of the tip's.
     assert measured == pytest.approx(expected, rel=1e-4)
     assert expected > 1.05 * np.sqrt(3 * bending / length**3 / tip)
 
 
 def test_torque_on_a_straight_arm_gives_the_rigid_acceleration_at_once():
-    """Right after a torque step, the tip body has not moved and the shaft alone is accelerated."""
+    """Right after a torque step only shaft and inner arm are accelerated, the tip is not."""
     scene = timo_sim.load_scene({
         'model.modes': 12, 'integrator.step': 1e-5, 'motor.shaft_inertia': 2.0,
         'load.torque.piecewise.time': [0.0], 'load.torque.piecewise.value': [1.0]})
     run = timo_sim.simulate(scene, 1e-3)
     assert run.deflection(ARM_LENGTH)[-1, 1] < 0.0
-    # The arm near the root moves along: between J_m alone and the whole inertia (14.7 kg m2).
+    # The effective inertia is between J_m and that of the whole (14.7 kg m2).
     assert 1e-3 / 14.7 < run.shaft_velocity[-1] < 1e-3 / 2.0
 
 
 @pytest.mark.parametrize('modes, step, limit', [
     (12, 0.010, 1e-4), (12, 0.001, 1e-5), (5, 0.001, 1e-7), (3, 0.001, 1e-8)])
 def test_fast_spin_with_large_vibration_stays_bounded(modes, step, limit):
-    """30 rad/s, 0.13 m at the tip; classical Runge-Kutta diverges for five modes at 5 ms."""
+    """At 30 rad/s and 0.13 m at the tip; classical Runge-Kutta diverges with N = 5 at 5 ms."""
     start = vibrating('exact', **{'model.modes': modes})
     scene = timo_sim.load_scene(start.values, {
         'integrator.step': step, 'initial.shaft_velocity': 30.0,
@@ -259,7 +259,7 @@ def test_an_arm_described_in_pieces_moves_as_the_uniform_arm(formulation, paper)
     split = timo_sim.simulate(timo_sim.load_scene(paper, {
         **values, 'arm.profile.position': [0.0, 0.8, 2.0],
         'arm.profile.density': [2710.0, 2710.0, 2710.0]}), 2.0)
-    # The nodes of `exact` differ: 1e-6 of a deflection of 0.09 m.
+    # `exact` has other nodes: 1e-6 of a deflection of 0.09 m.
     limit = 1e-7 if formulation == 'exact' else 1e-11
     assert np.abs(split.deflection(ARM_LENGTH) - whole.deflection(ARM_LENGTH)).max() < limit
     assert np.abs(split.carrier - whole.carrier).max() < limit
@@ -276,13 +276,13 @@ def test_a_tapered_arm_conserves_energy_and_momentum():
     assert np.abs(momentum - momentum[0]).max() < 1e-11
 
 
-# Force along the arm over Euler's load of the clamped arm, deflection by a force across it.
+# `axial`: force along the arm over Euler's load of the clamped arm; `across`: force across it [N].
 @pytest.mark.parametrize('name', ['newton', 'newton_rigid_axial'])
 @pytest.mark.parametrize('axial, across, silent', [
     (0.0, 10.0, True), (-0.02, 10.0, True), (-0.3, 10.0, False), (0.3, 10.0, False),
     (-1.55, 0.0, False), (-0.95, 1.0, False), (0.0, 120.0, False)])
-def test_newton_tells_where_axial_force_and_deflection_count(name, axial, across, silent):
-    """It is silent where `exact` agrees to a thousandth of the arm's length, and only there."""
+def test_newton_warns_where_axial_force_and_deflection_matter(name, axial, across, silent):
+    """There is no warning where `exact` agrees to a thousandth of the arm's length, only there."""
     base = {'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,
             'arm.damping_ratio': [0.7]}
     arm = timo_sim.load_scene(base).manipulator.arm
@@ -298,5 +298,5 @@ def test_newton_tells_where_axial_force_and_deflection_count(name, axial, across
         expected = silent or formulation == 'exact'
         assert len(told) == (not expected) and (expected or 'axial force' in str(told[0].message))
     newton, exact = (run.deflection(arm.length)[-1, 1] for run in runs)
-    if across:  # a straight arm stays so, whatever presses it
+    if across:  # without this force a compressed arm stays straight
         assert (abs(newton - exact) < 1e-3 * arm.length) == silent

@@ -30,9 +30,9 @@ MASS = 10.0 + DENSITY * AREA * LENGTH + 2.0
 MOMENT = DENSITY * AREA * LENGTH**2 / 2.0 + 2.0 * LENGTH
 INERTIA = (2.0 + DENSITY * (AREA * LENGTH**3 / 3.0 + SECOND_MOMENT * LENGTH)
            + 2.0 * LENGTH**2 + 0.5)
-STUCK = {'model.modes': 0, 'carrier.coulomb_friction': 1e3}  # a carrier that nothing moves
+STUCK = {'model.modes': 0, 'carrier.coulomb_friction': 1e3}  # the carrier always sticks
 ALL = {'carrier.coulomb_friction': 2.0, 'motor.coulomb_friction': 1.0}
-# Vibrates, slides, stops, sticks and breaks away, in all three joints.
+# All three joints slide, stop, stick and break away, and the arm vibrates.
 LIVELY = {'carrier.coulomb_friction': 12.0, 'motor.coulomb_friction': 15.0,
           'initial.carrier_x_velocity': 0.1, 'initial.carrier_y_velocity': -0.05,
           'initial.shaft_velocity': 0.1, 'initial.modal_coordinates': [0.1, 0.01, 0.0]}
@@ -40,7 +40,7 @@ PUSHES = np.array([6.0, -7.0, 9.0])
 
 
 def loaded(pushes):
-    """Return the load of forces x, y and a torque."""
+    """Return a load with forces x, y on the carrier and a torque on the shaft."""
     load = np.zeros(LOADS)
     load[[FORCE_X, FORCE_Y, TORQUE]] = pushes
     return load
@@ -58,7 +58,7 @@ def test_a_rigid_arm_speeds_up_coasts_to_rest_and_stays(formulation):
         **STUCK, 'model.formulation': formulation, 'motor.coulomb_friction': limit,
         'integrator.step': step, 'initial.shaft': 0.0, 'load.torque.piecewise.time': [0.0, jump],
         'load.torque.piecewise.value': [torque, 0.0]}), 4.0)
-    # Without modes the stresses at the root are none: the shaft is alone.
+    # Without modes newton_root_stress has no stress at the root, so the shaft turns alone.
     inertia = 2.0 if formulation == 'newton_root_stress' else INERTIA
     faster, slower = (torque - limit) / inertia, limit / inertia
     rest = jump + jump * faster / slower  # in the middle of a step
@@ -66,14 +66,14 @@ def test_a_rigid_arm_speeds_up_coasts_to_rest_and_stays(formulation):
     angle = (0.5 * faster * np.minimum(run.t, jump)**2 + jump * faster * coasting
              - 0.5 * slower * coasting**2)
     over = run.t > rest + step
-    # Where the carrier gives way by less than 1e-12 m in a step, it may: 1.4e-11 in the angle.
+    # The carrier may give way by less than 1e-12 m in a step: measured 1.4e-11 in the angle.
     assert np.abs(run.shaft - angle).max() < 2e-11
     assert np.ptp(run.shaft[over]) == 0.0 and np.abs(run.shaft_velocity[over]).max() < 1e-16
     assert abs(run.friction_heat[-1] - torque * run.shaft[np.searchsorted(run.t, jump)]) < 1e-12
 
 
 def test_a_sudden_stop_leaves_the_arm_the_right_vibration():
-    """The shaft stops within 3 ms and stays: as of short steps, then with the shaft locked."""
+    """The shaft stops within 3 ms; the reference has short steps, then a locked shaft."""
     values = {'motor.coulomb_friction': 3e3, 'initial.shaft_velocity': 1.0}
     stopped = timo_sim.simulate(timo_sim.load_scene({**values, 'integrator.step': 1e-4}), 0.1,
                                 compare=False)
@@ -90,27 +90,27 @@ def test_a_sudden_stop_leaves_the_arm_the_right_vibration():
                                 sample_every=round(0.01 / step), compare=False)
         errors.append(np.abs(run.q[10:] - locked.q).max())
         angles.append(np.abs(run.shaft[10:] - last[2]).max())
-    # 8e-4 and 2e-4 at 10 ms; evenly spread over its step, a stop would miss by about 3e-3.
+    # Measured: 8e-4 and 2e-4 at 10 ms; friction constant over the step would give about 3e-3.
     assert max(errors) < 1.5e-3 and max(angles) < 4e-4
     assert order(steps, errors) > 2.8 and order(steps, angles) > 2.8
 
 
 @pytest.mark.parametrize('formulation', FORMULATIONS)
 @pytest.mark.parametrize('modes', [0, 3])
-def test_loads_below_the_limits_move_nothing(formulation, modes):
+def test_loads_below_the_limits_of_friction_move_no_joint(formulation, modes):
     simulator = Simulator(timo_sim.load_scene({
         **ALL, 'model.modes': modes, 'model.formulation': formulation,
         'initial.carrier_x': 0.3}))
     start, pushes = simulator.motion.values, np.array([1.99, -1.5, 0.99])
     motions, _ = simulator.advance(10000, loaded(pushes), sample_every=1)
-    # To the last bit, but for the round-off of what is 0: 3e-17 and 2e-17 were measured.
+    # To the last bit; coordinates that are 0 have round-off, measured 3e-17 and 2e-17.
     np.testing.assert_array_equal(motions[:, [0, 2]], np.tile(start[[0, 2]], (10001, 1)))
     np.testing.assert_allclose(motions, np.tile(start, (10001, 1)), rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(simulator.integration.friction, -pushes, rtol=1e-11)
 
 
 def stick_slip(torque, frequency, limit, times):
-    """Return the angle of a rigid arm on a held carrier under a harmonic torque, by its pieces."""
+    """Return angles of a rigid arm under a harmonic torque, in closed form piece by piece."""
     w, fine = 2.0 * math.pi * frequency, 1e-3 / frequency
 
     def speed(t, begin, side):
@@ -154,12 +154,12 @@ def test_turning_round_and_stick_slip_are_of_second_order(limit):
             'load.torque.harmonic.amplitude': [3.0], 'load.torque.harmonic.frequency': [1.1]}),
             3.0, sample_every=round(0.02 / step), compare=False)
         errors.append(np.abs(run.shaft - run.shaft[0] - truth).max())
-    # Where in its step an event falls is chance: errors are 0.03 to 0.31 h^2.
+    # Events fall anywhere in their steps: errors are 0.03 to 0.31 h^2.
     assert np.all(errors < 0.6 * steps**2) and 1.7 < order(steps, errors) < 2.3
 
 
-def test_shaft_and_carrier_at_once_against_another_integrator():
-    """The rigid arm's equations, with a steep hyperbolic tangent for friction, by Radau."""
+def test_friction_of_shaft_and_carrier_against_another_integrator():
+    """Radau integrates the rigid arm's equations, with a steep hyperbolic tangent for friction."""
     limits, smooth, frequencies = np.array([2.0, 2.0, 1.0]), 1e-8, np.array([2.0, 3.0, 4.0])
 
     def rate(t, state):
@@ -182,12 +182,12 @@ def test_shaft_and_carrier_at_once_against_another_integrator():
     for step in 0.02, 0.01, 0.005:
         run = timo_sim.simulate(timo_sim.load_scene(values, {'integrator.step': step}), 2.0,
                                 sample_every=round(0.02 / step), compare=False)
-        # 1.3e-6, 7e-7 and 5e-7 m or rad; the reference is off by about 1e-7.
+        # Measured: 1.3e-6, 7e-7 and 5e-7 m or rad; the reference is off by about 1e-7.
         assert np.abs(run.motion - truth)[:, :3].max() < 3e-6
 
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
-def test_a_shaft_that_is_held_is_a_locked_one(formulation):
+def test_a_shaft_held_by_friction_is_like_a_locked_one(formulation):
     slew = timo_sim.load_scene({'model.formulation': formulation, 'motor.coulomb_friction': 90.0,
                                 'initial.shaft_velocity': 0.4})
     stopped = timo_sim.simulate(slew, 0.2, compare=False)
@@ -204,9 +204,9 @@ def test_a_shaft_that_is_held_is_a_locked_one(formulation):
         held = timo_sim.simulate(slew.vary({**begin, 'integrator.step': step}), 2.0,
                                  sample_every=round(0.004 / step), compare=False)
         errors.append(np.abs(held.q - locked.q).max())
-        # What 1e-9 of the limit as a slope does; 2.5e-11 was measured.
+        # This is the effect of a slope of 1e-9 of the limit; measured: 2.5e-11.
         assert np.abs(held.shaft_velocity).max() < 1e-10
-        # Where it gives way by less than 1e-12 in a step, it may.
+        # It may give way by less than 1e-12 in a step.
         assert np.ptp(held.shaft) < 1e-10
     assert np.abs(locked.q).max() > 0.1 and errors[-1] < 1e-8
     assert 3.9 < order(steps, errors) < 4.1
@@ -221,7 +221,7 @@ def test_energy_and_heat_are_the_work_of_the_loads():
         work = (motions[:, :3] - motions[0, :3]) @ PUSHES
         errors.append(np.abs(energy - energy[0] + heat - work).max())
         assert heat[-1] == simulator.integration.heat > 0.8
-    # The integrator's order, events or not; 2e-7 J of 1.7 J at 2.5 ms.
+    # Events do not lower the integrator's order; measured: 2e-7 J of 1.7 J at 2.5 ms.
     assert errors[-1] < 1e-6 and order(steps, errors) > 3.8
 
 
@@ -233,18 +233,18 @@ def test_each_step_obeys_the_law():
         simulator.advance(1, loaded(PUSHES))
         before, after = after, simulator.motion.values[6:9]
         r = simulator.integration.friction
-        # About to break away, joints may be left with 1e-7 rad/s.
+        # Joints that are about to break away may have 1e-7 rad/s.
         rests, came = np.abs(after) < 1e-6, np.abs(before) < 1e-6
         slides = (before * after > 0.0) & ~rests & ~came
         assert np.all(np.abs(r) <= limits * (1.0 + 1e-14))
         np.testing.assert_allclose(r[slides], -(limits * np.sign(after))[slides], rtol=1e-14)
-        # What leaves its rest is pushed to where friction does not.
+        # A joint that breaks away moves against its friction.
         assert np.all((r * after)[came & ~rests] < 0.0)
         seen += [slides, rests & came, came & ~rests]
-    assert np.all(seen >= 5), 'this scene does not do all that is tested'
+    assert np.all(seen >= 5), 'joints of this scene do not slide, stop and break away often enough'
 
 
-def test_bits_do_not_depend_on_how_steps_are_asked_for():
+def test_bits_do_not_depend_on_batches():
     scene = timo_sim.load_scene({**LIVELY, 'integrator.step': 0.005})
     pieces = Simulator(scene)
     motions, whole = Simulator(scene).advance(630, loaded(PUSHES), 7)
@@ -258,16 +258,16 @@ def test_bits_do_not_depend_on_how_steps_are_asked_for():
     assert np.array(heats).tobytes() == whole.tobytes()
 
 
-def test_a_run_tells_the_heat_of_its_samples():
+def test_a_run_has_the_heat_of_its_samples():
     scene = timo_sim.load_scene({**LIVELY, 'integrator.step': 0.005})
     fine, coarse = (timo_sim.simulate(scene, 6.0, every, compare=False) for every in (1, 8))
     assert np.array_equal(coarse.friction_heat, fine.friction_heat[::8])
     assert fine.friction_heat[0] == 0.0 and fine.friction_heat[-1] > 0.1
-    # What is looked at closes to the step's error, 5e-6 of 0.8 J.
+    # The balance closes to the error of the steps, 5e-6 of 0.8 J.
     assert np.abs(of_run(fine).trace('balance').values).max() < 1.5e-5
 
 
-def test_the_acceleration_of_the_tip_sees_friction():
+def test_the_acceleration_of_the_tip_includes_friction():
     scene = timo_sim.load_scene({'model.modes': 0, 'motor.coulomb_friction': 5.0,
                                  'initial.shaft_velocity': 2.0})
     simulator, formulation = Simulator(scene), scene.build()
@@ -276,7 +276,7 @@ def test_the_acceleration_of_the_tip_sees_friction():
     motions = np.vstack([motions[-2:], simulator.advance(1, sample_every=1)[0][1:]])
     tip = formulation.world(motions, formulation.at([LENGTH]))[:, 0]
     second = (tip[0] - 2.0 * tip[1] + tip[2]) / scene.step**2
-    # What the differences leave out, and their round-off; friction makes a tenth of it all.
+    # This is the error of the differences; friction makes a tenth of the acceleration.
     assert np.abs(found - second).max() < 1e-5
     without = Steps(formulation, scene.step).tip_acceleration(simulator._state, simulator.load)
     assert np.abs(without - found).max() > 0.5
@@ -309,8 +309,8 @@ THICK = {'arm.height': 0.2, 'motor.coulomb_friction': 1e4, 'carrier.coulomb_fric
     (LIGHT, 0.01, True), (LIGHT, 0.002, False),
     ({**LIGHT, 'motor.shaft_inertia': 2.0}, 0.01, False),
     (THICK, 0.01, True), (THICK, 0.0005, False)])
-def test_a_step_that_cannot_hold_a_joint_is_warned_of(scene, step, warned):
-    """A light shaft vibrates at 70 Hz, a thick arm above: of 10 ms a period is less than two."""
+def test_steps_that_cannot_hold_a_joint_give_a_warning(scene, step, warned):
+    """A light shaft vibrates at 70 Hz, a thick arm faster: 10 ms are more than half a period."""
     simulator = Simulator(timo_sim.load_scene({**scene, 'integrator.step': step}))
     simulator.advance(round(5.0 / step))
     drift, length = simulator.integration.friction_drift, simulator.scene.manipulator.arm.length
@@ -318,7 +318,7 @@ def test_a_step_that_cannot_hold_a_joint_is_warned_of(scene, step, warned):
     assert told == warned == (drift > 3e-4 * length)
 
 
-def test_what_has_no_friction_does_not_ask_for_it(monkeypatch):
+def test_scenes_without_friction_do_not_compute_it(monkeypatch):
     monkeypatch.setattr(friction, 'advance', None)
     locked = timo_sim.load_scene({'motor.coulomb_friction': 1.0, 'motor.shaft': 'locked',
                                   'initial.modal_coordinates': [0.1, 0.0, 0.0]})

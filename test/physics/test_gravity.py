@@ -97,8 +97,8 @@ def test_a_swinging_arm_against_finite_elements():
 
 
 @pytest.mark.parametrize('held, gravity, angle', [
-    ('both', [0.0, -G], 0.6), ('x', [0.0, -G], 0.6), ('y', [0.0, -G], 0.6), ('both', [4.0, -3.0],
-                                                                            2.0)])
+    ('both', [0.0, -G], 0.6), ('x', [0.0, -G], 0.6), ('y', [0.0, -G], 0.6),
+    ('both', [4.0, -3.0], 2.0)])
 def test_a_swinging_arm_against_spectral_elements(held, gravity, angle):
     scene = timo_sim.load_scene({'gravity': gravity, 'carrier.held': held, 'model.modes': 5,
                                  'initial.shaft': angle, 'model.axial_modes': 1,
@@ -149,9 +149,7 @@ def test_a_model_about_an_equilibrium_is_a_small_motion():
 def test_equilibria_are_stable_ones():
     upright = {**HANGING, 'initial.shaft': np.pi / 2, 'initial.equilibrium': True}
     # The shaft tips over; a locked one bears its straight arm until it buckles.
-    assert timo_sim.load_scene(upright).initial_motion()[2] == pytest.approx(
-        -np.pi / 2, abs=1e-9) or timo_sim.load_scene(upright).initial_motion()[2] == pytest.approx(
-        3 * np.pi / 2, abs=1e-9)
+    assert np.sin(timo_sim.load_scene(upright).initial_motion()[2]) == pytest.approx(-1.0)
     locked = {**upright, 'motor.shaft': 'locked', 'end_effector.mass': 0.0,
               'end_effector.inertia': 0.0, 'model.modes': 8}
     section = timo_sim.load_scene(locked).manipulator.arm.section

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What the equations may not depend on, for scenes that hypothesis thinks of."""
+"""Invariances of the equations (place, direction, units, time, ...), for random scenes."""
 
 import math
 
@@ -19,7 +19,7 @@ import timo_sim
 from timo_sim.physics.equations.exact import Exact
 from timo_sim.simulation.simulator import Simulator
 
-# Each example is some runs of milliseconds; the same in each run of the tests.
+# Each example takes some runs of milliseconds; examples are the same each time.
 runs = settings(max_examples=25, deadline=None, derandomize=True)
 exact_and_newton = pytest.mark.parametrize('formulation', ['exact', 'newton'])
 STEP, STEPS = 0.001, 1000  # [s]
@@ -152,7 +152,7 @@ def test_frequencies_only_fall_as_modes_are_added(scene):
                                 'end_effector.inertia': scene['tip inertia']}).manipulator
     before = np.full(1, np.inf)
     for modes in range(1, 9):
-        # With the same nodes: quadrature is good to 1e-5, by default with more for more modes.
+        # All with 24 nodes: by default their number grows with the modes, and quadrature has 1e-5.
         linear = Exact(body, modes, nodes=24).linear
         found = np.sort(np.linalg.eigvals(linear).imag)[-modes:]
         assert np.all(found[:len(before)] <= before * (1.0 + 1e-9))
@@ -162,7 +162,7 @@ def test_frequencies_only_fall_as_modes_are_added(scene):
 @exact_and_newton
 @given(scene=SCENES)
 @runs
-def test_time_can_be_turned_round(formulation, scene):
+def test_reversed_velocities_lead_back_to_the_start(formulation, scene):
     simulator = Simulator(timo_sim.load_scene({
         'model.formulation': formulation, 'initial.shaft_velocity': scene['spin'],
         'initial.modal_coordinates': scene['bend'], 'end_effector.mass': scene['tip mass'],
@@ -178,7 +178,7 @@ def test_time_can_be_turned_round(formulation, scene):
 
 
 def test_momenta_of_a_free_manipulator_are_kept_to_the_bit():
-    """Over a minute; what is read off a motion has the round-off of its positions and speeds."""
+    """Over a minute; momenta computed from a motion have the round-off of positions and speeds."""
     simulator = Simulator(timo_sim.load_scene({
         'initial.carrier_x_velocity': 0.4, 'initial.carrier_y_velocity': -0.3,
         'initial.shaft_velocity': 1.5, 'initial.modal_rates': [2.0, 1.0, 0.0]}))

@@ -21,7 +21,7 @@ def test_the_boundary_value_solver_gives_the_closed_form():
     section = timo_sim.load_scene(elastica.ARM).manipulator.arm.section
     load = LOAD * section.bending_stiffness / elastica.LENGTH**2
     found, closed = elastica.boundary_value(section, load, 0.0), elastica.elastica(LOAD)
-    # Shear: EI / (kappa G A l^2) = 1.6e-6 of the deflection.
+    # Shear adds EI / (kappa G A l^2) = 1.6e-6 of the deflection.
     assert np.abs(found - closed).max() < 5e-6
 
 
@@ -36,7 +36,7 @@ def test_exact_agrees_with_the_elastica(modes, rotation, deflection):
     assert elastica.LENGTH * error[2] < 2.0 * deflection + 2e-6
 
 
-def test_newton_does_not_and_says_so():
+def test_newton_does_not_agree_and_warns():
     with pytest.warns(timo_sim.ModelWarning, match='take model.formulation exact'):
         run, truth = elastica.compare(3, LOAD, 'newton')
     assert elastica.LENGTH * np.abs(run - truth)[1] > 0.5

@@ -27,7 +27,7 @@ def test_harmonic():
     assert values == pytest.approx(2.0 * np.sin(np.pi * times + 0.3))
 
 
-def test_piecewise_shows_each_step_its_own_piece():
+def test_piecewise_gives_each_step_its_own_piece():
     # 0.3 = 3 x 0.1 only up to rounding: steps are counted, not compared as times.
     values = Piecewise((0.3, 0.5), (4.0, -1.0)).stages(2, 4, STEP)
     assert values.tolist() == [[0.0], [4.0], [4.0], [-1.0]]
@@ -39,7 +39,7 @@ def test_table_is_linear_between_points_and_held_outside():
         np.array([[1, 1, 1], [1, 2, 3], [3, 4, 5], [5, 5, 5]]))
 
 
-def test_table_jumps_where_a_time_stands_twice():
+def test_table_jumps_where_a_time_is_given_twice():
     table = Table((0.0, 0.3, 0.3, 0.5), (0.0, 3.0, -3.0, -5.0))
     values = table.stages(2, 2, STEP)
     assert values == pytest.approx(np.array([[2, 2.5, 3], [-3, -3.5, -4]]))
@@ -96,13 +96,13 @@ def moments(values):
 
 
 def true_moments(function, breaks, step):
-    """Return the same of a function of time over the step that begins at `step`, in steps."""
+    """Return these moments of a function of time over the step with number `step`."""
     edges = [step, *sorted(at for at in breaks if step < at < step + 1), step + 1]
     return [sum(quad(lambda at: (at - step)**j * function(at * STEP), low, high,
                      epsabs=1e-13)[0] for low, high in zip(edges, edges[1:])) for j in range(3)]
 
 
-def test_a_step_sees_integral_and_moments_of_the_knots_inside():
+def test_a_step_with_knots_inside_has_the_integral_and_moments_of_the_load():
     random = np.random.default_rng(1)
     time = np.sort(random.uniform(0.0, 10.0 * STEP, 25))
     table = Table(tuple(time), tuple(random.normal(size=25)))
@@ -111,12 +111,12 @@ def test_a_step_sees_integral_and_moments_of_the_knots_inside():
     for step in range(12):
         truth = true_moments(lambda t: np.interp(t, time, table.value), time / STEP, step)
         assert seen[step] == pytest.approx(truth, abs=1e-12)
-    # What is read off at the end of a step is the load itself.
+    # The load at the end of a step, for messages and samples, is the true one.
     assert loads[:, AFTER] == pytest.approx(
         np.interp(STEP * np.arange(1, 13), time, table.value))
 
 
-def test_a_step_sees_integral_and_moments_of_a_drive_with_points_inside():
+def test_a_step_with_points_of_a_drive_inside_has_its_integral_and_moments():
     drive = Drive((0.0, 0.23, 0.27, 0.28), (0.0, 0.3, 0.1, 0.2), (0.0, 1.0, 0.0, 0.5),
                   (0.0, 0.0, 5.0, 0.0))
     loads = Load({}, drive).stages(0, 4, STEP)[..., ANGLE:ACCELERATION + 1]
@@ -130,7 +130,7 @@ def test_a_step_sees_integral_and_moments_of_a_drive_with_points_inside():
         assert loads[2, AFTER, order] == pytest.approx(function(0.3))
 
 
-def test_a_step_sees_integral_and_moments_of_a_force_that_reaches_its_goal_inside():
+def test_a_step_in_which_a_force_reaches_its_goal_has_its_integral_and_moments():
     actuators = Actuators(timo_sim.load_scene({
         'integrator.step': STEP, 'carrier.force_rate_limit': 100.0,
         'motor.torque_rate_limit': 30.0}).values)
@@ -157,7 +157,7 @@ def test_a_spike_inside_a_step_gives_its_impulse(time, value, tolerance):
     run = timo_sim.simulate(scene, 1.0)
     impulse = 0.5 * (time[2] - time[0]) * value[1]
     assert run.momentum()[-1, 2] == pytest.approx(impulse, rel=1e-12)
-    # A triangle acts as if all of it came at its centroid.
+    # A triangular pulse has the effect of an impulse at its centroid.
     assert run.shaft[-1] - run.shaft[0] == pytest.approx(
         run.shaft_velocity[-1] * (1.0 - np.mean(time)), rel=1e-9)
 
@@ -168,7 +168,7 @@ def test_a_spike_inside_a_step_gives_its_impulse(time, value, tolerance):
     {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.42, 0.52],
      'motor.drive.angle': [0.0, 0.0, 0.3], 'motor.drive.speed': [0.0, 0.0, 0.0],
      'motor.drive.acceleration': [0.0, 0.0, 0.0]}])
-def test_an_arm_feels_what_happens_inside_a_step(values):
+def test_an_arm_moves_as_its_load_inside_a_step_demands(values):
     tips = []
     for step, tolerance in ((1e-4, 0.0), (0.01, 0.0), (0.01, 1e-6)):
         scene = timo_sim.load_scene({
@@ -178,7 +178,7 @@ def test_an_arm_feels_what_happens_inside_a_step(values):
     assert np.abs(found - truth).max() < 5e-6
 
 
-def test_a_jump_near_a_boundary_is_one_on_it():
+def test_a_jump_near_a_boundary_counts_as_one_on_it():
     def run(time):
         return timo_sim.simulate(timo_sim.load_scene({
             'integrator.step': 0.01, 'load.torque.table.time': [0.0, time, time],

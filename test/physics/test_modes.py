@@ -93,7 +93,7 @@ def test_fields_are_derivatives_of_each_other():
 
 
 def test_no_mode_is_missing_up_to_40():
-    """A count by Wittrick and Williams, which knows nothing of the frequency equation."""
+    """The count by Wittrick and Williams is independent of the frequency equation."""
     omega = modes_of(arm(), 40).omega
     between = np.sqrt(omega[:-1] * omega[1:])
     assert [_count_below(limit) for limit in between] == list(range(1, 40))
@@ -105,8 +105,8 @@ def _count_below(omega, elements=100):
     """
     Return the number of modes below omega: negative eigenvalues of the dynamic stiffness.
 
-    Elements are so short (20 mm) that none of them has a mode of its own, clamped at both ends,
-    below the highest frequency of the test, 14 kHz; the first is at 70 kHz.
+    The elements of 20 mm are so short that the first mode of one clamped at both ends, 70 kHz, is
+    above the highest frequency of the test, 14 kHz.
     """
     length = LENGTH / elements
     element = _dynamic_stiffness(omega, length)
@@ -153,8 +153,8 @@ def test_galerkin_agrees_with_the_frequency_equation(tip):
 @pytest.mark.parametrize('count', [2, 4, 9, 41])
 @pytest.mark.parametrize('height', [0.002, 0.02, 0.6])
 @pytest.mark.parametrize('tip', [(0.0, 0.0), (2e-3, 1e-3), (2e3, 0.0), (0.0, 1e4), (2e3, 1e4)])
-def test_guesses_tell_modes_apart(tip, height, count):
-    """From a thousandth to the thousandfold of the arm's mass, slender and thick."""
+def test_guesses_separate_all_modes(tip, height, count):
+    """Tips have a thousandth to a thousand times the arm's mass; arms are slender and thick."""
     body = arm(tip=tip, section=Section(0.02, height, 2710.0, 70.5e9, 27e9, 0.85))
     exact = GalerkinModes(body, count).omega
     assert np.abs(frequencies(body, count) / exact - 1.0).max() < 1e-6
@@ -170,7 +170,7 @@ def test_cantilever_without_tip_body_is_that_of_the_textbook():
     assert omega == pytest.approx(expected, rel=2e-4)
 
 
-# Over the cut-off frequency; the project's own figures are those of an independent derivation.
+# Frequencies divided by the cut-off frequency, from an independent derivation.
 SECOND_SPECTRUM = [1.092444, 1.237599, 1.320646, 1.479275, 1.606153, 1.724787]
 
 
@@ -202,7 +202,7 @@ def displacement_galerkin(length, tip, section, terms):
 
 
 def test_second_spectrum_of_a_thick_arm():
-    """Below three times the cut-off: 7 modes, then 14; none missed, none double."""
+    """7 modes are below the cut-off and 14 more below three times it; none is missed or double."""
     expected = displacement_galerkin(section=ARM, terms=40, **THICK)
     expected = expected[expected < 3.0 * ARM.cutoff]
     assert len(expected) == 21
@@ -223,7 +223,7 @@ def test_tapered_cantilever_is_that_of_the_literature():
     omega = modes_of(tapered(height=0.002, tip=(0.0, 0.0)), 3).omega
     root = Section(0.02, 0.002, 2710.0, 70.5e9, 27e9, 0.85)
     scale = np.sqrt(root.bending_stiffness / root.mass_per_length) / LENGTH**2
-    # Shear and rotary inertia: 1e-6 times the square of the wave number.
+    # Shear and rotary inertia lower them by 1e-6 times the square of the wave number.
     assert omega / scale == pytest.approx([3.82378, 18.3173, 47.2648], rel=3e-5)
 
 
@@ -300,11 +300,11 @@ def test_static_modes_are_orthonormal_and_span_the_static_shapes(body, count, st
     strain = ((bend.T * (rule.weights * section.bending_stiffness)) @ bend
               + (shear.T * (rule.weights * section.shear_stiffness)) @ shear)
     scaled = strain / np.outer(modes.omega, modes.omega)
-    # Measured: 2e-10 of 40 modes with a heavy tip (2e-9 with SciPy 1.11), 1e-13 of few.
+    # Measured: 2e-10 for 40 modes with a heavy tip (2e-9 with SciPy 1.11), 1e-13 for few.
     assert np.abs(gram - np.eye(count)).max() < 5e-9
     assert np.abs(scaled - np.eye(count)).max() < 5e-9
     assert np.all(np.diff(modes.omega) > 0.0)
-    # Statics by modes: loads do work on their shapes, and the answer is E I w'' = force x lever.
+    # Under a unit load the modal series must give the static moment, force times lever or torque.
     length = body.arm.length
     for load, moment in (('force', length - nodes), ('torque', np.ones_like(nodes))):
         if load in static:

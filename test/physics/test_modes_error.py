@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The estimate of what the modes of a model leave out, against closed forms and more modes."""
+"""The estimate of the error by the number of modes, against closed forms and more modes."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ SOFT = {'arm.shear_modulus': 1e6, 'load.tip_force_y.piecewise.time': [0.0, 0.5],
 
 @pytest.mark.parametrize('load, size', [(TIP_II, 0.02), (TIP_TORQUE, 0.01)])
 @pytest.mark.parametrize('shear_modulus', [26e9, 1e6])
-def test_the_shift_is_what_a_clamped_arm_at_rest_lacks(load, size, shear_modulus):
+def test_the_shift_is_the_missing_static_deflection_of_a_clamped_arm(load, size, shear_modulus):
     model = timo_sim.load_scene({**CLAMPED, 'arm.shear_modulus': shear_modulus}).build()
     arm, acting, motion = model.manipulator.arm, np.zeros(LOADS), np.zeros(model.size)
     tip = model.tip_point
@@ -65,17 +65,17 @@ def test_vibrations_run_ahead_as_estimated(modes, values):
 
 
 @pytest.mark.parametrize('values', [THIN, SOFT], ids=['thin', 'soft in shear'])
-def test_too_few_modes_are_told(values):
+def test_too_few_modes_give_a_warning(values):
     with pytest.warns(timo_sim.ModelWarning, match='take more model.modes'):
         timo_sim.simulate(timo_sim.load_scene({**values, 'integrator.step': 0.0005}), 2.0)
 
 
-def test_enough_modes_are_not_warned_of(recwarn):
+def test_enough_modes_give_no_warning(recwarn):
     run = timo_sim.simulate(timo_sim.load_scene('paper'), 10.0)
     assert run.warning is None
     assert run.stats['modes_error_m'] < 1e-4
 
 
-def test_a_rigid_arm_is_meant_to_be_one():
+def test_a_rigid_arm_has_no_error_by_modes():
     run = timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': 0}), 1.0)
     assert run.stats['modes_error_m'] == 0.0

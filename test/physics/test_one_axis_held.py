@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A carrier held along one axis: inertia depends on the shaft angle, so does the linear part."""
+"""A carrier held along one axis: inertia and linear part depend on the shaft angle."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def scene_of(held, step, values):
 
 
 def jacobian(model, angle):
-    """Return the derivative of a model's rate at rest, but for that by the shaft angle."""
+    """Return the Jacobian of a model's rate at rest at a shaft angle."""
     motion = np.zeros(model.size)
     motion[2] = angle
     rest, load = model.state(motion), np.zeros(LOADS)
@@ -37,7 +37,7 @@ def jacobian(model, angle):
 
 def assert_is_jacobian(linear, model, angle):
     found = jacobian(model, angle)
-    found[:, len(model.axes)] = 0.0  # with the angle, the axes of the deflection turn
+    found[:, len(model.axes)] = 0.0  # the linear part is for a constant shaft angle
     np.testing.assert_allclose(linear, found, rtol=1e-6, atol=1e-6 * np.abs(found).max())
 
 
@@ -62,10 +62,10 @@ def test_the_linear_part_of_a_locked_shaft_is_that_of_the_equations(angle):
                                atol=1e-6 * np.abs(model.linear @ state).max())
 
 
-# Along x, the tip throws the light carrier to and fro, and bends the arm by a tenth of its length.
+# With y held the tip throws the light carrier along x, and the arm bends by a tenth of its length.
 @pytest.mark.parametrize('held, limit', [('x', 1e-6), ('y', 2e-4)])
 def test_a_heavy_tip_does_not_need_small_steps(held, limit):
-    """With momenta in the state, 5 ms diverge within a few steps."""
+    """With momenta in the state, runs at 5 ms would diverge within a few steps."""
     tips = [timo_sim.simulate(scene_of(held, step, HEAVY), 0.3).position(2.0)[-1]
             for step in (0.005, 0.0005)]
     assert np.linalg.norm(tips[1] - tips[0]) < limit
@@ -85,7 +85,7 @@ def test_steps_are_of_fourth_order_through_the_sectors():
      'motor.drive.angle': [0.0, 2.0], 'motor.drive.speed': [0.0, 5.0],
      'motor.drive.acceleration': [0.0, 0.0]},
 ], ids=['steps', 'tolerance', 'friction', 'driven'])
-def test_it_does_not_matter_how_many_steps_are_done_at_once(values):
+def test_motions_do_not_depend_on_batches(values):
     scene = scene_of('y', 0.002, {**SPINNING, **values})
     whole, single = timo_sim.Simulator(scene), timo_sim.Simulator(scene)
     motions, _ = whole.advance(200, sample_every=1)

@@ -31,19 +31,19 @@ def test_exact_gives_the_deflection_of_the_literature(spin_up, modes, step, lowe
     at = [int(np.argmin(np.abs(run.t - t))) for t in (2.5, 5.0, 7.5, 10.0, 12.5)]
     assert across[at] == pytest.approx([-0.1513, -0.4685, -0.5590, -0.3627, -0.1127], abs=2e-4)
     assert np.abs(across[run.t > 15.0]).max() == pytest.approx(3.6e-3, abs=5e-5)
-    # The shaft is where it was driven to: 6 t - 45, to the interpolation of the drive.
+    # The shaft is driven to 6 t - 45, up to the interpolation of the drive.
     assert run.shaft[-1] == pytest.approx(75.0, abs=1e-8)
     assert np.abs(run.carrier).max() == 0.0
 
 
-def test_newton_diverges_beyond_its_first_frequency_and_says_so(spin_up):
+def test_newton_diverges_beyond_its_first_frequency_with_a_warning(spin_up):
     with pytest.raises(timo_sim.DivergenceError,
                        match='faster than 3.8 rad/s.*centrifugal stiffen'):
         run_of(spin_up, **{'model.formulation': 'newton'})
 
 
-def test_newton_diverges_at_the_speed_that_it_names(spin_up):
-    """Slowly turned just below and just above the limit, the straight arm holds or buckles."""
+def test_newton_is_unstable_from_the_speed_that_its_warning_names(spin_up):
+    """At constant speed just below the limit the straight arm is stable, just above it buckles."""
     peaks = []
     for share in (0.99, 1.01):
         start = timo_sim.load_scene(spin_up, {'model.formulation': 'newton'})
@@ -63,13 +63,13 @@ def test_newton_diverges_at_the_speed_that_it_names(spin_up):
     assert peaks[1] > 1e3 * peaks[0]
 
 
-def test_below_its_first_frequency_newton_is_silent(paper, recwarn):
+def test_below_its_first_frequency_newton_gives_no_warning(paper, recwarn):
     timo_sim.simulate(timo_sim.load_scene(paper, {'model.formulation': 'newton'}), 1.0)
     assert not recwarn.list
 
 
 def test_the_file_drives_along_the_formula(spin_up):
-    """At its points to their twelve digits, and between them, every 0.5 s, within 4e-9 rad."""
+    """Its points, every 0.5 s, agree to twelve digits; between them it is within 4e-9 rad."""
     drive = timo_sim.load_scene(spin_up).load.drive
     theta, speed, acceleration = references.spin_up()
     for k, t in enumerate(drive.time):

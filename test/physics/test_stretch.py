@@ -36,7 +36,7 @@ def scene_of(*parts, **values):
 
 @pytest.mark.parametrize('mass', [0.0, 2.0, 50.0])
 def test_three_modes_have_the_first_frequency_of_the_rod(mass):
-    """`beta l tan(beta l) = m_b / m_e`, and pi/2 without an end effector."""
+    """`beta l tan(beta l) = m_arm / m_e`, or `beta l = pi/2` without an end effector."""
     scene = scene_of(HELD, **{'model.axial_modes': 3, 'end_effector.mass': mass})
     section, length = scene.manipulator.arm.section, 2.0
     ratio = section.mass_per_length * length / max(mass, 1e-300)
@@ -48,7 +48,7 @@ def test_three_modes_have_the_first_frequency_of_the_rod(mass):
 
 @pytest.mark.parametrize('mass', [0.0, 2.0])
 def test_one_mode_stretches_as_centrifugal_forces_do(mass):
-    """At rest in the turning axes: `E A u' = w^2 int M xi` from there to the tip."""
+    """At rest in the turning axes `E A u' = w^2 int M xi`, integrated from xi to the tip."""
     scene = scene_of(HELD, **{'end_effector.mass': mass})
     model, section, length, speed = scene.build(), scene.manipulator.arm.section, 2.0, 10.0
     xi = np.linspace(0.0, length, 9)
@@ -61,7 +61,7 @@ def test_one_mode_stretches_as_centrifugal_forces_do(mass):
 
 
 def test_a_rod_hangs_on_its_accelerated_root():
-    """The second mode makes that exact: `E A u' = -a int M` for a constant acceleration a."""
+    """With the second mode `E A u' = -a int M` is exact for a constant acceleration a."""
     scene = scene_of(TAPERED, **{'model.axial_modes': 2})
     model, arm = scene.build(), scene.manipulator.arm
     nodes = model.quadrature.nodes
@@ -74,7 +74,7 @@ def test_a_rod_hangs_on_its_accelerated_root():
 
 @pytest.mark.parametrize('values', [{}, CONE], ids=['uniform', 'tapered'])
 def test_a_free_arm_that_stretches_conserves_energy_and_momentum(values):
-    """An arm as soft as rubber, which a spin makes longer by some percent."""
+    """The arm is as soft as rubber; spinning makes it some percent longer."""
     scene = scene_of(values, **{
         'arm.young_modulus': 1e8, 'arm.shear_modulus': 4e7, 'initial.shaft_velocity': 6.0,
         'model.modes': 5, 'initial.modal_rates': [0.5, 0.1, 0.0, 0.0, 0.0, 0.3],
@@ -87,7 +87,7 @@ def test_a_free_arm_that_stretches_conserves_energy_and_momentum(values):
     assert np.abs(momentum / momentum[0] - 1.0).max() < 1e-11
 
 
-def test_damping_takes_the_energy_that_is_lost():
+def test_dissipated_energy_is_the_energy_that_is_lost():
     scene = scene_of(HELD, **{
         'model.modes': 5, 'initial.shaft_velocity': 6.0, 'arm.young_modulus': 1e8,
         'arm.shear_modulus': 4e7, 'arm.damping_ratio': [0.05]})
@@ -97,15 +97,15 @@ def test_damping_takes_the_energy_that_is_lost():
     assert np.abs(energy + lost - energy[0]).max() < 1e-5 * energy[0]
 
 
-# Least effect of the stretch and largest error, in lengths. The errors are those of the step and
-# of five modes in bending; with one axis held 4e-6 are left with eight.
+# `effect`: least effect of the stretch, `limit`: largest error, in lengths. The errors are those
+# of the step and of five modes in bending; with one axis held eight modes leave 4e-6.
 @pytest.mark.parametrize('values, step, effect, limit', [
     ({'carrier.held': 'both', **SPINNING}, 0.005, 2e-4, 1e-5),
     (SPINNING, 0.005, 1e-4, 1e-5),
     ({'carrier.held': 'x', **SPINNING}, 0.001, 1e-4, 3e-5),
     ({'carrier.held': 'both', **DRIVEN}, 0.005, 2e-5, 5e-6),
 ], ids=['held', 'free', 'x held', 'driven'])
-@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # of the first step's ringing
+@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # axial ringing of the first step
 def test_one_axial_mode_moves_as_spectral_elements(values, step, effect, limit):
     scene = scene_of(values, **{'model.modes': 5, 'integrator.step': step})
     tip = spectral_elements.simulate(scene, 0.05, 30)[2]
@@ -117,7 +117,7 @@ def test_one_axial_mode_moves_as_spectral_elements(values, step, effect, limit):
 
 
 def test_spectral_elements_are_the_stored_reference_but_for_the_stretch(spin_up):
-    """The arm of Simo and Vu-Quoc; the reference of exudyn is extrapolated to no stretch."""
+    """The stored reference of Simo and Vu-Quoc's arm is extrapolated to an inextensible arm."""
     scene = timo_sim.load_scene(spin_up)
     stored = references.read('spin_up')[1]['w_l_m'][:351:5]
     off = []
@@ -143,7 +143,7 @@ def test_axial_coordinates_are_the_last_of_all_lists():
     along, across, rotation = model.tip(scene.initial_motion())
     assert along - 2.0 == pytest.approx(1e-3 * model.modes.displacement([2.0])[0, 5])
     assert across == rotation == 0.0
-    # A gauge at the root sees it: strain E(0) q and no bending.
+    # The strain at the root is E(0) q, without bending.
     strain = Simulator(scene).snapshot().root_strain
     assert strain == pytest.approx(1e-3 * model.modes.stretch(np.zeros(1))[0, 5])
     linear = timo_sim.linearize(scene.vary({'initial.modal_coordinates': []}))
@@ -159,7 +159,7 @@ def test_axial_coordinates_are_the_last_of_all_lists():
     {'carrier.held': 'x', 'initial.shaft_velocity': 10.0},
     {**HELD, 'load.torque.piecewise.time': [0.0, 1.0],
      'load.torque.piecewise.value': [60.0, 0.0]}], ids=str)
-def test_the_estimate_without_axial_modes_is_what_one_of_them_changes(values):
+def test_the_estimate_without_axial_modes_is_near_the_effect_of_one(values):
     runs = [timo_sim.simulate(timo_sim.load_scene({
         'model.modes': 5, 'model.axial_modes': count, **values}), 3.0, 10) for count in (0, 1)]
     change = np.linalg.norm(runs[0].position(2.0) - runs[1].position(2.0), axis=1).max()
@@ -167,7 +167,7 @@ def test_the_estimate_without_axial_modes_is_what_one_of_them_changes(values):
     assert runs[1].stats['stretch_error_m'] == 0.0
 
 
-def test_stretch_that_matters_is_told():
+def test_stretch_that_matters_gives_a_warning():
     fast = {**HELD, 'model.modes': 5, 'initial.shaft_velocity': 10.0}
     with pytest.warns(timo_sim.ModelWarning, match='an arm that stretches: take'):
         timo_sim.simulate(timo_sim.load_scene(fast), 4.0)

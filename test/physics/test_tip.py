@@ -23,7 +23,7 @@ def test_tip_is_the_end_of_the_centre_line(name, modes):
     motion = np.random.default_rng(modes).normal(scale=0.3, size=formulation.size)
     end, q = formulation.at([2.0]), motion[np.newaxis, 3:3 + modes]
     along, across, rotation = formulation.tip(motion)
-    # Sums of a few terms in another order.
+    # Both sum the same few terms in another order.
     assert (along, across) == pytest.approx(formulation.centre_line(q, end)[0, 0], abs=1e-14)
     assert rotation == pytest.approx(formulation.section_rotation(q, end)[0, 0], abs=1e-14)
 
@@ -40,12 +40,12 @@ def test_a_load_on_the_tip_does_its_work_and_gives_its_momentum():
     tip = run.position(2.0)
     turn = run.shaft + run.rotation(2.0)
     assert np.abs(run.deflection(2.0)[:, 1]).max() > 0.08
-    # A constant load does the work that its end points say; measured 3e-12.
+    # The work of a constant load depends on its end points only; measured: 3e-12.
     work = (tip - tip[0]) @ force + torque * (turn - turn[0])
     energy = run.energy()
     assert np.abs(energy - energy[0] - work).max() < 1e-10 * energy.max()
     momentum = run.momentum() - run.momentum()[0]
-    # Measured 2e-12, the round-off of what is read off the motion.
+    # Measured: 2e-12, the round-off of momenta computed from the motion.
     assert np.abs(momentum[:, :2] - np.outer(run.t, force)).max() < 1e-11
     moment = tip[:, 0] * force[1] - tip[:, 1] * force[0] + torque
     # Boole's rule over four steps.

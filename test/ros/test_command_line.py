@@ -30,7 +30,7 @@ def test_bad_parameters_end_with_one_line_and_code_2(start, parameters, words):
     assert 'Traceback' not in output
 
 
-def test_a_parameter_file_that_is_none(start, tmp_path):
+def test_an_invalid_parameter_file(start, tmp_path):
     (tmp_path / 'bad.yaml').write_text('timo_sim: {ros__parameters: {arm: [')
     code, output = start('--params-file', 'bad.yaml').wait()
     assert code == 2 and 'bad.yaml' in output and 'Traceback' not in output
@@ -41,7 +41,7 @@ def test_a_namespace_that_is_too_long_ends_with_one_line_and_code_2(start):
     assert (code, output.count('\n')) == (2, 1) and 'topic length should not exceed' in output
 
 
-def test_a_node_with_closed_streams_runs_and_its_log_is_its_own(start):
+def test_a_node_with_closed_streams_runs_and_its_log_is_intact(start):
     def close():
         for number in range(3):
             os.close(number)
@@ -52,8 +52,8 @@ def test_a_node_with_closed_streams_runs_and_its_log_is_its_own(start):
         assert make_reader(stream, validate_crcs=True).get_summary().statistics.message_count
 
 
-def test_what_the_middleware_refuses_ends_with_one_line_and_code_1(start, tmp_path, monkeypatch):
-    """Keys that are not there, or a Fast DDS that was built without security."""
+def test_an_error_of_the_middleware_ends_with_one_line_and_code_1(start, tmp_path, monkeypatch):
+    """Security is on, but keys are missing, or Fast DDS was built without security."""
     (tmp_path / 'enclaves' / 'timo_sim').mkdir(parents=True)
     for name, value in (('KEYSTORE', tmp_path), ('ENABLE', 'true'), ('STRATEGY', 'Enforce')):
         monkeypatch.setenv(f'ROS_SECURITY_{name}', str(value))
@@ -61,7 +61,7 @@ def test_what_the_middleware_refuses_ends_with_one_line_and_code_1(start, tmp_pa
     assert code == 1 and 'timo_sim: error creating node' in output and 'Traceback' not in output
 
 
-def test_ways_to_write_a_number_implausible_ones_and_a_run_without_a_log(start, tmp_path):
+def test_spellings_of_numbers_implausible_values_and_a_run_without_a_log(start, tmp_path):
     code, output = start(record=False, duration=0.1, **{
         'initial.shaft': 45.0, 'arm.length': '2', 'arm.width': '2.0e-2',
         'arm.young_modulus': '70.5e9'}).wait()
@@ -73,7 +73,7 @@ def test_ways_to_write_a_number_implausible_ones_and_a_run_without_a_log(start, 
     (0.0, signal.SIGINT), (0.3, signal.SIGTERM), (0.6, signal.SIGINT), (0.9, signal.SIGTERM),
     (2.4, signal.SIGINT)])
 def test_signals_end_the_process_cleanly(start, number, delay):
-    """From when Python can take them, during and after start-up, and pressed twice."""
+    """Two signals at any time during and after the start, once Python can handle them."""
     node = start()
     node.wait_for_handlers()
     time.sleep(delay)

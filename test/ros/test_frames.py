@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Names of frames: those that a node is given are in all that it sends, obeys, logs, replays."""
+"""Given names of frames are used in messages, commands, logs and replays."""
 
 import math
 
@@ -69,7 +69,7 @@ def test_frames_of_topics_commands_log_and_replay(start, client, tmp_path):
         assert {header.frame_id for header in headers} == {'', 'map', 'left/arm', 'left/tip'}
 
 
-def test_commands_of_a_bag_are_in_the_frames_of_the_scene(tmp_path):
+def test_commands_of_a_bag_use_the_frame_names_of_the_scene(tmp_path):
     store, kind = get_typestore(Stores.ROS2_JAZZY), 'geometry_msgs/msg/WrenchStamped'
     with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         wrench = writer.add_connection('/timo_sim/carrier_wrench', kind, typestore=store)
@@ -95,7 +95,8 @@ def test_frames_of_tf_have_these_names():
 
 
 @pytest.mark.parametrize('given, words', [
-    ({'frame.arm': '/arm'}, "frame.arm must be a name without blanks and / before it, got '/arm'"),
+    ({'frame.arm': '/arm'},
+     "frame.arm must be a name without blanks that does not begin with /, got '/arm'"),
     ({'frame.tip': ''}, 'frame.tip must be a name'),
     ({'frame_prefix': 'my robot/'}, 'frame_prefix must be empty or a text without blanks'),
     ({'frame.tip': 'arm'}, "must differ, got 'world', 'carrier', 'arm', 'arm'"),

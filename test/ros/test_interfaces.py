@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The simulator as simulation_interfaces knows it; conftest.py leaves this out without them."""
+"""Services and actions of simulation_interfaces; conftest.py skips this file without them."""
 
 import math
 import threading
@@ -48,7 +48,7 @@ class Simulator:
         assert self._action.wait_for_server(PATIENCE)
 
     def close(self):
-        """Take the action from the client, which would live on with it."""
+        """Destroy the action's client, which would otherwise live on with the client node."""
         self._action.destroy()
 
     def features(self):
@@ -77,7 +77,7 @@ class Simulator:
         return result.result, result.error_message
 
     def begin(self, steps, feedback=lambda message: None):
-        """Begin the action; return its handle."""
+        """Start the action; return its handle."""
         return self._wait(self._action.send_goal_async(
             SimulateSteps.Goal(steps=steps), feedback_callback=feedback))
 
@@ -91,7 +91,7 @@ class Simulator:
         self._wait(goal.cancel_goal_async())
 
     def at(self, step):
-        """Wait until the state after a step is published, the last."""
+        """Wait until the last published state is that after a step."""
         self.client.wait(lambda: self.states and self.steps() == step, f'step {step}')
 
     def steps(self):
@@ -109,7 +109,7 @@ class Simulator:
 
 @pytest.fixture
 def run(start, client):
-    """Return a function that starts a node and returns it and what speaks to it."""
+    """Return a function that starts a node and returns it with a client of its interfaces."""
     simulators = []
 
     def run(**parameters):
@@ -163,7 +163,7 @@ def test_steps_and_resets(run, client):
     assert simulator.step(0)[0] == OK and simulator.step(249)[0] == OK
     simulator.at(250)
     first = {state.header.stamp.nanosec // 1000000: state for state in simulator.states}
-    # The default is all.
+    # The default scope is SCOPE_ALL.
     for scope in (ResetSimulation.Request.SCOPE_DEFAULT, ResetSimulation.Request.SCOPE_ALL,
                   ResetSimulation.Request.SCOPE_TIME, ResetSimulation.Request.SCOPE_SPAWNED,
                   ResetSimulation.Request.SCOPE_TIME | ResetSimulation.Request.SCOPE_STATE):
@@ -172,13 +172,13 @@ def test_steps_and_resets(run, client):
             f'scope must be 2, SCOPE_STATE, got {scope}: the clock goes on at a reset')
     assert simulator.reset(ResetSimulation.Request.SCOPE_STATE) == (OK, '')
 
-    # The action does one step after the other, and they are the same steps to the last bit.
+    # The action does one step after the other, with the same bits.
     told = []
     goal = simulator.begin(250, lambda message: told.append(
         (message.feedback.completed_steps, message.feedback.remaining_steps)))
     assert simulator.end(goal) == (GoalStatus.STATUS_SUCCEEDED, OK, '')
     simulator.at(500)
-    # A client that is slower than the steps, or has its result, misses some.
+    # A client misses some if it is slower than the steps, or already has the result.
     assert told == sorted(set(told)) and {done + left for done, left in told} == {250}
     again = {1000 * state.header.stamp.sec + state.header.stamp.nanosec // 1000000: state
              for state in simulator.states}
@@ -209,7 +209,7 @@ def test_an_action_is_canceled_or_aborted_and_others_are_served_meanwhile(run, c
     assert code == 0 and 'Traceback' not in output, output
 
 
-def test_after_a_divergence_only_stopping_leads_on(run, client):
+def test_after_a_divergence_only_stopping_helps(run, client):
     _, simulator = run(**{
         'integrator.step': 0.01, 'model.modes': 5, 'initial.shaft_velocity': 100.0,
         'initial.modal_rates': [20.0, 0.0, 0.0, 0.0, 0.0], 'record': False})

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Who joins a node whose time stands is shown its state; the log has it once."""
+"""Subscribers that join while time stands get the present state; the log has it once."""
 
 import time
 
@@ -23,13 +23,13 @@ from timo_sim.ros.topics import Outlet
 
 
 def nanoseconds(message):
-    """Return the sim time that a message tells."""
+    """Return the sim time of a message [ns]."""
     stamp = message.clock if isinstance(message, Clock) else message.header.stamp
     return 10**9 * stamp.sec + stamp.nanosec
 
 
 def shown(client, message_type, topic):
-    """Join a topic; return the list of its messages when some have come."""
+    """Subscribe to a topic; return the list of its messages as soon as some have come."""
     messages = client.collect(message_type, topic)
     client.wait(lambda: len(messages) > 1, f'{topic}, again')
     return messages
@@ -54,8 +54,8 @@ def test_a_paused_node_shows_its_state(start, client):
     assert topics['joint_states'].step.tolist() == topics['/clock'].step.tolist() == [0, 10]
 
 
-def test_only_who_has_just_joined_is_shown_it_again(client):
-    """Who steps slowly has each state once."""
+def test_a_state_is_repeated_only_for_new_subscribers(client):
+    """A client that steps slowly gets each state once."""
     outlet = Outlet(client, 'joint_states', 'sensor_msgs/msg/JointState')
     assert not outlet.watched_anew(time.monotonic())
     client.collect(JointState, '/joint_states')
@@ -64,7 +64,7 @@ def test_only_who_has_just_joined_is_shown_it_again(client):
 
 
 def test_a_node_that_waits_for_its_controller_shows_its_state(start, client):
-    """A controller that has answered once and thinks for a minute."""
+    """The controller has answered once and then takes a minute."""
     node = start(sync='wait', sync_period=0.005, sync_timeout=60.0, publish_clock=True)
     torque = client.command(Float64, '/timo_sim/motor_torque')
     states = client.collect(JointState, '/joint_states')

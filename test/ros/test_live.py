@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The plant changes while the node runs, and a motor takes voltages; the log knows it all."""
+"""Parameters set while the node runs, and motor voltages, act and are in the log."""
 
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
@@ -22,7 +22,7 @@ MOTOR = {'motor.dc.resistance': 0.5, 'motor.dc.torque_constant': 0.06, 'motor.dc
 
 
 def test_loads_damping_and_limits_are_set_at_run_time(start, client):
-    """And replay gives the same bits, a reset in between."""
+    """With a reset in between; replay gives the same bits."""
     node = start(**MOTOR)
     states = client.collect(JointState, '/joint_states')
     atomically = client.service(SetParametersAtomically, '/timo_sim/set_parameters_atomically')

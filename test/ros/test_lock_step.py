@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A client steps the node over DDS and gets exactly the physics that `simulate` computes."""
+"""A client steps the node over DDS and gets the motion of `simulate` to the last bit."""
 
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 from mcap_ros2.reader import read_ros2_messages
@@ -24,12 +24,12 @@ def stamp(message):
 
 
 def once(messages):
-    """Return messages, ascending in time, one of each time."""
+    """Return the last message of each stamp, in the order of their times."""
     return list({stamp(message): message for message in messages}.values())
 
 
 class LockStep:
-    """Steps a paused node, with commands that are known to have arrived."""
+    """Steps a paused node; its publishers are known to be connected."""
 
     def __init__(self, client, h=0.001):
         self.client, self.h = client, h
@@ -38,7 +38,7 @@ class LockStep:
         self.wrench = client.command(WrenchStamped, '/timo_sim/carrier_wrench')
         self.torque = client.command(Float64, '/timo_sim/motor_torque')
         self.call_step = client.service(Trigger, '/timo_sim/step')
-        # A publisher knows its subscriber before that one knows it: step until commands are seen.
+        # A publisher discovers its subscriber before the reverse: step until commands arrive.
         effort = None
         while effort != [1.0, 0.0, 2.0]:
             self.push(x=1.0)
@@ -50,12 +50,12 @@ class LockStep:
 
     @property
     def states(self):
-        """Each state once: what has joined sees it again if the next step comes late."""
+        """Each state once; new subscribers get it again if the next step comes late."""
         return once(self._received[0])
 
     @property
     def tips(self):
-        """The same of the tip."""
+        """Each deflection of the tip once."""
         return once(self._received[1])
 
     def push(self, x=0.0, y=0.0, frame=''):
@@ -93,20 +93,20 @@ def test_constant_force_gives_momentum_force_times_time(start, client):
     run = timo_sim.simulate(scene, 0.5, sample_every=10)
     momentum = run.momentum()[:, :2]
     assert np.abs(momentum - np.outer(run.t, [4.0, -1.0])).max() < 1e-12
-    # What the client saw is that run, to the last bit.
+    # The client received that run, to the last bit.
     states = stepper.states[-50:]
     assert [state.effort.tolist() for state in states] == [[4.0, -1.0, 0.0]] * 50
     assert np.array_equal([state.position for state in states],
                           np.column_stack([run.carrier, run.shaft])[1:])
     assert np.array_equal([state.velocity for state in states],
                           np.column_stack([run.carrier_velocity, run.shaft_velocity])[1:])
-    # One sample and many are summed in different order.
+    # Deflections of one and of many samples are summed in different order.
     tips = [[tip.vector.x, tip.vector.y] for tip in stepper.tips[-50:]]
     assert np.abs(tips - run.deflection(2.0)[1:]).max() < 1e-15
 
 
 def test_paper_loads_from_a_client_give_the_finite_element_reference(start, client, reference):
-    """Each step holds the load of its middle: second order, (8 pi h)^2 / 24 of the motion."""
+    """Steps hold the load of their middle: the error is (8 pi h)^2 / 24 of the motion."""
     h = 0.005
     node = start(start_paused=True, **{
         'integrator.step': h, 'model.modes': 5, 'rate.joint_states': 200.0,
@@ -125,7 +125,7 @@ def test_paper_loads_from_a_client_give_the_finite_element_reference(start, clie
     # On a busy machine a service call may overtake a message: some commands act a step later.
     applied = np.array([state.effort for state in states])
     assert np.mean(np.all(applied == commands, axis=1)) > 0.95
-    # What was applied gives this motion, to the last bit.
+    # The applied loads give this motion, to the last bit.
     times = (np.arange(2000) * h).tolist()
     scene = timo_sim.load_scene({'model.modes': 5, 'integrator.step': h, **{
         f'load.{channel}.piecewise.{key}': values
@@ -134,7 +134,7 @@ def test_paper_loads_from_a_client_give_the_finite_element_reference(start, clie
     run = timo_sim.simulate(scene, 10.0)
     assert np.array_equal([state.position for state in states],
                           np.column_stack([run.carrier, run.shaft])[1:])
-    # The held loads make 0.7e-4 m and 1.4e-4 rad; each late command, about 1e-4 more.
+    # Held loads cause errors of 0.7e-4 m and 1.4e-4 rad; each late command adds about 1e-4.
     late = 1.0 + np.count_nonzero(np.any(applied != commands, axis=1))
     across = np.array([tip.vector.y for tip in tips])[1::2]
     assert np.abs(across - reference['w_l_m'][1:]).max() < 2e-4 * late

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a node shows while it runs: a stream to rerun, a marker for RViz; both only when wanted."""
+"""Views of a running node: stream to rerun, marker for RViz, frames on /tf; all optional."""
 
 import ast
 import os
@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def free_port():
-    """Return a port that nobody listens on."""
+    """Return an unused port."""
     with socket.socket() as sock:
         sock.bind(('127.0.0.1', 0))
         return sock.getsockname()[1]
@@ -42,7 +42,7 @@ def free_port():
 
 @pytest.fixture
 def listener(tmp_path):
-    """Return address and file of a process of rerun that saves what it is sent."""
+    """Return address, file and process of a rerun server that saves what it receives."""
     port, path = free_port(), tmp_path / 'live.rrd'
     process = subprocess.Popen(
         [Path(rerun_cli.__file__).with_name('rerun'), '--bind', '127.0.0.1', '--port', str(port),
@@ -68,14 +68,14 @@ def test_a_running_node_is_streamed(start, client, listener, paper):
             ns = batch.column('sim_time').cast('int64').to_pylist()
             tips.update(zip(ns, batch.column(batch.num_columns - 1).to_pylist()))
     steps = np.rint(1e-6 * np.array(list(tips))).astype(int)
-    # 30 per second of wall time, of 1000 steps per second or less on a busy machine.
+    # 30 samples per second of wall time, in which 1000 steps are done, fewer on a busy machine.
     assert 10 < len(steps) < 0.2 * max(steps)
     run = timo_sim.simulate(timo_sim.load_scene(paper), 1e-3 * max(steps))
     true = run.position(2.0)[steps]
     assert np.allclose(np.squeeze(list(tips.values())), true, atol=1e-6)
 
 
-def test_a_viewer_that_is_not_there_holds_nothing_up(start, paper):
+def test_a_missing_viewer_does_not_delay_the_node(start, paper):
     node = start('--params-file', str(paper), record=False, duration=1.0,
                  rerun_live=f'rerun+http://127.0.0.1:{free_port()}/proxy')
     began = time.monotonic()
@@ -85,18 +85,18 @@ def test_a_viewer_that_is_not_there_holds_nothing_up(start, paper):
     assert time.monotonic() - began < 20.0
 
 
-def test_a_live_address_that_is_none_is_refused(start):
+def test_an_invalid_live_address_is_refused(start):
     code, output = start(record=False, rerun_live='127.0.0.1').wait()
     assert code == 2
     assert "rerun_live must be the address of a viewer of rerun, got '127.0.0.1'" in output
 
 
-def test_a_node_that_is_given_no_stream_refuses_an_address():
+def test_a_node_without_a_stream_refuses_an_address():
     with pytest.raises(ParameterError, match='^rerun_live = .*:9876.* needs the executable'):
         no_live_feed(None, 'rerun+http://127.0.0.1:9876/proxy', '/timo_sim')
 
 
-def test_nothing_of_it_is_imported_when_off():
+def test_views_that_are_off_are_not_imported():
     code = ('import sys, timo_sim.cli.sim_node, timo_sim.ros.process; '
             'assert not {"rerun", "visualization_msgs", "tf2_msgs", "timo_sim.view"} & '
             'set(sys.modules)')
@@ -122,7 +122,7 @@ def turn(half_sine, half_cosine):
 
 
 def test_the_frames_of_tf_lead_from_the_world_to_the_bent_tip(paper):
-    """One after the other they give position and rotation of the tip that a run has."""
+    """Their product gives the position and rotation of the tip of a run."""
     scene = timo_sim.load_scene(paper)
     simulator = Simulator(scene)
     simulator.advance(1810)  # where the arm is bent most

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The node over DDS: topics, services, commands that are refused or go stale, parameters."""
+"""The node over DDS: topics, services, refused and stale commands, parameters, diagnostics."""
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Vector3Stamped, WrenchStamped
@@ -80,7 +80,7 @@ def test_topics_carry_the_physics(start, client, paper):
     assert stamps == list(range(stamps[0], stamps[0] + len(stamps)))
 
 
-def test_nodes_in_namespaces_do_not_meet(start, client):
+def test_nodes_in_namespaces_are_separate(start, client):
     for name, angle in (('left', 0.25), ('right', 0.5)):
         start('-r', f'__ns:=/{name}', record=False, **{'initial.shaft': angle})
     left = client.collect(JointState, '/left/joint_states')
@@ -109,9 +109,9 @@ def test_pause_step_and_reset(start, client):
 
     del states[:]
     assert reset().message == f'reset at step {steps + 10}'
-    # The state before may be shown once more.
+    # The state before the reset may come once more.
     client.wait(lambda: states and states[-1].position[2] == np.pi / 4, 'the state then')
-    # State back, clock on.
+    # The state is the initial one, and the clock goes on.
     assert states[-1].position.tolist() == pytest.approx([0.0, 0.0, np.pi / 4], abs=1e-15)
     assert states[-1].velocity.tolist() == pytest.approx([0.0, 0.0, 1.0], abs=1e-14)
     assert round(seconds(states[-1].header.stamp) * 1000) == steps + 10
@@ -142,7 +142,7 @@ def test_bad_commands_are_refused_counted_and_change_nothing(start, client):
     code, output = node.end()
     assert code == 0
     assert 'data must be finite, got nan' in output
-    # Throttled: one warning for each topic.
+    # Warnings are throttled: there is one for each topic.
     assert output.count('command refused') == 2
 
 
@@ -206,7 +206,7 @@ def test_a_free_run_drops_nothing(start):
     assert 'simulated 20 s' in output and ' 0 overruns, 0 s dropped' in output
 
 
-def test_a_run_without_end_ends_with_the_time_that_a_stamp_can_hold(start):
+def test_a_run_without_end_ends_at_the_largest_time_of_a_stamp(start):
     rates = dict.fromkeys(RATES, 1e-6)
     code, output = start(real_time_factor=0.0, **{'integrator.step': 1000.0}, **rates).wait()
     assert code == 0 and 'simulated 2.14748e+09 s' in output and 'Traceback' not in output
@@ -221,7 +221,7 @@ def test_diagnostics_report_state_energy_and_real_time_factor(start, client):
     assert status.name == 'timo_sim: simulation'
     assert facts['state'] == 'running' and facts['log'] == 'off'
     assert 0.0 < float(facts['real_time_factor']) < 1.5  # a busy machine may be late
-    # A rigid arm about its root: 1/2 (J_0 + int M xi^2) at 1 rad/s, root at rest at the start.
+    # The energy of a rigid arm that turns about its root is constant.
     scene = timo_sim.load_scene({'model.modes': 0, 'initial.shaft_velocity': 1.0})
     assert float(facts['energy_J']) == pytest.approx(
         timo_sim.simulate(scene, 0.001).energy()[0], rel=1e-12)

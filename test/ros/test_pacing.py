@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Pacing, with a clock that the test turns: what is due, what is dropped, what is counted."""
+"""Pacing with a clock of the test: due steps, dropped steps, overruns."""
 
 import pytest
 
@@ -19,7 +19,7 @@ def pace_of(step, factor=1.0, limit=0.1):
     return pace
 
 
-def test_every_deadline_brings_one_step_for_ever():
+def test_every_deadline_gives_one_step_without_drift():
     pace, steps = pace_of(0.001), 0
     for tick in range(1, 100001):
         assert pace.deadline(steps) == pytest.approx(100.0 + tick * 0.001, abs=1e-9)
@@ -47,16 +47,16 @@ def test_a_delay_is_caught_up_and_counted():
     assert pace.deadline(50) == pytest.approx(100.051)
 
 
-def test_what_is_beyond_the_limit_is_dropped_and_counted():
+def test_steps_beyond_the_limit_are_dropped_and_counted():
     pace = pace_of(0.001, limit=0.1)
     assert pace.due(0, 102.0) == 100
     assert pace.dropped_steps == 1900
-    # Sim time now lags wall time by what was dropped, and goes on at its pace.
+    # Sim time now lags wall time by the dropped time, and goes on at its pace.
     assert pace.due(100, 102.001) == 1
     assert pace.due(101, 103.001) == 100 and pace.dropped_steps == 1900 + 900
 
 
-def test_being_late_is_no_loss_where_time_waits_for_others():
+def test_delays_are_not_counted_where_time_waits_for_others():
     pace = Pace(0.001, waits=True)
     pace.set(1.0, 0.1, 0, 100.0)
     assert pace.due(0, 102.0) == 100 and pace.due(100, 102.001) == 1

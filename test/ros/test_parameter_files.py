@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A parameter file means the same for `load_scene` and for the node, or is refused by both."""
+"""A parameter file has the same meaning for `load_scene` and the node, or both refuse it."""
 
 import pytest
 import rclpy
@@ -49,7 +49,7 @@ OTHERWISE = {
 
 
 def overrides(path, namespace='/'):
-    """Return what rclpy gives a node `timo_sim`."""
+    """Return the parameters that rclpy gives a node `timo_sim` from a file."""
     context = rclpy.Context()
     rclpy.init(args=['--ros-args', '--params-file', str(path)], context=context)
     try:
@@ -74,29 +74,29 @@ def test_scene_and_node_take_the_same_sections(tmp_path, name):
 
 @pytest.mark.parametrize('text', [*TWICE.values(), *OTHERWISE.values()],
                          ids=[*TWICE, *OTHERWISE])
-def test_what_could_be_taken_in_two_ways_is_refused(tmp_path, text):
+def test_ambiguous_files_are_refused(tmp_path, text):
     path = tmp_path / 'scene.yaml'
     path.write_text(text)
     with pytest.raises(timo_sim.ParameterError) as caught:
         timo_sim.load_scene(path)
     assert '\n' not in str(caught.value) and str(path) in str(caught.value)
-    assert ('is there twice' in str(caught.value)) == (text in TWICE.values())
+    assert ('is given twice' in str(caught.value)) == (text in TWICE.values())
 
 
 def test_the_node_refuses_it_too(start, tmp_path):
     (tmp_path / 'twice.yaml').write_text(TWICE['a name, nested'])
     code, output = start('--params-file', 'twice.yaml').wait()
-    assert (code, output) == (2, 'timo_sim: arm.length is there twice (twice.yaml)\n')
+    assert (code, output) == (2, 'timo_sim: arm.length is given twice (twice.yaml)\n')
 
 
-def test_names_that_only_begin_as_those_of_rclpy_are_refused(tmp_path):
+def test_names_that_only_begin_like_those_of_rclpy_are_refused(tmp_path):
     path = tmp_path / 'scene.yaml'
     path.write_text('timo_sim: {ros__parameters: {use_sim_times: true}}')
     with pytest.raises(timo_sim.ParameterError, match='use_sim_times = True is not a parameter'):
         timo_sim.load_scene(path)
 
 
-def test_a_file_for_other_nodes_says_nothing_of_this_one(tmp_path):
+def test_a_file_for_other_nodes_sets_nothing_of_this_one(tmp_path):
     path = tmp_path / 'scene.yaml'
     path.write_text('/other/timo_sim: {ros__parameters: {arm.length: 3.0}}')
     assert overrides(path) == {} and [*read_sections(path)] == ['/other/timo_sim']

@@ -7,9 +7,9 @@
 # language governing permissions and limitations under the License.
 
 """
-Parameters as `ros2 param` sees and sets them.
+Parameters as `ros2 param` gets and sets them.
 
-It goes through rclpy's AsyncParameterClient and `get_parameter_value`, and so do these tests.
+The tests use rclpy's AsyncParameterClient and `get_parameter_value`, as `ros2 param` does.
 """
 
 import math
@@ -40,13 +40,13 @@ TIME, VALUE = 'load.torque.piecewise.time', 'load.torque.piecewise.value'
 
 @pytest.fixture
 def namespace(request):
-    """Return a name of its own for each test: nodes that are killed are known for a while."""
+    """Return a namespace for this test, because killed nodes stay in the graph for a while."""
     return f'/{request.node.name}'
 
 
 @pytest.fixture
 def parameters(client, namespace):
-    """Return a function that calls a method of a client of parameters, for a live node."""
+    """Return a function that calls a method of a parameter client of the running node."""
     remote = AsyncParameterClient(client, f'{namespace}/timo_sim')
 
     def call(method, *arguments):
@@ -83,7 +83,7 @@ def value_of(call, name):
 
 
 def test_a_dump_starts_an_equal_node(start, client, parameters, namespace, tmp_path):
-    """Its log begins with the same values, those that were chosen, too, and has the same bits."""
+    """Its log has the same values, also modes and step that were chosen, and the same bits."""
     first = {'model.accuracy': 1e-3, 'initial.shaft_velocity': 1.0 / 3.0, 'duration': 1.0,
              'carrier.force_limit': '1e-300', 'carrier.mass': 5, 'start_paused': True,
              'arm.damping_ratio': '[0]', 'load.torque.table.time': '[]',
@@ -103,7 +103,7 @@ def test_a_dump_starts_an_equal_node(start, client, parameters, namespace, tmp_p
         parameters.wait_for_end()
         recording = Recording(log)
         states.append(recording.topics['~/modal_state'])
-        # repr tells all doubles from each other.
+        # Different doubles have a different repr.
         assert repr(check(shown, 'dump')) == repr(check(
             {name: recording.parameters[name] for name in PARAMETERS}, 'log'))
         assert shown.pop('record_file') == str(log)
@@ -115,7 +115,7 @@ def test_a_dump_starts_an_equal_node(start, client, parameters, namespace, tmp_p
 
 
 def test_types_and_ranges_are_those_of_the_rules(start, parameters, namespace):
-    """Read back from what was sent."""
+    """Read back over the service."""
     start('-r', f'__ns:={namespace}', record=False)
     found = parameters('describe_parameters', [*PARAMETERS]).descriptors
     assert [descriptor.name for descriptor in found] == [*PARAMETERS]
@@ -135,7 +135,7 @@ def test_types_and_ranges_are_those_of_the_rules(start, parameters, namespace):
 
 def test_lists_that_belong_together_are_loaded_and_set(
         start, client, parameters, namespace, tmp_path):
-    """Numbers as YAML and str write them, which `ros2 param` makes texts and whole numbers of."""
+    """`ros2 param` passes numbers such as 1 and 1.0e-05 as whole numbers and texts."""
     start('-r', f'__ns:={namespace}', record=False)
     states = client.collect(JointState, f'{namespace}/joint_states')
     assert value_of(parameters, TIME) == (ParameterType.PARAMETER_DOUBLE_ARRAY, [])
@@ -166,7 +166,7 @@ def test_lists_that_belong_together_are_loaded_and_set(
         refused = set_one(parameters, name, text)
         assert not refused.successful and re.search(words, refused.reason)
         assert '\n' not in refused.reason
-    # `ros2 param delete` of what always has a value.
+    # `ros2 param delete` of a parameter that always has a value is refused.
     deleted, = parameters('delete_parameters', ['arm.damping_ratio']).results
     assert not deleted.successful and value_of(parameters, 'arm.damping_ratio')[1] == []
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""QoS of the topics: of sensor data, and as the parameters qos_overrides.* say."""
+"""QoS of the topics: subscribers with the profile for sensor data, and qos_overrides.*."""
 
 import pytest
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -27,7 +27,7 @@ OVERRIDES = {f'qos_overrides.{name}': value for name, value in {
     f'{TORQUE}.subscription.reliability': 'best_effort'}.items()}
 
 
-def test_subscribers_of_sensor_data_hear_every_topic_and_overrides_act(start, client):
+def test_subscribers_of_sensor_data_receive_every_topic_and_overrides_act(start, client):
     node = start(record=False, publish_clock=True, **OVERRIDES)
     heard, topics = {}, {output.name: output.type_name for output in outputs(3)}
     assert len(topics) >= 9
@@ -46,11 +46,11 @@ def test_subscribers_of_sensor_data_hear_every_topic_and_overrides_act(start, cl
     refused = remote.set_parameters([Parameter(late, value=3)])
     client.wait(lambda: names.done() and values.done() and refused.done(), 'parameters')
     assert refused.result().results[0].reason == (
-        f'{late} is not declared; QoS is set at the start alone')
+        f'{late} is not declared; QoS is set only at the start')
     assert {*names.result().result.names} == {*OVERRIDES}
     assert [*map(parameter_value_to_python, values.result().values)] == [*OVERRIDES.values()]
 
-    # A reliable subscriber and an unreliable publisher do not find each other.
+    # A reliable subscriber gets nothing from a best-effort publisher.
     offered = {found.topic_type: found.qos_profile.reliability
                for topic in (TIP, '/joint_states')
                for found in client.get_publishers_info_by_topic(topic)}
@@ -73,7 +73,7 @@ def test_subscribers_of_sensor_data_hear_every_topic_and_overrides_act(start, cl
     ('/timo_sim/tip_pose.publisher.deadline', 5, 'must set one of history, depth, reliability'),
     ('depth', 5, 'is for no publisher or subscription'),
     ('/parameter_events.publisher.depth', 5, 'is for no publisher or subscription')])
-def test_overrides_that_would_do_nothing_are_errors(ros, name, value, words):
+def test_overrides_without_effect_are_errors(ros, name, value, words):
     name = f'qos_overrides.{name}'
     node = ParameterNode('timo_sim', parameter_overrides=[Parameter(name, value=value)])
     with pytest.raises(ParameterError) as error:
@@ -83,7 +83,7 @@ def test_overrides_that_would_do_nothing_are_errors(ros, name, value, words):
     assert told.startswith(name) and words in told and repr(value) in told and '\n' not in told
 
 
-def test_an_override_of_a_topic_that_is_none_ends_the_node_with_one_line(start):
+def test_an_override_of_an_unknown_topic_ends_the_node_with_one_line(start):
     name = 'qos_overrides./timo_sim/tip_pos.publisher.depth'
     code, output = start(record=False, duration=0.1, **{name: 5}).wait()
     assert code == 2 and output.splitlines() == [

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A controller manager with the plugin JointStateTopicSystem, and what is when it leaves."""
+"""A stand-in of ros2_control's controller manager drives the node, and leaves it."""
 
 from pathlib import Path
 from xml.etree import ElementTree
@@ -40,7 +40,7 @@ def test_controllers_have_joints_and_interfaces_of_the_urdf_and_the_rate_of_the_
     assert {f'{claimed}/effort', f'{dof}/{pid["command_interface"]}'} <= commands
     assert {f'{dof}/{name}' for name in pid['reference_and_state_interfaces']} <= states
     assert [name for name in pid if name.startswith('gains') and f'.{dof}.' not in name] == []
-    # generate_parameter_library takes no whole number for a double.
+    # generate_parameter_library refuses whole numbers for doubles.
     assert all(type(value) is not int for value in pid.values())
 
     node = check(sections['/timo_sim'], 'controllers.yaml')
@@ -51,17 +51,17 @@ def test_controllers_have_joints_and_interfaces_of_the_urdf_and_the_rate_of_the_
     hardware = {entry.get('name'): entry.text for entry in block.iterfind('hardware/param')}
     assert hardware['joint_commands_topic'] == '/timo_sim/joint_command'
     assert '~/joint_command' in [command.name for command in COMMANDS]
-    # A node of this name is made for it.
+    # The hardware becomes a node of this name.
     assert block.get('name').lower() != 'timo_sim'
 
 
 def law(angle, speed):
-    """Turn the shaft to 1 rad."""
+    """Return the torque of a PD controller that turns the shaft to 1 rad [N m]."""
     return 20.0 * (1.0 - angle) - 12.0 * speed
 
 
 def test_a_controller_manager_in_lock_step_gives_the_same_bits_twice(start, client, tmp_path):
-    """Each command acts on the state that it was made from."""
+    """Each command acts on the state from which it was computed."""
     torques = []
     for name in 'first', 'second':
         log = tmp_path / f'{name}.mcap'
@@ -76,10 +76,10 @@ def test_a_controller_manager_in_lock_step_gives_the_same_bits_twice(start, clie
         for count in 'missed', 'mismatched', 'refused':
             assert recording.summary[f'{count}_commands'] == '0'
         commands, states = recording.topics['~/joint_command'], recording.topics['joint_states']
-        # Until its clock has gone on it sends nothing; then one command each period.
+        # The manager sends nothing until its clock has gone on, then one command each period.
         assert np.array_equal(commands.step, np.arange(commands.step[0], 1000, 20))
         assert commands.step[0] >= 20
-        # States are shown when a command is waited for, whatever their rate.
+        # States are published when the node waits for a command, whatever their rate.
         assert set(states.step) == set(range(0, 1001, 20))
         shown = states.values[np.searchsorted(states.step, commands.step)]
         torque = commands.values[:, 4]
@@ -90,8 +90,8 @@ def test_a_controller_manager_in_lock_step_gives_the_same_bits_twice(start, clie
     assert np.array_equal(torques[0][:both], torques[1][:both])
 
 
-def test_a_command_that_comes_before_a_state_is_shown_is_no_answer_to_it(start, client):
-    """Each is counted, so that it is known to have come."""
+def test_a_command_that_comes_before_a_state_does_not_answer_it(start, client):
+    """Each command names a foreign joint: its count shows that the command has come."""
     start(sync='any_command', sync_period=0.01, start_paused=True, steps_per_call=5, record=False)
     health = client.collect(DiagnosticArray, '/diagnostics')
     command = client.command(JointState, '/timo_sim/joint_command')
@@ -114,7 +114,7 @@ def test_a_command_that_comes_before_a_state_is_shown_is_no_answer_to_it(start, 
 
 
 def test_a_controller_manager_beside_a_free_node(start, client):
-    """Its stamps and NaN are no reason for a refusal; without it inputs fall to zero."""
+    """Its stamps and NaN are accepted; after it has left inputs fall to zero."""
     node = start(publish_clock=True, command_timeout=0.5)
     states = client.collect(JointState, '/joint_states')
     manager = ControllerManager(client, 0.02, lambda angle, speed: 2.0)
@@ -127,7 +127,7 @@ def test_a_controller_manager_beside_a_free_node(start, client):
 
 
 def test_time_stands_when_the_controller_of_lock_step_has_left(start, client):
-    """That is said, and no loss; the next controller sees the state and goes on."""
+    """There is a warning and no dropped time; the next controller gets the state and goes on."""
     node = start(sync='wait', sync_period=0.005, sync_timeout=0.05)
     states = client.collect(JointState, '/joint_states')
     health = client.collect(DiagnosticArray, '/diagnostics')
@@ -171,5 +171,5 @@ def test_time_stands_when_the_controller_of_lock_step_has_left(start, client):
     assert output.count('nobody publishes commands any more') in (1, 2)  # it may end at once
     recording = Recording(node.log)
     assert recording.summary['overruns'] == '0' and recording.summary['dropped_time_s'] == '0.0'
-    # What is shown again is not logged again.
+    # Repeated states are not logged again.
     assert set(np.diff(recording.topics['joint_states'].step)) == {5}

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A commanded, paused, reset run, replayed from its log by another process, to the last bit."""
+"""Runs with commands, pauses and resets replay from their logs to the last bit."""
 
 import signal
 import time
@@ -45,7 +45,7 @@ SCENES = {
 
 
 def drive_about(client):
-    """Do what a control engineer does; return how many resets."""
+    """Send commands, pause, step and reset; return the number of resets."""
     states = client.collect(JointState, '/joint_states')
     torque = client.command(Float64, '/timo_sim/motor_torque')
     wrench = client.command(WrenchStamped, '/timo_sim/carrier_wrench')
@@ -89,7 +89,7 @@ def test_every_step_of_a_commanded_run_is_the_same_to_the_last_bit(name, start, 
     commands = {name: recording.topics[name] for name in ('~/motor_torque', '~/carrier_wrench')}
     assert len(recording.resets) == resets
     assert all(len(series.step) > 15 for series in commands.values())
-    # Commands timed out, which is a command of zeros in the log.
+    # Time-outs are commands of zeros in the log.
     assert all((series.values == 0.0).all(axis=1).sum() >= 2 for series in commands.values())
     # The state is logged at every step, from the first to the last.
     steps = recording.topics['~/modal_state'].step
@@ -102,7 +102,7 @@ def test_every_step_of_a_commanded_run_is_the_same_to_the_last_bit(name, start, 
     assert (f'{count} of {count} logged numbers compared: all are the same to the last bit'
             in lines)
 
-    # That is no accident: the last command left out, or one a step later, shows.
+    # The comparison is sensitive: it shows missing commands, and commands a step later.
     for change in (lambda commands: commands[:-3],
                    lambda commands: [(step + 1, *rest) for step, *rest in commands]):
         segments = segments_of(recording, recording.scene, {})
@@ -125,7 +125,7 @@ def test_a_run_that_diverged_was_reset_and_killed_replays(start, client):
         assert reset().success and go_on(data=False).success
         torque.publish(Float64(data=-2.0))
     client.wait(lambda: not go_on(data=False).success, 'divergence')
-    time.sleep(0.7)  # what is logged so far is given to the operating system
+    time.sleep(0.7)  # until the recorder has given the log to the operating system
     node.send(signal.SIGKILL)
     node.wait()
     assert len(states) > 10
@@ -136,7 +136,7 @@ def test_a_run_that_diverged_was_reset_and_killed_replays(start, client):
 
 
 def test_rates_that_change_and_a_log_of_a_replay(start, client, paper, tmp_path):
-    """What a replay writes is what the node wrote: it replays, too, and has the same messages."""
+    """The log of a replay has the node's messages, and can be replayed, too."""
     node = start('--params-file', str(paper))
     torque = client.command(Float64, '/timo_sim/motor_torque')
     torque.publish(Float64(data=1.0))
@@ -160,7 +160,7 @@ def test_a_player_by_the_rules_of_rosbag2_drives_a_live_node(start, client, tmp_
     """
     Publish as `ros2 bag play RUN.mcap --topics ...` does.
 
-    It opens the bare file, offers the QoS that the log names, and sends the bytes as they are.
+    Like the player it opens the file, offers the QoS of the log, and sends the bytes unchanged.
     """
     recorder = Recorder(tmp_path / 'old.mcap', [
         Channel(f'/timo_sim/{command.name[2:]}', command.type_name) for command in COMMANDS], {})

@@ -32,26 +32,26 @@ MOVING = {'initial.shaft_velocity': 2.0, 'initial.modal_rates': [2.0, 0.5, 0.1]}
 
 
 def step_of(message):
-    """Return the step of a header, of 1 ms each."""
+    """Return the time step, of 1 ms, that the stamp of a message names."""
     return round(1e3 * message.header.stamp.sec + 1e-6 * message.header.stamp.nanosec)
 
 
 def lateness(log, topic):
-    """Return by how many steps messages were logged after the step that they name."""
+    """Return the delays of logged messages, in steps after the step that they name."""
     with open(log, 'rb') as stream:
         return {message.log_time // 1000000 - message.sequence
                 for _, _, message in make_reader(stream).iter_messages([topic])}
 
 
 def same_again(log, **options):
-    """Replay a log and see the same bits."""
+    """Replay a log, check that the bits are the same, and return the line that says so."""
     lines = []
     assert replay(log, show=lines.append, **options), lines
     return next(line for line in lines if 'same to the last bit' in line)
 
 
-def test_a_delayed_message_comes_later_and_says_when_it_was_measured(start, client):
-    """Step by step: none too early, none too late; a reset drops what is under way."""
+def test_a_delayed_message_comes_later_with_the_time_of_measurement(start, client):
+    """Every message comes at its step; a reset drops those that have not come yet."""
     node = start(start_paused=True, **WRONG, **LATE, **MOVING, **{
         'rate.encoder': 500.0, 'rate.joint_states': 1000.0, 'rate.tip_imu': 250.0})
     states = client.collect(JointState, '/joint_states')
@@ -77,10 +77,10 @@ def test_a_delayed_message_comes_later_and_says_when_it_was_measured(start, clie
     advance(30)
     assert client.service(SetParameters, '/timo_sim/set_parameters')(parameters=[
         Parameter('sensor.gyro.noise', value=0.0).to_parameter_msg()]).results[0].successful
-    advance(35)  # there is one more that was measured since
+    advance(35)  # one more message is measured with the new noise
     assert node.end()[0] == 0
 
-    # What is read is what was, at the time of the header.
+    # A reading is that of the true angle at the time of the header.
     truth = {step_of(state): state.position[2] for state in states}
     values = timo_sim.load_scene(WRONG).values
     for message in angles:
@@ -98,7 +98,7 @@ def test_a_delayed_message_comes_later_and_says_when_it_was_measured(start, clie
     assert found['~/tip_imu/data_raw'] == [0, 4, 8, *range(12, 36, 4)]
     assert lateness(node.log, '/timo_sim/encoder') == {5}
     assert lateness(node.log, '/timo_sim/tip_imu/data_raw') == {3}
-    # Nobody asked for the strain; a replay can tell what it was.
+    # Nobody subscribed to the strain; a replay can compute it.
     assert found['~/root_strain'] == []
     same_again(node.log)
     again = node.log.with_name('again.mcap')
@@ -109,7 +109,7 @@ def test_a_delayed_message_comes_later_and_says_when_it_was_measured(start, clie
 
 @pytest.fixture(scope='module')
 def log(tmp_path_factory):
-    """Log half a second of all sensors, that nobody subscribes to."""
+    """Log half a second of all sensors, without subscribers."""
     from ros_process import Process
     node = Process(tmp_path_factory.mktemp('sensors'), record_sensors=True, duration=0.503,
                    real_time_factor=0.0, **WRONG, **LATE, **MOVING, **{'rate.tip_imu': 500.0})
@@ -117,9 +117,9 @@ def log(tmp_path_factory):
     return node.log
 
 
-def test_sensors_are_logged_alone_and_replayed_to_the_last_bit(log, tmp_path):
+def test_sensors_are_logged_without_subscribers_and_replayed_to_the_last_bit(log, tmp_path):
     topics = Recording(log).topics
-    # A message that is still under way at the end is not there.
+    # The log lacks messages whose delay was not over at the end.
     assert topics['~/tip_imu/data_raw'].step.tolist() == list(range(0, 502, 2))
     assert topics['~/encoder'].step.tolist() == list(range(0, 500, 10))
     assert topics['~/root_strain'].step.tolist() == list(range(0, 501, 10))
@@ -129,7 +129,7 @@ def test_sensors_are_logged_alone_and_replayed_to_the_last_bit(log, tmp_path):
     for name, series in topics.items():
         assert np.array_equal(series.values, again.topics[name].values)
         assert np.array_equal(series.log_ns, again.topics[name].log_ns)
-    # Another seed has other numbers; what comes later has not come by the end.
+    # Another seed gives other numbers; with a longer delay fewer messages come before the end.
     lines = []
     replay(log, {'sensor.seed': 8, 'sensor.tip_imu.delay': 0.013}, output=tmp_path / 'other.mcap',
            show=lines.append)
@@ -140,7 +140,7 @@ def test_sensors_are_logged_alone_and_replayed_to_the_last_bit(log, tmp_path):
 
 
 def imu_of(path):
-    """Return what another reader finds of the IMU: (n, 3) and (n, 9), acceleration and turning."""
+    """Return vectors (2, n, 3) and covariances (2, n, 9) of acceleration and turning rate."""
     found = [message.ros_msg
              for message in read_ros2_messages(str(path), ['/timo_sim/tip_imu/data_raw'])]
     vectors, covariances = ([[getattr(message, name + kind) for message in found] for name in (
@@ -150,7 +150,7 @@ def imu_of(path):
 
 
 def test_covariances_of_the_imu_are_those_of_its_errors(log, tmp_path):
-    """REP 145: known ones are told; all zeros mean that nothing is known."""
+    """REP 145: known covariances are given; all zeros mean that they are unknown."""
     replay(log, {name: 0.0 for name in WRONG if name != 'sensor.seed'},
            output=tmp_path / 'exact.mcap', show=lambda line: None)
     (read, told), (truth, silent) = imu_of(log), imu_of(tmp_path / 'exact.mcap')
@@ -165,8 +165,8 @@ def test_covariances_of_the_imu_are_those_of_its_errors(log, tmp_path):
         assert np.diag(covariance)[noisy] == pytest.approx(variance[noisy], rel=0.27)
 
 
-def test_the_tip_is_where_twice_integrated_acceleration_takes_it(log, tmp_path):
-    """Without noise, turned into the world by the tip's pose, from messages alone."""
+def test_the_acceleration_integrated_twice_gives_the_position_of_the_tip(log, tmp_path):
+    """From messages alone: IMU without noise, turned into world axes from the tip's first pose."""
     replay(log, {name: 0.0 for name in WRONG if name != 'sensor.seed'},
            output=tmp_path / 'clean.mcap', show=lambda line: None)
     topics = Recording(tmp_path / 'clean.mcap').topics
@@ -174,7 +174,7 @@ def test_the_tip_is_where_twice_integrated_acceleration_takes_it(log, tmp_path):
     x, y, z, w = topics['~/tip_pose'].values[:50].T
     turned = 2.0 * np.unwrap(np.arctan2(z, w), period=2.0 * np.pi)
     h = 2e-3
-    # The trapezoidal rule over two milliseconds, whose error is measured: 2e-5 rad, 7e-6 m.
+    # The trapezoidal rule at 2 ms has measured errors of 2e-5 rad and 7e-6 m.
     gained = np.concatenate([[0.0], np.cumsum(0.5 * h * (imu[1:, 2] + imu[:-1, 2]))])
     assert np.abs(gained[::5] - (turned - turned[0])).max() < 3e-5
     angle = turned[0] + gained
@@ -182,7 +182,7 @@ def test_the_tip_is_where_twice_integrated_acceleration_takes_it(log, tmp_path):
     speed = np.concatenate([[0.0], np.cumsum(0.5 * h * (world[1:] + world[:-1]))])
     place = np.concatenate([[0.0], np.cumsum(0.5 * h * (speed[1:] + speed[:-1]))])[::5]
     start = (x + 1j * y)[[0, -1]]
-    # The velocity at the start is not measured: it follows from where the tip ends.
+    # The initial velocity is not measured; it follows from the final position of the tip.
     time = 0.01 * np.arange(50)
     drift = (start[1] - start[0] - place[-1]) / time[-1]
     assert np.abs(x + 1j * y - (start[0] + drift * time + place)).max() < 2e-5

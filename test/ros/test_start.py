@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What the start of the node imports, and what its first steps do."""
+"""The start of the node: imports, the moment it appears in the graph, its first steps."""
 
 import subprocess
 import sys
@@ -53,7 +53,7 @@ main()
 
 
 def test_the_node_is_in_the_graph_when_it_can_answer(client, tmp_path):
-    """Not while it compiles, for as long as that takes; then it says in one line what it does."""
+    """It does not appear while it compiles; afterwards one line says what it does."""
     node = subprocess.Popen(
         [sys.executable, '-c', BUILDING, '--ros-args', '-r', '__ns:=/late', '-p', 'record:=false',
          '-p', 'end_effector.mass:=2.5'], cwd=tmp_path, stdin=subprocess.PIPE,
@@ -97,7 +97,7 @@ def test_a_command_to_a_manipulator_at_rest_acts_at_its_step(start, client):
     torque = client.command(Float64, '/timo_sim/motor_torque')
     step = client.service(Trigger, '/timo_sim/step')
     acting = []
-    while not acting:  # a publisher knows its subscriber before that one knows it
+    while not acting:  # a publisher discovers its subscriber before the reverse
         torque.publish(Float64(data=2.0))
         end = int(step().message.removeprefix('at step '))
         client.wait(lambda: states and stamp(states[-1]) == end, 'the state after a step')

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The node among processes that wish it ill: it stays, counts, answers; its log is readable."""
+"""The node under attack by other processes goes on, counts, answers; its log is readable."""
 
 from contextlib import contextmanager, ExitStack
 import os
@@ -30,13 +30,13 @@ ATTACKER = [sys.executable, '-m', 'benchmark.stress.attackers']
 
 
 def environment():
-    """Return that of this process, in which modules are found as they are here."""
+    """Return the environment of this process with its module search path."""
     return {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
 
 
 @contextmanager
 def attack(name):
-    """Run one of the attacking processes."""
+    """Run one of the attacking processes; it is killed at the end."""
     process = subprocess.Popen([*ATTACKER, name], stdout=subprocess.PIPE, text=True,
                                env=environment())
     try:
@@ -52,8 +52,8 @@ def values(health):
     return {pair.key: pair.value for pair in health[-1].status[0].values} if health else {}
 
 
-def test_what_is_refused_is_counted_and_the_log_is_readable(start, client):
-    """Every kind of bad command; then all attackers at once, of which one is killed."""
+def test_refusals_are_counted_and_the_log_is_readable(start, client):
+    """First every kind of bad command, then all attackers at once, one of which is killed."""
     node = start(publish_clock=True)
     health = client.collect(DiagnosticArray, '/diagnostics')
     with attack('bad') as bad:
@@ -81,13 +81,13 @@ def test_what_is_refused_is_counted_and_the_log_is_readable(start, client):
     code, output = node.end()
     assert code == 0
     assert output.count('somebody else publishes /clock') == 1
-    # What rclpy says of a failed callback is its own.
+    # Errors of failed callbacks contain text of rclpy, which must stay short and printable.
     assert '\x1b' not in output and len(max(output.splitlines(), key=len)) < 1000
     assert sum(1 for _ in read_ros2_messages(str(node.log))) > 100
 
 
-def test_what_is_dropped_is_counted_and_the_physics_stays_exact(start, client, paper):
-    """A process that is stopped stands for a busy machine: no clock is needed to see it."""
+def test_dropped_time_is_counted_and_the_motion_stays_the_same(start, client, paper):
+    """Stopping the process simulates a busy machine."""
     node = start('--params-file', str(paper), catch_up_limit=0.05)
     with attack('reader') as reader:
         assert reader.stdout.readline() == 'hearing\n'
@@ -130,7 +130,7 @@ def test_two_nodes_in_one_process(tmp_path):
     (['-p', 'duration:=1.0e+300'], 'duration must be a finite number >= 0 and <= 2.147'),
     (['-p', 'arm.length:=1.0e+300'], 'too large or too small together'),
     (['--params-file', 'bad.yaml'], 'tag')])
-def test_what_is_refused_ends_with_one_line_and_code_2(tmp_path, arguments, words):
+def test_bad_arguments_end_with_one_line_and_code_2(tmp_path, arguments, words):
     (tmp_path / 'bad.yaml').write_text(
         'timo_sim: {ros__parameters: {arm.length: !!python/object/apply:os.system [touch tag]}}')
     result = subprocess.run([sys.executable, '-m', 'timo_sim.cli.sim_node', '--ros-args',
@@ -141,7 +141,7 @@ def test_what_is_refused_ends_with_one_line_and_code_2(tmp_path, arguments, word
     assert not (tmp_path / 'tag').exists()
 
 
-def test_profiles_of_the_user_are_left_alone(tmp_path, monkeypatch):
+def test_profiles_of_the_user_are_kept(tmp_path, monkeypatch):
     monkeypatch.setattr(os, 'environ', {})
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'DEFAULT_FASTRTPS_PROFILES.xml').touch()
@@ -155,12 +155,12 @@ def test_profiles_of_the_user_are_left_alone(tmp_path, monkeypatch):
     assert os.environ == before
 
 
-def test_a_log_that_cannot_be_is_an_error_and_the_simulation_goes_on(start):
+def test_an_impossible_log_is_an_error_and_the_simulation_goes_on(start):
     code, output = start(duration=0.01, record_file='/').wait()
     assert code == 0 and 'Traceback' not in output and 'no log is written to /' in output
 
 
-def test_a_log_that_is_moved_then_deleted_is_told_and_the_simulation_goes_on(start, client):
+def test_a_log_that_is_moved_then_deleted_is_reported_and_the_simulation_goes_on(start, client):
     node = start()
     health = client.collect(DiagnosticArray, '/diagnostics')
     states = client.collect(JointState, '/joint_states')
@@ -181,8 +181,8 @@ def test_a_log_that_is_moved_then_deleted_is_told_and_the_simulation_goes_on(sta
     assert list(node.log.parent.iterdir()) == []
 
 
-def test_the_stress_test_tells_a_leak_from_pools_that_fill():
-    """By what a node had in a storm, and in another with parameters and services [MB]."""
+def test_the_stress_test_distinguishes_a_leak_from_pools_that_fill():
+    """Data: memory of a node in a storm, and in one with parameters and services [MB]."""
     for lows in ([218.4, 225.4, 230.0, 232.8, 232.5, 232.5, 232.5, 232.5, 234.5, 234.5, 234.0],
                  [218.1, 226.9, 231.9, 232.1, 230.7, 231.3, 231.4, 234.0, 234.9, 234.1, 234.0]):
         lows = 1e6 * np.array(lows)

@@ -37,7 +37,7 @@ SCENE, DURATION = EXAMPLE / 'slew.yaml', 0.5
 
 @contextmanager
 def controller(name):
-    """Run a controller in a process of its own."""
+    """Run a controller in a separate process; kill it at the end."""
     process = subprocess.Popen([sys.executable, EXAMPLE / f'{name}.py'], stdout=subprocess.PIPE)
     try:
         yield process
@@ -47,7 +47,7 @@ def controller(name):
 
 
 def hinder(node, process):
-    """Stop node and controller in turn, as a busy machine does, until the node ends."""
+    """Stop node and controller in turn for 10 ms, like a busy machine, until the node ends."""
     while node.runs():
         for each in (process.send_signal, node.send):
             each(signal.SIGSTOP)
@@ -57,8 +57,8 @@ def hinder(node, process):
 
 
 @pytest.mark.parametrize('name, busy', [('pd', False), ('lqr', True)])
-def test_a_controlled_run_has_the_bits_of_a_loop_on_a_busy_machine_too(start, name, busy):
-    """Those of the same controller without ROS, with a stroke of 1 N s on the tip."""
+def test_a_controlled_run_has_the_bits_of_a_loop_also_on_a_busy_machine(start, name, busy):
+    """The loop runs the same controller without ROS, with a stroke of 1 N s on the tip."""
     from loop import in_a_loop
     from lqr import LQR
     from pd import PD, turn
@@ -81,7 +81,7 @@ def test_a_controlled_run_has_the_bits_of_a_loop_on_a_busy_machine_too(start, na
 
 
 def test_an_example_answers_a_state_once(ros):
-    """The first is shown again."""
+    """The node publishes the first state more than once."""
     from lock_step import LockStep
     from pd import PD, turn
     node = LockStep(PD(turn))
@@ -100,7 +100,7 @@ def test_an_example_answers_a_state_once(ros):
 
 
 def test_a_wait_ends_after_its_time_and_is_counted(start, client):
-    """A controller that answers the first state only; later commands for it are dropped."""
+    """The controller answers the first state only; commands with a wrong stamp are dropped."""
     node = start(sync='wait', sync_period=0.1, sync_timeout=0.05, duration=1.0)
     states = client.collect(JointState, '/joint_states')
     command = client.command(JointState, '/timo_sim/joint_command')
@@ -109,7 +109,7 @@ def test_a_wait_ends_after_its_time_and_is_counted(start, client):
     late = JointState(name=['shaft'], effort=[5.0])
     late.header.stamp.sec = 7
     command.publish(late)
-    client.wait(lambda: len(states) > 3, 'states: what is stamped with another time is no answer')
+    client.wait(lambda: len(states) > 3, 'the state again: a wrong stamp is no answer')
     assert (states[-1].header.stamp.sec, states[-1].header.stamp.nanosec) == (0, 1)
     torque = client.command(Float64, '/timo_sim/motor_torque')
 
@@ -131,8 +131,8 @@ def test_a_step_that_waits_says_so(start, client):
     assert not step.success and step.message == 'at step 0, which waits for a command'
 
 
-def test_who_speaks_last_for_an_input_is_obeyed(start, client):
-    """Each input by itself; the others stay as they are; each falls to zero by itself."""
+def test_the_latest_message_sets_an_input(start, client):
+    """A message changes the inputs that it names; the others keep their values."""
     node = start(command_timeout=0.0)
     states = client.collect(JointState, '/joint_states')
     publishers = {
@@ -141,32 +141,32 @@ def test_who_speaks_last_for_an_input_is_obeyed(start, client):
             ('tip_wrench', WrenchStamped), ('joint_command', JointState),
             ('commands', Float64MultiArray))}
 
-    def obeyed(kind, message, effort):
-        def sent():
+    def acts_on(kind, message, effort):
+        def acts():
             publishers[kind].publish(message)
             return states and states[-1].effort.tolist() == effort
-        client.wait(sent, f'{effort} after {kind}')
+        client.wait(acts, f'{effort} after {kind}')
 
     push, joints = WrenchStamped(), ['carrier_x', 'carrier_y', 'shaft']
     push.wrench.force.x = 3.0
-    obeyed('carrier_wrench', push, [3.0, 0.0, 0.0])
-    obeyed('motor_torque', Float64(data=1.0), [3.0, 0.0, 1.0])
-    obeyed('joint_command', JointState(name=['shaft'], effort=[2.0]), [3.0, 0.0, 2.0])
-    obeyed('joint_command', JointState(name=['carrier_y'], effort=[4.0]), [0.0, 4.0, 2.0])
-    # Joints that no controller has claimed, and those of others.
-    obeyed('joint_command', JointState(name=joints, effort=[nan, nan, 2.5]), [0.0, 4.0, 2.5])
-    obeyed('joint_command', JointState(name=joints, effort=[1.5, nan, nan]), [1.5, 4.0, 2.5])
-    obeyed('joint_command', JointState(name=['elbow', 'carrier_y'], effort=[inf, 4.0]),
-           [0.0, 4.0, 2.5])
-    obeyed('motor_torque', Float64(data=-1.0), [0.0, 4.0, -1.0])
+    acts_on('carrier_wrench', push, [3.0, 0.0, 0.0])
+    acts_on('motor_torque', Float64(data=1.0), [3.0, 0.0, 1.0])
+    acts_on('joint_command', JointState(name=['shaft'], effort=[2.0]), [3.0, 0.0, 2.0])
+    acts_on('joint_command', JointState(name=['carrier_y'], effort=[4.0]), [0.0, 4.0, 2.0])
+    # NaN is a joint that no controller has claimed; `elbow` is a joint of another robot.
+    acts_on('joint_command', JointState(name=joints, effort=[nan, nan, 2.5]), [0.0, 4.0, 2.5])
+    acts_on('joint_command', JointState(name=joints, effort=[1.5, nan, nan]), [1.5, 4.0, 2.5])
+    acts_on('joint_command', JointState(name=['elbow', 'carrier_y'], effort=[inf, 4.0]),
+            [0.0, 4.0, 2.5])
+    acts_on('motor_torque', Float64(data=-1.0), [0.0, 4.0, -1.0])
     publishers['tip_wrench'].publish(push)  # replayed below
     publishers['commands'].publish(Float64MultiArray(data=[1.0, 2.0]))
     for message in (JointState(name=joints, effort=[1.0]), JointState(name=['shaft']),
                     JointState(name=['shaft', 'shaft'], effort=[1.0, 2.0]),
                     JointState(name=['shaft'], effort=[inf])):
         publishers['joint_command'].publish(message)
-    obeyed('motor_torque', Float64(data=0.5), [0.0, 4.0, 0.5])
-    obeyed('commands', Float64MultiArray(data=[1.0, 2.0, 3.0]), [1.0, 2.0, 3.0])
+    acts_on('motor_torque', Float64(data=0.5), [0.0, 4.0, 0.5])
+    acts_on('commands', Float64MultiArray(data=[1.0, 2.0, 3.0]), [1.0, 2.0, 3.0])
     assert node.end()[0] == 0
     recording = Recording(node.log)
     assert recording.summary['refused_commands'] == '5'
@@ -178,7 +178,7 @@ def test_who_speaks_last_for_an_input_is_obeyed(start, client):
 
 
 def answer(kind, value, stamp=None):
-    """Return a command of a kind, as it answers the state with a stamp."""
+    """Return a command of a kind that answers the state with a stamp."""
     if kind == 'commands':
         return Float64MultiArray(data=[0.0, 0.0, value])
     message = JointState(name=['shaft'], effort=[value]) if kind == 'joint_command' else (
@@ -193,8 +193,8 @@ def answer(kind, value, stamp=None):
 @pytest.mark.parametrize('kind, stamps', [
     ('joint_command', True), ('joint_command', False), ('carrier_wrench', True),
     ('tip_wrench', True), ('commands', False)])
-def test_a_command_with_a_wrong_stamp_takes_no_answers_place(start, client, kind, stamps):
-    """Wrong ones before and after each answer: of an earlier and of later states, and of none."""
+def test_a_command_with_a_wrong_stamp_does_not_replace_an_answer(start, client, kind, stamps):
+    """Wrong stamps come before and after each answer: of earlier, later and impossible states."""
     node = start(sync='wait', sync_period=0.01, sync_timeout=1.0, duration=0.3,
                  real_time_factor=0.0)
     rival = kind if kind != 'commands' else 'joint_command'
@@ -205,7 +205,7 @@ def test_a_command_with_a_wrong_stamp_takes_no_answers_place(start, client, kind
 
     def reply(state):
         stamp, others = state.header.stamp, [*wrong, *answered[-1:]]
-        # The first is shown again, in case the answer was lost: one that is stamped may be too.
+        # The first state may come again; only stamped answers may then be repeated, too.
         if stamps or stamp not in answered:
             publishers[rival].publish(answer(rival, 5.0, wrong[0]))
             publishers[kind].publish(answer(kind, 1.0, stamp if stamps else None))
@@ -226,8 +226,8 @@ def test_a_command_with_a_wrong_stamp_takes_no_answers_place(start, client, kind
     assert replay(node.log, show=lines.append), lines
 
 
-def test_a_second_answer_to_the_state_that_begins_a_run_is_none_to_the_next(start, client):
-    """Neither at the start nor after a reset, which shows another state at the same time."""
+def test_a_second_answer_to_the_first_state_does_not_answer_the_next(start, client):
+    """Neither at the start nor after a reset, when another state has the same sim time."""
     node = start(sync='wait', sync_period=0.01, sync_timeout=60.0, real_time_factor=0.0)
     states = client.collect(JointState, '/joint_states')
     publisher = client.command(JointState, '/timo_sim/joint_command')
@@ -236,7 +236,7 @@ def test_a_second_answer_to_the_state_that_begins_a_run_is_none_to_the_next(star
         return 1000000000 * states[-1].header.stamp.sec + states[-1].header.stamp.nanosec
 
     def follow(value, least):
-        """Answer the state that is shown until one from a time on is."""
+        """Answer the present state until one of at least a time has come; return its stamp."""
         stamp = states[-1].header.stamp
 
         def followed():
@@ -269,7 +269,7 @@ def test_a_second_answer_to_the_state_that_begins_a_run_is_none_to_the_next(star
     series = recording.topics['~/joint_command']
     assert series.step.tolist() == [0, 10, 20]
     assert np.nanmax(series.values, axis=1).tolist() == [1.0, 2.0, 3.0]
-    # Times of a log are those of the steps.
+    # Times in the log are exact, without the nanosecond of the stamps.
     assert set(recording.topics['joint_states'].ns.tolist()) == {0, 10000000, 20000000, 30000000}
     lines = []
     assert replay(node.log, show=lines.append), lines

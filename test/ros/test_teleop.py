@@ -46,11 +46,11 @@ class Terminal:
             return self._output.decode()
 
     def line(self):
-        """Return the line that is rewritten, as it is now."""
+        """Return the present content of the status line."""
         return self.shown().rpartition('\r')[2]
 
     def end(self, act):
-        """Do what ends it; return its exit code and whether the terminal is as it was."""
+        """Call `act`, wait for the end; return exit code and whether the terminal was restored."""
         assert termios.tcgetattr(self.slave) != self.before
         act(self)
         code = self.process.wait(PATIENCE)
@@ -102,7 +102,7 @@ def test_held_keys_push_and_other_keys_pause_reset_and_quit(start, client, termi
     client.wait(lambda: 'N m   running' in keys.line(), 'the end of the pause')
     keys.press(b'r')
     client.wait(lambda: 'reset at step' in keys.line(), 'the reset')
-    # What is pushed when it ends is let go, too.
+    # Forces that act when it ends fall to zero, too.
     hold(b'a', 2, 3.0)
     assert keys.end(lambda keys: keys.press(b'q')) == (0, True)
     client.wait(lambda: states[-1].effort[2] == 0.0, 'no torque')
@@ -110,7 +110,7 @@ def test_held_keys_push_and_other_keys_pause_reset_and_quit(start, client, termi
 
 
 def test_the_terminal_is_as_it_was_whatever_ends_it(client, terminal):
-    """Ctrl-C, signals, and an error: its output is a pipe that nobody reads any more."""
+    """It ends by Ctrl-C, by signals, and by an error, a closed pipe as output."""
     read, write = os.pipe()
     ends = {'Ctrl-C': (0, lambda keys: keys.press(b'\x03')),
             'kill -INT': (0, lambda keys: keys.process.send_signal(signal.SIGINT)),

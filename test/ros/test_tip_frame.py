@@ -26,7 +26,7 @@ FORCE, DURATION = [60.0, 40.0, 0.0, 0.0, 0.0, 5.0], 0.32  # turns the tip by 0.0
 
 
 def driven(scene, frame='tip'):
-    """Return a simulator after the time in which it is driven by the force."""
+    """Return a simulator after DURATION under the force."""
     simulator, commanded = Simulator(scene), np.zeros(COMMANDED)
     TIP.apply(TIP.row([frame], [FORCE]), commanded)
     for _ in range(round(DURATION / scene.step)):
@@ -36,7 +36,7 @@ def driven(scene, frame='tip'):
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
 def test_its_direction_is_right_to_second_order(formulation):
-    """Against the same equations, integrated by another method with the direction of each time."""
+    """The reference integrates the same equations by another method with the exact direction."""
     scene = timo_sim.load_scene({'model.formulation': formulation, 'initial.shaft_velocity': 1.0})
     simulator = Simulator(scene)
     model, motion = simulator.model, simulator.integration.motion
@@ -61,7 +61,7 @@ def test_its_direction_is_right_to_second_order(formulation):
     assert finest < 1e-6  # 2e-7
     for ratio in rough / fine, fine / finest:
         assert 1.8 < np.log2(ratio) < 2.2
-    # In axes of the shaft it would be something else.
+    # The same force in axes of the shaft gives another motion.
     assert np.abs(driven(scene, 'arm').motion.values[:len(true)] - true).max() > 1e-3
 
 

@@ -50,13 +50,13 @@ def pose_in_world(time, x, y, z, w):
 
 
 def one_joint(name):
-    """Return what makes messages with the position of one joint."""
+    """Return a function that makes messages with the position of one joint."""
     return lambda time, position: JointState(
         header=Header(stamp=time), name=[name], position=[position])
 
 
 def imu_at_tip(time, x, y, turning):
-    """Return acceleration and turning of the tip; by REP-145 -1 says: no orientation."""
+    """Return an IMU message of the tip; by REP 145 -1 means no orientation."""
     return Imu(header=Header(stamp=time, frame_id='tip'),
                orientation_covariance=[-1.0] + 8 * [0.0], angular_velocity=Vector3(z=turning),
                linear_acceleration=Vector3(x=x, y=y, z=9.80665))
@@ -85,7 +85,7 @@ def test_packed_is_what_rclpy_serializes(output):
         message = BUILD[output.name](Time(sec=sec, nanosec=nanosec), *numbers)
         assert isinstance(message, message_type)
         packed, expected = pack((sec, nanosec), numbers), serialize_message(message)
-        # Between fields, and four bytes for an empty list, rclpy leaves what was in memory.
+        # In padding, and in four bytes of an empty list, rclpy leaves bytes of old memory.
         meant = layout(output.type_name, expected).meant()
         assert [packed[place] for place in meant] == [expected[place] for place in meant]
         assert not any(packed[place] for place in set(range(len(packed))) - set(meant))

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The frames on /tf; conftest.py leaves this out where tf2_msgs is not installed."""
+"""The frames on /tf; conftest.py skips this file where tf2_msgs is not installed."""
 
 import math
 from pathlib import Path

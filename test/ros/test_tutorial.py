@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Tutorials for ROS and control, as a reader types them; test_pages.py runs what needs no node."""
+"""Commands of the tutorials on ROS and control; test_pages.py runs those without a node."""
 
 from pathlib import Path
 import re
@@ -27,7 +27,7 @@ MODULES = {'sim_node': ['-m', 'timo_sim.cli.sim_node'], 'timo_sim': ['-m', 'timo
 
 
 class Reader:
-    """Types what a page shows, in a folder with a copy of the examples."""
+    """Runs the commands of a page in a folder with a copy of the examples."""
 
     def __init__(self, page, folder):
         self.text, self.folder = (ROOT / 'doc' / 'tutorial' / page).read_text(), folder
@@ -40,11 +40,11 @@ class Reader:
         return [sys.executable, *MODULES[name], *arguments]
 
     def start(self, begin, *more):
-        """Start the node by the line that begins so."""
+        """Start the node by the line of the page that begins with `begin`, and more arguments."""
         self.node = subprocess.Popen([*self._command(begin), *more], cwd=self.folder)
 
     def run(self, begin):
-        """Return what the command on the line that begins so prints."""
+        """Run the command on the line that begins with `begin`; return what it prints."""
         result = subprocess.run(self._command(begin), cwd=self.folder, capture_output=True,
                                 text=True, timeout=PATIENCE)
         assert result.returncode == 0, result.stderr
@@ -53,7 +53,7 @@ class Reader:
 
 @pytest.fixture
 def reader(tmp_path):
-    """Return a function that lets somebody read a page."""
+    """Return a function that returns a Reader of a page."""
     readers = []
 
     def read(page):
@@ -70,7 +70,7 @@ def test_ros(reader):
     ros.start('sim_node')
     shown = subprocess.run([sys.executable, '-c', ros.python], capture_output=True, text=True,
                            timeout=PATIENCE, check=True).stdout
-    # 23.00 mm between samples; a node that is held up may show less of them.
+    # The peak of 23.00 mm may fall between samples, and a busy node shows fewer samples.
     steps = re.fullmatch(
         r'bent by up to 2[0-3] mm\npaused\nat step (\d+)\nat step (\d+)\nrunning\n', shown)
     assert int(steps[2]) == int(steps[1]) + 1

@@ -26,7 +26,7 @@ from timo_sim.log.recording import Recording
 
 
 class Launch:
-    """`ros2 launch timo_sim`, in a process of its own."""
+    """`ros2 launch timo_sim` in a separate process."""
 
     def __init__(self, folder, environment, *arguments):
         self._output = folder / 'output.txt'
@@ -36,11 +36,11 @@ class Launch:
                 stderr=subprocess.STDOUT, env={**environment, 'ROS_LOG_DIR': str(folder)})
 
     def seen(self, words):
-        """Return what a regular expression finds in the output so far."""
+        """Return all matches of a regular expression in the output so far."""
         return re.findall(words, self._output.read_text())
 
     def wait_for(self, words, count=1):
-        """Wait until that is found so often, and return it."""
+        """Wait for so many matches, and return them."""
         end = time.monotonic() + PATIENCE
         while len(self.seen(words)) < count:
             assert time.monotonic() < end, self._output.read_text()
@@ -54,7 +54,7 @@ class Launch:
 
 @pytest.fixture
 def launch(installed, tmp_path):
-    """Return a function that launches, and ends it after the test."""
+    """Return a function that launches; the process is ended after the test."""
     found = []
 
     def launch(*arguments, **environment):
@@ -68,7 +68,7 @@ def launch(installed, tmp_path):
 
 def test_arguments_of_the_simulator(launch, client, tmp_path):
     launched = launch('sim.launch.py', 'namespace:=left', 'frame_prefix:=left/', 'respawn:=true',
-                      'record_file:=1.mcap')  # a text, though it looks like none
+                      'record_file:=1.mcap')  # a text that begins like a number
     clock = client.collect(Clock, '/clock')
     client.wait(lambda: clock, 'the clock')
     get = client.service(GetParameters, '/left/timo_sim/get_parameters')
@@ -86,7 +86,7 @@ def test_arguments_of_the_simulator(launch, client, tmp_path):
     assert launched.wait()[0] == 0
 
 
-def test_what_is_not_given_is_as_in_the_file(launch, tmp_path):
+def test_arguments_that_are_not_given_leave_the_file_as_it_is(launch, tmp_path):
     (tmp_path / 'my scene.yaml').write_text(yaml.safe_dump({'/**': {'ros__parameters': {
         'duration': 0.1, 'record_file': 'its.mcap', 'frame_prefix': 'its/',
         'publish_tf': True, 'publish_clock': True}}}))
@@ -105,7 +105,7 @@ def test_what_is_not_given_is_as_in_the_file(launch, tmp_path):
     ('rviz.launch.py', 'params_file:=none.yaml', "No such file or directory: 'none.yaml'"),
     ('sim.launch.py', 'clock:=yes', 'Argument "clock" provided value "yes" is not valid'),
 ])
-def test_what_is_wrong_ends_the_launch(launch, file, argument, words):
+def test_wrong_arguments_end_the_launch(launch, file, argument, words):
     launched = launch(file, argument)
     code, output = launched.wait()
     assert code == 1 and words in output and not launched.seen('process started')
@@ -113,7 +113,7 @@ def test_what_is_wrong_ends_the_launch(launch, file, argument, words):
 
 def test_rviz_and_robot_state_publisher_get_the_scene_namespace_and_time(
         launch, installed, tmp_path):
-    """Programs of these names say what they are started with."""
+    """Stand-ins of both programs print their arguments."""
     others = tmp_path / 'others'
     (others / 'share/ament_index/resource_index/packages').mkdir(parents=True)
     for name in 'robot_state_publisher', 'rviz2':

@@ -56,7 +56,7 @@ class Ros2:
             process.wait()
 
     def state(self, condition):
-        """Return the first joint state of which an expression in `m` is true."""
+        """Return the first joint state for which an expression in `m` is true."""
         return next(yaml.safe_load_all(self(
             'topic', 'echo', '--no-daemon', '--once', '--filter', condition, '/joint_states',
             'sensor_msgs/msg/JointState')))
@@ -86,7 +86,7 @@ def response(path):
     return dict(zip((step - pushed).tolist(), motion, strict=True))
 
 
-def test_a_recorded_bag_is_read_and_replayed_to_the_motion_that_was(ros2):
+def test_a_recorded_bag_replays_to_the_recorded_motion(ros2):
     assert {*ros2('pkg', 'executables', 'timo_sim').split()} == {'timo_sim', 'sim_node'}
     with Reader(ros2.folder / 'bag') as reader:
         counts = {each.topic: each.msgcount for each in reader.connections}
@@ -103,7 +103,7 @@ def test_a_recorded_bag_is_read_and_replayed_to_the_motion_that_was(ros2):
          f'{table["time_s"][-1]:.3f}', '-o', 'again.mcap')
     live, again = response(ros2.folder / 'run.mcap'), response(ros2.folder / 'again.mcap')
     both = [step for step in live.keys() & again.keys() if step > 0]
-    # Without other loads the motion depends on the time since the push alone.
+    # Without other loads the motion depends only on the time since the push.
     assert len(both) > 10 and all(np.array_equal(live[step], again[step]) for step in both)
 
 

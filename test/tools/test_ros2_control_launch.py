@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""`ros2 launch` of ros2_control.launch.py, and the commands of doc/ros.md, literally."""
+"""`ros2 launch` of ros2_control.launch.py, and the literal commands of doc/ros.md."""
 
 from contextlib import contextmanager, suppress
 import os
@@ -36,7 +36,7 @@ MISSING = [package for package in PROGRAMS
 
 @pytest.fixture
 def packages(tmp_path, monkeypatch):
-    """Install the simulator as `sim_node`; other programs just say their arguments and wait."""
+    """Install the simulator as `sim_node`, and stand-ins that print their arguments and wait."""
     for package, programs in PROGRAMS.items():
         for program in programs:
             path = tmp_path / 'lib' / package / program
@@ -54,7 +54,7 @@ def packages(tmp_path, monkeypatch):
 
 @contextmanager
 def launched(command, folder):
-    """Run a launch file in a folder; yield a function that returns what it says."""
+    """Run a launch file in a folder; yield a function that returns its output."""
     said = folder / 'said.txt'
     with said.open('w') as file:
         process = subprocess.Popen(['bash', '-c', f'exec {command}'], cwd=folder, stdout=file,
@@ -72,7 +72,7 @@ def launched(command, folder):
         process.wait()
 
 
-def test_the_launched_simulator_does_what_hardware_and_manager_are_told(
+def test_the_launched_simulator_matches_hardware_and_manager(
         packages, client, tmp_path):
     controllers = ROOT / 'config/controllers.yaml'
     with launched(f'{packages} controller:=pid_controller sync:=any_command', tmp_path) as said:
@@ -106,7 +106,7 @@ def test_a_file_that_is_missing_ends_everything(packages, tmp_path):
     lambda angle, speed, effort: abs(angle - 1.5) < 0.01 and abs(speed) < 0.01], strict=True),
     ids=['effort', 'pid'])
 def test_the_commands_of_the_page_move_the_shaft(client, tmp_path, launch, publish, moved, sync):
-    """By the real ros2_control."""
+    """With the real ros2_control."""
     with launched(f'{launch} sync:={sync}', tmp_path) as said:
         client.wait(lambda: re.search(
             'activated .*(effort|pid)_controller|process has died', said()), 'a controller')

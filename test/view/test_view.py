@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a view shows is where physics says; as rerun itself reads and draws it."""
+"""Views show the computed motion, curves and energy; rerun itself reads and draws them."""
 
 from contextlib import suppress
 import os
@@ -80,7 +80,7 @@ def test_tip_and_centre_line_are_drawn_where_they_are(run, shown, tmp_path):
     picture(path, png, AT, view='plane')
     image = imread(png)
     height, width = image.shape[:2]
-    # The picture of a view lacks some pixels all around: the scale is that of the grid, 0.5 m.
+    # The picture lacks some pixels at its edges, so the scale comes from the grid of 0.5 m.
     grid = np.abs(image[..., :3] * 255.0 - GRID).max(axis=-1) < 14
     scale = np.diff(np.flatnonzero(grid.mean(axis=0) > 0.5))[[0, -1]].mean() / 0.5
     fits = min(width / (right - left), height / (top - bottom))
@@ -97,7 +97,7 @@ def test_tip_and_centre_line_are_drawn_where_they_are(run, shown, tmp_path):
     assert len(disc) > 200
     assert np.linalg.norm(centre - project(LENGTH)) < 2.0
 
-    # Between the arc of the torque and the end effector: the middle of what is drawn near a point.
+    # Between torque arc and end effector: compare points with the mean of arm pixels near them.
     drawn = pixels(image, ARM)
     middle = [drawn[np.linalg.norm(drawn - project(xi), axis=1) < 6.0].mean(axis=0) - project(xi)
               for xi in np.linspace(0.4, 1.75, 30)]
@@ -114,12 +114,12 @@ def test_an_animation_shows_the_arm_where_it_is(run, tmp_path):
     assert animation.n_frames == 31 and animation.info['duration'] == 100  # [ms], as in the run
     for number, k in ((0, 0), (18, 900)):
         animation.seek(number)
-        # The arm, or rather the line that its pixels are about; further left there is no other.
+        # A line is fitted to the arm's pixels; the left part has no others of this colour.
         found = pixels(np.asarray(animation.convert('RGB'))[:, :360] / 255.0, (0, 114, 178))
         x, y = np.linalg.svd(found - found.mean(axis=0), full_matrices=False)[2][0]
         chord = run.position(LENGTH)[k] - run.carrier[k]
         off = np.arctan2(-y, x) - np.arctan2(*chord[::-1])
-        # The bent arm lies to one side of its chord, and of the path of its tip there is some.
+        # The bent arm lies to one side of its chord, and the pixels include a part of its path.
         assert abs((off + np.pi / 2) % np.pi - np.pi / 2) < 0.02
 
 
@@ -143,7 +143,7 @@ def test_energy_balance_closes(run, paper):
         return (np.abs(track.trace('balance').values).max()
                 / track.trace('energy').values.max())
 
-    # Of samples at 500 Hz under loads of 4 Hz: Simpson's rule has (0.05)^4 / 2880.
+    # Simpson's rule at 500 Hz under loads of 4 Hz has a relative error of (0.05)^4 / 2880.
     assert worst(run) < 1e-6
     driven = timo_sim.load_scene('spin_up')
     assert worst(timo_sim.simulate(driven, 10.0)) < 1e-6
@@ -154,7 +154,7 @@ def test_energy_balance_closes(run, paper):
     assert np.all(np.diff(track.trace('balance').values[::10, 0]) < 1e-9)
 
 
-def test_work_is_exact_for_a_constant_force_and_none_is_done_by_a_reset():
+def test_work_is_exact_for_a_constant_force_and_zero_at_a_reset():
     t = np.array([0.0, 0.1, 0.25, 0.25, 0.4, 0.5])
     x = np.column_stack([t**3, 2.0 * t])
     speed = np.column_stack([3.0 * t**2, 2.0 + 0.0 * t])
@@ -165,7 +165,7 @@ def test_work_is_exact_for_a_constant_force_and_none_is_done_by_a_reset():
 
 
 def bag(run):
-    """Return what a plain bag of the node's topics has of a run, at 100 Hz."""
+    """Return a recording like that of a plain bag of the node's topics of a run, at 100 Hz."""
     track, part = of_run(run), slice(None, None, 5)
     pose = run.shaft + run.rotation(LENGTH)
     series = {
@@ -193,7 +193,7 @@ def test_the_shape_on_a_plain_bag_comes_from_the_tip(run):
     assert np.abs(drawn - true).max() < 0.03 * bend
 
 
-def test_a_bag_without_what_a_shape_needs_is_refused(run):
+def test_a_bag_without_the_topics_of_the_shape_is_refused(run):
     recording = bag(run)
     del recording.read()['~/tip_pose']
     with pytest.raises(TrackError, match='bag.mcap: the shape of the arm needs tip_pose'):
@@ -230,7 +230,7 @@ def log(tmp_path_factory, paper):
     return node.log
 
 
-def test_a_log_of_the_node_is_shown_as_the_run_that_it_is(log, paper, tmp_path):
+def test_a_log_of_the_node_is_shown_like_its_run(log, paper, tmp_path):
     path = tmp_path / 'out.rrd'
     result = CliRunner().invoke(main, ['view', str(log), str(log), '--save', str(path)])
     assert result.exit_code == 0, result.output
@@ -244,7 +244,7 @@ def test_a_log_of_the_node_is_shown_as_the_run_that_it_is(log, paper, tmp_path):
     assert np.all(values == 0.0)
 
 
-def test_a_plain_bag_is_shown_as_its_log_is(log, tmp_path):
+def test_a_plain_bag_is_shown_like_its_log(log, tmp_path):
     with AnyReader([log]) as reader, Writer(
             tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         store, kept = get_typestore(Stores.ROS2_JAZZY), {}
@@ -271,7 +271,7 @@ def test_work_stops_at_a_reset(log):
     step, ns, motion = recording.motion()
     shown = of_recording(recording, 'log').trace('balance').values
     assert np.abs(shown).max() < 1e-2
-    # As if the motion had started again in the middle.
+    # Let the motion start again in the middle, as after a reset.
     half = len(ns) // 2
     again = np.concatenate([motion[:half], motion[:len(ns) - half]])
     recording.motion, recording.resets = lambda series: (step, ns, again), step[[half]]
@@ -296,7 +296,7 @@ def test_bad_input_and_a_missing_viewer_are_one_line(log, tmp_path):
     assert 'there is no screen' in done.stderr
 
 
-def test_names_are_told_apart():
+def test_names_of_runs_become_unique():
     assert unique_names(['a', 'b', 'a']) == ['a', 'b', 'a_2']
     assert unique_names(['a_2', 'a', 'a', 'a_3', 'a']) == ['a_2', 'a', 'a_4', 'a_3', 'a_5']
 
@@ -304,7 +304,7 @@ def test_names_are_told_apart():
 @pytest.mark.parametrize('option, words', [
     (['--fps', 'nan'], '--fps must be a finite number > 0'),
     (['--fps', 'inf'], '--fps must be a finite number > 0')])
-def test_numbers_that_are_none(log, option, words):
+def test_invalid_numbers_are_refused(log, option, words):
     for wanted in ('--save', 'a'), ('--gif', 'a.gif'):
         result = CliRunner().invoke(main, ['view', str(log), *wanted, *option])
         assert result.exit_code == 2 and words in result.output
@@ -313,10 +313,10 @@ def test_numbers_that_are_none(log, option, words):
 @pytest.mark.parametrize('arguments, words', [
     (['--save', 'a.rrd', '--at', 'nan'], '--at must be a finite number, got nan'),
     (['--save', 'a.rrd', '--at', '99'], '--at = 99 s is not in the run, which is from 0 to'),
-    (['--save', 'a.png'], '--save is a file of rerun: name it *.rrd, not a.png'),
-    (['--gif', 'a.png'], 'an animation is a GIF: name it so, not a.png'),
+    (['--save', 'a.png'], 'the path of --save, a rerun file, must end with .rrd, got a.png'),
+    (['--gif', 'a.png'], 'the path of an animation must end with .gif, got a.png'),
     (['--png', 'none/a.png'], '--png none/a.png cannot be written')])
-def test_views_that_cannot_be_are_one_line(log, tmp_path, monkeypatch, arguments, words):
+def test_invalid_views_are_refused_in_one_line(log, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(main, ['view', str(log), *arguments])
     assert result.exit_code == 2 and words in result.output and result.output.count('\n') == 1
@@ -324,7 +324,7 @@ def test_views_that_cannot_be_are_one_line(log, tmp_path, monkeypatch, arguments
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
-def test_the_browser_is_told_where_and_a_signal_ends_it(log, number):
+def test_the_web_viewer_prints_its_address_and_ends_on_a_signal(log, number):
     command = [sys.executable, '-c', 'from timo_sim.cli import main; main()', 'view', str(log),
                '--web']
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True,

@@ -7,12 +7,12 @@
 # language governing permissions and limitations under the License.
 
 """
-The commands `timo_sim` (`commands`, `teleop`, `urdf`, `view`) and `sim_node`.
+The commands `timo_sim` (subcommands in `commands`, `teleop`, `urdf`, `view`) and `sim_node`.
 
 It may import everything; nothing imports it.
 """
 
-# Each adds itself.
+# Each of these modules adds its subcommand to `main`.
 from timo_sim.cli import teleop as _teleop, urdf as _urdf, view as _view  # noqa: F401
 from timo_sim.cli.commands import main
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The subcommands of `timo_sim`, which import what they need when they run."""
+"""Most subcommands of `timo_sim`; each imports what it needs when it runs, for a quick start."""
 
 import sys
 import warnings
@@ -17,20 +17,20 @@ from timo_sim.version import __version__
 
 _EXTRAS = {'pyarrow': 'sweep', 'distributed': 'cluster', 'geometry_msgs': 'ros',
            'rerun': 'view', 'rerun_cli': 'view', 'matplotlib': 'plot'}
-# By name, because the modules of most are not imported.
+# Errors by name, because most of their modules are not imported here.
 _WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError', 'TrackError'
 
 
 class _Command(click.Command):
-    """A subcommand, which ends with an error as one line and an exit code."""
+    """A subcommand that reports an error as one line and an exit code."""
 
     def __init__(self, name, **options):
-        # In a raw docstring click's mark of lines that are kept as they are is two characters.
+        # In a raw docstring, click's mark of a preformatted paragraph is two characters.
         options['help'] = options['help'].replace('\\b', '\b')
         super().__init__(name, **options)
 
     def invoke(self, context):
-        """Run it; end with code 2 for wrong input, 1 for what the machine lacks."""
+        """Run it; exit with 2 for wrong input, 1 for a missing package, MemoryError or OSError."""
         try:
             return super().invoke(context)
         except Exception as error:
@@ -55,7 +55,7 @@ main.command_class = _Command
 
 
 def parsed(settings):
-    """Return values by name of texts such as 'model.modes=5', written as in YAML."""
+    """Return values by name from texts such as 'model.modes=5', with values in YAML."""
     from timo_sim.scene.files import parse_yaml
     from timo_sim.scene.parameter import ParameterError
     values = {}
@@ -75,15 +75,15 @@ def parsed(settings):
 @click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
               help='A parameter that differs from the scene; several are allowed.')
 @click.option('--input', 'cause', default='torque_N_m', show_default=True,
-              help='force_x_N, force_y_N or torque_N_m.')
+              help='Input of the model: force_x_N, force_y_N or torque_N_m.')
 @click.option('--response', 'effects', multiple=True, metavar='NAME', show_default=True,
               default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
-              help='Once for each curve, such as tip_acceleration_m_per_s2.')
+              help='Output of the model, such as tip_acceleration_m_per_s2; once for each curve.')
 @click.option('--output', '-o', 'picture', type=click.Path(dir_okay=False), default='bode.png',
-              show_default=True, help='PNG, PDF or SVG.')
+              show_default=True, help='Picture to write: PNG, PDF or SVG.')
 def bode(scene, settings, cause, effects, picture):
     r"""
-    Draw Bode diagram and poles of SCENE, a file or a name, about its initial state.
+    Draw the Bode diagram of SCENE, a file or a name, about its initial state, and print its poles.
 
     \b
         timo_sim bode paper --set arm.damping_ratio=[0.01] -o bode.png
@@ -105,7 +105,7 @@ def bode(scene, settings, cause, effects, picture):
     "Write this topic alone, such as '~/motor_torque' (~ is the node's name) or joint_states."))
 @click.option('--bag', is_flag=True, help=(
     'Make the folder that rosbag2 writes: FILE as OUTPUT_0.mcap, with metadata.yaml beside it.'))
-@click.option('--node', metavar='NAME', help='Full name of the node, for a bag of several.')
+@click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
 def export(file, output, topic, bag, node):
     r"""
     Write FILE, a log or a bag, as a table with units in the names of columns.
@@ -115,9 +115,9 @@ def export(file, output, topic, bag, node):
         timo_sim export run.mcap -o torque.csv --topic '~/motor_torque'
         timo_sim export run.mcap -o my_bag --bag
 
-    One row for each message of joint_states; of the other topics it has the message with the same
-    stamp, and nothing (NaN) where there is none. At a reset two rows have the same time, before
-    and after it.
+    There is one row for each message of joint_states. It also has the messages of the other topics
+    with the same stamp, and nothing (NaN) if there is none. At a reset two rows have the same
+    time, before and after it.
     """
     from timo_sim.log.export import export, export_bag
     click.echo(export_bag(file, output) if bag else export(file, output, topic, node))
@@ -127,7 +127,7 @@ def export(file, output, topic, bag, node):
 @click.argument('file', type=click.Path())
 def info(file):
     r"""
-    Say what FILE, a log or a bag's folder, is about: scene, duration, rates, gaps, commands, peak.
+    Describe FILE, a log or a bag's folder: scene, duration, topics with rates and gaps, peak.
 
     \b
         timo_sim info run.mcap
@@ -148,7 +148,7 @@ def recover(file, output):
     \b
         timo_sim recover run.mcap
 
-    FILE is only read. Of a complete log nothing is written.
+    FILE is not changed. If it is complete, nothing is written.
     """
     from timo_sim.log.recover import recover
     click.echo(recover(file, output))
@@ -160,7 +160,7 @@ def recover(file, output):
               help='A parameter that differs from the recorded scene; several are allowed.')
 @click.option('--formulation', metavar='NAME', help='Short for --set model.formulation=NAME.')
 @click.option('--scene', type=click.Path(),
-              help='Parameter file to take instead of the recorded scene; a plain bag needs it.')
+              help='Parameter file to use instead of the recorded scene; a plain bag needs it.')
 @click.option('--output', '-o', type=click.Path(), help=(
     'New log; by default FILE with _replay after its name in the working directory if anything '
     'is changed, else none. Never overwrites: _1, _2, ... is appended.'))
@@ -168,13 +168,14 @@ def recover(file, output):
               help='Sim time of the first command of a bag without sim time [s].')
 @click.option('--duration', type=float,
               help='Sim time of the end [s]; by default that of the last message.')
-@click.option('--node', metavar='NAME', help='Full name of the node, for a bag of several.')
+@click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
 def replay(file, settings, formulation, scene, output, start, duration, node):
     r"""
     Run the commands and resets of FILE again, at full speed, and compare.
 
-    A log of this package gives the same numbers to the last bit. With a changed scene the same
-    commands are run, a new log is written and the differences are shown: largest, when, rms.
+    With the recorded scene, a log of this package gives the same numbers to the last bit. With a
+    changed scene the same commands are run, a new log is written and the differences are shown:
+    largest, its time, rms.
 
     \b
         timo_sim replay run.mcap
@@ -207,11 +208,11 @@ def replay(file, settings, formulation, scene, output, start, duration, node):
     'File of the run: *.mcap (a log), *.parquet or *.csv. An existing log is never overwritten; '
     '_1, _2, ... is appended.'))
 @click.option('--rate', type=float, metavar='HZ', help=(
-    'Samples per second of sim time; by default 100, or what the step allows.'))
-@click.option('--compare', is_flag=True, help='Compare with a finer run, whatever the length.')
+    'Samples per second of sim time; by default about 100, or one each step if these do not fit.'))
+@click.option('--compare', is_flag=True, help='Compare with a finer run, also if the run is long.')
 @click.option('--view', is_flag=True, help='Show the run in rerun.')
 @click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
-              help='Draw curves and the arm in the plane to a picture.')
+              help='Picture to write: curves over time, and the arm in the plane.')
 def simulate(scene, duration, settings, output, rate, compare, view, png):
     r"""
     Simulate SCENE, a parameter file or the name of an installed scene, without ROS.
@@ -220,7 +221,7 @@ def simulate(scene, duration, settings, output, rate, compare, view, png):
         timo_sim simulate paper --png paper.png
         timo_sim simulate my_scene.yaml --duration 20 --set model.modes=5 -o run.mcap
 
-    Exit codes: 0 good; 1 the run diverges, what it came to is written all the same; 2 bad input.
+    Exit codes: 0 good; 1 the run diverges (samples up to there are written); 2 bad input.
     """
     from timo_sim.runs.simulate import simulate
     from timo_sim.scene.parameter import ModelWarning, whole_ratio
@@ -235,7 +236,7 @@ def simulate(scene, duration, settings, output, rate, compare, view, png):
         every = every if steps % every == 0 else 1
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter('ignore', ModelWarning)  # the run's message says it
+            warnings.simplefilter('ignore', ModelWarning)  # `run.message` has its text
             run, diverged = simulate(scene, duration, every, compare or None), None
     except DivergenceError as error:
         run, diverged = error.run, error
@@ -256,10 +257,10 @@ def simulate(scene, duration, settings, output, rate, compare, view, png):
 @main.command()
 @click.argument('file', type=click.Path(exists=True, dir_okay=False))
 @click.option('--output', '-o', type=click.Path(dir_okay=False),
-              help='Parquet file; by default FILE with this ending, in the working directory.')
+              help='Parquet file; by default named after FILE, in the working directory.')
 @click.option('--workers', type=click.IntRange(min=1), help='Processes; by default one a core.')
 @click.option('--scheduler', metavar='ADDRESS',
-              help='Of a Dask scheduler, instead of processes of this machine.')
+              help='Use workers of this Dask scheduler instead of processes of this machine.')
 def sweep(file, output, workers, scheduler):
     r"""
     Do the runs of FILE and write a table of their results.
@@ -267,7 +268,7 @@ def sweep(file, output, workers, scheduler):
     \b
         timo_sim sweep config/sweep.yaml
 
-    A sweep that was stopped goes on where it was when the command is given again.
+    If a sweep was stopped, the same command continues it.
     """
     from timo_sim.sweep.store import run_sweep
     run_sweep(file, output, workers, scheduler)

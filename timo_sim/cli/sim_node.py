@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The executable `sim_node`: nothing heavy is imported before signals are taken care of."""
+"""The executable `sim_node`; it installs signal handlers before anything large is imported."""
 
 from collections.abc import Callable
 import os
@@ -24,13 +24,13 @@ The ROS 2 node timo_sim. Parameters are set by --ros-args:
 
 class StopRequest:
     """
-    SIGINT and SIGTERM as a clean end, in a way that fits how far the process has come.
+    Turns SIGINT and SIGTERM into a clean end of the process, with code 0.
 
-    While modules are imported nothing needs an end, and an exception could surface as a failed
-    import: the process just ends. While the node is `building` (it may compile for seconds)
-    SystemExit(0) unwinds it; where Python must swallow that, in a callback of C code, `set` is
-    seen as soon as the node runs. Once it is `running`, `set` is for its loop to see; further
-    signals change nothing, so they cannot break the cleaning up.
+    While modules are imported there is nothing to clean up, and an exception could appear as a
+    failed import: the process exits at once. While the node is `building` (it may compile for
+    seconds), SystemExit unwinds it. If a callback of C code swallows that, the node's loop sees
+    `set` as soon as it runs. Once the node is `running`, its loop sees `set`. Further signals are
+    ignored, so that they cannot interrupt the clean-up.
     """
 
     def __init__(self):
@@ -45,11 +45,11 @@ class StopRequest:
         sys.unraisablehook = _ignore_exit
 
     def running(self):
-        """Say that a loop looks at `set` from now on."""
+        """Say that a loop checks `set` from now on."""
         self._end = lambda: None
 
     def finished(self):
-        """Say that only the interpreter's own end is left: it would undo a handler, not this."""
+        """Ignore signals: the interpreter's shutdown undoes Python's handlers, but not SIG_IGN."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
 
@@ -76,7 +76,7 @@ def main(args=None):
     Returns
     -------
     int
-        Exit code: 0 for a good end, 1 without ROS or if the middleware refuses, 2 for a parameter
+        Exit code: 0 for a good end, 1 if ROS is missing or the middleware fails, 2 for a parameter
         or an argument that breaks its rule.
 
     """
@@ -87,7 +87,7 @@ def main(args=None):
         print(_HELP)
         return 0
     if given:
-        print(f'timo_sim: {given[0]!r} stands outside of --ros-args: try sim_node --ros-args '
+        print(f'timo_sim: {given[0]!r} must be inside of --ros-args: try sim_node --ros-args '
               '-p duration:=10.0, or sim_node --help', file=sys.stderr)
         return 2
     try:
@@ -104,7 +104,7 @@ def main(args=None):
 
 
 def _open_streams():
-    # A file that is opened later must not get the number of a stream that is closed.
+    # If a standard stream is closed, a file that is opened later would get its number.
     for number, name in enumerate(('stdin', 'stdout', 'stderr')):
         try:
             os.fstat(number)
@@ -113,7 +113,7 @@ def _open_streams():
 
 
 def _outside_ros_args(arguments):
-    # What stands before --ros-args, or after the -- that ends it.
+    # Arguments before --ros-args, or after the -- that ends it.
     outside, inside = [], False
     for argument in arguments:
         if argument == '--ros-args':

@@ -6,13 +6,13 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The subcommand `urdf`: urdf/timo_sim.urdf, which is the paper's, with the bodies of a scene."""
+"""The subcommand `urdf`, which writes a scene's bodies into the paper's URDF, timo_sim.urdf."""
 
 import click
 
 from timo_sim.cli.commands import main, parsed
 
-_ALUMINIUM = 2710.0  # [kg/m3]; bodies are drawn as large as their masses of it
+_ALUMINIUM = 2710.0  # [kg/m3]; bodies are drawn with the volume of their mass in aluminium
 
 
 @main.command()
@@ -26,8 +26,8 @@ def urdf(scene, settings):
     \b
         timo_sim urdf my_scene.yaml > my_scene.urdf
 
-    Lengths, masses, centres of mass and moments of inertia are those of the scene, with the arm
-    straight and that of the shaft in the link arm. Links have the names of the frames.
+    Lengths, masses, centres of mass and moments of inertia are those of the scene with a straight
+    arm; the link arm includes the inertia of the shaft. Links have the names of the frames.
     """
     from timo_sim.scene.files import read_parameter_file
     from timo_sim.scene.parameters import frame_names
@@ -67,7 +67,7 @@ def _values(body):
     mass = lump.sum()
     centre = lump @ nodes.nodes / mass
     apart = lump @ (nodes.nodes - centre)**2
-    # About the axes along the arm's height and width, without that of the length.
+    # Parts of the moments of inertia that are due to the section's height and width.
     bending, sideways = (lump @ (np.ones_like(lump) * size**2) / 12.0
                          for size in (section.height, section.width))
     spin = body.shaft_inertia
@@ -87,9 +87,9 @@ def _values(body):
         return f"link[@name='{link}']/visual[{number}]/{shape}"
 
     return {
-        # It does not turn: any that a body can have.
+        # The carrier does not turn: any moments of inertia will do that a body can have.
         **inertial('carrier', base, 0.0, *3 * [base * carrier**2 / 6.0]),
-        # A shaft turns about z alone: of the moments of a ball only that counts.
+        # The shaft turns about z alone: its moments about x and y are made up, as of a ball.
         **inertial('arm', mass, centre, spin + bending + sideways, spin + apart + sideways,
                    spin + apart + bending),
         **inertial('tip', tip, 0.0, *3 * [body.end_effector_inertia]),

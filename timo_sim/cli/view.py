@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The subcommand `view`."""
+"""The subcommand `view`, which shows recorded runs."""
 
 from functools import partial
 
@@ -23,11 +23,12 @@ from timo_sim.cli.commands import main
               help='Draw a picture instead, without a screen.')
 @click.option('--gif', type=click.Path(dir_okay=False), metavar='OUT.gif',
               help='Draw an animation instead, without rerun.')
-@click.option('--at', type=float, metavar='SECONDS', help='Sim time of the picture; the end.')
+@click.option('--at', type=float, metavar='SECONDS',
+              help='Sim time of the picture [s]; by default the end.')
 @click.option('--web', is_flag=True, help='Open the browser instead of a window.')
 @click.option('--fps', type=click.FloatRange(min=0.0, min_open=True), default=30.0,
-              show_default=True, help='Frames of the moving arm per second; curves have all.')
-@click.option('--node', metavar='NAME', help='Which node of a bag with several.')
+              show_default=True, help='Frames per second of the arm; curves have all samples.')
+@click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
 def view(files, save, png, gif, at, web, fps, node):
     r"""
     Show recorded runs, laid over each other, in rerun or as an animation.
@@ -41,7 +42,7 @@ def view(files, save, png, gif, at, web, fps, node):
     """
     wanted = save or png or web or not gif
     if wanted:
-        import rerun  # noqa: F401  # before minutes are spent on reading
+        import rerun  # noqa: F401  # if it is missing, fail before minutes are spent on reading
     if gif:
         from timo_sim.view.animation import animate
     from timo_sim.log.recording import Recording

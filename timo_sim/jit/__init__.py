@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-What compiled code is made with: decorators, packed constants, a store of machine code on disk.
+Tools for compiled code: decorators, packed constants, a store of machine code on disk.
 
-It may import numba, NumPy and small libraries, and nothing of timo_sim.
+This package may import numba, NumPy and small libraries, and nothing of timo_sim.
 """

@@ -7,14 +7,14 @@
 # language governing permissions and limitations under the License.
 
 """
-Machine code on disk, a file for each function and signature, in place of numba's cache.
+Store of machine code on disk, a file for each function and signature, in place of numba's cache.
 
-numba believes the files that it finds and needs those that it writes: one that a crash or a full
-disk left short, or a folder that is gone, ends the process. Here a file appears under its name
-when it is whole and begins with a checksum; whatever is wrong, the function is compiled.
+numba trusts the files that it finds and needs those that it writes: a file that a crash or a full
+disk cut short, or a missing folder, ends the process. Here a file begins with a checksum and gets
+its name when it is complete; if anything is wrong with it, the function is compiled.
 
-To load machine code is to unpickle, which may run anything: nothing is read from a folder or file
-that another user owns or may write to, or that a symbolic link names.
+Loading machine code means unpickling, which can run any code: nothing is read from a folder or
+file that another user owns or may write to, or that is a symbolic link.
 """
 
 from contextlib import contextmanager, ExitStack, suppress
@@ -38,18 +38,18 @@ import platformdirs
 
 from timo_sim.jit.corrections import compile_powers
 
-_CHECKSUM = 32  # [B] of SHA-256
+_CHECKSUM = 32  # length of a SHA-256 checksum [B]
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-# The sources of which machine code is made: this package and the physics.
+# Folders with the sources of compiled functions.
 _SOURCES = [Path(__file__).parents[1] / folder for folder in ('jit', 'physics')]
 
 
 @functools.cache
 def store_directory():
     """
-    Return the folder of this version's machine code, or None if none can be written.
+    Return the folder for machine code of these sources; warn and return None if none is usable.
 
-    numba tells a stale entry by the date of one file only. The physics calls across files, so the
+    numba recognises a stale entry by the date of one file. The physics calls across files, so the
     folder is named after the contents of all of them.
     """
     digest = hashlib.sha256(f'{numba.__version__} {sys.implementation.cache_tag}'.encode())
@@ -70,8 +70,9 @@ def store_directory():
 
 
 def _roots():
-    with suppress(RuntimeError):  # no home, said by platformdirs or by Path
-        # Earlier versions made the folder `timo_sim` itself, writable to the group by some umasks.
+    with suppress(RuntimeError):  # raised where there is no home folder
+        # Not the folder `timo_sim` itself: earlier versions made it, with some umasks writable by
+        # the group.
         yield Path(os.environ.get('NUMBA_CACHE_DIR')
                    or Path(platformdirs.user_cache_dir('timo_sim'), 'code')).expanduser()
     with suppress(OSError):  # no folder for temporary files
@@ -79,8 +80,8 @@ def _roots():
 
 
 def _open(name, flags, folder=None):
-    """Return a descriptor of what is ours alone, relative to the descriptor of a folder."""
-    # What was put in the place of a file must not make its opening wait.
+    """Return a descriptor; raise PermissionError if others own what is opened or may write it."""
+    # O_NONBLOCK: opening must not wait, not even for a named pipe in the place of a file.
     descriptor = os.open(name, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o600, dir_fd=folder)
     status = os.fstat(descriptor)
     if status.st_uid == os.geteuid() and not status.st_mode & _OTHERS_WRITE:
@@ -102,7 +103,7 @@ def _open_folder(name, parent=None):
 
 @contextmanager
 def _opened(directory):
-    """Open a folder by way of the one around it, both ours alone; make what is missing."""
+    """Open a folder after its parent, both with the checks of `_open`; make missing ones."""
     if directory is None:
         raise FileNotFoundError(errno.ENOENT, 'No folder for machine code')
     directory.parent.parent.mkdir(parents=True, exist_ok=True)
@@ -116,15 +117,15 @@ def _opened(directory):
 
 @contextmanager
 def _file(name, mode):
-    """Open a file of the store, that is ours alone, as `open` does."""
+    """Open a file of the store as `open` does, with the checks of `_open`."""
     with _opened(store_directory()) as folder, open(
             name, mode, opener=functools.partial(_open, folder=folder)) as file:
         yield file
 
 
 def size_mark(*constants):
-    """Return the name of the file that marks machine code for constants of these sizes."""
-    # Those of any size are known by their type.
+    """Return the name of the file that exists if code for these sizes of constants is on disk."""
+    # Packed constants differ by dtype; those of any size share a type.
     layouts = tuple(str(getattr(entry, 'dtype', type(entry))) for entry in constants)
     return f'{hashlib.sha256(repr(layouts).encode()).hexdigest()[:16]}.compiled'
 
@@ -151,36 +152,36 @@ def compiling(*constants):
 
 @contextmanager
 def _no_garbage_collection():
-    # It finds little while numba compiles, and takes a tenth of the time.
-    was = gc.isenabled()
+    # While numba compiles, the collector frees little and takes a tenth of the time.
+    enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if was:
+        if enabled:
             gc.enable()
 
 
 @contextmanager
 def lock(name):
-    """Let one process at a time do something, among all that share the folder of machine code."""
+    """Let one process at a time run a block, of all that share the folder of machine code."""
     with ExitStack() as stack:
-        # Without the folder, on a full disk or one without locks there is nothing to share.
+        # Where no file can be made or locked, the block runs unlocked: code may be compiled twice.
         with suppress(OSError):
             held = stack.enter_context(_file(name, 'ab'))
             fcntl.flock(held, fcntl.LOCK_EX)
-            stack.callback(fcntl.flock, held, fcntl.LOCK_UN)  # a fork may have it open, too
+            stack.callback(fcntl.flock, held, fcntl.LOCK_UN)  # a forked child may keep it open
         yield
 
 
 class CodeStore:
     """
-    Machine code of one function, as numba's dispatcher asks for it.
+    Store of the machine code of one function, called by numba's dispatcher as its cache.
 
     Parameters
     ----------
     function : function
-        Not compiled.
+        The Python function.
 
     """
 
@@ -194,7 +195,7 @@ class CodeStore:
         return f'{self._name}-{hashlib.sha256(key.encode()).hexdigest()}.code'
 
     def load_overload(self, signature, target):
-        """Return what was saved, or None: then the function is compiled."""
+        """Return the saved machine code for a signature, or None: numba then compiles."""
         target.refresh()
         try:
             with _file(self._file_name(signature, target.codegen()), 'rb') as file:
@@ -208,7 +209,7 @@ class CodeStore:
         return compiler.CompileResult._rebuild(target, *pickle.loads(data))
 
     def save_overload(self, signature, result):
-        """Save machine code, or warn that it is not."""
+        """Save the machine code for a signature; warn if that fails."""
         data = serialize.dumps(result._reduce())
         unfinished = uuid.uuid4().hex
         try:

@@ -20,7 +20,7 @@ import numpy as np
 
 @functools.cache
 def _layout(fields):
-    # One dtype object per layout: numba keeps each that it has seen.
+    # One dtype object per layout, because numba keeps every one that it has seen.
     return np.dtype(list(fields))
 
 
@@ -51,13 +51,13 @@ def of_any_size(fields):
 @intrinsic
 def local(_, like):
     """
-    Return an array that lives as long as the call of the compiled function that asks for it.
+    Return a work array, not initialised, for the current call of a compiled function.
 
     Parameters
     ----------
     like : tuple of arrays
-        Of constants; the new array is as long along each axis as one of them along its first. It
-        is not initialised. Where the constants are not packed, it is allocated.
+        Fields of constants; the length of the new array's k-th axis is that of the k-th field's
+        first axis. If the constants are packed, the array is on the stack, else on the heap.
 
     """
     kind = types.Array(types.float64, len(like), 'C')
@@ -73,7 +73,7 @@ def local(_, like):
     def generate(context, builder, signature, arguments):
         size = ir.Constant(ir.IntType(64), max(1, math.prod(shape)))
         data = cgutils.alloca_once(builder, ir.DoubleType(), size=size)
-        data.align = 32  # of the widest registers
+        data.align = 32  # [B], the width of 256-bit vector registers
         array = context.make_array(kind)(context, builder)
         number = functools.partial(context.get_constant, types.intp)
         context.populate_array(

@@ -11,9 +11,8 @@ Corrections to numba, without which machine code depends on what a process has d
 
 Names: numba names machine code after the types of its arguments: records by the order in which a
 process has met them, nested arrays without their shape. Two sizes that are compiled in different
-processes and loaded from disk into one process would then call each other's code. Here the names
-depend on the contents of the types. So do those for a NamedTuple, which numba names without its
-fields.
+processes and loaded from disk into one process would then call each other's code. numba names a
+NamedTuple without its fields. Here the names depend on the contents of all these types.
 
 Powers: numba compiles `x**2` as a function of its own, once in a process, with the fast math of
 whoever uses it first. The last bits would depend on whether the first user is compiled or loaded
@@ -41,7 +40,7 @@ def correct_names():
 
 @functools.cache
 def compile_powers():
-    """Compile the powers that are in use without fast math; to be called before anything else."""
+    """Compile x**2 and x**3 without fast math; call this before other functions are compiled."""
     numba.njit(fastmath=False, error_model='numpy')(_powers).compile((types.float64,))
 
 

@@ -9,8 +9,8 @@
 """
 Decorators for compiled functions: NaN-safe fast math, machine code on disk, bodies by type.
 
-Loops of a reduced model are short. They become fast where the compiler knows their ends and that
-no two arrays overlap, see `constants`. One machine code for each size of a model follows.
+Loops over modes and nodes are short. They are fast if the compiler knows their lengths and knows
+that no two arrays overlap, see `constants`. The price is machine code for each size of a model.
 """
 
 import inspect
@@ -28,14 +28,14 @@ correct_names()
 # Sums may be reordered and fused, which vectorises the short loops; NaN and Inf keep their
 # meaning, so that a diverged state is still seen ('fast' would assume them away).
 FASTMATH = {'reassoc', 'contract', 'nsz'}
-# A division by zero gives Inf or NaN, too, and raises nothing.
-# Wrappers for C would be optimised with a copy of the function in them.
+# error_model: a division by zero gives Inf or NaN and raises nothing. no_cfunc_wrapper: a wrapper
+# for C would contain a copy of the function, which LLVM would optimise once more.
 _OPTIONS = {'fastmath': FASTMATH, 'error_model': 'numpy', 'no_cfunc_wrapper': True}
 
 
 def _optimise_less_for_any_size(compiled):
-    # With constants that are not packed LLVM spends most of its time on copies of loops for
-    # arrays that do not overlap, which gain nothing where the arrays are short.
+    # For constants that are not packed LLVM makes further versions of each loop for arrays that do
+    # not overlap. They take most of its time and gain nothing for short arrays.
     compiler = compiled._compiler
     compile_as_usual = compiler.compile
 
@@ -52,7 +52,7 @@ def _optimise_less_for_any_size(compiled):
 
 
 def entry_point(function):
-    """Compile a function of a module that Python calls, and keep its machine code on disk."""
+    """Compile a module-level function that Python calls; keep its machine code on disk."""
     compiled = numba.njit(**_OPTIONS)(function)
     _optimise_less_for_any_size(compiled)
     if store_directory() is not None:
@@ -69,15 +69,14 @@ def inner(function):
 
 def strict(function):
     """Compile a function that only compiled functions call, without any fast math."""
-    # The option is given, not left out: an option that is left out is inherited from the function
-    # that calls first.
+    # fastmath is set to False and not left out: then it would be inherited from the first caller.
     return numba.njit(**{**_OPTIONS, 'fastmath': False}, forceinline=True,
                       no_cpython_wrapper=True)(function)
 
 
 def inlined(function):
-    """Compile a function whose text takes the place of its calls in compiled functions."""
-    # As `inner` it would be slower: LLVM finds out too late that its arrays do not overlap.
+    """Compile a function that numba inlines into its callers, before LLVM sees them."""
+    # `inner` would be slower: LLVM finds out too late that the arrays do not overlap.
     return numba.njit(**_OPTIONS, inline='always')(function)
 
 
@@ -86,8 +85,8 @@ def dispatch(declaration, otherwise=None):
     Declare a function whose body is chosen, at compile time, by the fields of its first argument.
 
     A compiled function that takes other compiled functions as arguments cannot be kept on disk;
-    one that calls a declared function can. `@declared.of(Fields)` above a body adds it for the
-    packed constants of a NamedTuple; for those without any, there is one `otherwise`.
+    one that calls a declared function can. `@declared.of(Fields)` registers a body for constants
+    with the fields of the NamedTuple `Fields`; `otherwise` is the body for all others.
     """
     bodies = {}
 
@@ -101,13 +100,13 @@ def dispatch(declaration, otherwise=None):
         return bodies.get(frozenset(getattr(types[0], 'fields', ())), otherwise)
 
     setattr(choose, '__signature__', inspect.signature(declaration))
-    # The body becomes part of its callers: code that is linked may be compiled, and so rounded,
-    # apart from them in the process that compiles and not in one that loads from disk.
+    # The body is inlined into its callers. If it were linked, the last bits could differ between
+    # the process that compiles and one that loads from disk.
     overload(declaration, jit_options={**_OPTIONS, 'forceinline': True})(choose)
     declaration.of = of
     return declaration
 
 
 def optional(declaration):
-    """Declare a function as `dispatch` does; where no other body is added, it is the body."""
+    """Declare a function as `dispatch` does, with its own body where none is registered."""
     return dispatch(declaration, declaration)

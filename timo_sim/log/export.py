@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A log as a table, for pandas, MATLAB and the like, or as the folder that rosbag2 writes."""
+"""Export a log as a table (for pandas, MATLAB and others) or as a folder like rosbag2's."""
 
 import csv
 import os
@@ -22,16 +22,16 @@ from timo_sim.log.series import common
 from timo_sim.log.writer import information, yaml_text
 from timo_sim.messages.outputs import outputs, title, with_angles
 
-_ROWS = 10000  # of a CSV file that are text at once
+_ROWS = 10000  # rows of a CSV file that are converted to text at a time
 
 
 def export(file, output, topic=None, node=None):
     """
     Write a log as a table.
 
-    One row for each message of joint_states, or of `topic`. Of the other topics a row has the
-    message with the same stamp, where there is one. At a reset there are two rows with the same
-    time, before and after it.
+    There is one row for each message of joint_states, or of `topic`. It also has the messages of
+    the other topics with the same stamp; NaN stands for missing ones. At a reset two rows have the
+    same time, before and after it.
 
     Parameters
     ----------
@@ -48,6 +48,11 @@ def export(file, output, topic=None, node=None):
     str
         What was written.
 
+    Raises
+    ------
+    LogError
+        If the file is not a log or lacks the topic, or `output` exists or has another suffix.
+
     """
     output = _new_table(Path(output))
     recording = Recording(file, node)
@@ -60,7 +65,7 @@ def export(file, output, topic=None, node=None):
 
 
 def write_table(columns, path):
-    """Write columns by name to a new file, *.parquet or *.csv; else raise LogError."""
+    """Write columns by name to a path; raise LogError unless it is new, and *.parquet or *.csv."""
     (_parquet if _new_table(path).suffix == '.parquet' else _csv)(columns, path)
 
 
@@ -81,7 +86,7 @@ def named(topic, columns):
 
 
 def table(recording, topic=None):
-    """Return columns by name, (n,) each, and topics of which messages are left out."""
+    """Return columns by name, (n,) each, and the topics whose messages are in part left out."""
     found = recording.read(*([topic] if topic else [output.name for output in outputs(1)]))
     base = found.pop(topic or 'joint_states', None)
     if base is None:
@@ -123,7 +128,7 @@ def _csv(columns, path):
 
 
 def export_bag(file, output):
-    """Make the folder, a new one, that rosbag2 would have written; return what was done."""
+    """Make a new folder as rosbag2 writes it; return a text that says what was done."""
     folder = Path(output)
     index = Index(file)
     new = folder / f'{folder.name}_0.mcap'  # `ros2 bag reindex` takes no other name
@@ -135,7 +140,7 @@ def export_bag(file, output):
         raise LogError(
             f'{printable(folder)} exists: remove it or choose another --output') from None
     try:
-        os.link(index.path, new)  # the same file: a gigabyte takes no time, and no space
+        os.link(index.path, new)  # a hard link takes neither time nor space for a gigabyte
     except OSError:
         shutil.copyfile(index.path, new)
     (folder / 'metadata.yaml').write_text(

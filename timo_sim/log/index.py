@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a complete log says of itself at its end, and its messages by their index."""
+"""Read the summary of a complete log, and its messages by their index."""
 
 from collections import defaultdict
 from contextlib import contextmanager
@@ -26,8 +26,8 @@ from timo_sim.log.records import (
     Broken, file_of, HEAD, LARGEST_RECORD, LogError, open_file, parsed, printable, uncompressed,
     UNREADABLE)
 
-_FOOTER = struct.Struct('<BQQQI8s')    # opcode, length, where summary and offsets are, CRC, magic
-_LARGEST_SUMMARY = 512 * 1024 * 1024   # [B]; that of a month takes about this
+_FOOTER = struct.Struct('<BQQQI8s')    # opcode, length, places of summary and offsets, CRC, magic
+_LARGEST_SUMMARY = 512 * 1024 * 1024   # [B], about that of a log of a month
 
 
 def read_summary(stream):
@@ -51,13 +51,13 @@ def read_summary(stream):
         raise Broken('there is no summary')
     stream.seek(place)
     data = stream.read(length)
-    if crc and zlib.crc32(memoryview(data)[:-12]) != crc:  # without itself and the magic
+    if crc and zlib.crc32(memoryview(data)[:-12]) != crc:  # it covers all but itself and the magic
         raise Broken('the checksum of the summary is wrong')
     found: defaultdict[type, list[Any]] = defaultdict(list)
     try:
         for record in StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records:
             found[type(record)].append(record)
-    except (*UNREADABLE, ValueError) as error:  # mcap 1.1 of short records it does not know
+    except (*UNREADABLE, ValueError) as error:  # ValueError: mcap 1.1, of short unknown records
         raise Broken(f'its index is damaged: {error}') from None
     if not found[Statistics]:
         raise Broken('there are no statistics')
@@ -69,7 +69,7 @@ def read_summary(stream):
                          f'{kind.__name__.lower()}')
     found[ChunkIndex].sort(key=lambda chunk: chunk.chunk_start_offset)
     found[MetadataIndex].sort(key=lambda entry: entry.offset)
-    # What overlaps would be read again and again.
+    # Overlapping entries would let a forged index cost any amount of work.
     for spans in ([(chunk.chunk_start_offset, chunk.chunk_length + chunk.message_index_length)
                    for chunk in found[ChunkIndex]],
                   [(entry.offset, entry.length) for entry in found[MetadataIndex]]):
@@ -85,8 +85,8 @@ class Index:
     """
     The summary of a log, and its chunks.
 
-    What it says is checked before it is used: nothing is read or decompressed twice, or outside
-    of the file, whatever it claims. The file is open only while it is read.
+    The summary is checked before it is used: whatever it claims, nothing is read twice or from
+    outside of the file. The file is open only while it is read.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class Index:
     Raises
     ------
     LogError
-        If the file is no log, or has no summary: the text says what to do.
+        If the file is not a log, or has no summary: the text says what to do.
 
     """
 
@@ -125,7 +125,7 @@ class Index:
         self.chunks, self._metadata = found[ChunkIndex], found[MetadataIndex]
 
     def metadata(self):
-        """Yield place and record of each metadata record but rosbag2's."""
+        """Yield the place in the file and the record of all metadata, without rosbag2's."""
         for entry in self._metadata:
             if entry.name != 'rosbag2':
                 with self._checked():
@@ -134,9 +134,9 @@ class Index:
 
     def read(self, chunk):
         """
-        Return the data of a chunk, an ndarray of uint8, and where the messages of channels begin.
+        Return the data of a chunk, an ndarray of uint8, and the offsets of messages in it.
 
-        The latter by number of the channel, in the order of its index.
+        The offsets are a dictionary by number of the channel, in the order of the chunk's index.
         """
         with self._checked():
             offsets = {channel: entries[:, 1] for channel, entries in self._entries(chunk)}
@@ -144,7 +144,7 @@ class Index:
                 chunk.chunk_start_offset, chunk.chunk_length, Opcode.CHUNK)), np.uint8), offsets
 
     def times(self, chunk):
-        """Return the log times of a chunk's messages by channel, (n,) [ns], without reading it."""
+        """Return log times of a chunk's messages by channel, (n,) [ns]; reads its index only."""
         with self._checked():
             return {channel: entries[:, 0].astype(np.int64)
                     for channel, entries in self._entries(chunk)}
@@ -159,7 +159,7 @@ class Index:
                            'what is intact') from None
 
     def _record(self, place, length, opcode):
-        """Return the content of a record of which place and length are known."""
+        """Return the content of the record of this place, length and kind, or raise Broken."""
         if not HEAD.size <= length <= LARGEST_RECORD:
             raise Broken(f'a record would have {length} bytes')
         self._stream.seek(place)
@@ -179,7 +179,7 @@ class Index:
             place += 15
             if (opcode != Opcode.MESSAGE_INDEX or length != 6 + size or size % 16
                     or channel in seen or place + size > len(data)):
-                raise Broken('the index of a chunk does not hold what it says')
+                raise Broken('the index of a chunk is malformed')
             yield channel, np.frombuffer(data, '<u8', size // 8, place).reshape(-1, 2)
             place += size
             seen.add(channel)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a log is about, from its ends and its indexes: a gigabyte takes less than a second."""
+"""Describe a log by its summary and indexes: a gigabyte takes less than a second."""
 
 from collections import defaultdict
 from itertools import accumulate
@@ -19,8 +19,8 @@ from timo_sim.log.index import Index
 from timo_sim.log.notes import made_with, read_notes
 
 _NANOSECONDS = 1000000000
-_MOST_TIMES = 500000  # messages whose times are looked at one by one
-_MOST_CHUNKS = 40      # that are read where no summary tells the peak
+_MOST_TIMES = 500000   # messages; of a larger log, some chunks are searched for gaps
+_MOST_CHUNKS = 40      # chunks that are read for the peak if the node has not noted it
 _MOST_COUNTERS, _IN_A_LINE = 20, 4
 
 
@@ -33,8 +33,8 @@ def info(file):
     if notes.facts:
         lines += _about_run(index, notes)
     lines += _about_topics(index)
-    # What the file says may hold anything, such as what a terminal obeys.
-    return [''.join(sign if sign.isprintable() else ' ' for sign in line[:200]) for line in lines]
+    # Texts of the file may hold anything, such as control sequences of a terminal.
+    return [''.join(char if char.isprintable() else ' ' for char in line[:200]) for line in lines]
 
 
 def _about_run(index, notes):
@@ -54,7 +54,7 @@ def _about_run(index, notes):
     yield from _entry('counted', [
         ', '.join(counted[first:first + _IN_A_LINE])
         for first in range(0, len(counted), _IN_A_LINE)
-    ] or ['not known: the node did not write its end'])
+    ] or ['not known: the node did not write its summary'])
     yield from _entry('peak tip', [_peak(index, summary)])
 
 
@@ -63,7 +63,7 @@ def _changed(facts):
         changed = json.loads(facts['changed'])
         return [f'{name} = {json.dumps(value)}'[:90] for name, value in changed.items()]
     except (KeyError, AttributeError, ValueError, RecursionError):
-        return ['not known: the log does not say what is not as by default']
+        return ['not known: the log does not contain it']
 
 
 def _entry(title, lines):
@@ -76,7 +76,7 @@ def _peak(index, summary):
         largest = float(summary['peak_tip_deflection_m'])
         time, about = float(summary['peak_tip_deflection_at_s']), ''
     except (KeyError, ValueError):
-        from timo_sim.log.recording import Recording  # which takes longer than all the rest
+        from timo_sim.log.recording import Recording  # here, because its import is slow
         series = Recording(index.path).read('~/tip_deflection', most_chunks=_MOST_CHUNKS).get(
             '~/tip_deflection')
         if series is None or not len(series.ns):
@@ -119,11 +119,11 @@ def _about_topics(index):
 def _times(index, step):
     """Return first and last time and the largest gap between messages of each channel [ns]."""
     found = {}
-    # In the order of time, which need not be that of the file.
+    # Chunks in the order of time, which need not be that of the file.
     chunks = sorted(index.chunks, key=lambda chunk: chunk.message_start_time)
     holding = [(channel, place) for place, chunk in enumerate(chunks)
                for channel in chunk.message_index_offsets]
-    # Of each channel also its first and its last chunk, for the rate.
+    # Read the first and the last chunk of each channel, too, for its rate.
     wanted = {*range(0, len(chunks), step), *range(len(chunks) - 3, len(chunks)), 0, 1, 2,
               *dict(holding).values(), *dict(reversed(holding)).values()}
     parts, last_read = [], None

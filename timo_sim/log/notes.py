@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a log says of a run besides its messages: metadata records `timo_sim` and others."""
+"""Metadata records of a log, `timo_sim` and others: facts about a run besides its messages."""
 
 from importlib.metadata import version
 import json
@@ -20,17 +20,17 @@ from timo_sim.version import __version__
 
 START, RESET, SUMMARY = 'timo_sim', 'timo_sim.reset', 'timo_sim.summary'
 CHANGE = 'timo_sim.change'
-# What the last bits of a run depend on besides its scene.
-_GROUND = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processor')
+# Versions and hardware that the last bits of a run depend on.
+_ENVIRONMENT = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processor')
 
 
 class LogNotes(NamedTuple):
-    """What a log says."""
+    """The metadata of a log."""
 
-    facts: dict    # of str, at its beginning; empty where it does not
-    summary: dict  # of str, at its end; empty where it does not
-    resets: list   # step and place in the file of each
-    changes: list  # step, place and values by name of each setting of the scene's parameters
+    facts: dict    # texts noted at the start of the run; empty if there are none
+    summary: dict  # texts noted at its end; empty if there are none
+    resets: list   # (step, place in the file) of each
+    changes: list  # (step, place, values by name) of each setting of the scene's parameters
 
 
 def read_notes(index):
@@ -49,8 +49,8 @@ def read_notes(index):
                 changes.append((_step(content), place, current(dict(
                     json.loads(content['values'])))))
         except (KeyError, TypeError, ValueError, RecursionError):
-            raise LogError(f'{index.name} has a {record.name} that says {str(content)[:80]!r}'
-                           ) from None
+            raise LogError(f'{index.name} has a malformed metadata record {record.name}: '
+                           f'{str(content)[:80]!r}') from None
     if any(content != starts[0] for content in starts):
         raise LogError(f'{index.name} has the notes of several runs')
     return LogNotes(starts[0] if starts else {}, summary, sorted(resets),
@@ -60,35 +60,35 @@ def read_notes(index):
 def _step(content):
     step = content['step']
     if not step.isdecimal() or len(step) > 18:
-        raise ValueError('it is no number of steps')
+        raise ValueError('it is not a number of steps')
     return int(step)
 
 
 def change_note(step, values):
-    """Return what a log says of parameters of the scene that are set while the node runs."""
+    """Return the metadata for parameters of the scene that were set while the node runs."""
     return {'step': str(step), 'values': _json(values)}
 
 
 def _json(values):
-    # JSON has no infinity, which a limit may be; a text is read as a number again.
+    # A limit may be infinite, and JSON has no infinity; the text is read as a number again.
     return json.dumps({name: str(value) if value in (math.inf, -math.inf) else value
                        for name, value in values.items()})
 
 
 def start_note(node, values, changed, scene):
-    """Return what a log says at its beginning; `changed` are values not as by default."""
+    """Return the metadata for the start of a run; `changed` are values other than defaults."""
     return {
         'node': node, 'parameters': _json(values), 'changed': _json(changed),
         'initial_motion': json.dumps(scene.initial_motion().tolist()), **_here()}
 
 
 def names_note(channels):
-    """Return what a log says of the names of its topics before they were remapped."""
+    """Return the metadata for the names of topics before they were remapped."""
     return {'topics': _json({channel.topic: channel.name for channel in channels})}
 
 
 def read_names(facts):
-    """Return the names of topics before they were remapped, by topic, as far as a log has them."""
+    """Return the names of topics before they were remapped, by topic; {} if a log has none."""
     try:
         return {topic: str(name) for topic, name in json.loads(facts['topics']).items()}
     except (KeyError, AttributeError, ValueError, RecursionError):
@@ -96,14 +96,14 @@ def read_names(facts):
 
 
 def other_ground(facts):
-    """Return in words what is not as it was when a log was made, '' if nothing is known to be."""
+    """Return in words which versions and hardware differ from those of a log, or ''."""
     return ', '.join(f'{name} {facts[name][:40]} (here {value})'
                      for name, value in _here().items() if facts.get(name, value) != value)
 
 
 def made_with(facts):
-    """Return in words what made a log."""
-    return ', '.join(f'{name} {facts[name][:40]}' for name in _GROUND if name in facts)
+    """Return in words the versions and hardware that a log was made with."""
+    return ', '.join(f'{name} {facts[name][:40]}' for name in _ENVIRONMENT if name in facts)
 
 
 class Peak:
@@ -113,19 +113,19 @@ class Peak:
         self._found = 0.0, 0.0
 
     def see(self, numbers, nanoseconds):
-        """Look at a tip deflection [m] at a time [ns]."""
+        """Take account of a tip deflection, axial and transverse [m], at a time [ns]."""
         if not abs(numbers[1]) <= self._found[0]:
             self._found = abs(numbers[1]), 1e-9 * nanoseconds
 
     def note(self):
-        """Return what a log says of it, a dictionary of str."""
+        """Return the metadata for it, a dictionary of str."""
         return {'peak_tip_deflection_m': str(self._found[0]),
                 'peak_tip_deflection_at_s': f'{self._found[1]:.9f}'}
 
 
 def _here():
-    from llvmlite.binding import get_host_cpu_name  # for which the steps are compiled
-    return dict(zip(_GROUND, (
+    from llvmlite.binding import get_host_cpu_name  # steps are compiled for this processor
+    return dict(zip(_ENVIRONMENT, (
         __version__, platform.python_version(),
         *(version(package) for package in ('numpy', 'scipy', 'numba')),
         platform.machine(), get_host_cpu_name())))

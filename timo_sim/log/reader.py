@@ -7,10 +7,10 @@
 # language governing permissions and limitations under the License.
 
 """
-What is intact in a log, complete or not.
+Read what is intact in a log, complete or not.
 
-A file is read once from its beginning, a record at a time, in bounded memory; no length, number or
-checksum is believed.
+A file is read once from its beginning, a record at a time, in bounded memory. Every length, number
+and checksum is verified.
 """
 
 from collections import Counter
@@ -33,18 +33,18 @@ from timo_sim.log.records import (
     Broken, bytes_of, HEAD, LARGEST_RECORD, parsed, uncompressed, UNREADABLE)
 from timo_sim.log.writer import Chunk
 
-# Of schemas, channels and metadata of one file [B]; an entry in a table costs something, too.
+# Most bytes of schemas, channels and metadata of a file, and overhead that is counted for each.
 _LARGEST_KEPT, _ENTRY = 64 * 1024 * 1024, 100
 
-_MESSAGE_HEAD = struct.Struct('<H4xQ8x')  # channel, sequence number, log time, publish time
+_MESSAGE_HEAD = struct.Struct('<H4xQ8x')  # channel, log time; skips sequence and publish time
 _KEPT = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
 _MADE_AGAIN = {Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX,
                Opcode.METADATA_INDEX, Opcode.STATISTICS, Opcode.SUMMARY_OFFSET, Opcode.DATA_END}
-_PRIVATE = 0x80  # the first kind of record whose meaning is somebody else's
+_PRIVATE = 0x80  # first opcode of private records
 
 
 class Private(NamedTuple):
-    """A record whose meaning is somebody else's."""
+    """A private record: MCAP leaves its meaning to the application that wrote it."""
 
     opcode: int
     content: bytes
@@ -67,11 +67,11 @@ def _attachment(content):
             return record
     except UNREADABLE:
         pass
-    raise Broken('an attachment does not hold what it says')
+    raise Broken('an attachment is malformed')
 
 
 class _End(ValueError):
-    """A place beyond which nothing can be read."""
+    """An error from which on the rest of a file cannot be read."""
 
 
 class Reader:
@@ -95,11 +95,11 @@ class Reader:
     kept : int
         Bytes of the file that were intact so far.
     damage : str or None
-        The first that was not, and where. None after the last record: the file is complete.
+        The first damage, and its place. None after the last record: the file is complete.
     faults : int
-        How many there were.
+        How many damages were found.
     began : int
-        Where in the file messages of the last Chunk begin.
+        Place in the file at which messages of the last Chunk begin.
 
     """
 
@@ -119,7 +119,7 @@ class Reader:
         """
         Yield each Schema, Channel, Metadata, Attachment, Private and Chunk, in the file's order.
 
-        Each schema and channel comes once, and before what refers to it.
+        Each schema and channel comes once, before records that refer to it.
         """
         chunk, began = Chunk(), 0
         for record in self._intact():
@@ -138,7 +138,7 @@ class Reader:
             yield chunk
 
     def _intact(self):
-        """Yield what `records` does, but each Message for itself."""
+        """Yield the same as `records`, with single Messages in place of Chunks."""
         try:
             while not self._ended:
                 yield from self._next()
@@ -165,7 +165,7 @@ class Reader:
             raise _End('it ends in the middle of a record, or its length is wrong')
         if length > LARGEST_RECORD:
             self._stream.seek(length, os.SEEK_CUR)
-            self._complain(f'a record of {length} bytes is larger than any should be')
+            self._complain(f'a record of {length} bytes is larger than {LARGEST_RECORD}')
         else:
             content = self._stream.read(length)
             crc, self._crc = self._crc, zlib.crc32(content, zlib.crc32(head, self._crc))
@@ -194,7 +194,7 @@ class Reader:
             yield from self._entry(opcode, memoryview(content), 'log')
 
     def _inside(self, data):
-        """Yield what is in an uncompressed chunk."""
+        """Yield the records of an uncompressed chunk."""
         place = 0
         while place < len(data):
             if place + HEAD.size > len(data):
@@ -205,13 +205,13 @@ class Reader:
                 raise Broken('a chunk ends in the middle of a record')
             try:
                 yield from self._entry(opcode, data[place:place + length], 'chunk')
-            except Broken as error:  # which costs this record only
+            except Broken as error:  # other records of the chunk are kept
                 self._complain(error)
                 self.kept -= HEAD.size + length
             place += length
 
     def _entry(self, opcode, content, where):
-        """Yield what may be in a chunk or beside it."""
+        """Yield the content of a record that may be inside or outside of a chunk."""
         if opcode == Opcode.MESSAGE:
             yield self._message(content)
         elif opcode in _KEPT:
@@ -234,7 +234,7 @@ class Reader:
     def _keep(self, record):
         """Yield a schema, a channel, metadata or an attachment, unless it is known."""
         if isinstance(record, Metadata) and record.name == 'rosbag2' and self.profile == 'ros2':
-            return  # it is made again
+            return  # `Writer.finish` makes it again
         if isinstance(record, (Schema, Channel)):
             known = self._known[type(record)]
             if record.id in known:
@@ -257,7 +257,7 @@ class Reader:
 
     def _check_end(self):
         if self._place + len(MCAP0_MAGIC) != self.size:
-            raise _End('after its end there is something else'
+            raise _End('there is something else after its end'
                        if self._place + len(MCAP0_MAGIC) < self.size else 'it ends early')
         self.kept += len(MCAP0_MAGIC)
         try:

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""New logs, which a thread of their own writes as MCAP."""
+"""Write new logs, MCAP files, in a thread of their own."""
 
 from collections import deque
 from contextlib import suppress
@@ -28,10 +28,10 @@ from timo_sim.messages.outputs import in_frames, outputs
 from timo_sim.messages.packing import Serializer
 from timo_sim.scene.parameters import changed, frame_names
 
-FLUSH_PERIOD = 0.5       # [s] of wall time; half of what a crash may cost
+FLUSH_PERIOD = 0.5       # [s] of wall time; a crash loses at most twice this
 CHUNK_SIZE = 512 * 1024  # [B] so that a day has few; none waits longer than `FLUSH_PERIOD`
-BACKLOG = 20             # chunks that may wait before `write` does
-NOTABLE, PATIENCE = 0.5, 60.0  # [s] that it may wait, without a word and at all
+BACKLOG = 20             # chunks that may wait for the disk before `write` waits, too
+NOTABLE, PATIENCE = 0.5, 60.0  # [s] that `write` waits before a warning, before it gives up
 
 
 class Channel(NamedTuple):
@@ -48,8 +48,8 @@ class Recorder:
 
     `write` only appends to a chunk; a thread compresses chunks, for the most part without holding
     up other threads, and gives them to the operating system at least every `FLUSH_PERIOD`. If that
-    fails or takes longer than `PATIENCE`, or others delete, cut or write to the file, `error` says
-    so, what was written is kept, and later messages are dropped.
+    fails or takes longer than `PATIENCE`, or another program deletes, cuts or writes to the file,
+    `error` says so, what was written is kept, and later messages are dropped.
 
     Parameters
     ----------
@@ -64,8 +64,9 @@ class Recorder:
     path : Path
         The file that is written.
     error : str or None
+        Why the log has ended early.
     warning : str or None
-        That the file has been moved, or the disk is slow, which does not end it.
+        That the file has been moved or the disk is slow; the log goes on.
 
     Raises
     ------
@@ -78,7 +79,7 @@ class Recorder:
         self.error = self.warning = None
         self._lock = threading.Lock()  # of the chunk that grows
         self._chunk = Chunk()
-        self._queue = deque()  # what is to be written, each with the method that does it
+        self._queue = deque()  # (method of the Writer, arguments) of what is to be written
         self._ready = threading.Event()
         self._closing = False
         types = list(dict.fromkeys(channel.type_name for channel in channels))
@@ -100,7 +101,7 @@ class Recorder:
         except OSError:
             with suppress(OSError):
                 self._file.close()
-            self.path.unlink()  # ours, and of no use to anybody
+            self.path.unlink()  # this process made it, and it is not a log
             raise
         self._thread = threading.Thread(target=self._run, name='recorder', daemon=True)
         self._thread.start()
@@ -109,7 +110,8 @@ class Recorder:
         """
         Log a message, CDR, of the channel with this index.
 
-        The time step is its sequence number; the stamp, sim time [ns], its log and publish time.
+        The time step becomes its sequence number; the stamp, sim time [ns], becomes its log and
+        publish time.
         """
         if self.error is not None:
             return
@@ -138,14 +140,14 @@ class Recorder:
         self._closing = True
         self._ready.set()
         size = None
-        while self._thread.is_alive() and self._writer.size != size:  # as long as it goes on
+        while self._thread.is_alive() and self._writer.size != size:  # while it makes progress
             size = self._writer.size
             self._thread.join(PATIENCE)
         if self._thread.is_alive():
-            self.error = self.error or f'{self.path}: the disk does not take its end'
+            self.error = self.error or f'{self.path}: the disk does not take the end of the log'
 
     def _pass_on(self):
-        """Let the chunk that grows be written as it is."""
+        """Queue the chunk that grows, to be written as it is."""
         with self._lock:
             if self._chunk.data:
                 self._queue.append((self._writer.add_chunk, self._chunk))
@@ -163,7 +165,7 @@ class Recorder:
             self._writer.finish(self.path.name)
             sync(self._file)
             self._look()
-        except Exception as error:  # whatever it is, `write` must not wait for this thread
+        except Exception as error:  # of any type, because `write` must not wait for this thread
             self.error = f'{self.path}: {error}'
             self._queue.clear()
         finally:
@@ -180,11 +182,11 @@ class Recorder:
         self._file.flush()
 
     def _look(self):
-        """Find out what others have done to the file: until it is closed they get no error."""
+        """Raise OSError if another program changed or deleted the file: `write` gives no error."""
         ours = os.fstat(self._file.fileno())
         if ours.st_size != self._writer.size:
             raise OSError(f'it has {ours.st_size} bytes, {self._writer.size} were written: '
-                          'somebody else has cut it or written to it')
+                          'another program has cut it or written to it')
         with suppress(OSError):
             if os.path.samestat(ours, os.stat(self.path)):
                 return
@@ -195,7 +197,7 @@ class Recorder:
 
 class NewLog(Recorder):
     """
-    A log of a run that no node has made: the same topics and bytes as the node writes.
+    A log of a run made without a node: the same topics and bytes as the node writes.
 
     Parameters
     ----------
@@ -204,9 +206,9 @@ class NewLog(Recorder):
     values : dict
         Parameters of the node, the scene's among them.
     node : str, optional
-        Its fully qualified name.
+        Fully qualified name of the node that topics are named after.
     **notes : str
-        More to be known of the run at its start.
+        Further metadata for the start of the run.
 
     """
 
@@ -235,7 +237,7 @@ class NewLog(Recorder):
             self._peak.see(numbers, snapshot.nanoseconds)
 
     def close(self):
-        """Complete the file; raise OSError if it is not."""
+        """Complete the file; raise OSError if that fails, or the log has ended early."""
         self.note(SUMMARY, self._peak.note())
         super().close()
         if self.error:
@@ -243,17 +245,17 @@ class NewLog(Recorder):
 
 
 def create(path):
-    """Make a new file, numbered if there is one, and its folders; return its path and stream."""
+    """Make a new file, numbered if it exists, and its folders; return its path and stream."""
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if path.exists() and not path.is_file():
         raise OSError(f'{path} must be a regular file or none yet, not a device or FIFO')
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Mode 'x' is the file system's own promise that nothing is overwritten.
+    # With mode 'x' the file system guarantees that nothing is overwritten.
     for attempt in range(10000):
         candidate = path.with_stem(f'{path.stem}_{attempt}') if attempt else path
         try:
-            # At its end as it is then: what somebody else cuts off or adds shows in its size.
+            # O_APPEND: if another program cuts the file or adds to it, its size shows that.
             return candidate, open(candidate, 'xb', opener=lambda name, flags: os.open(
                 name, flags | os.O_APPEND, 0o666))
         except FileExistsError:
@@ -262,6 +264,6 @@ def create(path):
 
 
 def sync(stream):
-    """Return when all that was written is on the disk: what is closed survives a power cut."""
+    """Wait until all that was written is on the disk: a closed log survives a power cut."""
     stream.flush()
     os.fsync(stream.fileno())

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A log as arrays: what the node published, and the commands that it obeyed."""
+"""Read a log as arrays: what the node published, and the commands that it obeyed."""
 
 from collections import Counter
 from functools import cached_property
@@ -28,8 +28,8 @@ from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.parameters import current, frame_names
 from timo_sim.scene.scene import load_scene
 
-_WRAP = 2**32  # steps after which a sequence number starts again; 0: there is none
-_EARLIER = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of older versions
+_WRAP = 2**32  # sequence numbers are steps modulo this, or all 0 if a tool has not kept them
+_EARLIER = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of topics in older versions
 _TYPES = {entry.name: entry.type_name for entry in (*outputs(1), *COMMANDS)}
 
 
@@ -37,15 +37,15 @@ class Recording:
     """
     A log of this package, or a bag with the topics of a node.
 
-    Series are read when they are asked for, chunk by chunk. What the file says is checked: it may
-    come from anybody.
+    Series are read when they are asked for, chunk by chunk. All content is checked, because a file
+    may come from anybody.
 
     Parameters
     ----------
     path : str or Path
         A file, or a bag's folder with one.
     node : str, optional
-        Fully qualified name of the node, needed for a bag of several.
+        Fully qualified name of the node; needed if a bag has several.
 
     Attributes
     ----------
@@ -55,22 +55,22 @@ class Recording:
     scene : Scene or None
         None for a plain bag.
     facts : dict
-        What the node noted at its start: 'parameters', 'timo_sim', 'numpy', ...; of a plain bag
-        empty.
+        What the node noted at its start: 'parameters', 'timo_sim', 'numpy', ...; empty for a plain
+        bag.
     summary : dict
-        What it noted at its end; empty if it did not.
+        What the node noted at its end; empty if it noted nothing.
     resets : ndarray of int
         Steps at which the motion was reset.
     changes : list of tuple
-        Step, place in the file and values by name of each setting of the scene's parameters.
+        (step, place in the file, values by name) of each setting of the scene's parameters.
     unread : dict of str
-        Why messages of the node's topics are not read, by topic.
+        By topic of the node, why its messages are not read.
     index : Index
 
     Raises
     ------
     LogError
-        If the file is no log, or damaged, or has no end: the text says what to do.
+        If the file is not a log, or damaged, or incomplete: the text says what to do.
 
     """
 
@@ -80,7 +80,7 @@ class Recording:
         self.facts, self.summary, resets, self.changes = read_notes(self.index)
         self.resets, self.reset_places = np.array(resets, dtype=np.int64).reshape(-1, 2).T
         self.name = node or self.facts.get('node') or self._find_node()
-        # Where ros2_control publishes joint_states, the node's are below its name.
+        # If ros2_control publishes joint_states, the node publishes its own below its name.
         topics = {channel.topic for channel in self.index.channels.values()}
         own, usual = f'{self.name}/joint_states', f'{self.name.rpartition("/")[0]}/joint_states'
         self._names = {own if own in topics else usual: 'joint_states', **read_names(self.facts)}
@@ -89,7 +89,7 @@ class Recording:
             short, schema = self.short_name(channel.topic), self.index.schemas.get(
                 channel.schema_id)
             if short in _TYPES:
-                kind = schema.name if schema else 'not said, without a schema'
+                kind = schema.name if schema else 'unknown, without a schema'
                 if (kind, channel.message_encoding) == (_TYPES[short], 'cdr'):
                     self._wanted[number] = short, channel.topic, kind
                 else:
@@ -99,7 +99,7 @@ class Recording:
 
     @cached_property
     def parameters(self):
-        """What the log says of all parameters of the node, not checked, by present name."""
+        """All logged parameters of the node by present name, not checked."""
         parameters = json.loads(self.facts.get('parameters', 'null'))
         if not isinstance(parameters, dict):
             raise ValueError('its parameters are no dictionary')
@@ -134,9 +134,9 @@ class Recording:
         Parameters
         ----------
         *names : str
-            Short names; none: all. What the file does not have is left out.
+            Short names; by default all. Those that the file does not have are left out.
         most_chunks : int, optional
-            Read of so many chunks only, spread over the file.
+            Read at most so many chunks, spread over the file.
 
         Returns
         -------
@@ -159,17 +159,17 @@ class Recording:
 
     def motion(self, series=None):
         """
-        Return the samples of joint states for which there are modal states.
+        Return the motion at the samples of joint_states that have a modal_state.
 
         Parameters
         ----------
         series : dict of Series, optional
-            What `read` gave for these, where that is done already.
+            What `read` returned for these, if they have been read already.
 
         Returns
         -------
         step, ns : ndarray of int64, shape (n,)
-            Where a reset was, a step may be there twice: before and after it.
+            Time step and sim time [ns]. The step of a reset may occur twice: before and after it.
         motion : ndarray, shape (n, 2 (3 + N))
             See `physics.layout`.
 
@@ -189,16 +189,16 @@ class Recording:
                 np.hstack([position, q, velocity, rates]))
 
     def lacks(self, what):
-        """Return a LogError about what is not there, and what is not read."""
+        """Return a LogError about what is missing, and about topics that are not read."""
         return LogError('; '.join([f'{self.index.name} has no {what}', *self.unread.values()])[
             :500])
 
     def resets_before(self, step, place):
         """
-        Return how many resets were before what has these steps, at these places in the file.
+        Return how many resets were before messages of these steps, at these places in the file.
 
-        At the step of a reset the place decides, -1 if places do not go by the steps, as in a file
-        that has been written again.
+        At the step of a reset the place decides; -1 is returned if places contradict steps, as in
+        a file that another tool has written again.
         """
         first, last = (np.searchsorted(self.resets, step, side) for side in ('left', 'right'))
         found = np.searchsorted(np.sort(self.reset_places), place)
@@ -228,16 +228,16 @@ class Recording:
         return nodes.pop()
 
     def _blocks(self, most):
-        """Yield place, data and offsets by channel, in the order of the file."""
+        """Yield place, data and offsets by channel of chunks, in the order of the file."""
         chunks = self.index.chunks
-        # A list of times and positions has 15 bytes before it, and 16 for each message.
+        # A record of a message index has 15 bytes, and 16 more for each message.
         indexed = sum((chunk.message_index_length - 15 * len(chunk.message_index_offsets)) // 16
                       for chunk in chunks)
         if indexed == self.index.statistics.message_count:
             for chunk in chunks[::math.ceil(len(chunks) / (most or math.inf)) or 1]:
                 yield chunk.chunk_start_offset, *self.index.read(chunk)
             return
-        # A file without chunks, or without their indexes, has all the same what it has.
+        # A file without chunks, or without their indexes, is read record by record.
         with open_file(self.path) as stream:
             reader = Reader(stream)
             place = 0
@@ -255,12 +255,12 @@ class Recording:
         place, sequence, log_ns, ns, values, messages = collector.arrays()
         resets, step = np.zeros(len(ns), dtype=np.int64), np.full(len(ns), -1)
         if self.facts:
-            # The stamp of a state that begins lock step is not quite its time.
+            # In lock step, the stamp of the first state differs from its time by some ns.
             step = np.rint(1e-9 * ns / self.scene.step).astype(np.int64)
             ns = np.rint(step * self.scene.step * 1e9).astype(np.int64)
             if collector.command and sequence.any() and ((step - sequence) % _WRAP).any():
-                raise LogError(f'{self.index.name}: log times of {collector.topic[:80]} are not '
-                               'those of the time steps that are its sequence numbers')
+                raise LogError(f'{self.index.name}: log times of {collector.topic[:80]} do not '
+                               'agree with its sequence numbers, which are time steps')
             resets = self.resets_before(step, place)
             if (np.diff(step) < 0).any() and np.isin(step, self.resets).any():
                 raise LogError(f'{self.index.name}: {collector.topic[:80]} is in another order '
@@ -268,7 +268,7 @@ class Recording:
                                'were before a reset')
         elif collector.command:
             ns = self._sim_time(log_ns)
-        # The network, or who has written the file again, may have changed the order.
+        # The network, or a tool that has written the file again, may have changed the order.
         order = np.argsort(ns, kind='stable')
         resets, step, log_ns, ns, values, messages = (
             array[order] for array in (resets, step, log_ns, ns, values, messages))
@@ -279,7 +279,7 @@ class Recording:
         if self._clock is None or not len(log_ns):
             return log_ns
         logged, sim = self._clock
-        # Between two messages, and at the pace of their mean beyond them.
+        # Interpolated between messages; extrapolated beyond them at their mean pace.
         pace = (sim[-1] - sim[0]) / max(1, logged[-1] - logged[0])
         inside = np.interp(log_ns - logged[0], logged - logged[0], (sim - sim[0]).astype(float))
         beyond = (log_ns - np.clip(log_ns, logged[0], logged[-1])) * pace
@@ -287,10 +287,10 @@ class Recording:
 
     @cached_property
     def _clock(self):
-        """Log times and sim times of a bag's messages with sim time, if there are any."""
+        """Log times and sim times of messages of a topic with sim time in a bag, or None."""
         names = [output.name for output in outputs(1)]
         found = self.read(*names)
-        # In this order, because what a sensor shows may have been measured a while ago.
+        # Sensors are the last of `names`, because their stamps may be those of late messages.
         for series in [found[name] for name in names if name in found]:
             if len(series.ns) > 1:
                 order = np.argsort(series.log_ns, kind='stable')

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""MCAP records and chunks that are checked before they are believed, and errors about them."""
+"""Parse and check MCAP records and chunks, and define the errors of logs."""
 
 from io import BytesIO
 import os
@@ -29,15 +29,15 @@ UNREADABLE = McapError, struct.error, UnicodeDecodeError, OverflowError  # what 
 
 
 class LogError(ValueError):
-    """A file that is not a log; the text says which and why."""
+    """A log that cannot be read, or a file that cannot be written; the text says which and why."""
 
 
 class Broken(ValueError):
-    """A record that does not hold what it says."""
+    """A record that is damaged, or contradicts itself."""
 
 
 def printable(path):
-    """Return a path as text that can be printed anywhere: on Linux file names are bytes."""
+    """Return a path as text that can be printed anywhere; on Linux a name may be any bytes."""
     return os.fsencode(path).decode(errors='replace')
 
 
@@ -53,9 +53,9 @@ def file_of(path):
 
 
 def open_file(path):
-    """Open a log behind its magic; only a regular file: a pipe would never end."""
+    """Open a log and read its magic; raise LogError if it is not an MCAP file."""
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
+        if not stat.S_ISREG(path.stat().st_mode):  # a pipe might never end
             raise LogError(f'{printable(path)} is not a file')
         stream = open(path, 'rb')
     except (PermissionError, NotADirectoryError) as error:
@@ -69,20 +69,20 @@ def open_file(path):
 
 
 def uncompressed(content):
-    """Return the data of a chunk if it is what the chunk says."""
+    """Return the uncompressed data of a chunk; raise Broken if size or checksum are wrong."""
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(content)))
         if chunk.uncompressed_size > LARGEST_CHUNK:
             raise Broken(f'a chunk claims to hold {chunk.uncompressed_size} bytes, more than '
                          f'{LARGEST_CHUNK}')
         if chunk.compression not in _DECOMPRESS:
-            raise Broken(f'a chunk is compressed by {chunk.compression[:20]!r}')
-        # One byte more than it says, so that a chunk which holds more is found out.
+            raise Broken(f'a chunk has an unknown compression, {chunk.compression[:20]!r}')
+        # One byte more than the chunk states, to find out if it has more.
         data = _DECOMPRESS[chunk.compression](chunk.data, chunk.uncompressed_size + 1)
     except (*UNREADABLE, RuntimeError, EOFError, zstandard.ZstdError) as error:
         raise Broken(f'a chunk cannot be read: {error}') from None
     if len(data) != chunk.uncompressed_size:
-        raise Broken(f'a chunk does not hold the {chunk.uncompressed_size} bytes that it says')
+        raise Broken(f'a chunk does not have the {chunk.uncompressed_size} bytes that it states')
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise Broken('the checksum of a chunk is wrong')
     return data
@@ -100,18 +100,18 @@ _DECOMPRESS = {
 
 
 def parsed(kind, content):
-    """Return a record if it says the same when it is written again."""
+    """Return a record; raise Broken if it has other bytes when it is written again."""
     try:
         record = kind.read(ReadDataStream(BytesIO(content)))
         if bytes_of(record)[HEAD.size:] == content:
             return record
     except UNREADABLE:
         pass
-    raise Broken(f'a record of kind {kind.__name__.lower()} does not hold what it says')
+    raise Broken(f'a record of kind {kind.__name__.lower()} is malformed')
 
 
 def bytes_of(*records):
-    """Return MCAP records as they are in a file."""
+    """Return the bytes of MCAP records."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A complete log of what is intact in a damaged one, or in one that other tools have written."""
+"""Recover a damaged or incomplete log: write what is intact in it to a complete one."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from timo_sim.log.writer import Chunk, Writer
 
 def recover(file, output=None):
     """
-    Write what is intact in a log to a new one, with index and summary.
+    Write what is intact in a damaged or incomplete log to a new one, with index and summary.
 
     Parameters
     ----------
@@ -30,13 +30,12 @@ def recover(file, output=None):
         A file, or a bag's folder with one. It is only read.
     output : str or Path, optional
         A file that does not exist; by default beside `file`, with `_recovered` after its stem,
-        and a number if that exists. A folder stays as it is.
+        and a number if that exists.
 
     Returns
     -------
     str
-        What was found and done, and what was not understood. If the log is complete, nothing is
-        written.
+        What was found, what was lost, and what was written: nothing if the log is complete.
 
     Raises
     ------
@@ -48,7 +47,7 @@ def recover(file, output=None):
     """
     path = file_of(file)
     with open_file(path) as stream:
-        # Read once before anything is written: most files are complete, and some are no logs.
+        # A first pass before anything is written: most files are complete, and some are no logs.
         reader = Reader(stream)
         found, own = 0, False
         for found, record in enumerate(reader.records(), 1):
@@ -96,6 +95,6 @@ def _write(records, profile, path, output):
             writer.finish(new.name)
             sync(stream)
     except BaseException:
-        new.unlink()  # what is not whole would be taken for it
+        new.unlink()  # an incomplete file would be taken for a recovered log
         raise
     return new

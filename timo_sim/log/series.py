@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The messages of a topic as numbers, gathered a chunk at a time without a loop over them."""
+"""Read the messages of a topic as arrays, a chunk at a time, without a loop over messages."""
 
 from dataclasses import dataclass
 
@@ -16,10 +16,10 @@ from timo_sim.messages.cdr import CdrError, layout
 from timo_sim.messages.commands import COMMANDS, LARGEST, Refused
 from timo_sim.messages.outputs import NANOSECONDS, outputs
 
-_HEAD = 31              # [B] of a message before its content: opcode, length and so on
+_HEAD = 31              # [B] of a message's record before its content, see `_HEAD_TYPE`
 _HEAD_TYPE = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
                        ('sequence', '<u4'), ('log_time', '<u8'), ('publish_time', '<u8')])
-_MOST_LAYOUTS = 100     # of a topic; frames of commands have different lengths
+_MOST_LAYOUTS = 100     # of a topic; names of frames in commands have different lengths
 _COMMANDS = {command.name: command for command in COMMANDS}
 
 
@@ -34,20 +34,20 @@ class Series:
     columns : tuple of str
         Names of k quantities, with units.
     step : ndarray of int64, shape (n,)
-        Time steps; of a plain bag, which has none, -1.
+        Time steps; -1 in a plain bag, which has none.
     ns : ndarray of int64, shape (n,)
-        Sim time. Of a plain bag that of the header; commands, whose headers mean nothing, have
-        the sim time that went with their log time, or log time where nothing says that.
+        Sim time [ns]. In a plain bag it is the stamp of the header. Stamps of commands mean
+        nothing there: it is the sim time at their log time or, if that is not known, log time.
     log_ns : ndarray of int64, shape (n,)
-        When a message was logged.
+        Time at which a message was logged [ns].
     values : ndarray, shape (n, k)
         NaN for what a command does not set.
     refused : int
         Commands that are left out, because the node refuses them.
     resets : ndarray of int64, shape (n,)
-        How many resets were before a message; -1 where the file does not say that.
+        How many resets were before a message; -1 if that is not known.
     data : list of bytes
-        The messages of a command, CDR; of other topics empty.
+        The messages of a command, CDR; empty for other topics.
 
     """
 
@@ -74,17 +74,17 @@ class Collector:
         self._layouts, self._parts = [], []
 
     def add(self, place, data, offsets, channel):
-        """Add the messages of a block, of which these are the offsets."""
+        """Add the messages at these offsets in a block of data."""
         if not len(offsets):
             return
         heads = _gather(data, offsets, _HEAD_TYPE)
         sizes = heads['length'] - (_HEAD - 9)
-        # Nothing outside, and nothing twice: an index may be a lie.
+        # A forged index might point outside, or to the same place twice.
         if not (np.all(heads['opcode'] == 5) and np.all(heads['channel'] == channel)
                 and np.all(sizes <= len(data)) and np.all(offsets + _HEAD + sizes <= len(data))
                 and np.all(np.diff(np.sort(offsets)) >= _HEAD)
                 and sizes.sum() + _HEAD * len(sizes) <= len(data)):
-            raise CdrError('the index names something else')
+            raise CdrError('the index points to something else')
         for size in np.unique(sizes):
             if not 4 <= size <= LARGEST:
                 raise CdrError(f'it has {size} bytes')
@@ -118,7 +118,7 @@ class Collector:
             raise CdrError(f'{", ".join(texts)[:80]} are not the joints of this node')
 
     def _keep(self, place, offsets, heads, found, rows):
-        """Keep messages of one layout as `arrays` returns them."""
+        """Keep messages of one layout, for `arrays`."""
         log_ns, messages = heads['log_time'].astype(np.int64), np.empty(len(rows), object)
         if self.command:
             kept, loads = [], []
@@ -144,9 +144,10 @@ class Collector:
 
     def arrays(self):
         """
-        Return place, sequence, log time and stamp of n messages, int64, in the order of the file.
+        Return arrays of n messages in the order of the file.
 
-        With values, shape (n, k), and the bytes of commands, which have the log time for a stamp.
+        They are: place, sequence number, log time [ns] and stamp [ns], int64; values, shape
+        (n, k); bytes of commands. The stamp of a command is its log time.
         """
         none = np.zeros(0, dtype=np.int64)
         place, offset, *others = map(np.concatenate, zip(*self._parts or [
@@ -156,10 +157,10 @@ class Collector:
 
 
 def _gather(data, offsets, kind):
-    """Return what is at these offsets, one element of `kind` each."""
+    """Return an element of the type `kind` from each of these offsets, shape (n,)."""
     last = len(data) - kind.itemsize
     if last < 0 or int(offsets.max()) > last:
-        raise CdrError('the index names something outside of its chunk')
+        raise CdrError('the index points to something outside of its chunk')
     return np.ndarray((last + 1,), kind, data, strides=(1,))[offsets]
 
 
@@ -170,16 +171,16 @@ def _doubles(rows, places):
 
 def common(first, second):
     """
-    Return where two ascending lists have the same values, pairwise.
+    Return the places of the same values in two ascending lists, pairwise.
 
-    Of a value that is in a list several times, as a step with a reset, the last ones are paired.
+    If a value occurs several times, as the step of a reset may, the last ones are paired.
     """
     if np.array_equal(first, second):
         return slice(None), slice(None)
     keys = []
     for values in (first, second):
         _, place, count = np.unique(values, return_index=True, return_counts=True)
-        left = np.repeat(place + count, count) - np.arange(len(values))  # 1 for the last
+        left = np.repeat(place + count, count) - np.arange(len(values))  # 1 for the last of each
         keys.append(np.rec.fromarrays([values, left]))
     _, one, other = np.intersect1d(keys[0], keys[1], assume_unique=True, return_indices=True)
     order = np.argsort(one)

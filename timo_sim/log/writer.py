@@ -7,9 +7,9 @@
 # language governing permissions and limitations under the License.
 
 """
-MCAP files, chunk by chunk, with little to do for a message but to append it.
+Write MCAP files chunk by chunk; a message is only appended to a chunk.
 
-With what rosbag2 keeps in a log besides the messages: QoS, and its own metadata record.
+Besides messages, a file has what rosbag2 writes: the QoS of topics, and its own metadata record.
 """
 
 from collections import Counter, defaultdict
@@ -47,7 +47,7 @@ class Chunk:
     ----------
     data : bytearray
     index : dict
-        For each channel a flat list: time and position of each of its messages.
+        For each channel a flat list of times [ns] and positions of its messages, alternating.
 
     """
 
@@ -63,7 +63,7 @@ class Chunk:
         self.data += data
 
     def add_record(self, channel, time, content):
-        """Append a message as it is in another file, without opcode and length."""
+        """Append a message from another file: the content of its record."""
         self.index[channel] += time, len(self.data)
         self.data += HEAD.pack(_MESSAGE_OPCODE, len(content))
         self.data += content
@@ -81,7 +81,7 @@ class Writer:
     Attributes
     ----------
     size : int
-        Of what has been written [B].
+        Number of bytes written so far.
 
     """
 
@@ -89,7 +89,7 @@ class Writer:
         self._stream, self._profile = stream, profile
         self._crc = self.size = 0
         self._schemas, self._channels = [], []
-        # Kept as they will be written: a day has so many that objects would fill the memory.
+        # Kept as bytes: a log of a day has so many that objects would fill the memory.
         self._chunk_indexes, self._metadata_indexes = RecordBuilder(), RecordBuilder()
         self._attachment_indexes = RecordBuilder()
         self._statistics = Statistics(
@@ -121,7 +121,7 @@ class Writer:
         self._statistics.attachment_count += 1
 
     def add_private(self, opcode, content):
-        """Add a record whose meaning is somebody else's."""
+        """Add a private record, whose meaning the application that wrote it knows."""
         self._put(HEAD.pack(opcode, len(content)) + content)
 
     def add_chunk(self, chunk):
@@ -154,7 +154,7 @@ class Writer:
         known.chunk_count += 1
 
     def finish(self, name):
-        """Write rosbag2's metadata, which names the file, summary and end."""
+        """Write the end of the file: rosbag2's metadata, with the file's name, and summary."""
         self._statistics.schema_count = len(self._schemas)
         self._statistics.channel_count = len(self._channels)
         if self._profile == 'ros2':
@@ -204,12 +204,12 @@ _QOS_TEXT = yaml_text([_QOS])
 
 
 def channel_metadata(type_hash):
-    """Return the metadata of a channel: what the node offers, and the hash of its type."""
+    """Return the metadata of a channel: the QoS that the node offers, and the hash of its type."""
     return {'offered_qos_profiles': _QOS_TEXT, 'topic_type_hash': type_hash}
 
 
 def information(schemas, channels, statistics, name):
-    """Return what rosbag2, metadata version 9, says of a bag from its records and file name."""
+    """Return rosbag2's metadata (version 9) of a bag with these records and this file name."""
     start, end = statistics.message_start_time, statistics.message_end_time
     span = {'duration': {'nanoseconds': end - start},
             'starting_time': {'nanoseconds_since_epoch': start},
@@ -219,7 +219,7 @@ def information(schemas, channels, statistics, name):
         {'topic_metadata': {
             'name': channel.topic, 'type': types.get(channel.schema_id, ''),
             'serialization_format': channel.message_encoding,
-            # A text that is not ours is left alone: it may come from a hostile file.
+            # Any other text is left out, unparsed: it may come from a hostile file.
             'offered_qos_profiles':
                 [_QOS] if channel.metadata.get('offered_qos_profiles') == _QOS_TEXT else [],
             'type_description_hash': channel.metadata.get('topic_type_hash', '')},

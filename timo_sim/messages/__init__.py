@@ -7,8 +7,8 @@
 # language governing permissions and limitations under the License.
 
 """
-Topics as data: which there are, what is in them, what commands mean, and their bytes.
+Topics as data: their names, types and contents, the meaning of commands, and serialisation.
 
-It may import NumPy and `physics.layout`, and knows neither ROS nor files. A topic is an entry in
+It may import NumPy and `physics.layout`; it uses neither ROS nor files. A topic is an entry in
 `outputs`, a command one in `commands`, a sensor one in `sensors`.
 """

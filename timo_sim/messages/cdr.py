@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Serialised messages (CDR): write one, and find where numbers and texts are in one."""
+"""Serialise messages as CDR, and locate the numbers and texts in serialised ones."""
 
 import struct
 from typing import NamedTuple
@@ -14,32 +14,31 @@ from typing import NamedTuple
 from timo_sim.messages.definitions import DEFINITIONS, fields
 
 TYPES = frozenset(DEFINITIONS)
-_START = 4                     # of what is aligned, after the encoding
+_START = 4                     # bytes of the header; alignment counts from its end
 _LITTLE_ENDIAN = b'\x00\x01'   # plain CDR
 _NUMBERS = {'byte': 'B', 'int32': 'i', 'uint32': 'I', 'float64': 'd'}  # codes of `struct`
 
 
 class CdrError(ValueError):
-    """A message that is not what its type says; the text says why."""
+    """A message does not match its type; the text says why."""
 
 
 class Layout(NamedTuple):
     """
-    Where things are in a message, bytes from its beginning.
+    Places of the parts of a message, in bytes from its beginning.
 
-    Messages of the same size and the same bytes at `fixed`, which are encoding, texts, integers
-    and lengths of lists, have the same layout.
+    Messages of the same size with the same bytes at the places `fixed` have the same layout.
     """
 
-    size: int            # without the padding that some writers add
-    stamps: list         # of the seconds of each time, nanoseconds follow
-    doubles: list        # of each float64
-    lists: list          # how many float64 are in each sequence, or in single fields in a row
-    texts: list          # values
-    fixed: list
+    size: int            # [B], without the padding that some writers add at the end
+    stamps: list         # place of the seconds of each time; its nanoseconds follow
+    doubles: list        # place of each float64
+    lists: list          # number of float64 in each sequence, and in the fields between sequences
+    texts: list          # the texts themselves
+    fixed: list          # places of the bytes of encoding, texts, integers and lengths
 
     def split(self, numbers):
-        """Return numbers as the lists in which they are."""
+        """Return the float64 of a message, given in order, split as in `lists`."""
         parts, place = [], 0
         for length in self.lists:
             parts.append(numbers[place:place + length])
@@ -47,19 +46,19 @@ class Layout(NamedTuple):
         return parts
 
     def meant(self):
-        """Return the places of all bytes that mean something; the others are padding."""
+        """Return the places of all bytes with content; the others are padding."""
         return [*self.fixed, *(place + byte for place in (*self.stamps, *self.doubles)
                                for byte in range(8))]
 
 
 def layout(type_name, data):
     """
-    Return the Layout of a message, CDR, of one of TYPES.
+    Return the Layout of a serialised message of one of TYPES.
 
     Raises
     ------
     CdrError
-        If the message ends too early or is encoded in another way.
+        If the message is too short, or not in little-endian plain CDR.
 
     """
     walk = _Walk(data)
@@ -83,7 +82,7 @@ def pack(type_name, values):
     Raises
     ------
     CdrError
-        If a field is unknown or an array of fixed length has another one.
+        If a field is unknown, or an array of fixed length is given with another length.
 
     Examples
     --------
@@ -122,11 +121,11 @@ def _append(data, type_name, value):
 
 
 class _Walk:
-    """Passes values of a message, and notes in `found` where they are."""
+    """Reads through a message, and notes in `found` where its values are."""
 
     def __init__(self, data):
         self._data, self.place = data, _START
-        self._in_a_row = False  # whether the last list consists of single numbers
+        self._in_a_row = False  # whether further float64 belong to the last of `found.lists`
         self.found = Layout(0, [], [], [], [], [0, 1])
         if bytes(data[:2]) != _LITTLE_ENDIAN:
             raise CdrError(f'its encoding is {bytes(data[:2])!r}, not {_LITTLE_ENDIAN!r}')
@@ -164,7 +163,7 @@ class _Walk:
         if not self._in_a_row:
             self._in_a_row = True
             self.found.lists.append(0)
-        if count:  # else nothing is aligned
+        if count:  # an empty sequence is not followed by padding
             self.found.lists[-1] += count
             self.found.doubles.extend(range(self._pass(8 * count, 8), self.place, 8))
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a command means: the inputs that it sets, and when it is refused."""
+"""The command topics: which inputs a message sets, and when it is refused."""
 
 import math
 from typing import Callable, NamedTuple
@@ -18,11 +18,11 @@ from timo_sim.physics.layout import (
     FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, rotate, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y,
     TORQUE, VOLTAGE)
 
-# What is commanded has the columns of a load and a force on the tip along and across the section
-# there, see `acting`.
+# Commanded values have the columns of a load, and two more: a force on the tip in the axes of the
+# tip, which `acting` turns into a load.
 ALONG_TIP, ACROSS_TIP = LOADS, LOADS + 1
 COMMANDED = LOADS + 2
-# Its columns, and their names with units, by input. Each input follows the latest message that set
+# By input, its columns and their names with units. Each input follows the latest message that set
 # it; of messages that begin to act in the same step, the later entry of COMMANDS wins.
 INPUTS = {
     'carrier': {FORCE_X: 'force_x_N', FORCE_Y: 'force_y_N', FORCE_I: 'force_along_arm_N',
@@ -33,12 +33,12 @@ INPUTS = {
             ALONG_TIP: 'tip_force_along_tip_N', ACROSS_TIP: 'tip_force_across_tip_N'},
 }
 JOINTS = 'carrier_x', 'carrier_y', 'shaft'
-PLAIN = {name: name for name in FRAMES}
-LARGEST = 65536  # [B] of a command; ordinary ones have some hundreds
+PLAIN = {name: name for name in FRAMES}  # frames under their default names
+LARGEST = 65536  # [B] of a command that is accepted; ordinary ones have some hundreds
 
 
 class Refused(ValueError):
-    """A command that is not applied; the text says why."""
+    """A command is not applied; the text says why."""
 
 
 def _finite(numbers):
@@ -47,7 +47,7 @@ def _finite(numbers):
 
 
 def _forces(texts, numbers, names):
-    """Return the force of a wrench among those in frames of these names, (x, y) of each."""
+    """Return (x, y) for each frame of `names`: the force in the wrench's frame, else zeros."""
     _finite(numbers)
     frame = texts[0] or names[0]
     if frame not in names:
@@ -104,17 +104,17 @@ class Command(NamedTuple):
     A command topic.
 
     `load` takes the texts and the lists of numbers of a message, and the names of frames; it
-    returns what the message says by input, or raises Refused.
+    returns the values of each input that the message sets, or raises Refused.
     """
 
     name: str
     type_name: str
     load: Callable[[list, list, dict], dict]
-    inputs: tuple
+    inputs: tuple  # keys of INPUTS that it may set
 
     @property
     def columns(self):
-        """Columns of what is commanded that it may set."""
+        """Columns of the commanded values that it may set."""
         return [column for key in self.inputs for column in INPUTS[key]]
 
     @property
@@ -124,23 +124,24 @@ class Command(NamedTuple):
 
     def row(self, texts, lists, frames=PLAIN):
         """
-        Return values for its columns, NaN for what it does not set, or raise Refused.
+        Return values for its columns [N, N m, V], NaN where it sets none, or raise Refused.
 
-        `frames` are the names of those of `messages.outputs`.
+        `texts` and `lists` are those of the message; `frames` names each of `outputs.FRAMES`.
         """
         found = self.load(texts, lists, frames)
         return np.concatenate([found.get(key, [math.nan] * len(INPUTS[key]))
                                for key in self.inputs])
 
     def apply(self, row, commanded):
-        """Put a row into what is commanded, (16,), in place; return the inputs that it sets."""
+        """Write a row into commanded values, (16,), in place; return the inputs that it sets."""
         given = np.flatnonzero(~np.isnan(row))
         columns = np.array(self.columns)[given]
         commanded[columns] = row[given]
         return {key for key in self.inputs if not INPUTS[key].keys().isdisjoint(columns)}
 
 
-# One topic for each input first, of those the messages that let an input fall to zero.
+# The first three are in the order of INPUTS: the log shows a time-out of an input as a message of
+# zeros on its topic among these.
 COMMANDS = [
     Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped', _carrier_wrench, ('carrier',)),
     Command('~/motor_torque', 'std_msgs/msg/Float64',
@@ -155,16 +156,16 @@ COMMANDS = [
 
 
 def turns(commanded):
-    """Return whether something commanded, (16,), has another direction in each step."""
+    """Return whether commanded values, (16,), have a force in the axes of the tip, which turn."""
     return commanded[ALONG_TIP] != 0.0 or commanded[ACROSS_TIP] != 0.0
 
 
 def acting(commanded, simulator):
     """
-    Return what acts of the commanded in the next step of a Simulator, a load, shape (14,).
+    Return the load, shape (14,), of commanded values, (16,), in a Simulator's next step.
 
-    A force in the axes of the tip has the direction that these have in the middle of the step, by
-    extrapolation: the error is of second order in the step.
+    A force in the axes of the tip takes their direction in the middle of the step, extrapolated
+    from the motion at its start: the error is of second order in the step.
     """
     if not turns(commanded):
         return commanded[:LOADS]

@@ -81,7 +81,7 @@ class Field(NamedTuple):
 
     name: str
     type_name: str        # 'float64', 'string', ... or as in 'geometry_msgs/msg/Point'
-    length: int | None    # of an array; 0 for one of any length, None for a single value
+    length: int | None    # of an array; 0 for a sequence of any length, None for a single value
     default: Any          # what a new message holds: 0, '', {} or an array of these
 
 

@@ -18,13 +18,13 @@ from timo_sim.physics.layout import place
 
 NANOSECONDS = 1000000000
 _GRAVITY = 9.80665  # [m/s2]
-# Frames: carrier in world, arm (which turns with the shaft) on it, tip in the arm frame. A node
-# may give them other names, see `in_frames`.
+# The parent of each frame is the one before it; arm turns with the shaft. A node may give them
+# other names, see `in_frames`.
 FRAMES = 'world', 'carrier', 'arm', 'tip'
 
 
 def title(topic):
-    """Return what columns and the rate of a topic are named after: tip_imu of its data_raw."""
+    """Return the short name of a topic in columns and rates: tip_imu for ~/tip_imu/data_raw."""
     return topic.strip('~/').partition('/')[0]
 
 
@@ -57,17 +57,17 @@ class Output(NamedTuple):
     Attributes
     ----------
     name : str
-        As a node is given it: '~/encoder' is below the node's own name, '/clock' is not.
+        As in rclpy: '~/encoder' is below the node's own name, '/clock' is not.
     type_name : str
         Of its messages.
     numbers : function(simulation.snapshot.Snapshot) -> tuple of float
-        Reads what a message holds, in the order of `columns`.
+        Returns the numbers of a message, in the order of `columns`.
     template : dict
-        The message, with a Number in place of each of these; header stamps are filled in.
+        The message with a Number in place of each number; time stamps are filled in.
     delay : str or None
-        Of a sensor, the parameter with the time from measurement to message.
+        Of a sensor, the parameter with the time from measurement to message [s].
     variances : function(simulation.snapshot.Snapshot) -> sequence of float
-        What the numbers of the template without a name are.
+        Returns the values of the template's Numbers without a name.
 
     """
 
@@ -79,12 +79,12 @@ class Output(NamedTuple):
     variances: Callable = lambda snapshot: ()
 
     def content(self, snapshot, numbers):
-        """Return all numbers of the message with these `numbers`."""
+        """Return `numbers` and the variances after them, as many as the template has Numbers."""
         return (*numbers, *self.variances(snapshot))
 
     @property
     def rate(self):
-        """The parameter with the rate."""
+        """Name of the parameter with the rate."""
         return f'rate.{title(self.name)}'
 
     @property
@@ -94,7 +94,7 @@ class Output(NamedTuple):
 
     @property
     def places(self):
-        """Which of the float64 of a message the numbers are."""
+        """Indices of the numbers among the float64 of a message."""
         return form(self.type_name, self.template).places[:len(self.columns)]
 
     @property
@@ -116,22 +116,22 @@ def _xy(x, y):
 
 
 def _diagonal(x, y, z):
-    return [x, *3 * [0.0], y, *3 * [0.0], z]  # of 3 x 3
+    return [x, *3 * [0.0], y, *3 * [0.0], z]  # a 3 x 3 matrix by rows
 
 
-def _turn(z, w):
-    return {'z': Number(z), 'w': Number(w)}  # a quaternion
+def _quaternion(z, w):
+    return {'z': Number(z), 'w': Number(w)}
 
 
 _POSE = {
     'header': _frame('world'),
     'pose': {'position': _xy('x_m', 'y_m'),
-             'orientation': _turn('orientation_z', 'orientation_w')},
+             'orientation': _quaternion('orientation_z', 'orientation_w')},
 }
 
 
 def outputs(modes):
-    """Return the topics that carry the motion of an arm with so many modes, a list of Output."""
+    """Return the list of Outputs, the topics that carry the motion, for a number of modes."""
     names = [f'mode_{n + 1}' for n in range(modes)]
     modal = [Output('~/modal_state', 'sensor_msgs/msg/JointState',
                     lambda snapshot: snapshot.modal_state, {
@@ -161,9 +161,9 @@ def outputs(modes):
             delay='sensor.root_strain.delay'),
         Output('~/tip_imu/data_raw', 'sensor_msgs/msg/Imu', imu, {
             'header': _frame('tip'),
-            # REP 145: -1 for no orientation; what is known of the covariance, all 0 if nothing is.
+            # REP 145: -1 means no orientation; a covariance of zeros means that it is unknown.
             'orientation_covariance': [-1.0] + 8 * [0.0],
-            # The plane of motion is horizontal; a sensor at rest shows what holds it up.
+            # The plane of motion is horizontal: an accelerometer at rest shows +g along z.
             'linear_acceleration': {**_xy('acceleration_x_m_per_s2', 'acceleration_y_m_per_s2'),
                                     'z': _GRAVITY},
             'angular_velocity': {'z': Number('turning_rad_per_s')},
@@ -181,15 +181,15 @@ TRANSFORMS = Output('/tf', 'tf2_msgs/msg/TFMessage', _transforms, {'transforms':
     {'header': _frame('world'), 'child_frame_id': 'carrier',
      'transform': {'translation': _xy('carrier_x_m', 'carrier_y_m')}},
     {'header': _frame('carrier'), 'child_frame_id': 'arm',
-     'transform': {'rotation': _turn('arm_orientation_z', 'arm_orientation_w')}},
+     'transform': {'rotation': _quaternion('arm_orientation_z', 'arm_orientation_w')}},
     {'header': _frame('arm'), 'child_frame_id': 'tip',
      'transform': {'translation': _xy('tip_x_m', 'tip_y_m'),
-                   'rotation': _turn('tip_orientation_z', 'tip_orientation_w')}},
+                   'rotation': _quaternion('tip_orientation_z', 'tip_orientation_w')}},
 ]})
 
 
 def in_frames(template, names):
-    """Return a template with the names that a dictionary gives to FRAMES."""
+    """Return a template with its frames renamed; `names` is a dictionary with keys of FRAMES."""
     if isinstance(template, dict):
         return {key: names.get(part, part) if key.endswith('frame_id') else in_frames(part, names)
                 for key, part in template.items()}
@@ -201,12 +201,12 @@ def with_angles(columns, values):
     """
     Return columns, a tuple of str, and values (n, k) with an angle in place of an orientation.
 
-    The angle, `rotation_rad`, is not wrapped; it stands for two numbers.
+    The column `rotation_rad`, not wrapped, replaces `orientation_z` and `orientation_w`.
     """
     if 'orientation_z' not in columns:
         return columns, values
     z, w = (values[:, columns.index(name)] for name in ('orientation_z', 'orientation_w'))
-    # Half the angle is written, so that it comes back after two turns.
+    # A quaternion has half the angle, and so repeats after two turns.
     angle = np.unwrap(2.0 * np.arctan2(z, w), period=4.0 * math.pi)
     kept = [place for place, name in enumerate(columns) if not name.startswith('orientation_')]
     return ((*(columns[place] for place in kept), 'rotation_rad'),

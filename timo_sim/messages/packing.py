@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Messages of which only time and some numbers change: templates, and what fills them fast."""
+"""Fast serialisation of messages in which only the time and some numbers change."""
 
 import struct
 from typing import NamedTuple
@@ -18,9 +18,9 @@ class Number(NamedTuple):
     """
     Stands in a template for a number that changes from message to message.
 
-    A template gives the values of a message as `cdr.pack` takes them. Its numbers are counted in
-    the order in which they are written in the template, whatever the order of the message. Those
-    without a name, the last ones, say something of the others and are no columns.
+    A template has the values of a message as `cdr.pack` takes them. Numbers are counted in the
+    order of the template, whatever the order of the message. Numbers without a name come last;
+    they describe the others, as variances do, and are no columns.
 
     Examples
     --------
@@ -45,14 +45,14 @@ class Form(NamedTuple):
 
     data: bytes
     layout: Layout
-    places: tuple  # of the numbers, among all float64 of the message
+    places: tuple  # index of each Number among all float64 of the message
 
 
 def form(type_name, template):
     """Return the Form of a template."""
     marks: list[float] = []
 
-    def mark(number):  # by a value of its own that no template holds: 5e-324, 1e-323, ...
+    def mark(number):  # with a value that no template holds: 5e-324, 1e-323, ...
         marks.append(5e-324 * (len(marks) + 1))
         return marks[-1]
 
@@ -63,7 +63,7 @@ def form(type_name, template):
 
 
 def _filled(template, value):
-    """Return a template with value(number) for each Number, in the order of writing."""
+    """Return a template with value(number) for each Number, in the order of the template."""
     if isinstance(template, Number):
         return value(template)
     if isinstance(template, dict):
@@ -78,7 +78,7 @@ class Serializer:
     Writes time and numbers straight into a serialised message.
 
     Everything else is the same in all messages of a topic, so each is a copy of the first with
-    other numbers. All times in a message are the same; ValueError if there is none.
+    other numbers. All times in a message are the same. A type without a time is a ValueError.
     """
 
     def __init__(self, type_name, template):
@@ -86,17 +86,17 @@ class Serializer:
         if not found.stamps:
             raise ValueError(f'{type_name} has no time')
         self._data = bytearray(data)
-        # After four bytes CDR aligns every number to its size.
+        # CDR aligns every number to its size, counted from the end of the header of four bytes.
         body = memoryview(self._data)[4:]
         self._words = body[:len(body) // 4 * 4].cast('I')
         self._times = [(place - 4) // 4 for place in found.stamps]
         self._numbers = body[:len(body) // 8 * 8].cast('d')
         self._places = [(found.doubles[place] - 4) // 8 for place in places]
-        for place in self._places:  # what is not given
+        for place in self._places:  # numbers that no call gives are zero
             self._numbers[place] = 0.0
 
     def __call__(self, time, numbers):
-        """Return the message with this time ([s], [ns]) and these numbers, CDR."""
+        """Return the serialised message with a time ([s], [ns]) and numbers in the columns."""
         for place in self._times:
             self._words[place], self._words[place + 1] = time
         view = self._numbers

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The sensors: what each measures. Their parameters and readings follow from this table."""
+"""The table of sensors, which says what each measures; parameters and readings follow from it."""
 
 from typing import Callable, NamedTuple
 
@@ -24,7 +24,7 @@ class Sensor(NamedTuple):
     quantities: Callable
 
 
-# A place in this list is part of what the random numbers of a sensor depend on: append only.
+# The random numbers of a sensor depend on its place in this list: append only.
 SENSORS = (
     Sensor('root_strain', '', 'the strain of the outer fibre at the root',
            lambda snapshot: (snapshot.root_strain,)),

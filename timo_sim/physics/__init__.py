@@ -7,9 +7,9 @@
 # language governing permissions and limitations under the License.
 
 """
-The manipulator in equations: values in, values out.
+Physics of the manipulator, from bodies to time steps: values in, values out.
 
-It may import NumPy, SciPy and `jit`; it knows no files, no scenes and no ROS. `layout` says what
-arrays of loads and motions hold, `arm` has bodies and modes, `equations` the formulations,
-`integrate` the time step. The equations do not know the integrator.
+This package may import NumPy, SciPy and `jit`; it knows no files, no scenes and no ROS. `layout`
+says what arrays of loads and motions hold, `arm` has bodies and modes, `equations` the
+formulations, `integrate` the time step. The equations do not know the integrator.
 """

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What arrays of loads and motions hold, and rotations of the plane."""
+"""Layout of the arrays for loads and motions, and rotations of the plane."""
 
 from dataclasses import dataclass
 import math
@@ -16,18 +16,18 @@ import numpy as np
 # Columns of a load: forces on the carrier in world axes and in the shaft's axes [N], torque on the
 # shaft [N m]; forces on the tip likewise [N], torque on the end effector [N m]; angle, speed and
 # acceleration of a driven shaft [rad], [rad/s], [rad/s2]; voltage at a DC motor [V], of which the
-# equations know only its torque.
+# equations see only the torque.
 (FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE, TIP_X, TIP_Y, TIP_I, TIP_II, TIP_TORQUE,
  ANGLE, SPEED, ACCELERATION, VOLTAGE) = range(14)
 LOADS = 14
-# The loads of a step: as its stages see them, and as they truly are at its end.
+# Rows of the loads of a step: three that its stages see, then the true load at its end.
 START, MIDDLE, END, AFTER = range(4)
 STAGES, STEP_LOADS = 3, 4
 
 
 class MotionFields:
     """
-    The parts of a motion by name; a class that has `values` takes these properties from here.
+    Names for the parts of a motion; a mixin for classes with an attribute `values`.
 
     `values` is one motion or many, shape (..., 2 (3 + N)):
     `[x_c, y_c, theta, q_1..q_N, d/dt of each]`.
@@ -73,7 +73,7 @@ class MotionFields:
 @dataclass(frozen=True)
 class Motion(MotionFields):
     """
-    A motion, or many, with names for its parts.
+    One motion or many, with names for the parts.
 
     Attributes
     ----------
@@ -95,12 +95,12 @@ def rotate(theta, x, y):
     theta : float or ndarray
         [rad]
     x, y : float or ndarray
-        Components, as along and across the shaft.
+        Components in the turned axes, such as along and across the shaft.
 
     Returns
     -------
     x, y : float or ndarray
-        As in world axes.
+        Components in the axes from which theta is counted, such as the world's.
 
     """
     library = math if isinstance(theta, float) else np
@@ -109,12 +109,12 @@ def rotate(theta, x, y):
 
 
 def tip_force(loads, theta):
-    """Return the force on the tip in world axes by loads, (n, 14), and shaft angles, (n,) [N]."""
+    """Return x, y of the tip force in world axes [N], for loads (n, 14) and shaft angles (n,)."""
     x, y = rotate(theta, loads[:, TIP_I], loads[:, TIP_II])
     return x + loads[:, TIP_X], y + loads[:, TIP_Y]
 
 
 def place(origin_x, origin_y, theta, x, y):
-    """Return the world position of a point x, y of axes turned by theta about an origin [m]."""
+    """Return an origin plus the vector x, y turned by theta, such as a point in world axes."""
     cosine, sine = math.cos(theta), math.sin(theta)
     return origin_x + cosine * x - sine * y, origin_y + sine * x + cosine * y

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Recorded runs again: the same to the last bit, or with something changed.
+Replay recorded runs: the same to the last bit, or with a changed scene.
 
 It may import `log`, `simulation` and what is below them. Nothing here needs ROS.
 """

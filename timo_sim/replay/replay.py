@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A log or a bag replayed, compared and reported: the work of `timo_sim replay`."""
+"""Replay a log or a bag, compare the runs, and report: the work of `timo_sim replay`."""
 
 import math
 from pathlib import Path
@@ -31,11 +31,11 @@ from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.resolution import resolved
 from timo_sim.simulation.simulator import Simulator
 
-_BATCH = 500  # steps of one compiled call at most
+_BATCH = 500  # most steps of one compiled call
 
 
 class Difference(NamedTuple):
-    """How far the replay of a quantity is from its log."""
+    """The difference of a replayed quantity from the logged one."""
 
     name: str       # topic and column
     largest: float  # in the unit that the column names
@@ -46,7 +46,7 @@ class Difference(NamedTuple):
 def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration=None, node=None,
            show=print):
     """
-    Replay a log or a bag, compare, and say what was found.
+    Replay a log or a bag, compare what it publishes with what was logged, and report.
 
     Parameters
     ----------
@@ -54,8 +54,8 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
     changes : dict, optional
         Values by dotted name that differ from those of the recorded scene.
     output : str or Path, optional
-        New log; by default none for an unchanged scene, else one beside the working directory's
-        other files, named after `file` with `_replay`.
+        New log; by default none for an unchanged scene, else one in the working directory, named
+        after `file` with `_replay` appended.
     scene_file : str or Path, optional
         Parameter file instead of the scene in the log; needed for a plain bag.
     start, duration : float, optional
@@ -63,13 +63,20 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
     node : str, optional
         See `Recording`.
     show : function(str)
-        Receives lines.
+        Called with each line of the report.
 
     Returns
     -------
     bool
-        Whether the run came to its end and, where nothing was changed, is the same to the last
-        bit.
+        Whether the run did not diverge and, if nothing was changed, all logged numbers are the
+        same to the last bit.
+
+    Raises
+    ------
+    LogError
+        If the file is not a log, is damaged, or has nothing to replay.
+    ParameterError
+        If a value breaks its rule, a plain bag has no scene, or steps do not fit the log.
 
     """
     recording = Recording(file, node)
@@ -96,18 +103,18 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
         if log:
             log.close()
     _tell(show, recording, segments, again, time.monotonic() - begun)
-    count, other, found = _compare(segments, scene, recording.topics)
+    count, differing, found = _compare(segments, scene, recording.topics)
     logged = _logged(segments, scene, recording)
     show(f'{count} of {logged} logged numbers compared' + (
-        '' if not same else f': {other} differ' if other else
+        '' if not same else f': {differing} differ' if differing else
         ': all are the same to the last bit' if count == logged and not recording.unread else
         ', the same to the last bit'))
     for text in recording.unread.values():
         show(text)
-    if found and not (same and not other):
+    if found and not (same and not differing):
         if not same and (scene.values['model.formulation']
                          != recording.scene.values['model.formulation']):
-            # Modes of one are not those of the other.
+            # Formulations have different modes, so that modal coordinates cannot be compared.
             found = [row for row in found if not row.name.startswith('modal_state')]
         _show_table(show, found)
     ground = other_ground(recording.facts)
@@ -117,18 +124,18 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
         show(f'new log: {log.path}')
     if again.diverged:
         show(again.diverged)
-    return not (again.diverged or same and (other or count < logged or recording.unread))
+    return not (again.diverged or same and (differing or count < logged or recording.unread))
 
 
 def _values(recording, scene_file, changes):
     if scene_file is not None:
         given, source = read_parameter_file(scene_file), str(scene_file)
     elif recording.facts:
-        # What the scene finds wrong is a LogError; the node's own values are in the same place.
+        # `recording.scene` raises LogError if values are wrong; it has none of the node's own.
         checked, source = recording.scene.values, recording.index.name
         given = {**recording.parameters, **checked}
     else:
-        raise ParameterError(f'{recording.index.name} is a plain bag, which says nothing of the '
+        raise ParameterError(f'{recording.index.name} is a plain bag, which does not contain the '
                              'scene: give it by --scene')
     values = {name: parameter.default for name, parameter in PARAMETERS.items()}
     values.update(check(given, source))
@@ -138,7 +145,7 @@ def _values(recording, scene_file, changes):
 
 class Replay:
     """
-    Runs segments through a scene, and fills them; a NewLog gets what is done.
+    Runs segments in a scene and fills in `replayed` and `done` of each; logs all to a NewLog.
 
     Attributes
     ----------
@@ -156,7 +163,7 @@ class Replay:
         self._outputs = {output.name: output for output in outputs(scene.modal_count)}
 
     def run(self, report=lambda count: None):
-        """Do it; `report` receives how many further steps are done."""
+        """Run all segments; `report(count)` is called after each `count` further steps."""
         for number, segment in enumerate(self._segments):
             if number:
                 self.simulator.reset()
@@ -175,8 +182,8 @@ class Replay:
         for name, output, steps in topics:
             segment.replayed[name] = np.empty((len(steps) - 1, len(output.columns)))
             segment.done[name] = 0
-        commands, begun = [*segment.commands, (math.inf,)], 0
-        changes, made = [*segment.changes, (math.inf,)], 0
+        commands, next_command = [*segment.commands, (math.inf,)], 0
+        changes, next_change = [*segment.changes, (math.inf,)], 0
         simulator = self.simulator
         while True:
             step, snapshot, following = simulator.steps, None, segment.last
@@ -190,21 +197,21 @@ class Replay:
                         self._log.output(name, snapshot, numbers)
                     segment.done[name] = place = place + 1
                 following = min(following, steps[place])
-            while changes[made][0] <= step:
-                _, values = changes[made]
+            while changes[next_change][0] <= step:
+                _, values = changes[next_change]
                 simulator.change(simulator.scene.vary(values))
                 if self._log:
                     self._log.note(CHANGE, change_note(step, values))
-                made += 1
+                next_change += 1
             if step >= segment.last:
                 return
-            while commands[begun][0] <= step:
-                _, index, values, data = commands[begun]
+            while commands[next_command][0] <= step:
+                _, index, values, data = commands[next_command]
                 COMMANDS[index].apply(values, commanded)
                 if self._log:
                     self._log.write(index, step, simulator.nanoseconds, data)
-                begun += 1
-            following = min(following, commands[begun][0], changes[made][0],
+                next_command += 1
+            following = min(following, commands[next_command][0], changes[next_change][0],
                             step + (1 if turns(commanded) else _BATCH))
             simulator.advance(following - step, acting(commanded, simulator))
             load = simulator.load.tolist()
@@ -212,8 +219,8 @@ class Replay:
 
 
 def _compare(segments, scene, topics):
-    """Return how many numbers are in the log, how many of them differ, and the Differences."""
-    count, other, result = 0, 0, []
+    """Return how many numbers were compared, how many of them differ, and the Differences."""
+    count, differing, result = 0, 0, []
     for output in outputs(scene.modal_count):
         topic = output.name
         parts = [(segment, slice(segment.done[topic])) for segment in segments
@@ -224,17 +231,17 @@ def _compare(segments, scene, topics):
             np.concatenate([getattr(segment, kind)[topic][part] for segment, part in parts])
             for kind in ('samples', 'logged', 'replayed'))
         count += logged.size
-        other += (int(np.count_nonzero(logged.view('i8') != replayed.view('i8')))
-                  if logged.shape == replayed.shape else logged.size)
+        differing += (int(np.count_nonzero(logged.view('i8') != replayed.view('i8')))
+                      if logged.shape == replayed.shape else logged.size)
         if len(time):
             result += _differences(topic, scene.step * time,
                                    with_angles(topics[topic].columns, logged),
                                    with_angles(output.columns, replayed))
-    return count, other, result
+    return count, differing, result
 
 
 def _logged(segments, scene, recording):
-    """Return how many numbers of the node's outputs are in the log until the replay's end."""
+    """Return how many numbers of the node's outputs the log has until the end of the replay."""
     series = {output.name: (output, recording.topics[output.name])
               for output in outputs(scene.modal_count) if output.name in recording.topics}
     if not recording.facts:

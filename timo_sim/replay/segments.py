@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a recording says was done: commands and resets by the step at which they acted."""
+"""Divide a recording at its resets, and find the step at which each command acted."""
 
 from dataclasses import dataclass, field
 import math
@@ -20,36 +20,36 @@ from timo_sim.scene.parameter import LATEST, Parameter, ParameterError, whole_ra
 from timo_sim.scene.parameters import steps_in
 
 _ROUNDING = 1e-9
-_START = Parameter('start', 0.0, 's', 'of the first message', low=-LATEST, high=LATEST)
+_START = Parameter('start', 0.0, 's', 'sim time of the first message', low=-LATEST, high=LATEST)
 
 
 @dataclass
 class Segment:
-    """What happened from the start, or a reset, to the next reset, or the end."""
+    """A part of a run, from its start or a reset to the next reset or its end."""
 
     first: int      # step
     last: int
-    commands: list  # that act: step, index in COMMANDS, what it sets, message; ascending
-    changes: list   # step and values by name of the scene's parameters; ascending
-    samples: dict   # of each topic, by short name, steps of its messages; ascending
-    logged: dict    # their numbers, shape (n, k), where the log has the topic
-    replayed: dict = field(default_factory=dict)  # the same of the replay
-    done: dict = field(default_factory=dict)      # how many samples the replay has come to
+    commands: list  # (step, index in COMMANDS, values that it sets, message), ascending
+    changes: list   # (step, values by name) of each setting of parameters, ascending
+    samples: dict   # by short name of a topic, the steps of its messages, ascending
+    logged: dict    # their numbers, shape (n, k), of topics that the log has
+    replayed: dict = field(default_factory=dict)  # numbers of the replay at the samples
+    done: dict = field(default_factory=dict)      # how many samples were replayed so far
 
 
 def segments_of(recording, scene, values, start=0.0, duration=None):
     """
-    Return what a recording says was done, in steps of a scene.
+    Return the segments of a recording, counted in steps of a scene.
 
     Parameters
     ----------
     recording : Recording
     scene : Scene
-        Which may have another time step: a command acts from the first whole step on.
+        It may have another time step: a command acts from the next whole step on.
     values : dict
         The node's parameters, for the rates of topics that are not in the recording.
     start : float, optional
-        Sim time of the first message of a bag that says nothing of sim time [s].
+        Sim time of the first message of a bag that has no sim time [s].
     duration : float, optional
         Sim time of the end [s]; by default that of the last message.
 
@@ -62,8 +62,7 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
     LogError
         If there is nothing to replay.
     ParameterError
-        If the time step does not meet the times of the logged messages, or the log is shorter
-        than the duration.
+        If logged messages are not at whole time steps, or the log is shorter than the duration.
 
     """
     found = recording.topics
@@ -77,29 +76,29 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
     for topic, resets in (*((series.topic, series.resets) for series in found.values()),
                           ('a setting', np.array(changed))):
         if (resets < 0).any():
-            raise LogError(f'{recording.index.name} is in another order than it was logged in: it '
-                           f'does not say whether {topic[:80]} at the step of a reset was before '
-                           'or after it')
+            raise LogError(f'{recording.index.name} is in another order than it was logged in: '
+                           f'whether {topic[:80]} at the step of a reset was before or after it '
+                           'is not known')
     shift = _shift(recording, [series for _, series in commands], motions, start)
 
-    def steps(series, meet):
+    def steps(series, must_fit):
         if recording.facts:
             exact = series.step * (recording.scene.step / scene.step)
         else:
             exact = 1e-9 * (series.ns + shift) / scene.step
-        return _whole(exact, meet, scene.step, series.topic)
+        return _whole(exact, must_fit, scene.step, series.topic)
 
-    # Of a plain bag only the commands count: when they began to act, it does not say exactly.
+    # The motion in a plain bag is not compared: when commands began to act is not known exactly.
     own = motions if recording.facts else {}
     acting = [(number, series, steps(series, False)) for number, series in commands]
     published = {name: steps(series, True) for name, series in own.items()}
-    came = late_steps(known, recording.scene, scene.step) if own else {}
-    last = _last(acting, {name: at + came[name] for name, at in published.items()}, motions, shift,
-                 scene, duration)
+    delays = late_steps(known, recording.scene, scene.step) if own else {}
+    last = _last(acting, {name: at + delays[name] for name, at in published.items()}, motions,
+                 shift, scene, duration)
     ends = [*_steps_of(recording.resets, recording, scene).tolist(), last]
     unasked = {'/clock', *(name for name, output in known.items()
                            if output.delay and not values.get('record_sensors'))}
-    # What is under way at the end, or at a reset, does not arrive.
+    # Late messages that are under way at the end, or at a reset, do not arrive.
     late = late_steps(known, scene, scene.step)
     result = []
     for number, end in enumerate(ends):
@@ -119,7 +118,7 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
             which = (own[name].resets == number) & (at <= until[name])
             samples[name], logged[name] = at[which], own[name].values[which]
         for name in known.keys() - samples.keys() - unasked:
-            if 'joint_states' in samples:  # of a scene with modes where the log's had none
+            if 'joint_states' in samples:  # modal_state, if the scene of the log has no modes
                 at = samples['joint_states']
                 samples[name] = at[at <= until[name]]
             elif not own:
@@ -132,7 +131,7 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
 
 
 def _steps_of(steps, recording, scene):
-    # Steps of a recording in those of a scene; a plain bag has none.
+    # Steps of a recording, converted to those of a scene; a plain bag has no step of its own.
     ratio = recording.scene.step / scene.step if recording.facts else 1.0
     return np.ceil(np.asarray(steps) * ratio - _ROUNDING).astype(int)
 
@@ -144,21 +143,21 @@ def late_steps(known, scene, step):
 
 
 def _shift(recording, commands, motions, start):
-    """Return what makes sim time of the stamps of a bag [ns]."""
+    """Return the difference of sim time from the stamps of a bag [ns]."""
     if recording.facts or motions:
         return 0
     return round(1e9 * _START.check(start)) - min(
         int(series.ns[0]) for series in commands if len(series.ns))
 
 
-def _whole(exact, meet, step, topic):
-    """Return whole steps for these times in steps."""
+def _whole(exact, must_fit, step, topic):
+    """Return times in steps, rounded up; raise ParameterError if they must fit and do not."""
     whole = np.ceil(exact - _ROUNDING * np.maximum(1.0, np.abs(exact))).astype(np.int64)
     missed = np.abs(whole - exact) > 1e-6
-    if meet and missed.any():
+    if must_fit and missed.any():
         raise ParameterError(
             f'integrator.step = {step:g} s does not meet the times of {topic}, such as '
-            f'{exact[np.argmax(missed)] * step:.9g} s: take a whole fraction')
+            f'{exact[np.argmax(missed)] * step:.9g} s: take one that divides them')
     return np.maximum(whole, 0)
 
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The centre line as a marker for RViz, on ~/arm_shape; not logged."""
+"""Publishes the centre line of the arm as a marker for RViz, on ~/arm_shape; not logged."""
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
@@ -21,7 +21,7 @@ _POINTS = 41
 
 
 class ArmShape(Outlet):
-    """The outlet of the centre line of a Formulation, in the frame of the world."""
+    """The outlet of the centre line of a Formulation; `frame` is the name of the world frame."""
 
     logged = False
     name, rate = '~/arm_shape', 'rate.arm_shape'
@@ -34,7 +34,7 @@ class ArmShape(Outlet):
         self._thickness = float(np.max(arm.section.height))
 
     def publish(self, snapshot, again=False):
-        """Send the shape of a snapshot."""
+        """Send the shape that the arm has in a snapshot; `again` as in `Outlet.send`."""
         line = self._model.world(snapshot.motion[np.newaxis], self._points)[0]
         sec, nanosec = snapshot.time
         self.send(serialize_message(Marker(

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The subscriptions to commands: held from the first whole step after receipt until the next."""
+"""Subscriptions to commands; each acts from the first whole step after receipt until the next."""
 
 from rclpy.serialization import deserialize_message, serialize_message
 
@@ -29,8 +29,8 @@ def _joints(message):
         message.position, message.velocity, message.effort]
 
 
-# By type of a command: what returns texts and lists of numbers of a message. `messages.cdr` would
-# do it, too, but a hostile message of 64 kB then takes 20 ms.
+# By type of a command: the function that returns texts and lists of numbers of a message.
+# `messages.cdr` could do this, too, but would need 20 ms for a hostile message of 64 kB.
 _READ = {
     'geometry_msgs/msg/WrenchStamped': _wrench,
     'std_msgs/msg/Float64': lambda message: ([], [(message.data,)]),
@@ -41,25 +41,25 @@ _READ = {
 
 class Inlet:
     """
-    The subscription to a command topic, read under the node's lock by whoever does steps.
+    The subscription to a command topic; the loop polls it under the node's lock.
 
-    No executor serves it: its queue of messages would have no end, that of the middleware has.
+    No executor serves it: the EventsExecutor's queue is unbounded, the middleware's is not.
 
     Attributes
     ----------
     pending : tuple or None
-        What waits to act: row of the command, and message.
+        The command that will act next: its row and its message, serialised.
     refused, mismatched : int
-        Commands not applied, and those that answer another state than that which is waited for.
+        Number of commands refused, and of those dropped because they answer another state.
     foreign : int
-        Names of joints of others in commands.
+        Number of names in commands that are no joints here, such as those of other robots.
 
     """
 
     def __init__(self, node, command, frames):
         self.command, self._frames = command, frames
         self.type = message_class(command.type_name)
-        # A logger of its own: warnings are throttled for each.
+        # A logger for each topic, so that the warnings of each are throttled separately.
         self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
         self._subscription = node.create_subscription(
             self.type, command.name, lambda data: None, QUEUE, raw=True)
@@ -70,7 +70,7 @@ class Inlet:
         self.refused = self.mismatched = self.foreign = 0
 
     def _receive(self, data, answered):
-        """Return whether a message is a command that shall act."""
+        """Make a message pending, unless it is refused; return whether it is now."""
         try:
             message = self._decoded(data)
             texts, lists = _READ[self.command.type_name](message)
@@ -99,14 +99,14 @@ class Inlet:
             raise Refused(f'it has {len(data)} bytes, more than {LARGEST}')
         try:
             return deserialize_message(data, self.type)
-        except RuntimeError:  # what rclpy raises
+        except RuntimeError:  # rclpy's error for bytes that are no such message
             raise Refused(f'it is not a serialised {self.command.type_name}') from None
 
     def poll(self, answered):
         """Receive what has arrived, see `Commands.poll`; return whether a command is in it."""
         handle, received = self._subscription.handle, False
         with handle:
-            # No more than waited at first: a fast publisher would keep this up for ever.
+            # At most a full queue: a fast publisher could keep an endless loop busy for ever.
             for _ in range(self._subscription.qos_profile.depth):
                 taken = handle.take_message(self.type, True)
                 if taken is None:
@@ -117,16 +117,18 @@ class Inlet:
 
 class Commands:
     """
-    All command topics of a node, and which of them each input obeys.
+    All command topics of a node, and which of them each input follows.
+
+    `voltage` says whether there is a motor that takes one, `frames` names each frame.
 
     Attributes
     ----------
     channels : list of Channel
         Of the log, in the order of COMMANDS.
     stale : int
-        Inputs that fell to zero.
+        How often an input fell to zero because its command was too old.
     received : bool
-        Whether a command has come since others began to act, or since this was set to False.
+        Whether a command has come since the last call of `apply`, or since this was set to False.
 
     """
 
@@ -135,26 +137,26 @@ class Commands:
                         if voltage or command.name != '~/motor_voltage']
         self.channels = [inlet.channel for inlet in self._inlets]
         self.stale, self.received = 0, False
-        # Of each input that obeys a command: its inlet, and the step from which it has acted.
-        self._obeyed = {}
+        # Of each input that follows a command: the command's inlet, and the step when it began.
+        self._followed = {}
 
     @property
     def refused(self):
-        """Commands not applied."""
+        """Number of commands refused."""
         return sum(inlet.refused for inlet in self._inlets)
 
     @property
     def mismatched(self):
-        """Commands dropped in lock step, because they answer another state."""
+        """Number of commands dropped in lock step, because they answer another state."""
         return sum(inlet.mismatched for inlet in self._inlets)
 
     @property
     def foreign(self):
-        """Names of joints of others in commands."""
+        """Number of names in commands that are no joints here."""
         return sum(inlet.foreign for inlet in self._inlets)
 
     def expected(self):
-        """Whether anybody publishes commands."""
+        """Return whether anybody publishes commands."""
         return any(inlet.publishers() for inlet in self._inlets)
 
     def poll(self, answered):
@@ -162,17 +164,18 @@ class Commands:
         Receive what has arrived.
 
         In lock step `answered` is the stamp of the state that commands answer [ns], else None. A
-        command that has another is dropped at once, so that it takes the place of none.
+        command with another stamp is dropped at once, so that it replaces no pending one.
         """
         for inlet in self._inlets:
             self.received |= inlet.poll(answered)
 
     def apply(self, step, timeout_steps, commanded):
         """
-        Let what was received act from this step on, and what is too old end.
+        Let pending commands act from this step on, and set inputs to zero that have timed out.
 
-        What is commanded, (16,), is updated in place; with `timeout_steps` 0 nothing is too old.
-        Return index in COMMANDS and message, CDR, of each command that starts to act.
+        `commanded`, shape (16,), is updated in place; with `timeout_steps` 0 nothing times out.
+        Return the index in COMMANDS and the serialised message of each command that begins to
+        act; a time-out counts as a message of zeros.
         """
         started, self.received = [], False
         for index, inlet in enumerate(self._inlets):
@@ -180,29 +183,29 @@ class Commands:
                 row, data = inlet.pending
                 inlet.pending = None
                 for key in inlet.command.apply(row, commanded):
-                    self._obeyed[key] = inlet, step
+                    self._followed[key] = inlet, step
                 started.append((index, data))
         if timeout_steps:
-            for key, (inlet, since) in list(self._obeyed.items()):
+            for key, (inlet, since) in list(self._followed.items()):
                 if step >= since + timeout_steps:
-                    del self._obeyed[key]
+                    del self._followed[key]
                     self.stale += 1
                     inlet.logger.warning(
                         f'no command for {timeout_steps} steps, the {key} input falls to zero',
                         throttle_duration_sec=5.0)
                     commanded[list(INPUTS[key])] = 0.0
-                    index = list(INPUTS).index(key)  # the topic of this input alone
+                    index = list(INPUTS).index(key)  # see the order of COMMANDS
                     started.append((index, serialize_message(self._inlets[index].type())))
         return started
 
     def end(self, timeout_steps):
-        """Return the steps at which inputs fall to zero, a list."""
-        return [since + timeout_steps for _, since in self._obeyed.values()
+        """Return the list of steps at which inputs will time out."""
+        return [since + timeout_steps for _, since in self._followed.values()
                 ] if timeout_steps else []
 
     def clear(self, commanded):
-        """Drop what is in force and what waits."""
+        """Set all commanded values, (16,), to zero and drop pending commands."""
         commanded[:] = 0.0
-        self._obeyed, self.received = {}, False
+        self._followed, self.received = {}, False
         for inlet in self._inlets:
             inlet.pending = None

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The node's health, once per second of wall time on /diagnostics."""
+"""Publishes the node's health on /diagnostics, once per second of wall time."""
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
@@ -20,7 +20,7 @@ _TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees i
 
 class Health:
     """
-    Counts what goes wrong in a node, and tells of it; a count that has grown is a warning.
+    Collects the counters of a node's faults and publishes them; one that has grown is a warning.
 
     Attributes
     ----------
@@ -38,11 +38,11 @@ class Health:
         self._before, self._warned, self._foreign_clock = {}, None, False
 
     def start(self, now):
-        """Begin to measure the pace at a wall time [s]."""
+        """Begin to measure the real-time factor at a wall time [s]."""
         self._reported = now, self._simulator.steps
 
     def counters(self):
-        """Return numbers that only grow when something is wrong, by name."""
+        """Return counters by name; all but `foreign_joints` grow only if something goes wrong."""
         pace = self._loop.pace
         return {
             'overruns': pace.overruns,
@@ -56,7 +56,7 @@ class Health:
             'unresolved_steps': self._simulator.integration.unresolved}
 
     def report(self, now):
-        """Report if it is time."""
+        """Publish the health if a period is over at a wall time [s]."""
         (before, steps), simulator = self._reported, self._simulator
         if now - before < _PERIOD:
             return
@@ -85,14 +85,14 @@ class Health:
 
     def _message(self, snapshot, pace):
         counters, integration = self.counters(), self._simulator.integration
-        error = self._simulator.estimated_error  # before the warning, which it may be
+        error = self._simulator.estimated_error  # first, because this may set the warning
         grown = [name for name, count in counters.items() if count > self._before.get(name, 0)
-                 and name != 'foreign_joints']  # a command may be for several robots
+                 and name != 'foreign_joints']  # no fault: a command may be for several robots
         self._before = counters
         waits = not pace and self._loop.gate.waiting
         state = ('paused' if self._loop.paused else 'waiting for a command' if waits else
                  'running')
-        # By its full name nodes in namespaces are told apart.
+        # The full name tells nodes in different namespaces apart.
         status = DiagnosticStatus(
             name=f'{self._node.get_fully_qualified_name().removeprefix("/")}: simulation',
             hardware_id='timo_sim', level=DiagnosticStatus.OK, message=state)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The services and the action of simulation_interfaces, on the operations of ~/pause and so on."""
+"""Services and action of simulation_interfaces, which pause, reset and step as ~/pause etc. do."""
 
 from rclpy.action import ActionServer, CancelResponse
 from simulation_interfaces.action import SimulateSteps
@@ -25,7 +25,7 @@ _FEATURES = [getattr(SimulatorFeatures, name) for name in (
 
 
 class _Turn:
-    """What a coroutine awaits to let the executor's other callbacks have their turn."""
+    """A coroutine awaits this to give the executor's other callbacks their turn."""
 
     def __await__(self):
         yield
@@ -114,7 +114,7 @@ class Interfaces:
         return response
 
     async def _simulate(self, goal):
-        """Do the steps of an action one by one; others are served in between."""
+        """Do the steps of an action one by one; other callbacks are served in between."""
         total, result = goal.request.steps, Result(result=Result.RESULT_OK)
         for done in range(total):
             if goal.is_cancel_requested:

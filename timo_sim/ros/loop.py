@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The loop of a node: steps in time with the wall clock, commands and messages on the way."""
+"""The node's loop: does steps in time with the wall clock, applies commands and publishes."""
 
 import math
 import time
@@ -21,23 +21,23 @@ from timo_sim.ros.topics import LateOutlet
 from timo_sim.scene.parameter import whole_ratio
 from timo_sim.simulation.model_warnings import DivergenceError
 
-# Steps of one compiled call at most, so that no other thread waits long for it.
+# Most steps of one compiled call, so that no other thread waits long for it.
 _BATCH = 500
-# What is published at each state that waits for a command, in place of its rate.
+# In lock step these topics are published at each state that waits for a command, not at a rate.
 _ANSWERED = 'rate.joint_states', 'rate.clock'
-# How often a paused loop looks at its flags [s].
+# Time between two looks of a paused loop at its flags [s].
 _PAUSED_POLL = 0.01
-# The same while a step waits for a command [s].
+# Time between two looks for a command while a step waits for one [s].
 _COMMAND_POLL = 1e-4
 
 
 class NotNow(Exception):
-    """The simulation is in a state in which it does not do what is asked; the text says why."""
+    """The simulation cannot do what is asked in its present state; the text says why."""
 
 
 class Loop:
     """
-    Advances a simulator; who calls its methods holds the node's lock.
+    Advances a simulator; its caller must hold the node's lock.
 
     Parameters
     ----------
@@ -46,17 +46,17 @@ class Loop:
         Parameters of the node.
     commands : Commands
     outlets : list of Outlet
-        Of what is published at steps.
+        Publishers of the topics that are sent at steps.
     log : RunLog
     logger
-        Of rclpy.
+        A logger of rclpy.
     end : int
         Step at which the run ends.
 
     Attributes
     ----------
     diverged : str or None
-        Why the simulation is paused for good, until a reset.
+        Why the simulation diverged; it then stays paused until a reset.
 
     """
 
@@ -71,10 +71,10 @@ class Loop:
         self._outlets = outlets
         self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
         self._commanded, self._applied = np.zeros(COMMANDED), [0.0] * LOADS
-        self._shown_at = -math.inf  # wall time at which the state was last shown, or shown again
+        self._shown_at = -math.inf  # wall time [s]; `AGAIN` after it the state is published again
 
     def configure(self, values, steps_each):
-        """Take what can be set while the node runs; steps between messages by name of rate."""
+        """Take parameters that may change at run time, and steps between messages by rate."""
         for outlet in self._outlets:
             outlet.every = self.gate.period if self.gate and outlet.rate in _ANSWERED else (
                 steps_each[outlet.rate])
@@ -91,12 +91,12 @@ class Loop:
         self._commands.poll(answered)
 
     def tick(self, now, stop):
-        """Do what is due at a wall time [s]; return how long nothing will be [s]."""
+        """Do what is due at a wall time [s]; return the time until something is due again [s]."""
         if self.paused:
             self._show_again(now)
             return _PAUSED_POLL
         free = self.pace.free
-        # The rest of what is due comes with the next tick, after whoever waits for the lock.
+        # At most a batch: the rest follows in the next tick, after others have had the lock.
         self._advance(1 if self.gate.waiting else _BATCH if free else min(
             self.pace.due(self.simulator.steps, now), _BATCH), stop)
         if self.gate.waiting:
@@ -123,30 +123,30 @@ class Loop:
                 return
             self._applied = simulator.load.tolist()
             if not self.gate.stamped and self.gate.boundary(simulator.steps):
-                # What came before a state is shown acts with the answer, but is none.
+                # A command that came before this state is published acts, but does not answer it.
                 self.poll()
                 self._commands.received = False
             self.publish()
 
     def _waits(self, step):
-        """Return whether a step waits for the controller's command."""
+        """Return whether a step must wait for the controller's command."""
         now, gate = time.monotonic(), self.gate
         stood, left = gate.first or gate.left, gate.left
         closed = gate.closed(step, now, self._commands.received, self._commands.expected)
         if stood and not closed:
-            self.pace.start(step, now)  # the run begins now
+            self.pace.start(step, now)  # time begins to run now, or goes on
         if gate.left and not left:
             self._logger.warning(f'nobody publishes commands any more: time stands at step {step} '
-                                 'until the next one')
+                                 'until the next command')
         if closed:
-            # Until the controller is there, and has seen the state that it shall answer.
+            # Repeated until the controller is there and has received the state it must answer.
             self._show_again(now, everybody=gate.first or gate.left)
         else:
             self._shown_at = now
         return closed
 
     def _show_again(self, now, everybody=False):
-        """Send the state again while time stands, where somebody has joined; not to the log."""
+        """Send the state again while time stands, to new subscribers and not to the log."""
         if now < self._shown_at + AGAIN:
             return
         self._shown_at = now
@@ -154,7 +154,7 @@ class Loop:
         step = self.simulator.steps
         due = [outlet for outlet in self._outlets
                if outlet.wanted and (everybody or outlet.watched_anew(now))
-               # What is measured now and comes later is no repeat.
+               # Between its samples a delayed sensor would measure anew, not repeat itself.
                and (outlet not in self._late or step % outlet.every == 0)]
         if due:
             snapshot = self.snapshot()
@@ -162,7 +162,7 @@ class Loop:
                 outlet.publish(snapshot, again=True)
 
     def _next_event(self, step):
-        # The next step at which something is published or a command may begin or fall to zero.
+        # The next step at which something is published, or a command may begin or time out.
         events = [step - step % outlet.every + outlet.every for outlet in self._outlets
                   if outlet.wanted]
         events += [outlet.arrival for outlet in self._late]
@@ -176,7 +176,7 @@ class Loop:
             self._log.write(index, step, self.simulator.nanoseconds, data)
 
     def publish(self, everything=False):
-        """Send each message that is due at this step and wanted by somebody."""
+        """Send each message that is due at this step, or every one, if somebody wants it."""
         step = self.simulator.steps
         for outlet in self._late:
             outlet.deliver(step, self.simulator.nanoseconds)
@@ -188,12 +188,12 @@ class Loop:
                 outlet.publish(snapshot)
 
     def look(self):
-        """Find out who subscribes: a service may be served before the news of a subscriber."""
+        """Ask who subscribes: a service call may overtake the event of a new subscriber."""
         for outlet in self._outlets:
             outlet.look()
 
     def snapshot(self):
-        """Return what messages need of the motion now."""
+        """Return the Snapshot of the present motion, from which messages are made."""
         snapshot = self.simulator.snapshot(self._applied)
         late = self.gate.late(snapshot.step)
         if late:
@@ -203,14 +203,14 @@ class Loop:
     # Operations for the services.
 
     def pause(self, paused):
-        """Let time stand, or go on; raise NotNow."""
+        """Pause, or go on; raise NotNow if the simulation has diverged."""
         if not paused:
             self._refuse_diverged()
         self.paused = paused
         self.pace.start(self.simulator.steps, time.monotonic())
 
     def reset(self):
-        """Go back to the initial state, and show it."""
+        """Go back to the initial state, and drop commands and messages under way."""
         self.look()
         self.poll()
         self.simulator.reset()
@@ -226,7 +226,7 @@ class Loop:
         self.pace.start(self.simulator.steps, time.monotonic())
 
     def step(self, count, stop):
-        """Do so many steps while paused; return until when, as text; raise NotNow."""
+        """Do steps while paused; return the step reached, as text, or raise NotNow."""
         self._refuse_diverged()
         if not self.paused:
             raise NotNow('a step needs a paused simulation')

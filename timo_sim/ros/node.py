@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The node `timo_sim`: wiring of loop, topics, services, diagnostics and log."""
+"""The node `timo_sim`, which connects loop, topics, services, diagnostics and log."""
 
 from contextlib import contextmanager, ExitStack
 from functools import partial
@@ -34,20 +34,21 @@ from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.simulator import Simulator
 
 _LONGEST_SLEEP = 0.1  # [s] after which a sleeping node looks at its flags
-_ALONE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF', 'ROS_LOCALHOST_ONLY': ''}
+# Environment in which a node discovers no other and is discovered by none.
+_UNDISCOVERED = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF', 'ROS_LOCALHOST_ONLY': ''}
 
 
 def no_live_feed(scene, url, name):
-    """Refuse to stream to a viewer."""
+    """Raise ParameterError: only the executable sim_node can stream to a viewer."""
     raise ParameterError(f'rerun_live = {short(url)} needs the executable sim_node, which brings '
                          'the stream of the viewer')
 
 
 @contextmanager
-def _unseen(args, options):
-    """Give a node that has the parameters of a SimNode and is in no graph but its own."""
-    context, before = Context(), {name: os.environ.get(name) for name in _ALONE}
-    os.environ.update(_ALONE)
+def _undiscovered(args, options):
+    """Yield a node that has the parameters of a SimNode, and that no other node sees."""
+    context, before = Context(), {name: os.environ.get(name) for name in _UNDISCOVERED}
+    os.environ.update(_UNDISCOVERED)
     try:
         context.init(args, initialize_logging=False)
     finally:
@@ -63,9 +64,9 @@ def _unseen(args, options):
 
 def _prepared(node):
     """
-    Return a simulator, compiled, and what the parameters of a node say of its run.
+    Return a simulator, compiled, and its settings from the parameters of a node.
 
-    Their values by name, steps between messages by rate, and the last step.
+    The settings are values by name, steps between messages by rate, and the last step.
     """
     values = node.given()
     scene = scene_from(values)
@@ -90,9 +91,9 @@ class SimNode(ParameterNode):
     ----------
     stop : StopRequest
     live_feed : function(Scene, str, str) -> object, optional
-        For a scene, the address of a viewer and the name of the node returns what streams to it:
-        its `offer(now, simulator, effort)` is called at each tick, its `close()` at the end;
-        `doubt` is a warning or None.
+        Returns a stream of a scene to a viewer, given its address and the name of the node. Its
+        `offer(now, simulator, effort)` is called at each tick, its `close()` at the end; its
+        attribute `doubt` is a warning or None.
     args : list of str, optional
         Command line with parameters; by default that of the process.
     **options
@@ -105,8 +106,8 @@ class SimNode(ParameterNode):
     """
 
     def __init__(self, stop, live_feed=no_live_feed, args=None, **options):
-        # What takes seconds is done before others see a node, and wait for its answers.
-        with _unseen(args, options) as node:
+        # Compiling takes seconds: it is done before others see the node and wait for its answers.
+        with _undiscovered(args, options) as node:
             self._simulator, values, steps_each, end = _prepared(node)
         self._frames = frame_names(values)
         super().__init__('timo_sim', **options)
@@ -133,7 +134,7 @@ class SimNode(ParameterNode):
 
     @property
     def subscriptions(self):
-        """Those that an executor serves: all but the commands."""
+        """Subscriptions that an executor serves: all but the commands, which the loop polls."""
         return (entry for entry in super().subscriptions if not entry.raw)
 
     def _made_outlets(self, scene):
@@ -171,12 +172,12 @@ class SimNode(ParameterNode):
             Interfaces(self)
 
     def open(self):
-        """Open the log and show the initial state, before any callback can change it."""
+        """Open the log and publish the initial state, before any callback can change it."""
         if self._values['record']:
             self._open_log()
         self._loop.look()
         self._loop.publish()
-        # Only now: rclpy's first line of a process takes a tenth of a second.
+        # After publishing, because rclpy's first log line in a process takes a tenth of a second.
         self.get_logger().info(
             f'{"paused" if self.paused else "running"}: {self._simulator.scene.modal_count} '
             f'modes, step {self._step:g} s, waiting for commands' + (
@@ -200,12 +201,12 @@ class SimNode(ParameterNode):
         while not self._stop.set and self.context.ok() and self.steps < loop.end:
             with self._lock:
                 wait = self._tick()
-            # In slices, because a signal does not cut a sleep short.
+            # In slices, because a signal does not end a sleep early.
             time.sleep(min(max(wait, 0.0), _LONGEST_SLEEP))
         self._close(time.monotonic() - started)
 
     def _tick(self):
-        """Do what is due now; return how long nothing will be [s]."""
+        """Do what is due now; return the time until something is due again [s]."""
         now = time.monotonic()
         self._health.report(now)
         self._loop.poll()
@@ -231,7 +232,7 @@ class SimNode(ParameterNode):
     # Called by the executor.
 
     def survive(self, error):
-        """Say that a callback failed, for example rclpy's at a request that makes no sense."""
+        """Count and log an error of a callback, for example of rclpy's at a malformed request."""
         self._health.failed_calls += 1
         self.get_logger().error(f'a callback failed: {error!r}', throttle_duration_sec=5.0)
 
@@ -254,17 +255,17 @@ class SimNode(ParameterNode):
 
     @property
     def steps(self):
-        """Steps done."""
+        """Number of steps done; a reset does not set it back."""
         return self._simulator.steps
 
     def pause(self, paused):
-        """Let time stand, or go on; return what it does; raise NotNow."""
+        """Pause, or go on; return the new state, as text, or raise NotNow."""
         with self._lock:
             self._loop.pause(paused)
         return 'paused' if paused else 'running'
 
     def reset(self):
-        """Go back to the initial state; return when, as text."""
+        """Go back to the initial state; return at which step, as text."""
         with self._lock:
             self._loop.reset()
             self._log.note(RESET, {'step': str(self.steps)})
@@ -272,7 +273,11 @@ class SimNode(ParameterNode):
             return f'reset at step {self.steps}'
 
     def step(self, count=None):
-        """Do so many steps while paused, or `steps_per_call`; return until when; raise NotNow."""
+        """
+        Do steps while paused; return the step reached, as text, or raise NotNow.
+
+        Their number is `steps_per_call` unless `count` is given.
+        """
         with self._lock:
             return self._loop.step(
                 self._values['steps_per_call'] if count is None else count, self._stop)

@@ -6,24 +6,24 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Which time step is due when: deadlines on the steady clock, and waits for a controller."""
+"""Says when time steps are due: by deadlines on the steady clock, and by waits for commands."""
 
 import math
 
 TICK = 1e-3  # [s] of wall time; shorter steps are done several at a time
-AGAIN = 0.2  # [s] of wall time after which a state without an answer is shown again
+AGAIN = 0.2  # [s] of wall time after which a state is published again while time stands
 
 
 class Pace:
     """
-    Sim time against wall time.
+    Paces sim time by wall time and the real-time factor.
 
     Parameters
     ----------
     step : float
         [s]
     waits : bool
-        Whether time waits for others, so that being late is no fault.
+        Whether steps wait for commands, so that late and dropped steps are not counted.
 
     Attributes
     ----------
@@ -43,24 +43,24 @@ class Pace:
     def set(self, factor, limit, steps, now):
         """Set the real-time factor, 0 for as fast as possible, and the catch-up limit [s]."""
         self._limit = limit
-        if factor != self._factor:  # a new start would cost the part of a step that has passed
+        if factor != self._factor:  # else keep the part of a step that has passed
             self._factor = factor
             self._tick_steps = max(1, math.floor(TICK * factor / self._step))
             self.start(steps, now)
 
     @property
     def free(self):
-        """Whether sim time does not wait for wall time."""
+        """Whether steps are done as fast as possible."""
         return self._factor == 0.0
 
     def start(self, steps, now):
-        """Say that `steps` steps are done at wall time `now` [s], none of them late."""
+        """Count from here: `steps` steps are done at wall time `now` [s], none of them late."""
         self._base_steps, self._base_time = steps, now
 
     def due(self, steps, now):
-        """Return how many steps to do now, given the number done."""
+        """Return how many steps to do at a wall time [s], given the number done."""
         elapsed = (now - self._base_time) * self._factor / self._step
-        # A deadline is met by a clock that reads it: rounding must not cost a tick.
+        # A step is due when the clock reads its deadline: rounding must not delay it by a tick.
         behind = self._base_steps + math.floor(elapsed + 1e-6) - steps
         if behind >= 2 * self._tick_steps:
             self.overruns += not self._waits
@@ -81,28 +81,29 @@ class Gate:
     """
     Lock step: says when a step must wait for the controller's command.
 
-    The first command is waited for as long as it takes: the run begins with it. The stamp of the
-    state that it answers is `late`, by 1 ns: at time 0 it would be that of a command without a
-    stamp, and after a reset that of another state.
+    The run begins with the first command, for which the wait has no limit. The stamp of the state
+    that it answers is `late` by a nanosecond, and by one more for each further reset at the same
+    step: at time 0 it would otherwise equal the stamp 0 of a command that has none, and after a
+    reset the stamp of the state before.
 
-    Where any command is an answer, the first waits end, too, as soon as somebody publishes
+    Where any command is an answer, a wait for the first one also ends once somebody publishes
     commands: a controller manager on sim time sends none before its clock has gone on by a period.
 
     Parameters
     ----------
     period : int
-        Steps from one wait to the next; 0: there is none.
+        Steps from one wait to the next; 0 without lock step.
     patience : float
-        Of a wait but the first [s of wall time].
+        Longest wait once the first command has come [s of wall time].
     stamped : bool
-        Whether an answer has the stamp of the state; if not, any command is one.
+        Whether an answer has the stamp of the state; if not, any command is an answer.
 
     Attributes
     ----------
     missed : int
         Waits that ended without a command.
     first : bool
-        Whether no command has come yet.
+        Whether the first command since the start or a reset has not come yet.
     left : bool
         Whether time stands because nobody publishes commands any more.
 
@@ -115,12 +116,12 @@ class Gate:
         self.restart(0)
 
     def restart(self, step):
-        """Wait for a first command again, with a state that is shown at a step."""
+        """Wait for a first command again, which answers the state at a step."""
         self._passed, self._since, self.first, self.left = None, None, True, False
         self._begin, self._late = step, self._late + 1 if step == self._begin else 1
 
     def late(self, step):
-        """Return by how much the stamp of the state at a step is behind its sim time [ns]."""
+        """Return how much later than its sim time the state at a step is stamped [ns]."""
         return self._late if self.period and step == self._begin else 0
 
     @property
@@ -129,7 +130,7 @@ class Gate:
         return self._since is not None
 
     def boundary(self, step):
-        """Return whether commands begin to act at a step."""
+        """Return whether commands may begin to act at a step."""
         return not self.period or step % self.period == 0
 
     def answered(self, step):
@@ -137,7 +138,7 @@ class Gate:
         return -(-step // self.period) * self.period
 
     def following(self, step):
-        """Return the next step at which commands begin to act, or infinity."""
+        """Return the next step at which commands may begin to act, or infinity."""
         return (step // self.period + 1) * self.period if self.period else math.inf
 
     def __bool__(self):
@@ -145,9 +146,10 @@ class Gate:
 
     def closed(self, step, now, answered, expected):
         """
-        Return whether a step must wait at a wall time [s], `answered` if it has a command.
+        Return whether a step must wait at a wall time [s].
 
-        `expected()` tells whether anybody publishes commands; a wait for nobody does not end.
+        `answered` says whether its command has come, and `expected()` whether anybody publishes
+        commands; while nobody does, a wait does not end.
         """
         if step % self.period or step == self._passed:
             return False

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The node's parameters: declared, described, checked by the same rules as a YAML file."""
+"""The node's parameters, declared with descriptions and checked by the rules for YAML files."""
 
 from dataclasses import replace
 import math
@@ -28,7 +28,7 @@ from timo_sim.scene.parameters import check, PARAMETERS, RATES
 from timo_sim.simulation.resolution import choose_resolution
 
 _SOURCE = 'set at run time'
-# What can be set of a topic's QoS. With history keep_all a slow subscriber would hold up the node.
+# QoS policies that can be set. With history keep_all a slow subscriber would hold up the node.
 _POLICIES = {rule.name: rule for rule in (
     Rule('history', 'keep_last', '', '', choices=('keep_last',)),
     Rule('depth', 10, '', 'messages', low=1, high=10000),
@@ -36,11 +36,11 @@ _POLICIES = {rule.name: rule for rule in (
 
 
 class ParameterNode(Node):
-    """A node whose parameters are those of timo_sim: `given` at its start, then `declare`d."""
+    """A node with the parameters of timo_sim: `given` reads them, `declare` declares them."""
 
     def given(self):
         """Return the checked value of each parameter by name; raise ParameterError."""
-        # rclpy has no public way to see names that nobody declares; these must not pass unseen.
+        # Undeclared names must be refused, and rclpy has no public way to list them.
         given = {name: parameter.value for name, parameter in self._parameter_overrides.items()}
         for name in filter(foreign, [*given]):
             value = given.pop(name)
@@ -52,10 +52,10 @@ class ParameterNode(Node):
 
     def declare(self, values, apply):
         """
-        Declare all parameters with these values, and update `values` with what is set later.
+        Declare all parameters with these values, and update `values` when some are set later.
 
-        Before that `apply` is given what is set; it may raise ParameterError to refuse it. Topics
-        are there by now: what is given of the QoS of others is a ParameterError.
+        `apply` is called with those first, a dictionary; it may raise ParameterError to refuse
+        them. Create all topics before this call: QoS for any other topic is a ParameterError.
         """
         for name, parameter in self._parameter_overrides.items():
             if name.startswith(QOS) and not self.has_parameter(name):
@@ -68,7 +68,7 @@ class ParameterNode(Node):
         for name, rule in PARAMETERS.items():
             parameter, descriptor = _of_rclpy(name, values[name]), _descriptor(rule)
             descriptor.type = parameter.type_.value
-            # In three steps, because rclpy cannot tell the type of a list that is empty.
+            # In three steps, because rclpy cannot infer the type of an empty list.
             self.declare_parameter(name, parameter.type_, ignore_override=True)
             self.set_parameters([parameter])
             self.set_descriptor(name, descriptor)
@@ -104,7 +104,7 @@ class ParameterNode(Node):
                                      if prefix + policy in self._parameter_overrides])
 
     def create_service(self, srv_type, srv_name, callback, **options):
-        """Offer a service; rclpy's own for parameters comes by here and gets another callback."""
+        """Offer a service; the callback of rclpy's own SetParameters service is replaced."""
         if srv_type is SetParameters:
             callback = self._set_each
         return super().create_service(srv_type, srv_name, callback, **options)
@@ -115,12 +115,12 @@ class ParameterNode(Node):
             return super().set_parameters_atomically([*map(_converted, parameter_list)])
         except ParameterNotDeclaredException:
             names = [each.name for each in parameter_list if not self.has_parameter(each.name)]
-            return _refused(f'{", ".join(names)} is not declared; QoS is set at the start alone')
+            return _refused(f'{", ".join(names)} is not declared; QoS is set only at the start')
         except ParameterError as error:
             return _refused(error)
 
     def _set_each(self, request, response):
-        # rclpy sets one by one, and so would refuse lists that belong together.
+        # rclpy sets them one by one, and so would refuse lists that must change together.
         together = {}
         for message in request.parameters:
             together.setdefault(_group(message.name), []).append(
@@ -143,7 +143,7 @@ def _is_list(name):
 
 
 def _group(name):
-    # Of what must be set together: the lists of a load with each other.
+    # Parameters of one group are set together: the lists of a load.
     return name.rpartition('.')[0] if _is_list(name) else name
 
 
@@ -152,7 +152,7 @@ def _refused(error):
 
 
 def _converted(parameter):
-    # `ros2 param set` makes a text of [0, 0.5] and whole numbers of [1].
+    # `ros2 param set` sends [0, 0.5] as a text and [1] as whole numbers.
     name, value = parameter.name, parameter.value
     if foreign(name) or value is None:
         return parameter
@@ -168,13 +168,17 @@ def _of_rclpy(name, value):
 
 
 def steps_between_messages(values, step):
-    """Return how many time steps [s] lie between the messages of each rate that is in use."""
+    """
+    Return the number of time steps between messages, by name of each rate that is in use.
+
+    `step` is in [s]. A rate that is no whole fraction of 1/step is a ParameterError.
+    """
     return {rate: whole_ratio('1/integrator.step', 1.0 / step, rate, values[rate])
             for rate in RATES if values.get(f'publish_{rate.removeprefix("rate.")}', True)}
 
 
 def resolved_scene(node, scene, values):
-    """Return a scene with modes and step that its `model.accuracy` asks for; update values."""
+    """Return a scene with the modes and step that `model.accuracy` needs; update `values`."""
     def suits(step):
         try:
             steps_between_messages(values, step)
@@ -198,7 +202,7 @@ def _descriptor(parameter):
         read_only=not parameter.runtime)
     if isinstance(parameter.default, float) and parameter.low > -math.inf:
         high = min(parameter.high, sys.float_info.max) if parameter.finite else math.inf
-        # A bound that is whole would be written as the bits of a whole number.
+        # Floats, because rclpy would write a whole number's bits into these fields.
         descriptor.floating_point_range = [
             FloatingPointRange(from_value=float(parameter.low), to_value=float(high))]
     elif type(parameter.default) is int:

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The node's process: ROS started and ended around it, callbacks in a thread of their own."""
+"""The node's process: starts and ends ROS, and serves callbacks in a thread of their own."""
 
 import gc
 import os
@@ -24,14 +24,14 @@ from timo_sim.ros.node import SimNode
 from timo_sim.scene.files import read_sections
 from timo_sim.scene.parameter import ParameterError
 
-try:  # with a client at 1 kHz it costs half: benchmark/speed/node.py
+try:  # it serves callbacks faster than SingleThreadedExecutor: benchmark/speed/latency.py
     from rclpy.experimental import EventsExecutor as Executor
 except ImportError:  # an older rclpy
     from rclpy.executors import SingleThreadedExecutor as Executor
 
-# A thread that wakes gets the interpreter after this time at most [s].
+# A thread that is ready waits this long before it asks another for the interpreter [s].
 SWITCH_INTERVAL = 2e-4
-# How often the executor's thread looks whether it should end [s].
+# Time between two looks of the executor's thread whether it should end [s].
 _POLL = 0.1
 _PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 _USE_PROFILES = 'RMW_FASTRTPS_USE_QOS_FROM_XML'
@@ -39,13 +39,13 @@ _USE_PROFILES = 'RMW_FASTRTPS_USE_QOS_FROM_XML'
 
 def use_profiles():
     """
-    Let Fast DDS take `fastdds.xml`, unless its user has told it something else.
+    Make Fast DDS read `fastdds.xml`, unless the user has Fast DDS profiles of their own.
 
-    It has settings that ROS 2 has no word for. For the process that calls this before rclpy is
-    initialised; other middlewares do not care.
+    The file has settings that ROS 2 cannot express; other middlewares ignore it. Call this before
+    rclpy is initialised; it changes this process's environment.
     """
     users = _PROFILES, 'FASTDDS_DEFAULT_PROFILES_FILE', _USE_PROFILES
-    # The file is read unasked.
+    # Fast DDS reads a file of this name in the working directory by itself.
     if not (Path('DEFAULT_FASTRTPS_PROFILES.xml').exists()
             or any(name in os.environ for name in users)):
         os.environ.update({_PROFILES: str(Path(__file__).with_name('fastdds.xml')),
@@ -66,7 +66,7 @@ def run(stop, args, **options):
     ----------
     stop : StopRequest
     args : list of str or None
-        Command line; None: that of the process.
+        Command line; None means that of the process.
     **options
         Of `SimNode`.
 
@@ -86,7 +86,7 @@ def run(stop, args, **options):
             except ExternalShutdownException:
                 stop.set = True
                 return
-            except Exception as error:  # nobody's request may end the node for all others
+            except Exception as error:  # one client's request must not end the node for all
                 node.survive(error)
 
     stop.building()
@@ -95,7 +95,7 @@ def run(stop, args, **options):
     try:
         for option, file in zip(given, given[1:]):
             if option == '--params-file' and Path(file).is_file():
-                read_sections(file)  # rcl takes what is there twice
+                read_sections(file)  # refuses names that are there twice, which rcl accepts
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except (ParameterError, RuntimeError, UnicodeError) as error:  # arguments, or a file
         return _refuse(error)
@@ -103,10 +103,10 @@ def run(stop, args, **options):
         node = SimNode(stop, args=given, **options)
     except (ParameterError, NameValidationException) as error:
         return _refuse(error)
-    except RCLError as error:  # what the middleware does not do
+    except RCLError as error:  # the middleware refuses
         return _refuse(error, code=1)
     stop.running()
-    gc.freeze()  # what has been made so far lasts: no need to look through it while ticking
+    gc.freeze()  # objects made so far last: the collector need not scan them while ticking
     executor = Executor()
     executor.add_node(node)
     thread = threading.Thread(target=spin, name='executor', daemon=True)

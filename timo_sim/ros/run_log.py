@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a node's run is logged to, if it is."""
+"""The log of a node's run, which may be off."""
 
 from datetime import datetime
 
@@ -16,10 +16,10 @@ from timo_sim.log.recorder import Recorder
 
 class RunLog:
     """
-    The log of a run; it takes everything and keeps nothing while it is not open.
+    The log of a run; while it is not open, what is written to it is dropped.
 
-    `error`, which the logger of rclpy also hears, says why there is none, why it ends early,
-    that it was moved or that the disk is slow.
+    `error` says why there is no log, why it ends early, that it was moved or that the disk is
+    slow; it is also sent to rclpy's logger.
     """
 
     def __init__(self, logger):
@@ -27,15 +27,15 @@ class RunLog:
 
     @property
     def path(self):
-        """Where the log is, None without one."""
+        """Path of the log, or None without one."""
         return self._recorder and self._recorder.path
 
     def open(self, path, channels, outlets, note):
         """
-        Begin a log with a note, a dictionary; without a path under a name with date and time.
+        Begin a log with a note, a dictionary; without a path its name has date and time.
 
-        It has the channels of what `write` is given, and of the outlets, which write by themselves
-        from now on.
+        It has `channels`, whose messages `write` takes, and the channels of the outlets, which
+        write to it by themselves from now on. If it cannot be opened, `error` says why.
         """
         path = path or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap'
         outlets = [outlet for outlet in outlets if outlet.logged]
@@ -49,24 +49,24 @@ class RunLog:
             outlet.recorder, outlet.index = self._recorder, index
 
     def write(self, index, step, nanoseconds, data):
-        """Log a message, CDR, of a channel."""
+        """Log a serialised message of the channel with this index, at a sim time [ns]."""
         if self._recorder is not None:
             self._recorder.write(index, step, nanoseconds, data)
 
     def note(self, name, values):
-        """Log what is not a message."""
+        """Log a metadata record: a name, and a dictionary of str."""
         if self._recorder is not None:
             self._recorder.note(name, values)
 
     def look(self):
-        """Find out whether the log has ended early or was moved."""
+        """Ask the recorder whether the log has ended early or was moved."""
         if self._recorder is not None:
             error = self._recorder.error and f'the log ends early: {self._recorder.error}'
             if (error or self._recorder.warning) not in (None, self.error):
                 self._fail(error or self._recorder.warning)
 
     def close(self, summary):
-        """End the log with a note of the whole run."""
+        """End the log with a summary of the run, a dictionary of str."""
         if self._recorder is not None:
             self._recorder.note(SUMMARY, summary)
             self._recorder.close()

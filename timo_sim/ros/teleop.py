@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A client of a live node: keys of a terminal push its carrier and shaft."""
+"""A client of a running node: keys of a terminal push its carrier and shaft."""
 
 from contextlib import contextmanager, suppress
 import math
@@ -30,21 +30,21 @@ from std_srvs.srv import SetBool, Trigger
 from timo_sim.scene.parameter import ParameterError, short
 
 _HELP = b'arrows push the carrier, a and d turn the shaft; space pauses, r resets, q quits\n'
-# Which of force x, force y and torque a key pushes, and its sign. Arrows end with a capital.
+# By key: place in (force x, force y, torque), and sign. What arrow keys send ends with A to D.
 _PUSHES = {'C': (0, 1.0), 'D': (0, -1.0), 'A': (1, 1.0), 'B': (1, -1.0),
            'a': (2, 1.0), 'd': (2, -1.0)}
 _QUIT = 'q', '\x03', '\x04'  # Ctrl-C and Ctrl-D
-# A terminal repeats a key that is held and does not say when it is let go. The first push of a
-# key lasts until it is repeated, at least; the others end soon [s].
+# A terminal repeats a key that is held and does not say when it is released. The first push of a
+# key therefore lasts until the first repetition, and each repetition prolongs it a little [s].
 _FIRST, _REPEATED = 0.6, 0.2
 _PERIOD = 0.05  # [s] between commands, and between lines
-_STANDS = 0.3   # [s] without a new stamp after which time stands
+_STANDS = 0.3   # [s] without a new stamp after which time is said to stand
 _LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 @contextmanager
 def _keys_at_once():
-    """Let the terminal give each key at once, Ctrl-C and Ctrl-Z too; leave it as it was."""
+    """Make the terminal pass on each key at once, even Ctrl-C and Ctrl-Z; restore it after."""
     before, changed = termios.tcgetattr(0), termios.tcgetattr(0)
     changed[0] &= ~termios.IXON
     changed[3] &= ~(termios.ECHO | termios.ICANON | termios.ISIG)
@@ -58,7 +58,7 @@ def _keys_at_once():
 
 
 class _Teleop:
-    """What keys push, and what the node answers."""
+    """Turns keys into commands and calls, and shows what the node answers."""
 
     def __init__(self, name, force, torque):
         self.ends = False
@@ -78,7 +78,7 @@ class _Teleop:
         self._executor.add_node(node)
 
     def run(self):
-        """Do what keys say until it ends; leave no push behind."""
+        """Follow the keys until `ends` is set; then take all pushes back."""
         due = 0.0
         try:
             while not self.ends:
@@ -140,7 +140,7 @@ class _Teleop:
     def _show(self, now):
         if self._stamp and self._torque.get_subscription_count():
             x, y, torque = self._sent
-            # 0.0 takes the sign from a zero.
+            # Adding 0.0 turns -0.0 into 0.0.
             line = (f'shaft {round(math.degrees(self._shaft), 1) + 0.0:7.1f} deg   '
                     f'tip {round(1e3 * self._tip, 1) + 0.0:6.1f} mm   push {x:g}, {y:g} N, '
                     f'{torque:g} N m{"   time stands" if self._stands(now) else ""}   '
@@ -165,8 +165,9 @@ def teleop(name, force, torque):
     Raises
     ------
     ParameterError
+        If standard input is no terminal, or an argument breaks its rule.
     OSError
-        Of standard output.
+        If standard output cannot be written.
 
     """
     if not os.isatty(0):

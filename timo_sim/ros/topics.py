@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Publishers of the topics that carry the motion, which are told by `messages.outputs`."""
+"""Publishers of the topics that carry the motion, which `messages.outputs` defines."""
 
 from importlib import import_module
 import math
@@ -18,7 +18,7 @@ from timo_sim.log.recorder import Channel
 from timo_sim.messages.outputs import in_frames
 from timo_sim.messages.packing import Serializer
 
-_NEW = 10.0  # [s] of wall time, in which a subscriber has found the publisher, too
+_NEW = 10.0  # [s] of wall time in which a new subscriber discovers the publisher, too
 
 
 def message_class(type_name):
@@ -40,7 +40,8 @@ class Outlet:
     channel : Channel
         Of the log.
     recorder : Recorder or None
-    index : int
+        The open log.
+    index : int or None
         Of the channel in the log.
 
     """
@@ -61,21 +62,25 @@ class Outlet:
             self._joined = time.monotonic()
 
     def watched_anew(self, now):
-        """Whether somebody has begun to subscribe not long before a wall time [s]."""
+        """Return whether somebody has subscribed shortly before a wall time [s]."""
         return self._subscribed and now < self._joined + _NEW
 
     def look(self):
-        """Find out whether anybody subscribes; the executor does so on every change."""
+        """Ask the middleware whether anybody subscribes; this is also done at every change."""
         self._subscribed = self._publisher.get_subscription_count() > 0
 
     @property
     def wanted(self):
-        """Whether a message would reach anybody."""
+        """Whether a message would reach a subscriber or the log."""
         return self._subscribed or (
             self.asks and self.recorder is not None and self.recorder.error is None)
 
     def send(self, data, step, nanoseconds, again=False):
-        """Hand a message, CDR, to subscribers and to the log; `again` to subscribers alone."""
+        """
+        Send a serialised message to subscribers and log; with `again` to subscribers alone.
+
+        `step` and `nanoseconds`, sim time [ns], are those that the log notes.
+        """
         if self._subscribed:
             self._publisher.publish(data)
         if self.recorder is not None and not again:
@@ -84,9 +89,9 @@ class Outlet:
 
 class MotionOutlet(Outlet):
     """
-    The outlet of a topic that carries the simulated motion, with these names of frames.
+    The outlet of an Output of `messages.outputs`; `frames` names each of its FRAMES.
 
-    It is published each `every` steps; `watch(numbers, ns)` sees what is sent.
+    It is published each `every` steps; `watch(numbers, ns)`, unless None, sees what is sent.
     """
 
     def __init__(self, node, output, frames):
@@ -96,7 +101,7 @@ class MotionOutlet(Outlet):
         self.name, self.every, self.watch = output.name, 1, None
 
     def publish(self, snapshot, again=False):
-        """Send what a snapshot holds."""
+        """Send the message of a snapshot."""
         numbers, data = self._message(snapshot)
         self.send(data, snapshot.step, snapshot.nanoseconds, again)
         if self.watch is not None:
@@ -109,9 +114,9 @@ class MotionOutlet(Outlet):
 
 class LateOutlet(MotionOutlet):
     """
-    The outlet of a sensor whose messages come some time after the measurement.
+    The outlet of a sensor whose messages are sent `delay` steps after the measurement.
 
-    Their header and their step in the log are those of the measurement, `delay` steps before.
+    Their header and their step in the log are those of the measurement.
     """
 
     def __init__(self, node, output, frames, delay):
@@ -124,15 +129,15 @@ class LateOutlet(MotionOutlet):
 
     @property
     def arrival(self):
-        """The step at which the next message comes, or infinity."""
+        """The step at which the next message is due, or infinity."""
         return next(iter(self._under_way), math.inf) + self._delay
 
     def deliver(self, step, nanoseconds):
-        """Send what arrives until a step, at this sim time [ns]."""
+        """Send the messages that are due until a step, at this sim time [ns]."""
         while self.arrival <= step:
             measured = next(iter(self._under_way))
             self.send(self._under_way.pop(measured), measured, nanoseconds)
 
     def drop(self):
-        """Lose what is under way."""
+        """Drop the messages that are not due yet."""
         self._under_way.clear()

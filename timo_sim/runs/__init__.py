@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Runs as users hold them: `simulate`, `Run`, logs opened as runs.
+Runs as users see them: `simulate`, the class `Run`, and logs opened as runs.
 
 It may import `simulation`, `log` and `view` (when a run is saved or shown) and what is below them.
 """

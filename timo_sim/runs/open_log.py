@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Logs as runs."""
+"""Open a log as a Run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
     ----------
     path : str or Path
     node : str, optional
-        Fully qualified name of the node, needed for a file of several.
+        Fully qualified name of the node; needed if the file has several.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
     Raises
     ------
     LogError
-        If the file is no log, or does not say which scene it is of.
+        If the file is not a log, or is a plain bag, without a scene.
 
     Examples
     --------
@@ -49,7 +49,7 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
     """
     recording = Recording(path, node)
     if recording.scene is None:
-        raise LogError(f'{recording.index.name} is a plain bag, which says nothing of the scene: '
+        raise LogError(f'{recording.index.name} is a plain bag, which does not contain the scene: '
                        'timo_sim export makes a table of it')
     _, ns, motion = recording.motion()
     scene = recording.scene

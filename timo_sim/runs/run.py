@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A run: motions at sampled times, what is read off them, and logs opened as runs."""
+"""The class Run: motions at sampled times, and quantities that are computed from them."""
 
 from __future__ import annotations
 
@@ -50,17 +50,17 @@ class Run(MotionFields):
     values : ndarray, shape (n, 2 (3 + N))
         The motion, see `physics.layout`; `carrier`, `shaft`, `q` and their rates are parts of it.
     friction_heat : ndarray, shape (n,)
-        What Coulomb friction has made of the work of the loads since the start [J]; NaN where a
-        log does not say it.
+        Heat that Coulomb friction has produced since the start [J]; NaN for the log of a scene
+        with Coulomb friction, which does not contain it.
     warning : str or None
         Why the run should not be trusted, and what to do.
     stats : dict
         Steps, wall time, steps that were split, and the largest estimated error of the tip [m],
         `estimated_tip_error_m`: the sum of `step_error_m`, `modes_error_m`, `friction_drift_m` and
-        `stretch_error_m`. What the formulation leaves out is not in it. With `compared` it is the
-        largest distance from the tip of a second, finer run, whatever its parts are thought to be.
+        `stretch_error_m`. Effects that the formulation neglects are not included. With `compared`
+        it is instead the largest distance to the tip of a second, finer run.
     recording : Recording or None
-        Of a log: all its topics, commands included.
+        The log that the run was read from, with all its topics, commands included.
 
     Examples
     --------
@@ -87,7 +87,7 @@ class Run(MotionFields):
 
     @property
     def message(self) -> str:
-        """What there is to say of the run: its warning, or that there is none."""
+        """One sentence about the run: its warning, or that there is none."""
         found = 'no warnings' if self.recording is None else (
             'read from a log, which does not say whether there were warnings')
         if 'compared' in self.stats:
@@ -112,7 +112,7 @@ class Run(MotionFields):
         Parameters
         ----------
         xi : float or array_like, shape (p,)
-            Distance from the root along the undeformed arm, 0 to its length [m].
+            Distance from the root along the undeformed arm, 0 to its length [m]; ValueError else.
 
         """
         return self._pick(xi, self.model.world(self.motion, self._at(xi)))
@@ -141,18 +141,18 @@ class Run(MotionFields):
 
     def dissipated(self) -> np.ndarray:
         """
-        Return what viscous friction and modal damping have taken so far, shape (n,) [J].
+        Return the energy dissipated by viscous friction and modal damping so far, shape (n,) [J].
 
-        With samples that are some steps apart the run is simulated again for what happens between
-        them. A run with commands or resets cannot be: it is taken from the samples alone, with a
-        ModelWarning if they are too far apart for 1e-3 of it.
+        If samples are several steps apart, the run is simulated again to integrate between them.
+        This is not possible for a run with commands or resets: its samples alone are integrated,
+        with a ModelWarning if they are too far apart for a relative error of 1e-3.
         """
-        taken, doubt = dissipated(self.scene, self.t, self.motion)
+        energy, doubt = dissipated(self.scene, self.t, self.motion)
         if doubt:
-            warnings.warn('what friction and damping have taken is known from samples too far '
-                          'apart, and the run cannot be simulated again: take more samples',
+            warnings.warn('the dissipated energy is not accurate, because samples are too far '
+                          'apart and the run cannot be simulated again: take more samples',
                           ModelWarning, stacklevel=2)
-        return taken
+        return energy
 
     def momentum(self) -> np.ndarray:
         """
@@ -165,12 +165,12 @@ class Run(MotionFields):
     @cached_property
     def effort(self) -> np.ndarray:
         """
-        What acts on the joints, shape (n, 3).
+        Efforts of the joints, shape (n, 3).
 
         Forces on the carrier in world axes [N] and torque on the shaft [N m] at the end of the
-        last step; at the first sample at the beginning of the first step. Of a free joint what
-        loads and commands apply; of one that is held, locked or driven what its constraint does
-        besides these: its torque, or force, is what a brake or drive must be able to give.
+        last step; at the first sample, at the beginning of the first step. For a free joint these
+        are the loads and commands. For one that is held, locked or driven, this is the reaction of
+        its constraint, in addition to the loads: what a brake or drive must be able to give.
         """
         if self.recording is not None:
             joints = self.recording.read('joint_states')['joint_states']
@@ -184,29 +184,30 @@ class Run(MotionFields):
         """
         Return the bending moment in the arm at its root, shape (n,) [N m].
 
-        From the balance of the shaft, which converges much faster with the modes than curvatures.
+        It follows from the torque balance of the shaft (T46), which converges much faster with
+        the number of modes than the curvature.
 
         Raises
         ------
         ValueError
-            For a log, which does not say all loads.
+            For a log, which does not contain all loads.
 
         """
         return self._joints.root_moment
 
     def root_strain(self) -> np.ndarray:
-        """Return the strain of the outer fibre at the root, shape (n,), as `root_moment`."""
+        """Return the strain of the outer fibre at the root, (n,); raises as `root_moment`."""
         return self._joints.root_strain
 
     @cached_property
     def _joints(self):
         if self.recording is not None:
-            raise ValueError('a log does not say all loads: replay it with record_sensors = true '
-                             'for ~/root_strain')
+            raise ValueError('a log does not contain all loads: replay it with record_sensors = '
+                             'true for ~/root_strain')
         return joints_of_run(self.scene, self.motion, self._loads())
 
     def _loads(self):
-        # What acts at the samples, Coulomb friction left out, (n, 14).
+        # Loads at the samples without Coulomb friction, shape (n, 14).
         load, step = self.scene.load, self.scene.step
         loads = np.empty((len(self.t), LOADS))
         first, last = np.rint(self.t[[0, -1]] / step).astype(int)
@@ -219,7 +220,7 @@ class Run(MotionFields):
         return loads
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return what the node would publish, as columns with units in their names, (n,) each."""
+        """Return what the node publishes, except sensors, as columns named with units, (n,)."""
         from timo_sim.log.export import named
         snapshots, found = list(self._snapshots()), {'time_s': self.t}
         for output in self._outputs():
@@ -241,7 +242,8 @@ class Run(MotionFields):
         ----------
         path : str or Path
             `*.mcap`: a log, as the node writes it, which `timo_sim.open_log` reads; `*.parquet` or
-            `*.csv`: a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended.
+            `*.csv`: a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
+            existing table is a LogError.
 
         Returns
         -------
@@ -277,7 +279,7 @@ class Run(MotionFields):
         show_tracks([lambda: of_run(self)], web=web)
 
     def _outputs(self):
-        # What is read off the motion alone: sensors need the simulator.
+        # Topics that follow from the motion alone; sensors need the simulator.
         return [output for output in outputs(self.scene.modal_count)
                 if output.columns and not output.delay]
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A run of a resolved scene, once, with samples of its motion."""
+"""Run a resolved scene once, and sample its motion."""
 
 import time
 
@@ -21,9 +21,9 @@ _REPORTED = 1024  # steps from one report to the next
 
 def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=None):
     """
-    Return the Run of a resolved scene, as `simulate` does but without bar and warning.
+    Return the Run of a resolved scene; without the progress bar and ModelWarning of `simulate`.
 
-    `report` receives how many further steps are done; `tell` is for `Simulator.warm_up`.
+    `report(count)` is called after each `count` further steps. `tell` goes to `Simulator.warm_up`.
     """
     simulator = Simulator(scene)
     simulator.warm_up(tell)
@@ -51,7 +51,7 @@ def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=No
             motion[samples], heat[samples] = simulator.advance(count, sample_every=sample_every)
         except DivergenceError as error:
             last = simulator.steps // sample_every * sample_every
-            again = Simulator(scene)  # the batch that failed has left no samples
+            again = Simulator(scene)  # a batch that fails returns no samples
             again.advance(first)
             samples = slice(samples.start, last // sample_every + 1)
             motion[samples], heat[samples] = again.advance(last - first, sample_every=sample_every)

@@ -7,12 +7,12 @@
 # language governing permissions and limitations under the License.
 
 """
-A second, finer run of a scene, which tells how far the first is off.
+Measure the error of a run by its distance from a second, finer run of the scene.
 
-It has three more modes in bending, one more axial mode, half the step or less and the `exact`
-formulation. Its machine code is that for all sizes: slower, but nothing is compiled for each.
-Where not even the last try has small errors of its own, it is taken all the same: the distance is
-then too large rather than too small, as a rule.
+The second run has three more bending modes, one more axial mode, half the step or less and the
+`exact` formulation. It uses machine code for any number of modes: slower, but nothing has to be
+compiled. If even the last try has a large error of its own, it is used all the same: as a rule the
+distance is then too large, not too small.
 """
 
 from dataclasses import replace
@@ -25,40 +25,40 @@ from timo_sim.scene.scene import scene_from
 from timo_sim.simulation import model_warnings
 
 MORE_MODES, MORE_AXIAL, MOST_AXIAL = 3, 1, 3
-# Parts of a step, and the tolerance of steps [lengths], from one try to the next.
+# Parts of a step, and the tolerance of steps [arm lengths], of each try.
 TRIES = (2, 0.0), (8, 0.0), (8, 1e-6)
-# Steps with dry friction cannot be split, and their own error is not always seen.
+# Steps with dry friction cannot be split, and their own error estimate can miss errors.
 DRY_TRIES = (8, 0.0), (32, 0.0)
-_OWN = 0.3            # of the distance, at most, is by the steps of the second run itself
-DOUBT = 5e-6          # estimated errors from which on a run is looked at again [lengths]
-UNASKED = 2048        # steps of such a run, at most
+_OWN_SHARE = 0.3      # largest part of the distance that steps of the second run may cause
+DOUBT = 5e-6          # estimated error above which a run is compared [arm lengths]
+UNASKED = 2048        # largest number of steps of a run that is compared by default
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates', 'arm.damping_ratio'
 
 
 def in_doubt(run):
-    """Return whether a run that is short enough may be off by more than its estimate says."""
+    """Return whether a run is short enough to be compared, and its error large or uncertain."""
     values, error = run.scene.values, run.stats['estimated_tip_error_m']
     return run.stats['steps'] <= UNASKED and (
-        # What a formulation leaves out is not estimated; a rigid arm moves alike in all.
+        # The error of a formulation itself is not estimated; with a rigid arm all are the same.
         values['model.formulation'] != 'exact' and values['model.modes'] > 0
         or run.warning is not None or not error <= DOUBT * values['arm.length'])
 
 
 def finer(scene, parts, tolerance=0.0):
     """
-    Return the scene with more modes, a step of so many parts and the `exact` formulation.
+    Return the scene with more modes, its step divided by `parts`, and the `exact` formulation.
 
-    The tolerance of steps is that of the scene or, if that is more or none, the given one [m].
+    Its integrator.tolerance is the smaller one of the scene's and the given [m]; 0 means none.
     """
     values = scene.values
     bending, axial = values['model.modes'], values['model.axial_modes']
     more = min(MORE_AXIAL, MOST_AXIAL - axial) if bending else 0
-    further = MORE_MODES if bending else 0  # a rigid arm is meant to be one
+    further = MORE_MODES if bending else 0  # a rigid arm stays rigid
     lists = {name: values[name] for name in _LISTS}
     for name in _LISTS:
-        if len(values[name]) > (name == 'arm.damping_ratio'):  # one is for all
+        if len(values[name]) > (name == 'arm.damping_ratio'):  # a single ratio is for all modes
             own, stretching = values[name][:bending], values[name][bending:]
-            kept = name == 'arm.damping_ratio'  # that of the last mode holds for further ones
+            kept = name == 'arm.damping_ratio'  # further modes have the ratio of the last one
             lists[name] = [*own, *further * [kept * (own or stretching)[-1]], *stretching,
                            *more * [kept * (stretching or own)[-1]]]
     return scene_from({**values, **lists, 'model.formulation': 'exact', 'model.accuracy': 0.0,
@@ -71,7 +71,7 @@ def finer(scene, parts, tolerance=0.0):
 
 def compared(run, tell=None):
     """
-    Return a run with the error that a second, finer one tells.
+    Return a run with its error, measured by a second, finer run.
 
     Parameters
     ----------
@@ -83,8 +83,8 @@ def compared(run, tell=None):
     Returns
     -------
     Run
-        With `estimated_tip_error_m` and the warning as the second run has them, and `compared` in
-        its statistics; with a warning if all finer runs diverge; as it was, if there is none.
+        With `compared` in `stats`, the measured `estimated_tip_error_m`, and the warning that this
+        calls for. If all finer runs diverge, with a warning only; without a second run, unchanged.
 
     """
     scene, length = run.scene, run.scene.manipulator.arm.length
@@ -101,7 +101,7 @@ def compared(run, tell=None):
             continue
         error = float(np.linalg.norm(
             second.position(length) - run.position(length), axis=1).max())
-        if second.stats['step_error_m'] <= max(_OWN * error, DOUBT * length) and (
+        if second.stats['step_error_m'] <= max(_OWN_SHARE * error, DOUBT * length) and (
                 not model_warnings.unseen_load(second.scene)):
             break
     if second is None:

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A whole run of a scene: `simulate`."""
+"""The function `simulate`: one run of a scene under its own loads."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     scene : Scene, or what `load_scene` takes
         With `model.accuracy`, modes and step are chosen first, see `choose_resolution`.
     duration : float
-        [s], a whole multiple of the time step.
+        Sim time [s], a whole multiple of the time step.
     sample_every : int
         Steps between samples; divides the number of steps.
     compare : bool, optional
-        Whether the run is compared with a finer one, whatever its length and estimated error.
+        Whether the run is compared with a finer one; by default as described above.
 
     Returns
     -------
@@ -54,15 +54,16 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     ParameterError
         If the duration does not fit the step, or `sample_every` the number of steps.
     DivergenceError
-        If the state stops being that of an arm, or finite; `error.run` is the run so far.
+        If the state is no longer finite, or the arm is bent by more than ten times its length;
+        `error.run` is the run so far.
     MemoryError
         If the samples do not fit into memory.
 
     Warns
     -----
     ModelWarning
-        If the shaft becomes too fast for a formulation without centrifugal stiffening, or steps
-        are too long for what happens or for a harmonic load.
+        With the text of `Run.warning`, if there is one: an estimated error is large, the shaft is
+        too fast for the formulation, or a harmonic load is too fast for the step.
 
     Examples
     --------

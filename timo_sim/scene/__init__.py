@@ -7,8 +7,8 @@
 # language governing permissions and limitations under the License.
 
 """
-A scene: parameters with their rules, files, loads, and what is built from checked values.
+Scenes: parameters and their rules, files, loads, and bodies and constraints made of them.
 
-It may import `physics` and `messages` (for the parameters that topics and sensors have). Values
+The package may import `physics`, and `messages` for the parameters of topics and sensors. Values
 are checked here, once, whether they come from YAML, Python or ROS.
 """

@@ -6,7 +6,11 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""From checked values to the parts of a scene: bodies, constraints, loads; doubts about values."""
+"""
+Build bodies, constraints and loads of a scene, and find implausible values.
+
+`values` are checked values of all the scene's parameters, by dotted name.
+"""
 
 from bisect import bisect_left
 from dataclasses import fields
@@ -18,13 +22,13 @@ from timo_sim.physics.arm.bodies import Beam, Constraints, Manipulator, Section
 from timo_sim.scene.loads import CHANNELS, Drive, Harmonic, Load, Piecewise, Table
 from timo_sim.scene.parameter import ParameterError, short, whole_ratio
 
-# Of solids; in between nothing is said.
+# Ranges of real solids; `load_scene` warns of values outside.
 _PLAUSIBLE = {'young_modulus': (1e5, 2e12, 'Pa'), 'density': (10.0, 25000.0, 'kg/m3')}
-_LEAST_SLENDERNESS = 3.0  # a Timoshenko beam of one or two heights is a block
+_LEAST_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
 
 
 def manipulator_of(values):
-    """Return the bodies of a scene's values."""
+    """Return the Manipulator that the values describe."""
     return Manipulator(
         _arm(values), values['carrier.mass'], values['motor.mass'], values['motor.shaft_inertia'],
         values['end_effector.mass'], values['end_effector.inertia'],
@@ -33,7 +37,7 @@ def manipulator_of(values):
 
 
 def load_of(values):
-    """Return the loads of a scene's values, and the drive of its shaft."""
+    """Return the Load that the values describe, with the drive of the shaft."""
     step = values['integrator.step']
     return Load({channel: tuple(_terms(f'load.{channel}', values, step)) for channel in CHANNELS},
                 _drive(values))
@@ -41,11 +45,11 @@ def load_of(values):
 
 def motor_constants(values):
     """
-    Return what a DC motor without inductance makes of a voltage V at its terminals.
+    Return the factors n k/R [N m/V] and (n k)^2/R [N m s/rad] of a DC motor; 0 without a motor.
 
-    `n k/R V - (n k)^2/R theta'` is its torque on the shaft: torque constant k, resistance R, gear
-    ratio n; the second term is the back-EMF's. The two factors [N m/V], [N m s/rad] are returned,
-    0 without a motor.
+    The motor's torque on the shaft is `n k/R V - (n k)^2/R theta'`, with voltage V, gear ratio n,
+    torque constant k and resistance R. The second term is due to the back-EMF. Inductance is
+    neglected.
     """
     resistance, constant = values['motor.dc.resistance'], values['motor.dc.torque_constant']
     if not resistance:
@@ -58,14 +62,14 @@ def motor_constants(values):
 
 
 def constraints_of(values):
-    """Return the constraints of a scene's values."""
+    """Return the Constraints that the values describe; raise ParameterError if they conflict."""
     held, shaft, carrier = values['carrier.held'], values['motor.shaft'], [None, None]
-    still = {'initial.shaft_velocity': f'motor.shaft = {shaft}'} if shaft == 'locked' else {}
+    zero = {'initial.shaft_velocity': f'motor.shaft = {shaft}'} if shaft == 'locked' else {}
     for axis, name in enumerate('xy'):
         if held in (name, 'both'):
             carrier[axis] = values[f'initial.carrier_{name}']
-            still[f'initial.carrier_{name}_velocity'] = f'carrier.held = {held}'
-    for name, reason in still.items():
+            zero[f'initial.carrier_{name}_velocity'] = f'carrier.held = {held}'
+    for name, reason in zero.items():
         if values[name] != 0.0:
             raise ParameterError(f'{name} must be 0 with {reason}, got {values[name]}')
     if held == 'both' and shaft != 'free' and modal_count(values) == 0:
@@ -91,18 +95,18 @@ def check_initial(values):
 
 
 def modal_count(values):
-    """Return the number of modal coordinates of a scene's values, axial ones included."""
+    """Return the number of modal coordinates, axial ones included."""
     return values['model.modes'] + values['model.axial_modes']
 
 
 def check_counts(values):
-    """Raise ParameterError if numbers of modes do not fit the formulation, or lists them."""
+    """Raise ParameterError if axial modes, or lengths of lists by mode, do not fit the model."""
     modes, axial = modal_count(values), values['model.axial_modes']
     if axial and values['model.formulation'] != 'exact':
         raise ParameterError('model.axial_modes must be 0 with model.formulation = '
                              f'{values["model.formulation"]}, got {axial}')
     if values['model.accuracy'] > 0.0:
-        modes = 0  # to be chosen: what has an element for each mode cannot be given
+        modes = 0  # chosen later, so that lists with an element for each mode cannot be given
     for name, allowed in (('arm.damping_ratio', (0, 1, modes)),
                           ('initial.modal_coordinates', (0, modes)),
                           ('initial.modal_rates', (0, modes))):
@@ -116,13 +120,13 @@ def check_counts(values):
 
 
 def implausible(values):
-    """Return what to say of values that keep their rules but are hardly meant, or None."""
+    """Return the text of a warning about values that are allowed but implausible, or None."""
     def each(name):
         return values.get(f'arm.profile.{name}') or (values[f'arm.{name}'],)
 
     found = []
     for name, (low, high, unit) in _PLAUSIBLE.items():
-        found += [f'arm.{name} = {value:g} {unit} is that of no solid'
+        found += [f'arm.{name} = {value:g} {unit} is outside the range of real solids'
                   for value in each(name) if not low <= value <= high][:1]
     young, shear, height = min(each('young_modulus')), max(each('shear_modulus')), max(
         each('height'))

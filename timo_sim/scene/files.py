@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Scenes in files: ROS parameter files, and those that are installed with the package, by name."""
+"""Read scenes from ROS parameter files, given by path or by the name of an installed scene."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,22 +17,23 @@ import yaml
 from timo_sim.scene.parameter import did_you_mean, ParameterError, short
 from timo_sim.scene.parameters import PARAMETERS
 
-QOS = 'qos_overrides.'  # begins names of parameters of topics
+QOS = 'qos_overrides.'  # prefix of rclpy's parameters for the QoS of topics
 _DEEPEST = max(name.count('.') for name in PARAMETERS)
-# Beside the package in a clone; below the prefix of PREFIX/lib/python3.x/site-packages elsewhere.
+# In a clone, config/ and urdf/ are beside the package. Once installed, they are in
+# PREFIX/share/timo_sim, and the package is in PREFIX/lib/python3.x/site-packages.
 _ABOVE = [*Path(__file__).resolve().parents[2:]]
 _SHARED = [_ABOVE[0], *(prefix / 'share/timo_sim' for prefix in _ABOVE[3:4])]
 _FOLDERS = [folder / 'config' for folder in _SHARED]
 
 
 def shared(path):
-    """Return the path of what is installed with the package, such as urdf/timo_sim.urdf."""
+    """Return the path of a file that is installed with the package, as urdf/timo_sim.urdf."""
     return next((folder / path for folder in _SHARED if (folder / path).exists()),
                 _SHARED[-1] / path)
 
 
 def foreign(name):
-    """Return whether a parameter is one that rclpy itself takes."""
+    """Return whether a parameter is rclpy's own, by its name."""
     return name in ('use_sim_time', 'start_type_description_service') or name.startswith(QOS)
 
 
@@ -41,7 +42,7 @@ def scene_file(source):
     path = Path(source)
     if path.is_file() or path.suffix or path.name != str(source):
         return path
-    # Scenes are for a node of any name.
+    # A scene has a section /**, for a node of any name; other files in config/ have none.
     known = {entry.stem: entry for folder in _FOLDERS for entry in sorted(folder.glob('*.yaml'))
              if '\n/**:\n' in entry.read_text(encoding='utf-8')}
     if path.name not in known:
@@ -54,9 +55,9 @@ def read_parameter_file(path):
     """
     Return the values for the node `/timo_sim` in a ROS parameter file, unchecked, by dotted name.
 
-    The file is given by its path or, where it is an installed scene, its name. Sections are taken
-    as ROS does: of nodes by name, in namespaces, with * for one name and ** for any number. What
-    rclpy itself takes is left out.
+    `path` may also be the name of an installed scene. Sections match the node as in ROS: names
+    and namespaces, with * for one of them and ** for any number. Parameters of rclpy itself are
+    left out. Raises ParameterError if the file is not valid or has no values for the node.
     """
     path = scene_file(path)
     sections, values = read_sections(path), {}
@@ -72,10 +73,10 @@ def read_parameter_file(path):
 
 def read_sections(path):
     """
-    Return values by dotted name, unchecked, by full name of the node in a ROS parameter file.
+    Return the sections of a ROS parameter file: unchecked values by dotted name, by node.
 
-    Where ROS and YAML differ, names that are there twice, aliases and merge keys, and where the
-    file is none, there is a ParameterError.
+    Raises ParameterError if the file is not YAML, or has what ROS and YAML read differently:
+    duplicate names, aliases, merge keys.
     """
     content = read_yaml(path)
     found, waiting = {}, [('', {} if content is None else content)]
@@ -83,7 +84,7 @@ def read_sections(path):
         node, inside = waiting.pop(0)
         try:
             if node in found:
-                raise ParameterError(f'{node} is there twice')
+                raise ParameterError(f'{node} is given twice')
             inside = dict(_mapping(inside))
             if 'ros__parameters' in inside:
                 found[node] = flatten(inside.pop('ros__parameters') or {})
@@ -101,7 +102,7 @@ def _pattern(node):
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML of which ROS and PyYAML make the same."""
+    """A loader that accepts only YAML which ROS and PyYAML read alike."""
 
     def compose_node(self, parent, index):
         """Refuse aliases, which ROS does not know."""
@@ -110,13 +111,13 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
     def flatten_mapping(self, node):
-        """Refuse names that are there twice, and merge keys, which are names for ROS."""
+        """Refuse duplicate names, and merge keys, which ROS reads as ordinary names."""
         seen = set()
         for name, _ in node.value:
             if name.tag == 'tag:yaml.org,2002:merge':
                 self._refuse('a merge key, which ROS does not take', name)
             if str(name.value) in seen:
-                self._refuse(f'{short(name.value, str)} is there twice', name)
+                self._refuse(f'{short(name.value, str)} is given twice', name)
             seen.add(str(name.value))
 
     @staticmethod
@@ -125,30 +126,30 @@ class _Loader(yaml.SafeLoader):
 
 
 def read_yaml(path):
-    """Return what a YAML file says, or raise ParameterError."""
+    """Return the content of a YAML file, or raise ParameterError."""
     return parse_yaml(Path(path).read_bytes(), path)
 
 
 def parse_yaml(content, source):
-    """Return what YAML, text or bytes of a source, says, or raise ParameterError."""
+    """Return the content of YAML text or bytes, or raise ParameterError that names the source."""
     try:
         return yaml.load(content, _Loader)
     except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
-        # PyYAML raises nearly anything for a tag on a value that does not suit it.
+        # PyYAML raises errors of many types for a tag that does not suit its value.
         reason = ' '.join(str(error).split())
         raise ParameterError(f'{source} is not a YAML file: {reason}') from None
 
 
 def flatten(values, prefix=''):
-    """Return values by dotted name, of nested or dotted ones, or raise ParameterError."""
+    """Return nested or dotted values as one dictionary by dotted name, or raise ParameterError."""
     flat = {}
     for name, value in _mapping(values).items():
         name = f'{prefix}{name}'
-        # No name is deeper.
+        # No parameter has more dots, so that the recursion is bounded.
         nested = isinstance(value, Mapping) and prefix.count('.') <= _DEEPEST
         for each, inner in (flatten(value, f'{name}.') if nested else {name: value}).items():
             if each in flat:
-                raise ParameterError(f'{short(each, str)} is there twice')
+                raise ParameterError(f'{short(each, str)} is given twice')
             flat[each] = inner
     return flat
 

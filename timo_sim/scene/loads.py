@@ -7,13 +7,13 @@
 # language governing permissions and limitations under the License.
 
 """
-Loads that are known beforehand, and the angle of a driven shaft.
+Loads that a scene prescribes over time, and the prescribed angle of a driven shaft.
 
 Loads are harmonic, piecewise constant, linear between points, or sums of those.
 
-The compiled step takes three values of a load: at its start, middle and end. Where a load jumps on
-the boundary between two steps, either step sees its own side; a jump inside a step is refused.
-Where a load bends inside a step, the step sees the parabola with the same moments, see `moments`.
+The compiled step takes three values of a load: at its start, middle and end. If a load jumps at
+the boundary of two steps, each step sees its own side; a jump inside a step is refused. If a load
+has a kink inside a step, the step sees the parabola with the same moments, see `moments`.
 """
 
 from dataclasses import dataclass
@@ -33,15 +33,15 @@ CHANNELS = {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE, 'tip_force
 
 @functools.lru_cache(maxsize=2)
 def _instants(first, count, step):
-    # Starts and middles of steps, and the end of the last: from whole numbers, never summed up;
-    # kept for the next term, and the next run.
+    # Times [s] of the starts and middles of steps, and of the end of the last: products of whole
+    # numbers, so that no round-off adds up; cached for the next term and the next run.
     times = 0.5 * np.arange(2 * first, 2 * (first + count) + 1) * step
     times.flags.writeable = False
     return times
 
 
 def _of_stages(values):
-    """Return start, middle and end of each step, shape (count, 3), of what `_instants` are."""
+    """Return values at `_instants` as start, middle and end of each step, shape (count, 3)."""
     found = np.empty((len(values) // 2, STAGES))
     found[:, 0], found[:, 1], found[:, 2] = values[:-2:2], values[1::2], values[2::2]
     return found
@@ -52,12 +52,13 @@ _NO_BREAKS = np.zeros(0)
 
 class Term:
     """
-    A part of a load.
+    A term of a load, as a function of time.
 
-    `jumps()` are the times at which it jumps [s]. For steps first, first + 1, ... of some size,
-    `stages` are its values at their stages, shape (count, 3), or (count, 1) if these are the same;
-    `breaks` the places in and around them at which it jumps or bends, counted in steps, ascending;
-    `parabolas` those with a bend inside, and what they see, see `moments.parabolas`.
+    `jumps()` returns the times at which it jumps [s]. The other methods are for `count` steps of
+    size `step` [s], from step `first` on. `stages` returns values at start, middle and end of each
+    step, shape (count, 3), or (count, 1) if these are the same. `breaks` returns where it jumps or
+    has a kink in and around these steps, counted in steps from t = 0, ascending. `parabolas`
+    returns which steps have a kink inside, and what replaces their stages, see `moments`.
     """
 
     def jumps(self):
@@ -85,7 +86,7 @@ class Harmonic(Term):
 
 @dataclass(frozen=True)
 class Piecewise(Term):
-    """value[i] from time[i] [s] until time[i + 1], the last for ever, and 0 before time[0]."""
+    """0 before time[0] [s], then value[i] until time[i + 1]; the last value holds for ever."""
 
     time: tuple
     value: tuple
@@ -98,7 +99,7 @@ class Piecewise(Term):
         return np.array(self.time), np.append(0.0, self.value)
 
     def _jumps(self, first, count, step):
-        # Of the jumps in and around these steps the number of the first, and where they are.
+        # Index of the first jump in or around these steps, and positions of all [steps].
         time = self._points[0]
         begin = np.searchsorted(time, (first - 1) * step)
         end = np.searchsorted(time, (first + count + 1) * step, side='right')
@@ -116,7 +117,7 @@ class Piecewise(Term):
 
 @dataclass(frozen=True)
 class Table(Term):
-    """Linear between (time[i] [s], value[i]); held before and after; a jump is a time twice."""
+    """Linear between (time[i] [s], value[i]), constant outside; a repeated time is a jump."""
 
     time: tuple
     value: tuple
@@ -134,7 +135,7 @@ class Table(Term):
         begin = max(np.searchsorted(time, (first - 1) * step) - 1, 0)
         part = slice(begin, np.searchsorted(time, (first + count + 1) * step, side='right') + 1)
         position = on_boundaries(time[part] / step)
-        # A knot on a step boundary is there to the last bit, for the choice of side.
+        # Knots near a step boundary are put exactly on it, so that `stages` finds the right side.
         return np.where(position == np.rint(position), position * step, time[part]), value[part]
 
     def stages(self, first, count, step):
@@ -160,9 +161,9 @@ class Table(Term):
 @dataclass(frozen=True)
 class Drive(Term):
     """
-    The angle of a driven shaft: quintic between points, then at the last speed for ever.
+    The angle of a driven shaft: quintic polynomials between points, then constant speed.
 
-    Two neighbours share angle, speed and acceleration at the point where they meet.
+    Neighbouring polynomials have the same angle, speed and acceleration at their common point.
     """
 
     time: tuple          # [s], the first 0
@@ -172,13 +173,13 @@ class Drive(Term):
 
     @functools.cached_property
     def _curve(self):
-        # Imported here: a quarter of a second that only such a scene needs.
+        # Imported here because it takes a quarter of a second and only a drive needs it.
         from scipy.interpolate import BPoly
         return BPoly.from_derivatives(
             self.time, np.column_stack([self.angle, self.speed, self.acceleration]))
 
     def _at(self, time):
-        # Angle, speed and acceleration at times of any shape, a last axis more.
+        # Angle, speed and acceleration, as a new last axis, at times of any shape.
         beyond = time - self.time[-1]
         zero = np.zeros_like(time)
         motion = np.stack([self.angle[-1] + self.speed[-1] * beyond, self.speed[-1] + zero, zero],
@@ -203,7 +204,7 @@ class Drive(Term):
 
 @dataclass(frozen=True)
 class Load:
-    """Sum of terms for each of `CHANNELS`: a dictionary of tuples; and a shaft's drive."""
+    """The loads of a scene: a tuple of terms to be summed for each of `CHANNELS`, and a drive."""
 
     terms: dict
     drive: Drive | None = None
@@ -224,7 +225,7 @@ class Load:
                     for term in terms if isinstance(term, Harmonic)), default=(0.0, ''))
 
     def breaks(self, first, count, step):
-        """Return the boundaries of some steps at which, or next to which, it is not smooth."""
+        """Return those starts of `count` steps that are at or next to a jump or kink, a list."""
         found = [term.breaks(first, count, step) for _, terms in self._columns for term in terms]
         return around(np.concatenate(found), first, count) if any(map(len, found)) else []
 
@@ -232,8 +233,8 @@ class Load:
         """
         Return the loads of steps first, first + 1, ..., shape (count, 4, 14), see `layout`.
 
-        They are put into `room` for at least as many, if that is given: zeros at first, then what
-        this load has put there.
+        If `room`, an array for at least as many steps, is given, they are written there and a view
+        is returned. Its entries must be zeros, or earlier results of this load.
         """
         loads = np.zeros((count, STEP_LOADS, LOADS)) if room is None else room[:count]
         for columns, terms in self._columns:

@@ -7,12 +7,12 @@
 # language governing permissions and limitations under the License.
 
 """
-What a step sees of a load that bends or jumps inside it.
+Replace a load that has a kink inside a step by a parabola with the same moments.
 
-A step takes a load at its start, middle and end, and integrates the parabola through these three
-exactly through the linear part. Where a load is no polynomial over the step, it is replaced by the
-parabola with the same integral and the same first and second moment: with s from 0 to 1 over the
-step and `I_j = int s^j p ds`,
+A step takes a load at its start, middle and end, and its linear part integrates the parabola
+through these three values exactly. A load with a kink inside the step is replaced by the parabola
+with the same integral and the same first and second moment: with s from 0 to 1 over the step and
+`I_j = int s^j p ds`,
 
     p(0)   =    9 I_0 - 36 I_1 + 30 I_2
     p(1/2) = -3/2 I_0 + 15 I_1 - 15 I_2
@@ -25,17 +25,17 @@ import numpy as np
 
 _PARABOLA = np.array([[9.0, -36.0, 30.0], [-1.5, 15.0, -15.0], [3.0, -24.0, 30.0]])
 _gauss = cache(np.polynomial.legendre.leggauss)
-NEAR = 1e-6  # [steps] what is as near to the boundary of a step as this lies on it
+NEAR = 1e-6  # [steps] distance from a step boundary within which a position counts as on it
 
 
 def on_boundaries(position):
-    """Return positions, counted in steps, with those near the boundary of a step moved there."""
+    """Return positions, counted in steps, with those near a step boundary moved onto it."""
     whole = np.rint(position)
     return np.where(np.abs(position - whole) <= NEAR, whole, position)
 
 
 def around(breaks, first, count):
-    """Return the boundaries at and around breaks among those at which some steps begin, a list."""
+    """Return those starts of `count` steps that are at or next to a break, a sorted list."""
     near = breaks[(first - 1 < breaks) & (breaks < first + count)]
     found = np.concatenate([np.floor(near), np.ceil(near)])
     return sorted({int(at) for at in found if first <= at < first + count})
@@ -43,7 +43,7 @@ def around(breaks, first, count):
 
 def parabolas(function, breaks, degree, first, count):
     """
-    Return the parabolas that stand for a piecewise polynomial in the steps where its pieces meet.
+    Return the parabolas that replace a piecewise polynomial in steps with a break inside.
 
     Parameters
     ----------
@@ -52,16 +52,16 @@ def parabolas(function, breaks, degree, first, count):
     breaks : ndarray, shape (k,)
         Where pieces meet, counted in steps; whole numbers are the boundaries of steps.
     degree : int
-        Of the pieces.
+        Degree of the pieces.
     first, count : int
-        Steps.
+        First step, and number of steps.
 
     Returns
     -------
     steps : ndarray of int, shape (m,)
         Those with a break inside, counted from `first`.
     values : ndarray, shape (m, 3, ...)
-        At their start, middle and end.
+        The parabolas at the start, middle and end of these steps.
 
     """
     inside = breaks[(first < breaks) & (breaks < first + count) & (breaks != np.floor(breaks))]
@@ -69,7 +69,7 @@ def parabolas(function, breaks, degree, first, count):
         return inside.astype(int), np.zeros((0, 3, *function(inside).shape[1:]))
     steps = np.unique(np.floor(inside))
     edges = np.unique(np.concatenate([inside, steps, steps + 1.0]))
-    # Of the pieces between these edges, those in a step with a break.
+    # Keep the pieces between these edges that lie in a step with a break.
     owner = np.searchsorted(steps, edges[:-1], side='right') - 1
     within = edges[:-1] < steps[owner] + 1.0
     low, high, owner = edges[:-1][within], edges[1:][within], owner[within]

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A parameter: its type, unit, meaning and rule, and errors that name all of them."""
+"""A parameter: its type, unit, meaning and rule, and errors that state name, rule and value."""
 
 from dataclasses import dataclass
 import difflib
@@ -17,7 +17,7 @@ import reprlib
 import numpy as np
 
 SCENE, NODE = 'scene', 'node'
-LATEST = 2**31 - 1  # [s] that a stamp of ROS can hold, 68 years; it counts in nanoseconds
+LATEST = 2**31 - 1  # [s] largest time that a stamp of ROS can hold, 68 years
 
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel, _SHORT.maxlist, _SHORT.maxtuple, _SHORT.maxother = 2, 8, 8, 60
@@ -25,7 +25,7 @@ _SHORT.maxstring = 60
 
 
 class ParameterError(ValueError):
-    """A parameter that breaks its rule; the text names parameter, value and rule."""
+    """A value that breaks a rule; the text states name, value and rule."""
 
 
 class ModelWarning(UserWarning):
@@ -37,21 +37,21 @@ class Parameter:
     """A parameter and its rule."""
 
     name: str                # dotted
-    default: object          # bool, int, float, str or tuple of float, which is its type
+    default: object          # its type is the parameter's: bool, int, float, str, tuple of float
     unit: str
     meaning: str
     low: float = -math.inf   # range of the value, or of each element
     high: float = math.inf
     open_low: bool = False   # whether `low` itself is excluded
-    choices: tuple = ()      # of texts
-    form: tuple = ()         # of a text: a regular expression, and what it asks for in words
-    scope: str = SCENE       # part of the physics, or NODE: the node's own
-    runtime: bool = False    # whether the node lets it be set while it runs
+    choices: tuple = ()      # allowed texts; empty: all
+    form: tuple = ()         # of a text: a regular expression, and the same rule in words
+    scope: str = SCENE       # SCENE: part of the physics; NODE: only the node has it
+    runtime: bool = False    # whether it can be set while the node runs
     finite: bool = True      # whether infinity is refused
 
     @property
     def rule(self):
-        """What a value must be, in words."""
+        """The rule for values, in words."""
         kind = {bool: 'true or false', int: 'a whole number',
                 float: 'a finite number' if self.finite else 'a number',
                 str: 'a text', tuple: 'a list of finite numbers'}[type(self.default)]
@@ -70,14 +70,14 @@ class Parameter:
 
     def check(self, value):
         """
-        Return the value as the parameter's type, or raise ParameterError.
+        Return the value converted to the parameter's type, or raise ParameterError.
 
         A whole number is accepted for a float, and so is a text like '70.5e9', which is how YAML
         1.1 reads a number without a sign in the exponent.
         """
         try:
             if isinstance(self.default, tuple):
-                if value is None:  # what ROS makes of an empty list
+                if value is None:  # ROS reads an empty list as no value
                     return ()
                 if isinstance(value, (str, bytes, dict, set)) or not hasattr(value, '__iter__'):
                     raise ValueError
@@ -107,12 +107,12 @@ class Parameter:
 
 
 def short(value, show=_SHORT.repr):
-    """Return a value as one line of text that cannot be long, whatever the value."""
+    """Return any value as one line of at most 60 characters."""
     try:
         shown = show(value)
     except ValueError:  # a whole number of thousands of digits
         shown = f'a huge {type(value).__name__}'
-    shown = ''.join(sign if sign.isprintable() else ' ' for sign in shown)
+    shown = ''.join(char if char.isprintable() else ' ' for char in shown)
     return shown if len(shown) <= 60 else shown[:57] + '...'
 
 
@@ -124,9 +124,9 @@ def did_you_mean(name, names):
 
 def whole_ratio(name, value, unit_name, unit):
     """
-    Return how many times `unit` fits into `value`, a whole number, or raise ParameterError.
+    Return how many times `unit` fits into `value`, or raise ParameterError if it is not whole.
 
-    It is whole to a millionth of a unit, or the rounding of the ratio.
+    The ratio may differ from a whole number by 1e-6, or by 1e-15 of itself for round-off.
     """
     ratio = value / unit
     count = round(ratio) if math.isfinite(ratio) else 0

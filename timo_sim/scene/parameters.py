@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-The parameters: name, default, unit, meaning and rule of each, once for YAML, Python and ROS.
+All parameters, with default, unit, meaning and rule, defined once for YAML, Python and ROS.
 
 The defaults are the paper's manipulator (its Tables 1 and 3) at rest, without loads.
 """
@@ -38,19 +38,19 @@ def _load(channel, unit, meaning):
     prefix = f'load.{channel}'
     return [
         Parameter(f'{prefix}.harmonic.amplitude', (), unit,
-                  f'{meaning}: amplitudes of its terms amplitude sin(2 pi frequency t + phase)',
-                  runtime=True),
-        Parameter(f'{prefix}.harmonic.frequency', (), 'Hz', 'frequencies of the same terms',
+                  f'{meaning}: amplitudes of harmonic terms, '
+                  'amplitude sin(2 pi frequency t + phase)', runtime=True),
+        Parameter(f'{prefix}.harmonic.frequency', (), 'Hz', 'frequencies of these terms',
                   low=0.0, runtime=True),
-        Parameter(f'{prefix}.harmonic.phase', (), 'rad', 'phases of the same terms; none: all 0',
+        Parameter(f'{prefix}.harmonic.phase', (), 'rad', 'phases of these terms; empty: all 0',
                   runtime=True),
         Parameter(f'{prefix}.piecewise.time', (), 's',
                   f'{meaning}: times at which it jumps to a new constant value', low=0.0,
                   runtime=True),
-        Parameter(f'{prefix}.piecewise.value', (), unit, 'value from each of these times on',
+        Parameter(f'{prefix}.piecewise.value', (), unit, 'values from these times on',
                   runtime=True),
         Parameter(f'{prefix}.table.time', (), 's',
-                  f'{meaning}: times of points joined by straight lines; a time twice is a jump',
+                  f'{meaning}: times of points, linear in between; a repeated time is a jump',
                   low=0.0, runtime=True),
         Parameter(f'{prefix}.table.value', (), unit, 'values at these points', runtime=True),
     ]
@@ -58,7 +58,7 @@ def _load(channel, unit, meaning):
 
 def _profile(name, unit):
     return _positive(f'arm.profile.{name}', (), unit,
-                     f'values of arm.{name} at these positions, instead of that one')
+                     f'arm.{name} at arm.profile.position; empty: constant')
 
 
 def _rate(name, topic, default):
@@ -71,7 +71,7 @@ def _sensor(name, unit, meaning):
     return [
         _not_negative(f'{prefix}.noise', 0.0, unit, 'standard deviation of the noise in '
                       + meaning, high=_MAX_SENSOR_ERROR, runtime=True),
-        Parameter(f'{prefix}.bias', 0.0, unit, f'what is added to {meaning}',
+        Parameter(f'{prefix}.bias', 0.0, unit, f'constant that is added to {meaning}',
                   low=-_MAX_SENSOR_ERROR, high=_MAX_SENSOR_ERROR, runtime=True),
         _not_negative(f'{prefix}.resolution', 0.0, unit, f'{meaning} is rounded to multiples of '
                       'this; 0: not rounded', high=_MAX_SENSOR_ERROR, runtime=True)]
@@ -84,7 +84,7 @@ def _delay(name, topic):
 
 _MAX_SENSOR_ERROR = 1e9  # keeps sensor arithmetic finite
 _MAX_ANGLE = 1e6         # [rad] up to which sine and cosine are accurate
-_FRAME = r'[^/\s]\S*'     # what tf2 takes
+_FRAME = r'[^/\s]\S*'    # a name that tf2 accepts
 _OUTPUTS = outputs(1)
 
 _ALL = [
@@ -96,45 +96,45 @@ _ALL = [
     _positive('arm.shear_modulus', 27e9, 'Pa', 'shear modulus'),
     _positive('arm.shear_correction', 0.85, '', 'shear correction factor kappa'),
     _not_negative('arm.profile.position', (), 'm', 'distances from the root between which the '
-                  'section varies linearly, from 0 to arm.length; one twice is a jump'),
+                  'section varies linearly, from 0 to arm.length; a repeated one is a jump'),
     _profile('width', 'm'),
     _profile('height', 'm'),
     _profile('density', 'kg/m3'),
     _profile('young_modulus', 'Pa'),
     _profile('shear_modulus', 'Pa'),
-    Parameter('arm.damping_ratio', (), '', 'modal damping ratios: none, one for all modes, or one '
-              'for each', low=0.0, high=1.0, runtime=True),
-    Parameter('arm.damping_of', 'clamped', '', 'whose vibrations have these ratios: those of the '
-              'arm clamped at the shaft, or of the whole manipulator (system), whose frequencies '
-              'are higher', choices=('clamped', 'system')),
+    Parameter('arm.damping_ratio', (), '', 'modal damping ratios: one for all modes, or one for '
+              'each; empty: undamped', low=0.0, high=1.0, runtime=True),
+    Parameter('arm.damping_of', 'clamped', '', 'vibrations that have these damping ratios: those '
+              'of the arm clamped at the shaft, or of the whole manipulator (system), whose '
+              'frequencies are higher', choices=('clamped', 'system')),
     _positive('carrier.mass', 5.0, 'kg', 'mass of the carrier'),
-    _not_negative('carrier.viscous_friction', 0.0, 'N s/m', 'force against the carrier per speed, '
-                  'along world x and y', runtime=True),
-    _not_negative('carrier.coulomb_friction', 0.0, 'N', 'largest force of dry friction on the '
+    _not_negative('carrier.viscous_friction', 0.0, 'N s/m', 'viscous friction force on the '
+                  'carrier per speed, along world x and y', runtime=True),
+    _not_negative('carrier.coulomb_friction', 0.0, 'N', 'largest Coulomb friction force on the '
                   'carrier, the same along world x and y'),
-    _limit('carrier.force_limit', 'N', 'largest force that a command makes along an axis'),
+    _limit('carrier.force_limit', 'N', 'largest force along an axis that commands can apply'),
     _limit('carrier.force_rate_limit', 'N/s', 'largest rate at which that force changes'),
     Parameter('carrier.held', 'none', '', 'axes of the world along which the carrier cannot move',
               choices=('none', 'x', 'y', 'both')),
-    _not_negative('motor.mass', 5.0, 'kg', 'mass of the motor, on the carrier'),
+    _not_negative('motor.mass', 5.0, 'kg', 'mass of the motor, which moves with the carrier'),
     _not_negative('motor.shaft_inertia', 2.0, 'kg m2', 'moment of inertia of the motor shaft'),
-    _not_negative('motor.viscous_friction', 0.0, 'N m s/rad', 'torque against the shaft per speed',
-                  runtime=True),
-    _not_negative('motor.coulomb_friction', 0.0, 'N m', 'largest torque of dry friction on the '
+    _not_negative('motor.viscous_friction', 0.0, 'N m s/rad', 'viscous friction torque on the '
+                  'shaft per speed', runtime=True),
+    _not_negative('motor.coulomb_friction', 0.0, 'N m', 'largest Coulomb friction torque on the '
                   'shaft'),
-    _limit('motor.torque_limit', 'N m', 'largest torque that a command makes'),
+    _limit('motor.torque_limit', 'N m', 'largest torque that commands can apply'),
     _limit('motor.torque_rate_limit', 'N m/s', 'largest rate at which that torque changes'),
-    _not_negative('motor.dc.resistance', 0.0, 'ohm', 'of the winding of a DC motor that takes '
-                  'voltages; 0: there is none'),
+    _not_negative('motor.dc.resistance', 0.0, 'ohm', 'resistance of a DC motor that is commanded '
+                  'by voltage; 0: there is none'),
     _not_negative('motor.dc.torque_constant', 0.0, 'N m/A', 'torque of the rotor per current, and '
                   'back-EMF per speed [V s/rad]'),
     _positive('motor.dc.gear_ratio', 1.0, '', 'turns of the rotor per turn of the shaft; the '
               'inertia of the rotor, times its square, is part of motor.shaft_inertia'),
-    _limit('motor.dc.voltage_limit', 'V', 'largest voltage that a command makes'),
+    _limit('motor.dc.voltage_limit', 'V', 'largest voltage that commands can apply'),
     Parameter('motor.shaft', 'free', '', 'free: turned by the torque; locked at initial.shaft; '
               'driven along motor.drive', choices=('free', 'locked', 'driven')),
-    _not_negative('motor.drive.time', (), 's', 'a driven shaft passes these points, quintic in '
-                  'between and at the last speed afterwards; the first is at 0'),
+    _not_negative('motor.drive.time', (), 's', 'times of the points of a driven shaft, from 0 on; '
+                  'quintic polynomials in between, constant speed afterwards'),
     Parameter('motor.drive.angle', (), 'rad', 'angles at these times',
               low=-_MAX_ANGLE, high=_MAX_ANGLE),
     Parameter('motor.drive.speed', (), 'rad/s', 'speeds at these times'),
@@ -142,8 +142,8 @@ _ALL = [
               'accelerations at these times, the last 0'),
     _not_negative('end_effector.mass', 2.0, 'kg', 'mass at the tip'),
     _not_negative('end_effector.inertia', 0.5, 'kg m2', 'moment of inertia at the tip'),
-    Parameter('gravity', (0.0, 0.0), 'm/s2', 'acceleration of free fall along world x and y; 0: the '
-              'plane of motion is horizontal', low=-1e6, high=1e6),
+    Parameter('gravity', (0.0, 0.0), 'm/s2', 'acceleration of free fall along world x and y; 0: '
+              'the plane of motion is horizontal', low=-1e6, high=1e6),
     Parameter('initial.carrier_x', 0.0, 'm', 'carrier position at t = 0'),
     Parameter('initial.carrier_y', 0.0, 'm', 'carrier position at t = 0'),
     Parameter('initial.shaft', math.pi / 4, 'rad', 'shaft angle at t = 0',
@@ -151,63 +151,62 @@ _ALL = [
     Parameter('initial.carrier_x_velocity', 0.0, 'm/s', 'carrier velocity at t = 0'),
     Parameter('initial.carrier_y_velocity', 0.0, 'm/s', 'carrier velocity at t = 0'),
     Parameter('initial.shaft_velocity', 0.0, 'rad/s', 'shaft speed at t = 0'),
-    Parameter('initial.modal_coordinates', (), 'm sqrt(kg)', 'modal coordinates at t = 0: none '
-              '(straight arm) or one for each mode'),
-    Parameter('initial.modal_rates', (), 'm sqrt(kg)/s', 'their rates at t = 0'),
+    Parameter('initial.modal_coordinates', (), 'm sqrt(kg)', 'modal coordinates at t = 0, one for '
+              'each mode; empty: straight arm'),
+    Parameter('initial.modal_rates', (), 'm sqrt(kg)/s', 'their rates at t = 0; empty: 0'),
     Parameter('initial.equilibrium', False, '', 'whether the run begins at rest where gravity and '
               'the loads of t = 0 balance; a free shaft is sought from initial.shaft on'),
     Parameter('model.formulation', 'exact', '', 'equations of motion',
               choices=tuple(FORMULATIONS)),
     Parameter('model.modes', 3, '', 'number of assumed modes; 0 is a rigid arm', low=0, high=40),
-    Parameter('model.static_modes', 'none', '', 'loads whose static shapes take the place of the '
-              'last modes: on the end effector, or the weight of an arm in gravity',
+    Parameter('model.static_modes', 'none', '', 'loads whose static shapes replace the last '
+              'modes: force or torque on the end effector, both, or the weight in gravity',
               choices=('none', 'force', 'torque', 'both', 'weight')),
-    Parameter('model.axial_modes', 0, '', 'number of modes in which the arm stretches, behind the '
-              'others in all lists of modes; 0: it does not; > 0 with formulation exact only',
-              low=0, high=3),
+    Parameter('model.axial_modes', 0, '', 'number of modes in which the arm stretches; they '
+              'follow the bending modes in all lists; 0: it does not stretch; > 0 only with '
+              'formulation exact', low=0, high=3),
     _not_negative('model.accuracy', 0.0, 'm', 'tip error for which model.modes and '
-                  'integrator.step are chosen, instead of given; 0: they are given'),
+                  'integrator.step are chosen; 0: their given values are used'),
     Parameter('integrator.step', 0.001, 's', 'time step', low=1e-9, high=1000.0),
-    _not_negative('integrator.tolerance', 0.0, 'm', 'largest estimated tip error of a step, '
-                  'which is done in two to 64 parts to stay below; 0: in one, whatever its error'),
+    _not_negative('integrator.tolerance', 0.0, 'm', 'estimated tip error of a step above which '
+                  'it is split into 2 to 64 parts; 0: steps are never split'),
     *_load('force_x', 'N', 'force on the carrier along world x'),
     *_load('force_y', 'N', 'force on the carrier along world y'),
     *_load('torque', 'N m', 'torque on the shaft'),
     *_load('tip_force_x', 'N', 'force on the end effector along world x'),
     *_load('tip_force_y', 'N', 'force on the end effector along world y'),
     *_load('tip_torque', 'N m', 'torque on the end effector'),
-    Parameter('sensor.seed', 0, '', 'what the noise of all sensors is drawn from', low=0,
-              high=1000000000),
+    Parameter('sensor.seed', 0, '', 'seed of the noise of all sensors', low=0, high=1000000000),
     *[parameter for sensor in SENSORS
       for parameter in _sensor(sensor.name, sensor.unit, sensor.meaning)],
     *[_delay(output.delay, output.name) for output in _OUTPUTS if output.delay],
     _not_negative('real_time_factor', 1.0, '', 'sim time per wall time; 0: as fast as possible',
                   high=1e6, scope=NODE, runtime=True),
-    _not_negative('catch_up_limit', 0.1, 's', 'wall time that is caught up after a delay; what is '
-                  'beyond it is dropped and counted', high=LATEST, scope=NODE, runtime=True),
+    _not_negative('catch_up_limit', 0.1, 's', 'most wall time that is caught up after a delay; '
+                  'the rest is dropped and counted', high=LATEST, scope=NODE, runtime=True),
     _not_negative('duration', 0.0, 's', 'sim time after which the node ends; 0: never',
                   high=LATEST, scope=NODE),
-    _not_negative('command_timeout', 0.0, 's', 'sim time after which a command without successor '
-                  'falls to zero; 0: held for ever', high=LATEST, scope=NODE, runtime=True),
-    Parameter('sync', 'free', '', 'whether each sync_period waits for a command: wait, with the '
-              'stamp of the state or none; any_command, whatever its stamp; else free',
+    _not_negative('command_timeout', 0.0, 's', 'sim time after which a command falls to zero if '
+                  'no other follows; 0: held for ever', high=LATEST, scope=NODE, runtime=True),
+    Parameter('sync', 'free', '', 'lock step: free: off; wait: each sync_period waits for a '
+              'command with the stamp of the state or none; any_command: whatever its stamp',
               choices=('free', 'wait', 'any_command'), scope=NODE),
     _positive('sync_period', 0.002, 's', 'sim time from one wait for a command to the next',
               high=LATEST, scope=NODE),
-    _positive('sync_timeout', 1.0, 's', 'wall time after which a wait ends without a command; the '
-              'first has no end', high=LATEST, scope=NODE),
-    Parameter('start_paused', False, '', 'whether the simulation waits for ~/pause or ~/step',
+    _positive('sync_timeout', 1.0, 's', 'wall time after which a wait ends without a command; not '
+              'before the first one, or while nobody publishes', high=LATEST, scope=NODE),
+    Parameter('start_paused', False, '', 'whether the node starts paused, until ~/pause or ~/step',
               scope=NODE),
     Parameter('steps_per_call', 1, '', 'time steps of one call of ~/step', low=1, high=1000000,
               scope=NODE, runtime=True),
-    Parameter('publish_clock', False, '', 'whether sim time goes to /clock', scope=NODE),
+    Parameter('publish_clock', False, '', 'whether sim time is published on /clock', scope=NODE),
     *[_rate(output.rate, output.name, 100.0) for output in _OUTPUTS],
     _rate('rate.arm_shape', '~/arm_shape', 50.0),
     _rate(TRANSFORMS.rate, TRANSFORMS.name, 50.0),
-    Parameter('frame_prefix', '', '', 'what stands before the names of all frames but world',
-              form=(f'({_FRAME})?', 'empty or a text without blanks and / before it'), scope=NODE),
+    Parameter('frame_prefix', '', '', 'prefix of the names of all frames but world', form=(
+        f'({_FRAME})?', 'empty or a text without blanks that does not begin with /'), scope=NODE),
     *[Parameter(f'frame.{name}', name, '', f'name of the frame {name} in messages',
-                form=(_FRAME, 'a name without blanks and / before it'), scope=NODE)
+                form=(_FRAME, 'a name without blanks that does not begin with /'), scope=NODE)
       for name in FRAMES],
     Parameter('record', True, '', 'whether the run is logged to an MCAP file', scope=NODE),
     Parameter('record_file', '', '', 'path of the log; empty: timo_sim_DATE_TIME.mcap in the '
@@ -216,10 +215,10 @@ _ALL = [
               '~/encoder are logged also while nobody subscribes', scope=NODE),
     Parameter('rerun_live', '', '', 'address of a running viewer of rerun to which the motion is '
               'streamed, such as rerun+http://127.0.0.1:9876/proxy; empty: none', scope=NODE),
-    Parameter('publish_arm_shape', False, '', 'whether the centre line goes to ~/arm_shape, for '
-              'RViz; needs visualization_msgs', scope=NODE),
-    Parameter('publish_tf', False, '', 'whether the frames carrier, arm and tip go to /tf; needs '
-              'tf2_msgs', scope=NODE),
+    Parameter('publish_arm_shape', False, '', 'whether the centre line is published on '
+              '~/arm_shape, for RViz; needs visualization_msgs', scope=NODE),
+    Parameter('publish_tf', False, '', 'whether the frames carrier, arm and tip are published on '
+              '/tf; needs tf2_msgs', scope=NODE),
 ]
 
 PARAMETERS = {parameter.name: parameter for parameter in _ALL}
@@ -229,10 +228,10 @@ DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
 
 def check(values, source):
     """
-    Return values by dotted name as their types.
+    Return values by dotted name, converted to the types of their parameters.
 
-    A name that is unknown or a value that breaks its rule is a ParameterError, which says the
-    source, a text.
+    Raises ParameterError, which names the source (a text), if a name is unknown or a value breaks
+    its rule.
     """
     checked = {}
     for name, value in values.items():
@@ -248,9 +247,10 @@ def check(values, source):
 
 def frame_names(values):
     """
-    Return the names of `messages.outputs.FRAMES` by node's parameters, defaults where not given.
+    Return the names of `messages.outputs.FRAMES` in messages, a dictionary.
 
-    Raises ParameterError if a name breaks its rule or two are the same.
+    `values` are parameters of the node; missing ones have their defaults. Raises ParameterError if
+    a name breaks its rule or two are the same.
     """
     given = {name: PARAMETERS[name].check(values.get(name, PARAMETERS[name].default))
              for name in ('frame_prefix', *(f'frame.{frame}' for frame in FRAMES))}
@@ -269,25 +269,25 @@ def steps_in(duration, step):
 
 
 def check_runtime(values, later):
-    """Raise ParameterError if values differ that cannot be set while a simulation runs."""
+    """Raise ParameterError if `later` changes what cannot be set while a simulation runs."""
     fixed = [name for name, value in later.items()
              if value != values[name] and not PARAMETERS[name].runtime]
     if fixed:
         raise ParameterError(f'{fixed[0]} = {short(later[fixed[0]])} cannot be set while a '
-                             f'simulation runs, where it is {short(values[fixed[0]])}')
+                             f'simulation runs; it stays {short(values[fixed[0]])}')
 
 
-# 0.2.0 renamed these. Before, a limit of 0 meant that there was none; today it is refused.
+# 0.2.0 renamed these. Before 0.2.0 a limit of 0 meant no limit; now it is refused.
 _RENAMED = {'motor.dc.gear': 'motor.dc.gear_ratio', 'step_count': 'steps_per_call'}
 _LIMITS = [name for name, parameter in PARAMETERS.items() if not parameter.finite]
 
 
 def current(values):
-    """Return values as an older version logged them, by their present names and meanings."""
+    """Return values that an older version logged, with their present names and meanings."""
     return {_RENAMED.get(name, name): math.inf if name in _LIMITS and value == 0.0 else value
             for name, value in values.items()}
 
 
 def changed(values):
-    """Return those of some values that are not the default."""
+    """Return the values that differ from their defaults."""
     return {name: value for name, value in values.items() if value != PARAMETERS[name].default}

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A scene: what is simulated, checked, from a YAML file, a dictionary and overrides."""
+"""The class Scene, which describes what is simulated, and functions that load and check one."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from timo_sim.scene.parameter import ModelWarning, ParameterError, SCENE, short,
 from timo_sim.scene.parameters import changed, check, DELAYS, PARAMETERS
 from timo_sim.scene.summary import html_table
 
-# Of `model.static_modes`, as the modes are told.
+# The argument `static` of a Formulation, by `model.static_modes`.
 _STATIC = {'none': (), 'force': ('force',), 'torque': ('torque',), 'both': ('force', 'torque'),
            'weight': ('weight',)}
 
@@ -71,7 +71,7 @@ class Scene:
         values = self.values
         return (f'<Scene: arm of {values["arm.length"]:g} m, {values["model.formulation"]} with '
                 f'N = {self.modal_count}, h = {1e3 * self.step:g} ms, '
-                f'{len(changed(values))} parameters not as by default>')
+                f'{len(changed(values))} parameters not at their defaults>')
 
     def _repr_html_(self) -> str:
         return html_table(repr(self)[1:-1], changed(self.values))
@@ -82,7 +82,7 @@ class Scene:
         return modal_count(self.values)
 
     def build(self) -> Formulation:
-        """Return the formulation of the equations of motion that the scene asks for, kept."""
+        """Return the scene's Formulation of the equations of motion; it is made once and kept."""
         return self._formulation
 
     @cached_property
@@ -108,7 +108,7 @@ class Scene:
 
     @property
     def friction(self) -> np.ndarray:
-        """Largest Coulomb friction of carrier x, y [N] and shaft [N m], shape (3,)."""
+        """Largest Coulomb friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,)."""
         axis, shaft = (self.values[f'{body}.coulomb_friction'] for body in ('carrier', 'motor'))
         held = [position is not None for position in self.constraints.carrier]
         return np.where([*held, self.constraints.driven], 0.0, [axis, axis, shaft])
@@ -117,7 +117,7 @@ class Scene:
         """
         Return the scene with other values of some parameters, by (nested or dotted) name.
 
-        A name or value that is refused is a ParameterError, as of `load_scene`.
+        Raises ParameterError if a name is unknown or a value breaks its rule, as `load_scene`.
         """
         return scene_from({**self.values, **check(flatten(overrides), 'override')})
 
@@ -125,12 +125,12 @@ class Scene:
         """
         Return the scene with the state of a run as its initial state.
 
-        The scene's own loads begin anew.
+        The scene's own loads start again from t = 0.
 
         Parameters
         ----------
         run : Run
-            Of the same bodies and number of modes.
+            A run of the same bodies with as many modes.
         t : float
             Sim time of one of its samples [s].
 
@@ -141,7 +141,7 @@ class Scene:
         Raises
         ------
         ParameterError
-            If the run has no sample then, other modes, or its shaft is driven.
+            If the run has no sample at t or other modes, or the scene has a driven shaft.
 
         Examples
         --------
@@ -154,7 +154,7 @@ class Scene:
         return self.vary(state_of(self, run, t))
 
     def __getstate__(self):
-        # Without the formulation, which another process makes again.
+        # Without the formulation, which the other process builds again.
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def initial_motion(self) -> np.ndarray:
@@ -170,7 +170,7 @@ class Scene:
         return self.load.stages(0, 1, self.step)[0, START]
 
 
-# What stands for a scene wherever one is asked for, see `load_scene`.
+# What functions with an argument `scene` accept, see `load_scene`.
 SceneLike = Scene | str | Path | Mapping[str, Any]
 
 
@@ -182,10 +182,10 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
     ----------
     source : str, Path, dict or Scene
         A ROS parameter file, the name of an installed scene ('paper', 'spin_up'), or values by
-        (nested or dotted) name. What is not given has its default, the paper's manipulator at rest
-        without loads; parameters of the node are checked and left out.
+        (nested or dotted) name. Values that are not given have their defaults: the paper's
+        manipulator at rest without loads. Parameters of the node are checked and left out.
     overrides : dict, optional
-        Further values by name, which win.
+        Values by name that replace those of the source.
 
     Returns
     -------
@@ -230,7 +230,7 @@ def project_on_modes(scene: Scene, deflection: Callable[[np.ndarray], Any],
     """
     Project a deflection field, or a velocity field, on the modes of a scene.
 
-    Exact to first order in the field; give the result to the parameters
+    The result is exact to first order in the field. It is a value for the parameters
     `initial.modal_coordinates` or `initial.modal_rates`.
 
     Parameters
@@ -244,7 +244,7 @@ def project_on_modes(scene: Scene, deflection: Callable[[np.ndarray], Any],
     Returns
     -------
     tuple of float, length N
-        [m sqrt(kg)] or [m sqrt(kg)/s]. Source: paper eqs. (21), (23).
+        Modal coordinates [m sqrt(kg)] or rates [m sqrt(kg)/s]. Source: paper eqs. (21), (23).
 
     Examples
     --------
@@ -258,7 +258,7 @@ def project_on_modes(scene: Scene, deflection: Callable[[np.ndarray], Any],
 
 
 def scene_from(values):
-    """Return the scene of a full set of checked values."""
+    """Return the Scene of checked values, or raise ParameterError if they do not fit together."""
     if os.environ.get('NUMBA_DISABLE_JIT', '0') not in ('', '0'):
         raise ParameterError('NUMBA_DISABLE_JIT must be 0 or not set, because the equations need '
                              f'to be compiled, got {short(os.environ["NUMBA_DISABLE_JIT"])}')
@@ -271,8 +271,9 @@ def scene_from(values):
         whole_ratio(name, values[name], 'integrator.step', step)
     scene = Scene(manipulator_of(values), constraints_of(values), load_of(values), step, values)
     if scene.friction.any() and values['integrator.tolerance']:
-        raise ParameterError('integrator.tolerance must be 0 with coulomb_friction, whose steps '
-                             f'cannot be split, got {values["integrator.tolerance"]:g}')
+        raise ParameterError('integrator.tolerance must be 0 with coulomb_friction, because steps '
+                             'with friction cannot be split, got '
+                             f'{values["integrator.tolerance"]:g}')
     try:
         with np.errstate(over='raise', divide='raise', invalid='raise'):
             formulation, motion = scene.build(), scene.initial_motion()
@@ -283,10 +284,10 @@ def scene_from(values):
     except ParameterError:
         raise
     except ValueError as error:
-        # What only the physics can tell, such as modes too close to each other.
+        # Only the physics finds some errors, such as modes too close to each other.
         raise ParameterError(f'model.formulation = {values["model.formulation"]}, model.modes = '
                              f'{values["model.modes"]}: {error}') from None
     if not finite:
-        raise ParameterError('the values of this scene are too large or too small together: no '
-                             'finite equations of motion, or no finite initial energy')
+        raise ParameterError('the values of this scene are too large or too small together: its '
+                             'equations of motion or its initial energy are not finite')
     return scene

@@ -6,13 +6,13 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Short summaries of objects, as text and for notebooks."""
+"""Summaries of objects for notebooks."""
 
 from html import escape
 
 
 def html_table(title, rows):
-    """Return a table of names and values for a notebook, HTML."""
+    """Return a table of names and values as HTML."""
     cells = ''.join(f'<tr><th style="text-align:left">{escape(str(name))}</th>'
                     f'<td style="text-align:left">{escape(str(value))}</td></tr>'
                     for name, value in rows.items())

@@ -9,6 +9,6 @@
 """
 From a scene to a run: check, choose the resolution, build the model, tabulate loads, integrate.
 
-It may import `scene`, `messages` and `physics`. `runs.simulate` reads as that sequence;
-`Simulator` does the last three, for the node and for replays as well.
+This package may import `scene`, `messages`, `physics` and `jit`. `runs.simulate` reads as that
+sequence; `Simulator` does the last three, for the node and for replays as well.
 """

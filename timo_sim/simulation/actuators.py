@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""From commands to what acts: limits of forces and torque, how fast they change, a DC motor."""
+"""Actuators: limits of commanded forces and torque and of their rates, and a DC motor."""
 
 from typing import Any
 
@@ -49,7 +49,7 @@ def commanded_load(values, **commands):
     Raises
     ------
     ParameterError
-        If a command has not as many finite numbers as it should, or there is nothing to take it.
+        If a command has not the right number of finite values, or a voltage has no DC motor.
 
     """
     load = np.zeros(LOADS)
@@ -71,20 +71,20 @@ def commanded_load(values, **commands):
 
 class Actuators:
     """
-    What the commands of a scene become; its own loads are as they are.
+    The actuators of a scene, which turn commands into loads; the scene's own loads bypass them.
 
-    A command is cut off at its limit. Towards that, force and torque change at most at their
-    rates: on a straight line since the step at which it became another one, so that what acts in a
-    step does not depend on how many steps are done at once.
+    The goal of a force or torque is its command, clipped at its limit. With a limit of its rate it
+    moves to the goal on a straight line that begins at the step at which the goal changed, so that
+    what acts in a step does not depend on how many steps are done at once.
 
     Parameters
     ----------
     values : dict
-        The scene's, by name.
+        The scene's parameters, by name.
     first : int, optional
         Step from which they act.
     reached : ndarray, shape (14,), optional
-        What has acted until then, see `physics.layout`; by default nothing.
+        Load that has acted until then, see `physics.layout`; by default none.
 
     """
 
@@ -102,7 +102,7 @@ class Actuators:
         self._given, self._goal = b'', self._start
 
     def command(self, commanded, first):
-        """Take what is commanded from a step on, shape (14,); return whether it is new."""
+        """Take the commands from step `first` on, shape (14,); return whether they are new."""
         given = commanded.tobytes()
         if given == self._given:
             return False
@@ -117,12 +117,12 @@ class Actuators:
         return around(self._since + self._ends(1), first, count) if len(self._slow) else []
 
     def _ends(self, parts):
-        # Where lines reach their goals, counted in parts of steps since they began.
+        # When lines reach their goals, counted in parts of steps since they began.
         way = np.abs(self._goal - self._start)[self._slow]
         return on_boundaries(way / (self._rate[self._slow] * self._period / parts))
 
     def reached(self, step):
-        """Return what of the commands acts at a step, a voltage not yet as a torque, (14,)."""
+        """Return what acts of the commands at a step, (14,); a voltage is not yet a torque."""
         return self._at(np.array((step - self._since) * self._period))
 
     def loads(self, first, count, parts=1):

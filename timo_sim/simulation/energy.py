@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Where energy goes between samples of a motion: work of forces, and what friction takes."""
+"""Energy balance between samples of a motion: work of forces, and dissipated energy."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from timo_sim.physics.integrate.run_error import CHUNK
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.simulator import Simulator
 
-_MOST_DOUBT = 1e-3  # of what is taken
+_MOST_DOUBT = 1e-3  # largest difference of integrals by all and by every second sample, relative
 
 
 def work(ns, position, velocity, force):
@@ -26,7 +26,7 @@ def work(ns, position, velocity, force):
     Parameters
     ----------
     ns : ndarray, shape (n,)
-        [ns]
+        Times [ns].
     position, velocity, force : ndarray, shape (n, k)
 
     Returns
@@ -53,12 +53,13 @@ def integral(ns, power):
     """
     Return the integral of a power from each sample to the next.
 
-    The trapezoidal rule with the slopes at its ends, of fourth order for even samples.
+    The trapezoidal rule is corrected by the slopes at both ends, which gives fourth order for
+    equally spaced samples.
 
     Parameters
     ----------
     ns : ndarray, shape (n,)
-        [ns]
+        Times [ns].
     power : ndarray, shape (n,)
         [W]
 
@@ -78,10 +79,10 @@ def integral(ns, power):
 
 def dissipated(scene, t, motions):
     """
-    Return what viscous friction and modal damping have taken since the first sample.
+    Return the energy that viscous friction and modal damping dissipate since the first sample.
 
-    Between samples that are some steps apart, the run is done again. If that gives other motions,
-    because of commands, it is the integral by the samples.
+    If samples are some steps apart, the run is repeated and its power integrated over each step.
+    If the repeated motions differ, because commands acted, the given samples are integrated.
 
     Parameters
     ----------
@@ -95,7 +96,7 @@ def dissipated(scene, t, motions):
     taken : ndarray, shape (n,)
         [J]
     doubt : bool
-        Whether the samples are too far from each other to tell.
+        Whether the samples are too far apart for a reliable integral.
 
     """
     power, steps = scene.build().dissipation(motions), np.rint(t / scene.step).astype(int)
@@ -116,7 +117,7 @@ def _since_start(ns, power):
 
 
 def _power_of_steps(scene, every, motions):
-    # At the start and after each step [W], or None if that is not what these samples are of.
+    # Power at the start and after each step [W], or None if a repeated run differs from `motions`.
     simulator, last = Simulator(scene), every * (len(motions) - 1)
     simulator.warm_up()
     power = np.empty(last + 1)

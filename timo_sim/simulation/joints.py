@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Accelerations, and what they tell: forces that hold or drive joints, the moment at the root."""
+"""Forces that hold or drive joints, and moment and strain at the root, from accelerations."""
 
 from functools import cached_property, partial
 
@@ -22,14 +22,14 @@ _STILL, _SWEEPS = 1e-7, 200
 
 
 def applied(loads, theta):
-    """Return what loads, (n, 14), do to carrier [N] and shaft [N m] at shaft angles, (n, 3)."""
+    """Return carrier forces [N] and shaft torque [N m] of loads, (n, 14), shape (n, 3)."""
     x, y = rotate(theta, loads[:, FORCE_I], loads[:, FORCE_II])
     return np.column_stack([loads[:, FORCE_X] + x, loads[:, FORCE_Y] + y, loads[:, TORQUE]])
 
 
 class Joints:
     """
-    Carrier and shaft in n motions of a model; worked out when asked for.
+    Forces of carrier and shaft, moment and strain at the root in n motions, computed on demand.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Joints:
         See `physics.layout`.
     accelerations : ndarray, shape (n, 3 + N)
     loads : ndarray, shape (n, 14)
-        That act, Coulomb friction included.
+        Loads that act, Coulomb friction included.
 
     """
 
@@ -54,9 +54,9 @@ class Joints:
     @property
     def reactions(self):
         """
-        What constraints do to carrier [N], world axes, and shaft [N m], shape (n, 3).
+        Force on the carrier, world axes [N], and torque on the shaft [N m] by constraints, (n, 3).
 
-        Besides the loads; of joints that are free it is their viscous friction.
+        Loads are not part of it. For a joint that is free it is the viscous friction.
         """
         return self._needed - self._applied
 
@@ -86,7 +86,7 @@ def root_strain(model):
     height, stiffness = (np.ravel(value)[0] for value in (
         section.height, section.bending_stiffness))
     axial = modes.stretch(root)[0] if model.axial else np.zeros(len(modes))
-    # Damping has a moment of its own beside that of the strain, here in the modes' curvature.
+    # Modal damping adds to the moment, but not to the strain, so its moment is subtracted.
     return (0.5 * height / stiffness, axial,
             -0.5 * height * modes.curvature(root)[0] * 2.0 * model.damping / modes.omega)
 
@@ -98,7 +98,7 @@ def _accelerations(integration, state, load):
 
 
 def joints_of_state(integration, motion, state, load):
-    """Return the Joints of a motion, and its state, of some `Steps` under a load that acts."""
+    """Return the Joints of a motion, with its state, by `Steps` under a load that acts."""
     accelerations = _accelerations(integration, state, load)
     return Joints(integration.model, motion[np.newaxis], accelerations[np.newaxis],
                   load[np.newaxis])
@@ -108,7 +108,7 @@ def joints_of_run(scene, motions, loads):
     """
     Return the Joints of sampled motions of a scene.
 
-    Where Coulomb friction holds a joint, it is whatever leaves it without acceleration.
+    Where Coulomb friction holds a joint, it is what cancels the joint's acceleration.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def joints_of_run(scene, motions, loads):
 
 
 def _friction(accelerate, load, speed, limit):
-    """Return the Coulomb friction of joints that slide, or are held as far as it can, (3,)."""
+    """Return the Coulomb friction: of joints that slide, or what holds the others, shape (3,)."""
     friction = np.where(np.abs(speed) > _STILL, -limit * np.sign(speed), 0.0)
     held = np.flatnonzero((limit > 0.0) & (np.abs(speed) <= _STILL))
     if not len(held):

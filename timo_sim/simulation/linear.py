@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Linear models: a scene about an equilibrium as matrices with names, to design control with."""
+"""Linear models for control design: a scene about an equilibrium as matrices with names."""
 
 from dataclasses import dataclass, replace
 
@@ -19,14 +19,14 @@ from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.scene.summary import html_table
 from timo_sim.simulation.joints import Joints
 
-# Differences of fourth order: over this part of the arm's length, or turn of its most turned
-# section [rad]. Where the tip is heavy it hardly moves, and says nothing of how far the arm bends.
+# Step of the fourth-order differences: part of the arm's length, or angle of the section that
+# turns most [rad]. The tip's deflection is no measure, since a heavy tip hardly moves.
 _SHIFT = 1e-3
 _STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
 _INPUTS = {f'{channel}_{"N_m" if "torque" in channel else "N"}': column
            for channel, column in CHANNELS.items()}
 _PERIOD = Parameter('dt', 1.0, 's', 'period', low=0.0, open_low=True)
-# Rates that are left where a state that is called an equilibrium is none [1/s].
+# Largest rate of a state that counts as an equilibrium [1/s].
 _STILL = 1e-9
 
 
@@ -90,13 +90,13 @@ class LinearModel:
                        outputs=tuple(self.outputs[place] for place in y))
 
     def state_space(self):
-        """Return the same as `scipy.signal.StateSpace`."""
+        """Return the model as a `scipy.signal.StateSpace`."""
         from scipy.signal import StateSpace
         time = {} if self.dt is None else {'dt': self.dt}
         return StateSpace(self.A, self.B, self.C, self.D, **time)
 
     def to_control(self):
-        """Return the same as `control.StateSpace` of python-control, names included."""
+        """Return the model as a `control.StateSpace` of python-control, names included."""
         from control import ss
         return ss(self.A, self.B, self.C, self.D, self.dt or 0, states=list(self.states),
                   inputs=list(self.inputs), outputs=list(self.outputs))
@@ -110,7 +110,7 @@ class LinearModel:
         Raises
         ------
         ParameterError
-            If the period is not > 0, or the model is one of discrete time already.
+            If the period is not > 0, or the model is of discrete time already.
 
         """
         from scipy.signal import cont2discrete
@@ -130,9 +130,9 @@ class LinearModel:
 
     def poles(self):
         """
-        Return the poles by size, shape (m,) [1/s].
+        Return the poles by magnitude, shape (m,) [1/s].
 
-        Those of a discrete-time model are the s of its eigenvalues `z = exp(s dt)`.
+        The poles s of a discrete-time model belong to its eigenvalues `z = exp(s dt)`.
         """
         poles = np.linalg.eigvals(self.A)
         if self.dt is not None:
@@ -140,7 +140,7 @@ class LinearModel:
         return poles[np.lexsort((poles.imag, np.abs(poles).round(9)))]
 
     def frequencies(self):
-        """Return the natural frequencies of what vibrates, ascending [Hz]."""
+        """Return the natural frequencies of the oscillating poles, ascending [Hz]."""
         poles = self.poles()
         return np.abs(poles[poles.imag > 1e-3]) / (2.0 * np.pi)
 
@@ -161,9 +161,9 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     -------
     LinearModel
         States: free coordinates, then their rates. Inputs: forces on carrier and tip in world
-        axes, torques on shaft and tip, as far as they do anything. Outputs: carrier and shaft, tip
-        in world axes, deflection and rotation of the tip and its acceleration across the arm,
-        strain at the root, rates of carrier and shaft.
+        axes, torques on shaft and tip; without those that have no effect. Outputs: carrier and
+        shaft, tip in world axes, deflection and rotation of the tip, strain at the root, rates of
+        carrier and shaft, acceleration of the tip across the arm.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     def jacobian(function):
         return _jacobian(function, at, steps, free)
 
-    # In coordinates and rates x; what the formulation integrates is state(x).
+    # x holds coordinates and rates; the formulation integrates state(x).
     to_state = jacobian(formulation.state)
     rest = jacobian(lambda motion: formulation.rate(formulation.state(motion), load)
                     - formulation.linear @ formulation.state(motion))
@@ -210,7 +210,7 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     outputs = _Outputs(formulation, load)
     c = jacobian(outputs.values)
     d = np.zeros((len(c) + 1, len(inputs)))
-    # Two outputs are made by loads and by accelerations, of which A and B have the rows.
+    # Root strain and tip acceleration depend on loads, and on accelerations: rows of A and B.
     columns = [_INPUTS[name] for name in inputs]
     strain = outputs.strain_per(at, accelerations=np.eye(formulation.size // 2)[free[:half]])
     c[outputs.root_strain] += strain @ a[half:]
@@ -244,7 +244,7 @@ def _jacobian(function, at, steps, columns):
 
 
 class _Outputs:
-    """What is read off a motion."""
+    """The outputs of the linear model as functions of a motion."""
 
     names = ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'tip_x_m', 'tip_y_m',
              'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain',
@@ -266,7 +266,7 @@ class _Outputs:
             self._strain(motion, np.zeros((1, self._half)), self._load[np.newaxis]), rates])
 
     def strain_per(self, motion, accelerations=None, loads=None):
-        """Return the strain at the root per each of some accelerations, or loads, shape (k,)."""
+        """Return the strain at the root per each of k accelerations, or k loads, shape (k,)."""
         count = len(loads if accelerations is None else accelerations)
         accelerations = np.zeros((count, self._half)) if accelerations is None else accelerations
         loads = self._load + (np.zeros((count, LOADS)) if loads is None else loads)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The loads of coming steps as a table: those of the scene and what the actuators make."""
+"""A table of the loads of coming steps: the scene's own, plus those of the actuators."""
 
 import numpy as np
 
@@ -15,12 +15,12 @@ from timo_sim.physics.integrate.run_error import CHUNK
 from timo_sim.physics.integrate.steps import NO_LOADS
 from timo_sim.physics.layout import LOADS, STEP_LOADS
 
-_FEW = 256  # steps; the loads of fewer are worked out together with those of the next
+_FEW = 256  # least number of steps tabulated by themselves; fewer as part of a block of CHUNK
 
 
 class LoadTable:
     """
-    Loads of steps, counted from the start of the scene's own loads.
+    Loads of steps; the steps are counted from the start of the scene's own loads.
 
     Parameters
     ----------
@@ -39,16 +39,16 @@ class LoadTable:
 
     def stages(self, first, count, parts=1, actuators=None):
         """
-        Return what acts in parts of steps.
+        Return the loads in parts of steps.
 
         Parameters
         ----------
         first, count : int
-            Steps.
+            Number of the first step, and number of steps.
         parts : int
-            Of each step.
+            Number of parts of each step.
         actuators : Actuators, optional
-            What acts of the commands.
+            Their loads are added.
 
         Returns
         -------
@@ -66,7 +66,7 @@ class LoadTable:
     def _own(self, first, count):
         begin, block = self._begin, self._block
         if not begin <= first <= first + count <= begin + len(block):
-            # A node asks for few at a time.
+            # A node asks for a few steps at a time, so more are tabulated ahead.
             ahead = count if count >= _FEW else CHUNK
             begin, block = first, self._load.stages(first, ahead, self._step, self._room)
             self._begin, self._block = begin, block
@@ -75,13 +75,13 @@ class LoadTable:
 
     def pieces(self, first, count, actuators=None):
         """
-        Return some steps in pieces of which each is smooth, or too short to tell.
+        Divide some steps into pieces whose load is smooth, or that are too short for an estimate.
 
         Returns
         -------
         list of tuple
             First step, number of steps, whether the load jumps or bends at their beginning, and
-            whether not in between.
+            whether the piece is smooth and long enough to estimate its error by defects.
 
         """
         self._own(first, count)
@@ -92,7 +92,7 @@ class LoadTable:
             return [(first, count, False, True)]
         edges, pieces = [*sorted({first, *breaks}), first + count], []
         for begin, end in zip(edges, edges[1:]):
-            # What ends with these steps may go on with the next.
+            # The last piece counts as long enough, because later steps may continue it.
             smooth = begin not in breaks or end - begin >= LEAST or end == edges[-1]
             if pieces and not smooth and not pieces[-1][3]:
                 begin = pieces.pop()[0]
@@ -103,7 +103,7 @@ class LoadTable:
 def advance_by_pieces(integration, table, actuators, state, load, first, count, sample_every,
                       sampled, motions, heat):
     """
-    Advance a state by steps, in pieces of their load that tell their error.
+    Advance a state by steps, in pieces with a smooth load, and estimate the error of each piece.
 
     Parameters
     ----------
@@ -116,7 +116,9 @@ def advance_by_pieces(integration, table, actuators, state, load, first, count, 
     Returns
     -------
     done : int
+        Number of steps done; fewer than `count` if the state is no longer finite.
     load : ndarray, shape (14,)
+        Load at their end.
 
     """
     errors, tabulate = integration.errors, table.tabulate(actuators)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""When a run is not to be trusted: the conditions, and texts that say what to do."""
+"""Warnings of runs that should not be trusted: their conditions, and texts with the remedy."""
 
 import math
 from typing import Any
@@ -16,25 +16,25 @@ import numpy as np
 from timo_sim.physics.integrate.split import FINEST
 from timo_sim.physics.layout import Motion
 
-# Part of the period of a harmonic load that a step may cover: its three values then are the load.
+# Longest step, in periods of a harmonic load; a step sees three values of the load.
 _MOST_OF_A_PERIOD = 0.25
-# How far what `newton`, or an arm that does not stretch, leaves out may move the tip [lengths].
+# Largest shift of the tip by what `newton`, or an arm without stretch, leaves out [arm lengths].
 _MOST_LEFT_OUT = 1e-3
-_MOST_APART = 7e-4  # from a second run, which is not true itself [lengths]
+_MOST_APART = 7e-4  # largest distance from a second run, which has errors, too [arm lengths]
 NO_SECOND_RUN = ('finer runs of the scene diverge, so that the error of this one is not known: '
                  'take a smaller integrator.step or an integrator.tolerance')
-# How far joints may drift in steps with dry friction, and the tip be off by steps or modes.
-_MOST_DRIFT = _MOST_ERROR = 3e-4  # [lengths]
+# Largest drift of joints with dry friction; largest error of the tip by steps, and by modes.
+_MOST_DRIFT = _MOST_ERROR = 3e-4  # [arm lengths]
 
 
 class DivergenceError(ArithmeticError):
     """
-    The state is no longer that of an arm, or no longer finite; the text says when, and what to do.
+    The state is not finite, or the arm is bent by many lengths; the text has time and remedy.
 
     Attributes
     ----------
     run : Run or None
-        Of `simulate`: the run so far.
+        The run so far, if `simulate` has raised the error.
 
     """
 
@@ -53,7 +53,10 @@ def unseen_load(scene):
 
 def after_steps(scene, steps, stretch, time, state, load, motions, warning):
     """
-    Return the warning of a run after some steps, or None: the first, but what is unstable wins.
+    Return the warning of a run after some steps, or None.
+
+    An earlier warning stays, but one of an unstable shaft speed replaces all others, and one of
+    stretch gives way to all others.
 
     Parameters
     ----------
@@ -61,27 +64,27 @@ def after_steps(scene, steps, stretch, time, state, load, motions, warning):
     steps : Steps
     stretch : StretchError
     time : float
-        At their end [s].
+        Time at the end of the steps [s].
     state : ndarray, shape (m,)
     load : ndarray, shape (14,)
-        At their end.
+        Both at the end of the steps.
     motions : ndarray, shape (n, 2 (3 + N))
-        At their samples.
+        Samples of the steps.
     warning : str or None
-        Of the run before them.
+        Warning of the run before the steps.
 
     """
     if not math.isinf(steps.model.speed_limit):
         motions = np.vstack([motions, steps.motion(state, load)])
         warning = _fast_shaft(scene, steps.model, motions) or warning or _left_out(
             scene, steps.model, time, steps.model.axial_share(state, steps.acting(load)), motions)
-    if warning and warning != stretch.told:  # what steps do is more than what stretch does
+    if warning and warning != stretch.told:  # an error by steps matters more than by stretch
         return warning
     if not steps.errors.tip <= _MOST_ERROR * scene.manipulator.arm.length:
         return _inaccurate_steps(scene, steps, time)
     if steps.unresolved:
         return _unresolved_steps(steps, time)
-    # Steps are too long for events in them, or to hold a joint still: doc/theory.md, (T44).
+    # Steps are too long to resolve events, or to hold a joint still: doc/theory.md, (T44).
     if steps.friction_drift > _MOST_DRIFT * scene.manipulator.arm.length:
         return _friction_drift(steps, time)
     if not steps.errors.modes.tip <= _MOST_ERROR * scene.manipulator.arm.length:
@@ -93,18 +96,18 @@ def after_steps(scene, steps, stretch, time, state, load, motions, warning):
 
 def after_second_run(scene, finer, error, parts, warning):
     """
-    Return the warning of a run that is so far from a finer one, or None.
+    Return the warning of a run that was compared with a finer one, or None.
 
     Parameters
     ----------
     scene, finer : Scene
-        Of the run, and of the second.
+        Scenes of the run and of the finer one.
     error : float
-        Largest distance of the tips [m].
+        Largest distance between the tips of both [m].
     parts : dict of str to float
-        As in `Run.stats`, of the estimate.
+        Parts of the run's estimated error, named as in `Run.stats`.
     warning : str or None
-        Of the run alone.
+        Warning of the run alone.
 
     """
     if error <= _MOST_APART * scene.manipulator.arm.length:
@@ -114,7 +117,7 @@ def after_second_run(scene, finer, error, parts, warning):
     remedy = remedies[max(remedies, key=lambda name: parts[name])]
     if scene.values['model.formulation'] != 'exact':
         remedy = f'model.formulation exact or {remedy}'
-    return warning or f'a finer run has the tip {error:.1g} m elsewhere: take {remedy}'
+    return warning or f'the tip is {error:.1g} m from that of a finer run: take {remedy}'
 
 
 def _inaccurate_steps(scene, steps, time):
@@ -148,20 +151,20 @@ def _fast_shaft(scene, model, motions):
 def _left_out(scene, model, time, share, motions):
     length = scene.manipulator.arm.length
     deflection = np.abs(Motion(motions).q @ model.tip_point.deflection[:, 0]).max()
-    # The share makes the arm softer or stiffer; that the arm shortens is of third order in w.
+    # The axial force makes the arm softer or stiffer; its shortening is of third order in w.
     if (abs(share) * deflection + (1.0 + share) * deflection**3 / length**2
             <= (1.0 + share) * _MOST_LEFT_OUT * length):
         return None
     return (f'before t = {time:.6g} s the tip is bent by {deflection:.2g} m and the axial force '
             f'changes the stiffness of the arm by {round(100.0 * share)} %: model.formulation '
-            f'{scene.values["model.formulation"]} leaves out what that does, take '
+            f'{scene.values["model.formulation"]} leaves out both effects, take '
             'model.formulation exact')
 
 
 def _unresolved_steps(steps, time):
-    return ('the error of a step was above integrator.tolerance = '
-            f'{steps.tolerance:g} m when done in {2**(FINEST + 1)} parts, too, before '
-            f't = {time:.6g} s: take a smaller integrator.step or fewer model.modes')
+    return (f'before t = {time:.6g} s the error of a step was above integrator.tolerance = '
+            f'{steps.tolerance:g} m even when done in {2**(FINEST + 1)} parts: take a smaller '
+            'integrator.step or fewer model.modes')
 
 
 def _friction_drift(steps, time):
@@ -172,21 +175,21 @@ def _friction_drift(steps, time):
 
 def divergence(scene, step, motion, reach, bend, warning):
     """
-    Return what to say of a state that diverges.
+    Return the text of a DivergenceError.
 
     Parameters
     ----------
     scene : Scene
     step : int
-        The last good one.
+        Number of the last good step.
     motion : ndarray, shape (2 (3 + N),)
-        After it.
+        The motion after it.
     reach : ndarray, shape (3 + N,)
         See `Formulation.reach`.
     bend : float
         Deflection of the arm [m].
     warning : str or None
-        Of the run so far.
+        Warning of the run so far.
 
     """
     largest = np.argmax(np.abs(motion[:len(reach)]) * reach)

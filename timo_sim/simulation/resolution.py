@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The resolution, modes and step, that a stated tip error needs."""
+"""Choice of the resolution, modes and step, for a stated tip error."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.simulator import Simulator
 
-SIZES = (3, 5, 8, 10, 12)      # numbers of modes: few, as each has to be compiled once
+SIZES = (3, 5, 8, 10, 12)      # numbers of modes; few, because each has to be compiled once
 STEPS = (0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)  # to choose from [s]
-TRUE_STEPS = STEPS[3:]         # of what stands for the truth [s]
+REFERENCE_STEPS = STEPS[3:]    # to choose from for the reference [s]
 GRID, PERIOD = 0.02, 0.001     # multiple of all steps; least time between samples [s]
-HORIZON, LONGEST = 10.0, 30.0  # sim time looked at, if none is said, and at most [s]
-MARGIN, AGREEMENT = 2.0, 20.0  # of the stated error to the choice's, and to the truth's
-LEAST_GROWTH, MOST_GROWTH = 0.5, 2.0  # power of time with which errors are extrapolated
-MOST_STEPS = 200000            # of a longer run that are compared with halves
-_BLOCK = 1024                  # samples that are worked out at once
+HORIZON, LONGEST = 10.0, 30.0  # sim time that is compared: by default, and at most [s]
+MARGIN, AGREEMENT = 2.0, 20.0  # least ratio of the stated error to the choice's, the reference's
+LEAST_GROWTH, MOST_GROWTH = 0.5, 2.0  # bounds of the power of time with which errors grow
+MOST_STEPS = 200000            # most steps of a longer run that are compared with halves
+_BLOCK = 1024                  # samples per call of the simulator
 
 
 class Resolution(NamedTuple):
@@ -43,13 +43,13 @@ class Resolution(NamedTuple):
     ----------
     scene : Scene
     estimate : float
-        Of the tip error until the end of the run [m].
+        Estimated tip error until the end of the run [m].
     looked_at : float
-        Sim time over which it was found; beyond that it is extrapolated [s].
+        Sim time that was compared; beyond it the error is extrapolated [s].
     until : float
-        Sim time at which the error is the stated one if it grows at least with time [s].
+        Sim time at which the error reaches the stated one, if it grows at least linearly [s].
     warning : str or None
-        Of what modes and steps do not mend.
+        Warning of errors that modes and steps do not reduce.
 
     """
 
@@ -63,17 +63,17 @@ class Resolution(NamedTuple):
         values, model = self.scene.values, self.scene.build()
         return (f'N = {values["model.modes"]} modes, n_g = {len(model.quadrature.nodes)} '
                 f'nodes, h = {1e3 * self.scene.step:g} ms: estimated tip error '
-                f'{self.estimate:.1e} m, by a look at {self.looked_at:g} s; below the stated one '
+                f'{self.estimate:.1e} m, from a run of {self.looked_at:g} s; below the stated one '
                 f'until about {self.until:.2g} s' + (f'; {self.warning}' if self.warning else ''))
 
 
 class _Path(NamedTuple):
-    """Where a run's tip is in the world and in the arm frame, (n, 2, 2) [m], after the start."""
+    """Tip of a run: positions in the world and in the arm frame at samples after the start."""
 
-    tip: np.ndarray
-    stride: int           # PERIODs from one to the next
-    rest: np.ndarray      # what the deflection has of modes n, n + 1, ..., at most (N,) [m]
-    error: float          # of the steps, as the run estimates it [m]
+    tip: np.ndarray       # (n, 2, 2) [m]
+    stride: int           # PERIODs between samples
+    rest: np.ndarray      # largest deflection of the tip by modes n, n + 1, ..., (N,) [m]
+    error: float          # of steps and friction, as the run estimates it [m]
     simulator: Simulator
 
 
@@ -82,20 +82,21 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
     """
     Choose modes and step of a scene for the tip error that it states in `model.accuracy`.
 
-    The scene's own motion is compared with a reference of 12 modes, at a step from which a larger
-    one differs by less than a twentieth of the stated error; of fewer modes, if there is no such
-    step. The choice is the least N, and the largest h for it, with which the tip's position in
-    the world and its deflection in the arm frame stay within half the stated error and the run
-    does not warn of its steps. It holds for that motion; where commands follow, the scene's own
-    loads should be as rough as they are. What a formulation itself leaves out is not part of it.
+    The scene's own motion is compared with a reference of 12 modes, whose step gives a result
+    within a twentieth of the stated error from that of the next larger step. If no step does, the
+    reference has fewer modes. The choice is the least N, and the largest h for it, with which the
+    tip's position in the world and its deflection in the arm frame stay within half the stated
+    error and the run gives no warning, unless the reference does. The choice holds for that
+    motion: if commands will act, the scene's own loads should be as rough as the commands. Errors
+    of the formulation are not part of it.
 
     Parameters
     ----------
     scene : Scene, or what `load_scene` takes
     duration : float
-        Sim time of the run, of which 30 s are compared; 0: 10 s [s].
+        Sim time of the run, of which at most 30 s are compared; 0: 10 s are compared [s].
     fits : function(float) -> bool
-        Whether a step [s] suits the caller.
+        Returns whether a step [s] suits the caller.
 
     Returns
     -------
@@ -104,7 +105,8 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
     Raises
     ------
     ParameterError
-        If the scene states no error, is at rest, or no choice reaches it; the text says why.
+        If the scene states no error, is at rest, or no choice is accurate enough; the text says
+        why.
 
     Examples
     --------
@@ -120,26 +122,26 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
         raise ParameterError('model.accuracy must be > 0 m for a choice of modes and step, got 0')
     span = max(1, round(min(duration or HORIZON, LONGEST) / GRID))
     longer = max(1.0, duration / LONGEST)
-    rich, truth, truth_error = _reference(scene, span, goal / AGREEMENT / longer)
-    sizes, best, limited_by = SIZES[:SIZES.index(rich)], (np.inf, 0, 0.0), {}
-    # What the reference has of higher modes is a guess that spares the trial of fewer.
-    for modes in [size for size in sizes if truth.rest[size] <= goal] or sizes[-1:]:
+    most, reference, reference_error = _reference(scene, span, goal / AGREEMENT / longer)
+    sizes, best, limited_by = SIZES[:SIZES.index(most)], (np.inf, 0, 0.0), {}
+    # If the tip's deflection by higher modes exceeds the error, a size is too small to be tried.
+    for modes in [size for size in sizes if reference.rest[size] <= goal] or sizes[-1:]:
         limited_by[modes], before = 'the steps', None
         for step in filter(fits, STEPS):
             path = _path(scene, modes, step, span)
             if path is None:
                 continue
-            (apart, growth), run = _apart(path, truth), path
-            # Where modes converge as slowly as 1/N^2, the reference is off by (N/N_r)^2 of this.
-            estimate = (apart / (1.0 - (modes / rich)**2) + truth_error) * longer**growth
+            (apart, growth), run = _apart(path, reference), path
+            # If modes converge as slowly as 1/N^2, the reference has (N/N_r)^2 of this error.
+            estimate = (apart / (1.0 - (modes / most)**2) + reference_error) * longer**growth
             enough = MARGIN * estimate <= goal
-            if enough and longer > 1.0:  # a mode may grow, still unseen
+            if enough and longer > 1.0:  # a mode may grow that is still too small to be seen
                 whole = round(min(duration, MOST_STEPS * step) / GRID)
                 runs = [_path(scene, modes, step, whole, parts) for parts in (1, 2)]
                 run, estimate = runs[0] or path, estimate + (
                     _apart(*runs)[0] if all(runs) else np.inf)
             error = max(MARGIN * estimate, run.error)
-            if error <= goal and (truth.simulator.warning or not run.simulator.warning):
+            if error <= goal and (reference.simulator.warning or not run.simulator.warning):
                 until = max(span * GRID, duration) * (goal / estimate)**(1.0 / max(growth, 1.0))
                 return Resolution(run.simulator.scene, estimate, span * GRID, until,
                                   _of_stretch(run.simulator, goal))
@@ -150,24 +152,25 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
             before = path
     error, modes, step = best
     if not modes:
-        raise _refused(scene, f'needs a step of at most {STEPS[0]:g} s at which loads jump, of '
-                       'which the duration is a multiple, and with which no run diverges')
-    more = '' if rich == SIZES[-1] else (
-        f', and with more than {rich} no steps down to {1e3 * STEPS[-1]:g} ms agree')
+        raise _refused(scene, f'needs a step of at most {STEPS[0]:g} s, of which times of jumps '
+                       'and the duration are multiples, and with which no run diverges')
+    more = '' if most == SIZES[-1] else (
+        f', and with more than {most} modes no steps down to {1e3 * STEPS[-1]:g} ms agree')
     raise _refused(scene, f'is not reached, but {error:.1e} m is, with N = {modes} and '
                    f'h = {1e3 * step:g} ms: {limited_by[modes]} limit it{more}')
 
 
 def resolved(scene, duration, tell=None):
     """
-    Return the scene, with modes and step chosen if it asks for that, and its number of steps.
+    Return the scene, with modes and step chosen if it states an error, and its number of steps.
 
-    What is chosen `tell`, a function(str), hears; without it there is a ModelWarning if need be.
+    `tell`, a function(str), is called with the choice; without it a ModelWarning is given if the
+    choice has a warning.
 
     Raises
     ------
     ParameterError
-        If the duration does not fit the step, or no choice is good enough.
+        If the duration does not fit the step, or no choice is accurate enough.
 
     """
     goal = scene.values['model.accuracy']
@@ -189,11 +192,11 @@ def _fits(duration, step):
 
 
 def _reference(scene, span, agreement):
-    # What stands for the truth: its number of modes, path and error by its steps [m].
+    # Returns the reference: its number of modes, its path and the error of its steps [m].
     closest = np.inf
     for modes in SIZES[:0:-1]:
         before = None
-        for step in TRUE_STEPS:
+        for step in REFERENCE_STEPS:
             path = _path(scene, modes, step, span)
             if path and not np.ptp(path.tip, axis=0).any():
                 raise _refused(scene, 'needs a scene that moves by its own loads or initial '
@@ -201,7 +204,7 @@ def _reference(scene, span, agreement):
             if path and before:
                 apart, _ = _apart(path, before)
                 if apart <= agreement:
-                    return modes, path, apart / 3.0  # it falls at least with h^2
+                    return modes, path, apart / 3.0  # errors fall at least with h^2
                 closest = min(closest, apart)
             before = path
     raise _refused(scene, 'needs a reference, but with steps down to '
@@ -214,14 +217,14 @@ def _refused(scene, why):
 
 
 def _path(scene, modes, step, span, parts=1):
-    # None if the scene cannot have this size and step, or its run is none of it.
+    # Returns None if the scene cannot have this size and step, or its run diverges.
     try:
         scene = scene_from({**scene.values, 'model.accuracy': 0.0, 'model.modes': modes,
                             'integrator.step': step / parts})
     except ParameterError:  # a load that jumps inside such a step
         return None
     simulator, stride = Simulator(scene), max(1, round(step / PERIOD))
-    if simulator.warning:  # a load that such steps do not see
+    if simulator.warning:  # a harmonic load that is too fast for such steps
         return None
     simulator.warm_up()
     model, every = simulator.model, round(stride * PERIOD / step) * parts
@@ -238,7 +241,7 @@ def _path(scene, modes, step, span, parts=1):
             rest = np.maximum(rest, np.abs(shares).max(axis=0))
     except DivergenceError:
         return None
-    # Of steps and friction: stretch and modes are not what a step can mend.
+    # Only of steps and friction: a smaller step does not reduce errors by stretch and modes.
     error = simulator.estimated_error - simulator.stretch.tip - (
         simulator.integration.errors.modes.tip)
     return _Path(path, stride, rest, error, simulator)
@@ -260,6 +263,6 @@ def _of_stretch(simulator, goal):
     if off <= goal:
         return None
     exact = scene.values['model.formulation'] == 'exact'
-    return (f'an arm that stretches is {off:.1e} m away by t = {simulator.t:g} s, more than the '
-            f'stated model.accuracy: take {"" if exact else "model.formulation exact with "}'
-            'model.axial_modes 1')
+    return (f'the tip is {off:.1e} m from that of an arm that stretches by t = {simulator.t:g} s, '
+            'more than the stated model.accuracy: take '
+            f'{"" if exact else "model.formulation exact with "}model.axial_modes 1')

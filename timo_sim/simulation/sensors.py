@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What sensors read of true quantities: bias, noise and resolution."""
+"""Readings of sensors: true quantities with bias, noise and resolution."""
 
 from functools import lru_cache
 
@@ -15,7 +15,7 @@ import numpy as np
 from timo_sim.messages.sensors import SENSORS
 
 _BLOCK = 256  # steps whose random numbers are drawn at once
-_EXACT = 2.0**53  # from here on a number is coarser than the resolution
+_EXACT = 2.0**53  # number of resolutions from which on a float is coarser than one
 
 
 class Sensors:
@@ -43,10 +43,10 @@ class Sensors:
 
 def reading(values, name, number, step, quantities):
     """
-    Return what a sensor reads of what it measures.
+    Return the reading of a sensor for the true quantities.
 
-    The noise is a function of seed, sensor, axis and time step alone: it does not matter what else
-    is measured, nor when.
+    The noise is a function of seed, sensor, axis and time step alone; other measurements do not
+    change it.
 
     Parameters
     ----------
@@ -54,10 +54,11 @@ def reading(values, name, number, step, quantities):
         The scene's parameters, `sensor.gyro.noise` and so on.
     name : str
     number : int
-        Of the sensor in `SENSORS`.
+        Position of the sensor in `SENSORS`.
     step : int
+        Number of the time step.
     quantities : tuple of float
-        One for each axis.
+        True value on each axis, in the unit of the sensor.
 
     Returns
     -------
@@ -78,7 +79,7 @@ def reading(values, name, number, step, quantities):
 
 
 def variance(values, name):
-    """Return the variance of what a sensor reads, without bias; one that rounds errs evenly."""
+    """Return the variance of a sensor's reading, with a uniform error of rounding."""
     noise, resolution = (values[f'sensor.{name}.{kind}'] for kind in ('noise', 'resolution'))
     return noise**2 + resolution**2 / 12.0
 
@@ -90,6 +91,7 @@ def _random(seed, sensor, axis, step):
 
 @lru_cache(maxsize=16)
 def _block(seed, sensor, axis, block):
-    # Standard normal. Philox counts; a block is long before its lowest word overflows.
+    # Standard normal numbers. Each block has its own highest word of Philox's counter, which the
+    # count of the lower words never reaches.
     bits = np.random.Philox(key=[seed, 2 * sensor + axis], counter=[0, 0, 0, block])
     return np.random.Generator(bits).standard_normal(_BLOCK).tolist()

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A scene that is advanced in time: loads are tabulated, steps integrated, trouble told."""
+"""The simulator: a scene advanced in time, with tables of loads, time steps and warnings."""
 
 import numpy as np
 
@@ -31,7 +31,7 @@ _MOST_BENT = 10.0
 
 class Simulator:
     """
-    A scene at a certain step: what the node, `simulate` and a controller's loop advance.
+    A scene at a certain time step, advanced by the node, `simulate` or a controller's loop.
 
     Parameters
     ----------
@@ -42,13 +42,13 @@ class Simulator:
     scene : Scene
     model : Formulation
     integration : Steps
-        The time steps of the model, and counts of what they met.
+        The time steps of the model, with their counts and estimated error.
     steps : int
         Steps done since the start; sim time is `steps * scene.step`.
     load : ndarray, shape (14,)
         Load at the end of the last step, see `physics.layout`.
     warning : str or None
-        Why the results should not be trusted, and what to do.
+        Why the results should not be trusted, and the remedy.
 
     Examples
     --------
@@ -78,8 +78,7 @@ class Simulator:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
         motion = self.scene.initial_motion()
         self._state = self.model.state(motion)
-        self.integration.memory[:] = 0.0
-        self.integration.errors.reset()
+        self.integration.reset()
         self.stretch.reset()
         # Without speeds, deflection, loads, drive and gravity nothing changes until a command.
         self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any()
@@ -96,8 +95,7 @@ class Simulator:
         Parameters
         ----------
         scene : Scene
-            Of which only parameters differ that may be set while a simulation runs; else a
-            ParameterError is raised.
+            ParameterError is raised if parameters differ that cannot be set while it runs.
 
         """
         check_runtime(self.scene.values, scene.values)
@@ -114,10 +112,10 @@ class Simulator:
 
     def warm_up(self, tell=None, messages=False):
         """
-        Compile, or load from disk, what `advance` calls.
+        Compile, or load from disk, the functions that `advance` calls.
 
-        With `messages` what messages and sensors need as well. Of what takes some seconds `tell`,
-        a function(str), hears before.
+        With `messages`, also those that messages and sensors need. `tell`, a function(str), is
+        called before a compilation, which takes some seconds.
         """
         constants, self._warm = self.integration.constants, True
         compiled = is_compiled(*constants)
@@ -128,7 +126,7 @@ class Simulator:
             self.integration.warm_up(self._state, self.load)
             if messages:
                 self.model.tip(motion)
-            # Of what estimates, warnings and efforts need; a node has no time for it later.
+            # Estimates, warnings and efforts need these; a node has no time to compile them later.
             rate = self.model.rate(self._state, self.load)
             if messages:
                 self.integration.errors.modes.look(self._state, self.load, rate, 0)
@@ -146,7 +144,7 @@ class Simulator:
 
     @property
     def motion(self):
-        """The motion now, a Motion."""
+        """The motion now, see `Motion`."""
         return Motion(self.integration.motion(self._state, self.load))
 
     @property
@@ -165,7 +163,7 @@ class Simulator:
         return np.array(self.snapshot().effort)
 
     def snapshot(self, load=None, state=None):
-        """Return what messages need of the motion now, until the next step, or of a kept state."""
+        """Return a Snapshot of now: valid until the next step, or longer with a kept state."""
         load = self.load.tolist() if load is None else load
         acts = (self.integration, self._state if state is None else state,
                 self.integration.acting(self.load))
@@ -179,7 +177,7 @@ class Simulator:
     def step(self, torque=0.0, force=(0.0, 0.0), tip_force=(0.0, 0.0), tip_torque=0.0,
              voltage=0.0, duration=None):
         """
-        Command the actuators for a while; the scene's own loads act besides.
+        Advance under constant commands; the scene's own loads act as well.
 
         Parameters
         ----------
@@ -202,8 +200,9 @@ class Simulator:
         Raises
         ------
         ParameterError
-            If a command is not finite or has another shape.
+            If a command is not finite or has another shape, or the duration does not fit the step.
         DivergenceError
+            As `advance` does.
 
         """
         commanded = commanded_load(self.scene.values, torque=torque, force=force,
@@ -215,14 +214,14 @@ class Simulator:
 
     def advance(self, count, commanded=None, sample_every=0):
         """
-        Do some steps.
+        Advance by some steps.
 
         Parameters
         ----------
         count : int
+            Number of steps.
         commanded : ndarray, shape (14,), optional
-            What is commanded during all of them, see `physics.layout`; it acts besides the scene's
-            own loads, as the actuators let it.
+            Command during all of them, see `physics.layout`, which acts besides the scene's loads.
         sample_every : int
             Steps between samples; 0: none are taken.
 
@@ -231,12 +230,13 @@ class Simulator:
         motions : ndarray, shape (1 + count // sample_every, 2 (3 + N))
             At the start and after each `sample_every` steps; with sample_every = 0 empty.
         heat : ndarray, shape (1 + count // sample_every,)
-            What Coulomb friction has made of work since the initial motion, at the samples [J].
+            Heat of Coulomb friction since the initial motion, at the samples [J].
 
         Raises
         ------
         DivergenceError
-            The state is then that before the first step that fails.
+            If the state is not finite or the arm bent by more than ten lengths; the simulator is
+            then at the last good step.
 
         """
         if self._rests(count, commanded):
@@ -264,7 +264,7 @@ class Simulator:
 
     @property
     def estimated_error(self):
-        """Largest distance that the tip is estimated to have had from where it belongs [m]."""
+        """Estimated error of the tip so far, by steps, modes, friction and stretch [m]."""
         if not self._resting:
             tabulate, number = self._table.tabulate(self._actuators), self.steps - self._origin
             self.integration.errors.conclude(self._state, self.load, tabulate, number)
@@ -281,7 +281,7 @@ class Simulator:
             self.warning)
 
     def _rests(self, count, commanded):
-        # Whether these steps would leave the state as it is, to the last bit.
+        # Whether these steps would not change the state, not even in the last bit.
         self._resting = self._resting and (commanded is None or not commanded.any())
         return self._resting and count > 0
 
@@ -297,7 +297,7 @@ class Simulator:
         modes, half = self.model.reach[3:], len(self._state) // 2
         return np.abs(self._state[half - len(modes):half]) @ modes
 
-    def _give_up(self, before, count, commanded):  # go to the last good state, say what it is
+    def _give_up(self, before, count, commanded):  # return to the last good state and raise
         self._state, self.load, self.integration.memory = before
         self.integration.errors.give_up()
         if count > 1:

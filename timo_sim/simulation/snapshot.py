@@ -24,7 +24,7 @@ _SENSORS = {sensor.name: (number, sensor) for number, sensor in enumerate(SENSOR
 
 class Snapshot:
     """
-    The motion at one step; what costs something is computed when asked for.
+    The motion at one step; costly quantities are computed on demand.
 
     Parameters
     ----------
@@ -35,10 +35,10 @@ class Snapshot:
     motion : ndarray, shape (2 (3 + N),)
         See `physics.layout`.
     load : list of float, length 14
-        What acted at the end of the last step, see `physics.layout`.
+        Load at the end of the last step, see `physics.layout`.
     acts : tuple of Steps, ndarray (m,) and ndarray (14,), optional
-        The time steps, the state and all that acts on it, for what needs accelerations; without
-        it the load is all that acts on the joints.
+        The time steps, the state and the load that acts, friction included. Accelerations,
+        strains and forces of constraints need it; without it `effort` is that of the load.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Snapshot:
         """
         Forces on the carrier in world axes [N] and torque on the shaft [N m].
 
-        Of a free joint what commands and loads apply; of another what holds or drives it besides.
+        For a free joint those of commands and loads, for others those that hold or drive it.
         """
         load = self._load
         effort = (*place(load[FORCE_X], load[FORCE_Y], self._values[2], load[FORCE_I],
@@ -91,7 +91,7 @@ class Snapshot:
 
     @cached_property
     def tip(self):
-        """Where the tip is in the arm frame [m], and its rotation relative to the shaft [rad]."""
+        """Position of the tip in the arm frame [m], and its rotation from the shaft [rad]."""
         return self._model.tip(self.motion).tolist()
 
     @property

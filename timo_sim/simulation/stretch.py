@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""How far the tip is off because the arm of a formulation does not stretch."""
+"""Estimated error of the tip in a model whose arm does not stretch."""
 
 import math
 
@@ -17,9 +17,8 @@ class StretchError:
     """
     An estimate for the straight arm that turns, see doc/theory.md, section 6.
 
-    Centrifugal forces lengthen the arm by `omega^2 lengthening`, and its inertia about the point
-    about which it turns grows by the share `omega^2 growth`: a free shaft then lags by
-    `growth int omega^3 dt`.
+    Centrifugal forces lengthen the arm by `omega^2 lengthening`. Its inertia about the centre of
+    rotation grows by a share `omega^2 growth`; a free shaft then lags by `growth int omega^3 dt`.
 
     Parameters
     ----------
@@ -28,9 +27,9 @@ class StretchError:
     Attributes
     ----------
     tip : float
-        Largest distance of the tip from that of an arm that stretches so far [m].
+        Largest estimated distance so far of the tip from that of an arm that stretches [m].
     told : str or None
-        The warning of it.
+        The warning of it that was given.
 
     """
 
@@ -39,7 +38,7 @@ class StretchError:
         self.reset()
         body, points, nodes = model.manipulator, model.points, model.quadrature.nodes
         mass, xi = model.point_mass, points.xi
-        # It turns about the mass centre, the root, or the point half-way with one axis held.
+        # The arm turns about the mass centre, the root, or with one axis held half-way between.
         centre = 0.5 * len(model.axes) * (mass @ xi) / model.mass
         lever = mass * (xi - centre)
         outboard = np.where(xi > nodes[:, np.newaxis], lever, 0.0).sum(axis=1)
@@ -48,16 +47,16 @@ class StretchError:
         inertia = (body.shaft_inertia + model.point_inertia.sum() + lever @ (xi - centre)
                    + body.base_mass * centre**2)
         if model.axial or not len(model.modes):
-            shift[:] = 0.0  # it does stretch, or is meant to be rigid
+            shift[:] = 0.0  # the arm does stretch, or is rigid on purpose
         self._growth, self._lengthening = 2.0 * (lever @ shift) / inertia, shift[-1]
         self._reach = body.arm.length - centre
 
     def reset(self):
-        """Begin anew."""
+        """Set all errors to zero, and forget the warning."""
         self.tip, self._lag, self.told = 0.0, 0.0, None
 
     def add(self, turn, duration, by_force=0.0):
-        """Count a turn of the shaft [rad] within a time [s], and a shift by axial forces [m]."""
+        """Add a turn of the shaft [rad] within a time [s], and a shift by axial forces [m]."""
         speed = turn / duration if duration else 0.0
         self._lag += self._free * self._growth * speed**3 * duration
         self.tip = max(self.tip, math.hypot(self._reach * self._lag,

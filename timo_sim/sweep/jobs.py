@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A job of a sweep: runs one after another, and the rows of its table that they become."""
+"""A job of a sweep: some runs, done one after another, and their rows of the result table."""
 
 import itertools
 import math
@@ -20,8 +20,8 @@ from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.parameters import PARAMETERS, steps_in
 from timo_sim.simulation.resolution import resolved
 
-# Steps and runs of a job: a fraction of a second, so that little is lost with a worker, and the
-# last one is not waited for.
+# Most steps and runs of a job, and about the fewest jobs of a sweep. A job takes well below a
+# second, so that little is lost if a worker dies, and all workers end at about the same time.
 _STEPS, _RUNS, _FEWEST_JOBS = 100_000, 100, 32
 
 
@@ -35,7 +35,7 @@ class Column(NamedTuple):
 
 SUMMARY = (
     Column('peak_deflection', 'm', 'largest |w(l)| at a time step'),
-    Column('peak_time', 's', 'when it is reached'),
+    Column('peak_time', 's', 'time of peak_deflection'),
     Column('rms_deflection', 'm', 'root mean square of w(l) over the time steps'),
     Column('final_deflection', 'm', 'w(l) at the end'),
     Column('peak_rotation', 'rad', 'largest |phi(l)|, rotation of the tip relative to the shaft'),
@@ -56,7 +56,7 @@ class Job(NamedTuple):
 
 
 def jobs_of(scene, duration, count, variations, names):
-    """Divide a sweep of `count` runs into jobs, whatever the number of workers."""
+    """Yield the jobs of a sweep of `count` runs, which do not depend on the number of workers."""
     steps = max(1, steps_in(duration, scene.step))
     length = max(1, min(_RUNS, _STEPS // steps, math.ceil(count / _FEWEST_JOBS)))
     rest = iter(variations)
@@ -106,7 +106,7 @@ def run_job(job):
 
 
 def _cells(parameter, values):
-    # A value that breaks its rule is missing: NaN or None; the reason of its row names it.
+    # A value that breaks its rule becomes NaN or None; the `reason` of its row names it.
     cells = []
     for value in values:
         try:

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Many runs of one scene: `simulate_many`."""
+"""The function `simulate_many`: many runs of one scene at a time."""
 
 from collections import deque
 from collections.abc import Iterable, Mapping
@@ -28,9 +28,10 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     """
     Simulate variations of a scene on all cores, or on a Dask cluster, and keep a summary of each.
 
-    A row is to the last bit what `simulate` gives for that variation alone, whoever works on it.
-    A run that fails is a row with a reason. The first run with other numbers of modes than before
-    compiles for some seconds; the machine code is kept.
+    The numbers of a row are, to the last bit, those of `simulate` for that variation alone, on the
+    same kind of processor and with one BLAS thread. Runs are not compared with finer ones. A run
+    that fails has a row with a reason. The first run with a new number of modes compiles for some
+    seconds; the machine code is kept.
 
     Parameters
     ----------
@@ -38,11 +39,11 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     variations : iterable of dict
         Overrides of each run, by (nested or dotted) name of a parameter.
     duration : float
-        [s], a whole multiple of the time step.
+        Sim time of each run [s], a whole multiple of the time step.
     workers : int, optional
-        Number of processes; by default that of the cores this process may use.
+        Number of processes; by default the number of cores that this process may use.
     scheduler : str, optional
-        Address of a Dask scheduler, instead of processes of this machine.
+        Address of a Dask scheduler, to use its workers instead of processes of this machine.
 
     Returns
     -------
@@ -51,16 +52,15 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
         (NaN or None for a value that breaks its rule); `peak_deflection`, `peak_time`,
         `rms_deflection`, `final_deflection`, `peak_rotation`, `final_carrier_x`,
         `final_carrier_y`, `final_shaft`, see `timo_sim.sweep.jobs.SUMMARY` (NaN for a run that
-        failed); `warning`, the text of its ModelWarning
-        or ''; `reason`, why the run failed, or ''.
+        failed); `warning`, as `Run.warning`, or ''; `reason`, why the run failed, or ''.
 
     Raises
     ------
     ParameterError
-        If the duration does not fit the step of the scene, variations are none, or what cannot be
-        sent to a process, or `workers` is not at least 1.
+        If the duration does not fit the step of the scene, there are no variations, one of them
+        cannot be sent to a process, or `workers` is less than 1.
     ConnectionError
-        If the scheduler cannot be reached, or workers end time and again.
+        If the scheduler cannot be reached, or workers die repeatedly over the same runs.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     variations = list(variations)
     if not variations:
         raise ParameterError('variations must have at least one element, got none')
-    # In order of appearance; a name that is no parameter is the reason of its row.
+    # In order of appearance. An unknown name has no column; the `reason` of its row names it.
     names = [name for name in {name: None for each in variations for name in flatten(each)}
              if name in PARAMETERS and PARAMETERS[name].scope == SCENE]
     jobs = jobs_of(load_scene(scene), duration, len(variations), variations, names)
@@ -88,9 +88,9 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
 
 def done(executor, jobs):
     """
-    Yield each job with its table, in their order.
+    Yield each job with its table, in order.
 
-    No more jobs are made than keep all workers busy, so that memory stays bounded.
+    About three jobs for each worker are pending: all are busy, and memory stays bounded.
     """
     pending = deque()
     for job in jobs:

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The file of a sweep: a scene, how long, and what varies."""
+"""Read the file of a sweep: a scene, the duration of its runs, and what varies."""
 
 from dataclasses import dataclass
 import hashlib
@@ -26,21 +26,21 @@ from timo_sim.version import __version__
 
 _KINDS = ('runs', 'grid', 'random')
 _ENTRIES = ('scene', 'parameters', 'duration', *_KINDS)
-_DURATION = Parameter('duration', 1.0, 's', 'of each run', low=0.0, open_low=True)
-_RANDOM = {'seed': Parameter('random: seed', 0, '', 'what values are drawn from', low=0),
+_DURATION = Parameter('duration', 1.0, 's', 'sim time of each run', low=0.0, open_low=True)
+_RANDOM = {'seed': Parameter('random: seed', 0, '', 'seed of the random values', low=0),
            'count': Parameter('random: count', 1, '', 'number of runs', low=1)}
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a sweep does."""
+    """The checked content of a sweep's file."""
 
     scene: Scene
     duration: float  # [s]
     names: list      # of the parameters that vary
     count: int       # number of runs
     kind: str        # one of _KINDS
-    given: Any       # what the file says about it
+    given: Any       # the file's entry of this kind
 
     def variations(self):
         """Yield the overrides of each run, the same ones each time."""
@@ -132,7 +132,7 @@ def _random(given):
             low, high = np.array(ends, dtype=float)
         except (TypeError, ValueError):
             raise ParameterError(f'random: {name} must have a lower and an upper end, numbers or '
-                                 f'lists of as many numbers, got {ends!r}') from None
+                                 f'lists of equal length, got {ends!r}') from None
         if not np.all(low <= high):
             raise ParameterError(f'random: {name} must have ends in ascending order, got {ends!r}')
         for end in ends:

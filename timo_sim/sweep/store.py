@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-A sweep from its file to its Parquet file, which is one part for each job until all are there.
+Do the sweep of a file: write a part for each job, and join all parts to a Parquet file.
 
 A part appears under its name only when it is whole. A sweep that was killed goes on with the parts
 that are missing; each job is in the result once.
@@ -40,14 +40,14 @@ _ROW_GROUP = 64  # parts
 
 def run_sweep(file, output=None, workers=None, scheduler=None):
     """
-    Do the sweep of a file, or what is missing of it.
+    Do the sweep of a file, or those jobs of it that are missing.
 
     Parameters
     ----------
     file : str
         See config/sweep.yaml.
     output : str, optional
-        Parquet file.
+        Parquet file; by default named after `file`, in the working directory.
     workers, scheduler
         As for `simulate_many`.
 
@@ -86,7 +86,7 @@ def _do(plan, store, workers, scheduler):
 
 class Store:
     """
-    The parts of a sweep, and the file that they become; for one at a time, until it is closed.
+    The parts of a sweep on disk, and the file they are joined to; locked until it is closed.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class Store:
     Raises
     ------
     ParameterError
-        If the file exists, or the parts are those of another sweep, or in use by one.
+        If the file exists, or the parts belong to another sweep, or are in use by a running one.
 
     """
 
@@ -111,7 +111,7 @@ class Store:
         with ExitStack() as stack:
             self._lock = stack.enter_context(open(self._parts / 'sweep', 'a+b', buffering=0))
             self._claim(plan.fingerprint.encode())
-            self._refuse_output()  # of a sweep that has just ended
+            self._refuse_output()  # a sweep that has just ended may have written it
             stack.pop_all()
 
     def __enter__(self):
@@ -125,23 +125,23 @@ class Store:
             raise ParameterError(f'{self._output} exists: remove it or choose another --output')
 
     def _claim(self, fingerprint):
-        """Take the parts for this process and sweep, or raise ParameterError."""
+        """Lock the parts for this process and its sweep, or raise ParameterError."""
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ParameterError(f'another sweep is running with {self._parts}: wait for its end '
                                  'or choose another --output') from None
-        except OSError:  # a disk without locks
+        except OSError:  # a file system without locks
             pass
         self._lock.seek(0)
         found = self._lock.read()
-        if not fingerprint.startswith(found):  # a kill may have left a part of it
-            raise ParameterError(f'{self._parts} is of another sweep: remove it or choose another '
-                                 '--output')
+        if not fingerprint.startswith(found):  # a killed process may have written a part of it
+            raise ParameterError(f'{self._parts} belongs to another sweep: remove it or choose '
+                                 'another --output')
         self._lock.write(fingerprint[len(found):])
 
     def has(self, job):
-        """Return whether the part of a job is there, and whole."""
+        """Return whether the part of a job exists and is complete."""
         path = self._part(job.first)
         try:
             checksum = _checksum_of(path)
@@ -161,7 +161,7 @@ class Store:
         part, path = pyarrow.table(table, schema=self._schema), self._part(job.first)
         self._write_whole(
             path, lambda file: parquet.write_table(part, file, write_page_checksum=True))
-        # Parquet has none for what it says about its columns.
+        # Parquet's checksums do not cover its metadata.
         self._write_whole(_checksum_of(path), lambda file: file.write_bytes(_digest(path)))
         self._found.append(path)
 
@@ -185,7 +185,7 @@ class Store:
                         self._read(part) for part in parts[first:first + _ROW_GROUP])
                     expected = np.arange(runs, runs + len(table))
                     if not np.array_equal(table['run'].to_numpy(), expected):
-                        raise RuntimeError(f'{self._parts}: runs {runs} and on are not whole')
+                        raise RuntimeError(f'{self._parts}: runs from {runs} on are not complete')
                     failed += compute.sum(compute.not_equal(table['reason'], '')).as_py()
                     runs += len(table)
                     writer.write_table(table)
@@ -193,7 +193,7 @@ class Store:
                 raise RuntimeError(f'{self._parts}: {runs} of {self._count} runs')
 
         self._write_whole(self._output, join)
-        shutil.rmtree(self._parts, ignore_errors=True)  # another may just look at them
+        shutil.rmtree(self._parts, ignore_errors=True)  # another process may be opening them
         return failed
 
     def _write_whole(self, path, write):
@@ -203,7 +203,7 @@ class Store:
 
     @staticmethod
     def _read(part):
-        # Not `read_table`, which would take a folder for a table in pieces.
+        # Not `read_table`, which would read a folder of this name as a table in pieces.
         with parquet.ParquetFile(part, page_checksum_verification=True) as file:
             return file.read()
 

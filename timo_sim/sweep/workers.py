@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Who works on a sweep: processes of this machine, or a Dask cluster."""
+"""Executors for a sweep: processes of this machine, or a Dask cluster."""
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -20,13 +20,13 @@ import threading
 from timo_sim.scene.parameter import Parameter, ParameterError
 from timo_sim.version import __version__
 
-_ATTEMPTS = 3  # processes that may die over the same call
+_ATTEMPTS = 3  # a call fails when so many processes have died over it
 _WIDTH = Parameter('workers', 1, '', 'processes', low=1)
 _ONE_THREAD = dict.fromkeys(('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'), '1')
 
 
 def executor_of(workers=None, scheduler=None):
-    """Return who works: an executor with its `width`, to be used as a context."""
+    """Return an executor, a context manager; it does `width` calls at a time."""
     return LocalExecutor(workers) if scheduler is None else cluster_executor(scheduler)
 
 
@@ -35,19 +35,19 @@ def cluster_executor(address):
     """
     Yield an executor of the Dask scheduler at an address, such as `tcp://host:8786`.
 
-    The scheduler repeats the calls of a worker that dies, and computes results anew that died with
-    it; one call gives one result. If it cannot be reached, or a worker has another version of this
-    package, that is a ConnectionError.
+    If a worker dies, the scheduler repeats its calls and computes lost results again; one call
+    gives one result. Raises ConnectionError if the scheduler cannot be reached, or a worker has
+    another version of this package.
     """
     from distributed import Client
     from distributed.comm import get_address_host_port
     try:
-        get_address_host_port(address)  # a Client of an address that is none would complain later
+        get_address_host_port(address)  # a Client reports a malformed address too late
         client = Client(address, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ConnectionError(f'no Dask scheduler at {address}: {error}') from None
     with client:
-        # By value, because it must not be the worker's own function of this name.
+        # A lambda is sent by value: a function of this module would be the worker's own version.
         found = client.run(lambda: __import__('timo_sim').__version__, on_error='return')
         for worker, version in found.items():
             if version != __version__:
@@ -63,16 +63,16 @@ def cluster_executor(address):
 
 class LocalExecutor:
     """
-    Calls in processes of their own, one for each of some threads that wait for them.
+    An executor with a thread for each worker process, which sends it calls and waits for results.
 
-    They are not those of `multiprocessing`: they need no `if __name__ == '__main__'` in the
-    caller's script, have one BLAS thread each from the start, and one that is killed loses
-    nothing.
+    The processes are not those of `multiprocessing`: the caller's script needs no
+    `if __name__ == '__main__'`, each process has one BLAS thread from the start, and the call of a
+    process that is killed is repeated.
 
     Parameters
     ----------
     width : int, optional
-        Number of processes; by default that of the cores this process may use.
+        Number of processes; by default the number of cores that this process may use.
 
     """
 
@@ -101,12 +101,11 @@ class LocalExecutor:
             child.kill()
 
     def submit(self, function, *arguments):
-        """Return the future of a call; what cannot be pickled is a ParameterError."""
+        """Return the future of a call; raise ParameterError if the call cannot be pickled."""
         try:
             call = pickle.dumps((function, arguments))
         except (AttributeError, TypeError, pickle.PicklingError) as error:
-            raise ParameterError(f'what worker processes get must be plain values: {error}'
-                                 ) from None
+            raise ParameterError(f'calls of worker processes must be picklable: {error}') from None
         return self._threads.submit(self._call, call)
 
     def _call(self, call):
@@ -139,7 +138,7 @@ class LocalExecutor:
 
 def serve():
     """Answer calls from standard input until it ends; what they print goes to standard error."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent's affair
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it, too, and ends this process
     with os.fdopen(os.dup(1), 'wb') as answers:
         os.dup2(2, 1)
         while True:
@@ -150,7 +149,7 @@ def serve():
             result, error = None, None
             try:
                 result = function(*arguments)
-            except Exception as raised:  # and raised again where the call was made
+            except Exception as raised:  # the caller raises it again
                 error = raised
             pickle.dump((result, error), answers)
             answers.flush()

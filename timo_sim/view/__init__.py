@@ -9,6 +9,6 @@
 """
 Runs as pictures: tracks of motions, entities and panels for rerun, a live stream, plots.
 
-It may import `simulation` and `scene`; rerun and matplotlib are imported by the modules that draw
-with them. It knows no ROS.
+It may import `simulation`, `scene` and what is below them; only modules that draw with rerun or
+matplotlib import these. It uses no ROS.
 """

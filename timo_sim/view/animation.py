@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Tracks as a moving picture, a GIF that any browser shows."""
+"""Draws tracks as an animated GIF, which any browser shows."""
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -17,35 +17,35 @@ from timo_sim.scene.parameter import ParameterError
 from timo_sim.view.plot import COLOURS
 from timo_sim.view.track import FPS
 
-_MOST = 20.0  # [Hz]; browsers slow down what is faster
+_MOST_FPS = 20.0  # [Hz]; browsers play faster GIFs too slowly
 _SIZE, _DPI = (8.0, 4.0), 80  # [inch], [1/inch]
 _MARGIN = 0.1  # around what moves, in arm lengths
-_SHADES = 32  # colours of a frame
+_COLOURS_PER_FRAME = 32
 
 
-def animate(tracks, path, fps=_MOST):
+def animate(tracks, path, fps=_MOST_FPS):
     """
     Write a GIF of tracks, laid over each other, in real time.
 
-    On the left the arms in the plane of motion, each with its straight arm and the path of its tip
-    so far; on the right the transverse deflection of the tips, with a line at the present.
+    The left axes show the arms in the plane of motion, each with its straight arm and the path of
+    its tip so far. The right axes show the transverse deflection of the tips, with a line at now.
 
     Parameters
     ----------
     tracks : list of Track
     path : str or Path
     fps : float
-        Frames per second of sim time, at most 20.
+        Frames per second of sim time; more than 20 are reduced to 20.
 
     Raises
     ------
     ParameterError
-        If the file is no GIF by its name, or the frames per second are none.
+        If the path does not end with .gif, or `fps` is not above 0 and at most 1e6.
 
     """
     if not str(path).endswith('.gif'):
-        raise ParameterError(f'an animation is a GIF: name it so, not {path}')
-    fps = min(FPS.check(fps), _MOST)
+        raise ParameterError(f'the path of an animation must end with .gif, got {path}')
+    fps = min(FPS.check(fps), _MOST_FPS)
     figure = Figure(figsize=_SIZE, dpi=_DPI, layout='constrained')
     canvas = FigureCanvasAgg(figure)
     plane, curves = figure.subplots(1, 2, width_ratios=[3, 2])
@@ -72,13 +72,14 @@ def animate(tracks, path, fps=_MOST):
         curves.draw_artist(now)
         for arm in arms:
             arm.draw(plane, time)
-        frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).quantize(_SHADES))
+        frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).quantize(
+            _COLOURS_PER_FRAME))
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=round(1e3 / fps),
                    loop=0)
 
 
 class _Arm:
-    """What is drawn of a track in the plane; times [s], corners of all places [m], (2, 2)."""
+    """Draws a track in the plane; `times` [s], `corners` of all that it reaches, (2, 2) [m]."""
 
     def __init__(self, axes, track, fps, colour):
         picked = track.frames(fps)

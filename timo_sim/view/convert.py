@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Tracks to a rerun file."""
+"""Writes tracks to a rerun file."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ from timo_sim.view.entities import (
 from timo_sim.view.panels import blueprint, Panel
 
 BLOCK = 65536  # samples, or frames, that are sent at once
-# Panel of differences: the trace that they are of, and its columns.
+# By panel of differences: the trace that is compared, and its columns.
 _DIFFERENCES: dict[str, tuple[str, Any]] = {
     'difference': ('tip_deflection', 0), 'shaft_difference': ('shaft', 0),
     'carrier_difference': ('carrier', slice(None))}
@@ -36,14 +36,19 @@ def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
     fps : float
         Most frames of the plane per second of sim time; curves have all samples.
     report : function(float)
-        Receives how much further the work is, of 1 in all.
+        Called with the share of the work that was done since the last call; the sum is 1.
     at : float, optional
-        Sim time for which there is a frame, too [s].
+        Sim time that gets a frame, too [s].
 
     Returns
     -------
     ndarray, shape (2, 2)
         Corners of the plane that is shown, lower left and upper right [m].
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
 
     """
     stream = rr.RecordingStream('timo_sim')
@@ -74,7 +79,7 @@ def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
             report(1 / sum(shares))
         if run:
             _send_differences(stream, tracks[0], track, run, len(tracks), panels)
-    if 'balance' in panels:  # what closes is a straight line, not an error looked at closely
+    if 'balance' in panels:  # so that a balance that closes looks flat, not like magnified noise
         panels['balance'].least = 1e-3 * panels['energy'].high
     stream.send_blueprint(blueprint(panels, bounds, len(tracks)))
     stream.disconnect()
@@ -86,7 +91,7 @@ def _blocks(count):
 
 
 def _extent(tracks, frames):
-    # Corners of all that is drawn, with a margin; largest force and torque.
+    # Return the corners of all that is drawn, with a margin, and the largest force and torque.
     corners, efforts = [], []
     for track, picked in zip(tracks, frames):
         for part in _blocks(len(picked)):
@@ -127,5 +132,5 @@ def _about(tracks, largest, fps):
                  f'{largest[1]:.3g} N m; grey: the arm if it did not bend; trail: '
                  f'{TRAIL} frames of the tip, at most {fps:g} per second')
     if len(tracks) > 1:
-        lines.append(f'- differences are to **{tracks[0].name}**, between its samples linear')
+        lines.append(f'- differences are from **{tracks[0].name}**, interpolated linearly')
     return '\n'.join(lines)

@@ -6,20 +6,20 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What is drawn: entities of the plane and curves of the panels, in rerun's columns."""
+"""Sends what is drawn to rerun: the entities of the plane and the curves of the panels."""
 
 import numpy as np
 import rerun as rr
 
 TIMELINE = 'sim_time'
 PLANE, CURVES, ABOUT = 'plane', 'curves', 'about'
-# Okabe-Ito colours, told apart by everyone; the greys are seen on dark and light themes.
+# Okabe-Ito colours, which colour-blind viewers can tell apart; greys for dark and light themes.
 COLOURS = [(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (240, 228, 66),
            (213, 94, 0), (0, 114, 178)]
 GHOST, GRID, TICKS = (120, 120, 120), (128, 128, 128, 90), (170, 170, 170)
 EFFORT = COLOURS[3]
-TRAIL = 90  # frames
-# The longest force is so long, in arm lengths; the largest torque turns so far [rad].
+TRAIL = 90  # frames of the tip's trail
+# Length of the arrow of the largest force [arm lengths], angle of the largest torque's arc [rad].
 _LONGEST, _FARTHEST = 0.3, 1.5 * np.pi
 _ARC = np.linspace(0.0, 1.0, 20)
 
@@ -29,7 +29,7 @@ def _time(ns):
 
 
 def colour(run, runs, curve=0):
-    """Return the colour of a curve: of its run if there are several, otherwise its own."""
+    """Return the RGB colour of a curve: a shade for its run if there are several, else its own."""
     if runs == 1:
         return COLOURS[curve % len(COLOURS)]
     base = np.array(COLOURS[run % len(COLOURS)])
@@ -37,7 +37,7 @@ def colour(run, runs, curve=0):
 
 
 def log_frame_of_plane(stream, bounds):
-    """Log what does not move: y upward, and a grid of metres in the bounds (2, 2)."""
+    """Log the static parts of the plane: y upward, and a grid in the bounds, (2, 2) [m]."""
     # Rerun's plane has y downward: the plane is mirrored, its content is not.
     stream.log(PLANE, rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
     low, high = bounds
@@ -68,7 +68,7 @@ class Plane:
         self._stream, self._path, self._body, self._trail = stream, f'{PLANE}/{name}', body, None
         own, line, points = colour(run, runs), 0.5 * body.thickness, rr.Radius.ui_points
         grey, tip = (TICKS, COLOURS[5]) if runs == 1 else (own, own)
-        looks: list[tuple] = [
+        styles: list[tuple] = [
             ('ghost', rr.LineStrips2D, GHOST, points(1.0), {}),
             ('carrier', rr.Boxes2D, own, points(1.5), {'half_sizes': [0.5 * body.carrier] * 2}),
             ('motor', rr.Points2D, grey, 0.5 * body.motor, {}),
@@ -77,15 +77,15 @@ class Plane:
             ('trail', rr.LineStrips2D, grey, points(1.0), {}),
             ('force', rr.Arrows2D, EFFORT, points(2.0), {}),
             ('torque', rr.LineStrips2D, EFFORT, points(1.5), {})]
-        for order, (name, kind, colors, radii, more) in enumerate(looks):
+        for order, (name, kind, colors, radii, more) in enumerate(styles):
             stream.log(f'{self._path}/{name}', kind.from_fields(
                 colors=colors, radii=radii, draw_order=float(order), **more), static=True)
 
     def send(self, ns, poses, largest):
         """
-        Send frames at sim times (m,) [ns], which follow those that were sent before.
+        Send Poses at sim times, shape (m,) [ns], after all that were sent before.
 
-        The `largest` force [N] and torque [N m] fill their room.
+        `largest` is the force [N] and the torque [N m] that are drawn in full size.
         """
         body, root, tip = self._body, poses.line[:, 0], poses.line[:, -1]
         straight = root + body.length * np.column_stack([np.cos(poses.shaft), np.sin(poses.shaft)])
@@ -136,7 +136,7 @@ def log_curves(stream, panel, name, run, runs, names):
 
 
 def send_curves(stream, panel, name, ns, values):
-    """Send samples of curves, values of shape (m, k)."""
+    """Send samples of curves at sim times, shape (m,) [ns]; values have shape (m, k)."""
     stream.send_columns(
         f'{CURVES}/{panel}/{name}', [_time(ns)],
         rr.Scalars.columns(scalars=np.ravel(values)).partition(

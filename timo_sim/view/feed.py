@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Samples of a running simulation to a process that streams them to a viewer."""
+"""Sends samples of a running simulation to a process that streams them to a viewer."""
 
 from importlib.util import find_spec
 import json
@@ -21,35 +21,35 @@ import numpy as np
 from timo_sim.scene.parameter import ParameterError, short
 
 PERIOD = 1.0 / 30.0  # [s] of wall time between samples
-_PATIENCE = 2.0      # [s] for what is on its way at the end
-_PORT = 9876         # of rerun, where an address names none
+_PATIENCE = 2.0      # [s] for the process to send its last samples
+_PORT = 9876         # rerun's, for an address without one
 _CONNECTING = 0.5    # [s] for a viewer to answer
 _ADDRESS = re.compile(r'rerun(\+https?)?://(\S+?)(:(\d+))?/proxy')
 
 
 class Feed:
     """
-    Feed a process of `view.live` with samples, and never wait for it.
+    Sends samples to a process of `view.live`, and never waits for it.
 
-    What its pipe has no room for, because a viewer does not take what it is sent, is dropped.
+    Samples for which its pipe has no room, because the viewer is slow or stuck, are dropped.
 
     Parameters
     ----------
     scene : Scene
     url : str
-        Of the viewer, as in 'rerun+http://127.0.0.1:9876/proxy'. It may come and go.
+        Of the viewer, as in 'rerun+http://127.0.0.1:9876/proxy'. The viewer may come and go.
     name : str
         Of the node.
 
     Attributes
     ----------
     doubt : str or None
-        Why nothing may be seen.
+        A warning if no viewer listened at the start.
 
     Raises
     ------
     ParameterError
-        If the address is none, or rerun is not installed.
+        If `url` is no address of a viewer, or rerun is not installed.
 
     """
 
@@ -64,9 +64,9 @@ class Feed:
         self.doubt = None
         try:
             socket.create_connection((address[2], int(address[4] or _PORT)), _CONNECTING).close()
-        except (OSError, OverflowError) as error:  # OverflowError: of a port
+        except (OSError, OverflowError) as error:  # OverflowError: the port is too large
             self.doubt = f'rerun_live: no viewer listens at {url} yet: {error}'
-        # In a session of its own: Ctrl+C is for the node, which then ends it.
+        # In a session of its own, so that Ctrl+C ends only the node, which then ends this.
         self._process = subprocess.Popen(
             [sys.executable, '-m', 'timo_sim.view.live', url, name, json.dumps(scene.values)],
             stdin=subprocess.PIPE, start_new_session=True)
@@ -91,14 +91,14 @@ class Feed:
         if now < self._due:
             return
         self._due = now + PERIOD
-        try:  # a pipe takes as few bytes as these whole, or not at all
+        try:  # a pipe takes so few bytes, below PIPE_BUF, as a whole or not at all
             os.write(self._stream.fileno(), np.concatenate(
                 [[simulator.nanoseconds], simulator.motion.values, effort()]).tobytes())
         except (BlockingIOError, BrokenPipeError):
             pass
 
     def close(self):
-        """End the stream; what is on its way has two seconds."""
+        """End the stream; the process has two seconds to send its last samples."""
         self._stream.close()
         try:
             self._process.wait(_PATIENCE)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The process that streams what `view.feed` sends it to a viewer of rerun."""
+"""The process that streams samples from `view.feed` to a viewer of rerun."""
 
 from collections import deque
 import json
@@ -22,13 +22,13 @@ from timo_sim.view.entities import ABOUT, log_curves, log_frame_of_plane, Plane,
 from timo_sim.view.panels import blueprint, Panel
 from timo_sim.view.track import body_of, of_motion
 
-_PERIOD = 1.0 / 30.0  # [s] of what is sent at once
+_PERIOD = 1.0 / 30.0  # [s] of wall time between two sendings
 _MOST_WAITING = 300   # samples; older ones are dropped
-_PATIENCE = 1.0       # [s] for what waits at the end
+_PATIENCE = 1.0       # [s] to send the last samples
 
 
 class Stream:
-    """A run of a Scene that grows in a viewer, of which this is the address."""
+    """Shows a growing run of a Scene in the viewer at an address."""
 
     def __init__(self, url, name, scene):
         self._scene, self._name = scene, name.strip('/').replace('/', '_')
@@ -65,12 +65,12 @@ class Stream:
                         trace.values)
 
     def flush(self):
-        """Wait a little for what is on its way."""
+        """Wait up to a second until all is sent."""
         self._stream.flush(timeout_sec=_PATIENCE)
 
 
 def main(url, name, values):
-    """Stream what comes from standard input until its end."""
+    """Stream samples from standard input until its end; `values` are those of a scene, JSON."""
     scene, waiting, ended = load_scene(json.loads(values)), deque(maxlen=_MOST_WAITING), (
         threading.Event())
 

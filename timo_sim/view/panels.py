@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The layout: the plane beside the curves that a control engineer looks at first."""
+"""Layout of the viewer: the plane beside the curves that a control engineer looks at first."""
 
 from dataclasses import dataclass
 import math
@@ -34,13 +34,13 @@ TITLES = {
     'carrier_difference': 'difference of carrier [m]',
 }
 _ON_FIRST_PAGE = 10
-# With a legend when there are several runs: which colour is which.
-_KEYS = 'tip_deflection', 'difference'
+# Panels with a legend when there are several runs.
+_WITH_LEGEND = 'tip_deflection', 'difference'
 
 
 @dataclass
 class Panel:
-    """What a panel shows: number of curves, lowest and highest value, least of its axis."""
+    """What a panel shows: number of curves, lowest and highest value, least limit of its axis."""
 
     curves: int = 0
     low: float = math.inf
@@ -53,16 +53,16 @@ class Panel:
         self.high = max(self.high, float(values.max()))
 
     def title(self, key):
-        """Return quantity, unit, and between which values it moves."""
+        """Return quantity, unit, and its lowest and highest value."""
         if self.low > self.high:
             return TITLES[key]
-        # Without what is left of a rounded zero.
+        # Round-off beside larger values is shown as 0.
         nothing = 1e-12 * max(abs(self.low), abs(self.high))
         low, high = (0.0 if abs(end) < nothing else end for end in (self.low, self.high))
         return f'{TITLES[key]}: {low:.3g} to {high:.3g}'
 
     def axis(self):
-        """Return the vertical axis: as it fits, but nothing smaller than `least`."""
+        """Return the vertical axis, -`least` to `least`; None if values exceed it: rerun fits."""
         small = max(self.high, -self.low) < self.least
         return rrb.ScalarAxis(range=(-self.least, self.least)) if small else None
 
@@ -71,7 +71,7 @@ def blueprint(panels, bounds, runs=1, live=False):
     """
     Return the layout of panels (by key of TITLES) and of the plane between two corners (2, 2) [m].
 
-    With several runs only some panels have a legend; a live run is followed, its last ten seconds.
+    With several runs only some panels have a legend. Of a live run the last ten seconds are shown.
     """
     ranges = rrb.VisibleTimeRange(
         TIMELINE, start=rrb.TimeRangeBoundary.cursor_relative(seconds=-10.0),
@@ -80,7 +80,7 @@ def blueprint(panels, bounds, runs=1, live=False):
     views = [rrb.TimeSeriesView(
         origin=f'{CURVES}/{key}', name=panels[key].title(key), time_ranges=ranges,
         axis_y=panels[key].axis(), plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=(
-            key in _KEYS if runs > 1 else panels[key].curves > 1)))
+            key in _WITH_LEGEND if runs > 1 else panels[key].curves > 1)))
         for key in TITLES if key in panels]
     (left, bottom), (right, top) = bounds
     plane = rrb.Spatial2DView(

@@ -61,7 +61,7 @@ def plot(run):
 
 
 def write(figure, path):
-    """Write a figure to a file, of which the ending says the format; else ParameterError."""
+    """Write a figure in the format of the file's suffix; an unknown one is a ParameterError."""
     try:
         figure.savefig(path, dpi=100)
     except ValueError as error:
@@ -69,7 +69,7 @@ def write(figure, path):
 
 
 def bode(model):
-    """Return a Figure of what a LinearModel's first input does to its outputs, and its poles."""
+    """Return a Figure: Bode diagram from a LinearModel's first input to its outputs, and poles."""
     poles = model.poles()
     vibrating = np.abs(poles[np.abs(poles) > 1.0]) / (2.0 * np.pi)
     ends = (0.1, 100.0) if not len(vibrating) else (0.1 * vibrating[0], 3.0 * vibrating[-1])
@@ -80,7 +80,7 @@ def bode(model):
     axes = figure.subplot_mosaic([['size', 'poles'], ['phase', 'poles']], width_ratios=[2, 1])
     for name, values, colour in zip(model.outputs, response[:, :, 0].T, COLOURS):
         axes['size'].loglog(frequency, np.abs(values), color=colour, label=name)
-        # Turned a little, so that round-off does not choose between 180 and -180 degrees.
+        # Rotated by 1e-3 rad and back, so that round-off does not choose between +-180 degrees.
         phase = np.unwrap(np.angle(values * np.exp(-1e-3j))) + 1e-3
         phase -= 2.0 * np.pi * np.ceil((phase[0] - 0.5 * np.pi) / (2.0 * np.pi))
         axes['phase'].semilogx(frequency, np.degrees(phase), color=colour)
@@ -92,7 +92,7 @@ def bode(model):
     axes['poles'].set(xlabel='real part [1/s]', ylabel='imaginary part / 2 pi [Hz]',
                       title='poles')
     if np.abs(poles.real).max() < 1e-3 * np.abs(poles.imag).max():
-        # Else round-off fills the width.
+        # Otherwise round-off of the real parts would fill the width.
         axes['poles'].set(xlim=(-1.0, 1.0), xticks=(-1.0, 0.0, 1.0))
     for each in axes.values():
         each.grid(alpha=0.3)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Tracks shown in rerun's viewer, a process of ours bound to this machine; saved, or drawn."""
+"""Shows tracks in rerun's viewer, a child process bound to this machine; saves or draws them."""
 
 from contextlib import closing
 import os
@@ -36,30 +36,31 @@ class ViewerError(OSError):
 
 def show_tracks(makers, save=None, png=None, at=None, web=False, fps=30.0):
     """
-    Convert tracks, and show them unless a file or picture is wanted.
+    Convert tracks, and show them unless only a file or a picture is wanted.
 
     Parameters
     ----------
     makers : list of function() -> Track
     save, png : str, optional
-        Files to write.
+        Paths of a rerun file (*.rrd) and of a picture to write.
     at : float, optional
         Sim time of the picture [s]; by default the end.
     web : bool
-        Whether to show it in the browser.
+        Whether to show them in the browser.
     fps : float
-        See `write`.
+        See `convert.write`.
 
     Raises
     ------
     ParameterError
-        If a file cannot be written under its name, or the time is not in the runs.
+        If a path or number breaks its rule, or the time is not in the runs.
     ViewerError
+        If the viewer does not start or does not answer.
 
     """
     at, fps = at if at is None else _AT.check(at), FPS.check(fps)
     if save and not str(save).endswith('.rrd'):
-        raise ParameterError(f'--save is a file of rerun: name it *.rrd, not {save}')
+        raise ParameterError(f'the path of --save, a rerun file, must end with .rrd, got {save}')
     if png and not os.access(Path(png).absolute().parent, os.W_OK):
         raise ParameterError(f'--png {png} cannot be written: its folder is missing or read-only')
     with tempfile.TemporaryDirectory(prefix='timo_sim_') as folder:
@@ -134,7 +135,7 @@ def picture(path, png, at=None, size=(1600, 1000), view=None):
         end = max(line.end for line in state.recordings[0].timelines if line.name == 'sim_time')
         client.set_time('sim_time', duration=end * 1e-9 if at is None else at,
                         play_state='paused')
-        time.sleep(1.0)  # axes glide to their places
+        time.sleep(1.0)  # the viewer moves its axes to their places gradually
         only = next((each.view_id for each in state.views
                      if view is not None and each.name.startswith(view)), None)
         client.save_screenshot(str(Path(png).absolute()), only)
@@ -144,7 +145,7 @@ def picture(path, png, at=None, size=(1600, 1000), view=None):
 
 
 def _viewer(start, *arguments, **options):
-    # The binary itself: its Python wrapper would leave it behind when ended.
+    # The binary itself: its Python wrapper, when ended, would leave it running.
     return start(
         [Path(rerun_cli.__file__).with_name('rerun'), '--bind', _LOOPBACK, *arguments],
         env={'RUST_LOG': 'error', **os.environ}, **options)
@@ -164,7 +165,7 @@ def _loaded(client):
 
 
 def _until(condition, process):
-    """Return what a condition finds; RuntimeError and OSError are a viewer not yet answering."""
+    """Return what a condition finds; until a viewer answers, it raises RuntimeError or OSError."""
     deadline = time.monotonic() + _PATIENCE
     while time.monotonic() < deadline:
         if process.poll() is not None:

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A track: what a view shows of a run, made of a `Run`, of a log of the node or of a plain bag."""
+"""Tracks: what a view shows of a run, made of a `Run`, of a log of the node or of a plain bag."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,8 +22,8 @@ from timo_sim.simulation.energy import integral, work
 
 FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
 _POINTS = 41     # of the centre line that is drawn
-_BLOCK = 1024    # samples that are worked out at once: what they need stays near the processor
-# Commands whose work is not in the efforts of joints: the others on a driven shaft.
+_BLOCK = 1024    # samples that are computed at once: their arrays stay in the processor's cache
+# Commands whose work is not in the efforts of joints: the first always, all if a shaft is driven.
 _UNSEEN = ('~/tip_wrench', '~/motor_torque', '~/motor_voltage', '~/joint_command', '~/commands')
 
 
@@ -32,7 +32,7 @@ class TrackError(ValueError):
 
 
 class Body(NamedTuple):
-    """Sizes of what is drawn [m]: bodies of the arm's material, cube, cylinder and ball."""
+    """Sizes of what is drawn [m]; a cube, cylinder and ball with their masses in arm material."""
 
     length: float
     thickness: float
@@ -42,7 +42,7 @@ class Body(NamedTuple):
 
 
 class Poses(NamedTuple):
-    """Where everything is at m times, world axes."""
+    """Places and efforts at m times, in world axes."""
 
     line: np.ndarray    # centre line from root to tip, (m, p, 2) [m]
     shaft: np.ndarray   # (m,) [rad]
@@ -61,7 +61,7 @@ class Trace(NamedTuple):
 @dataclass(frozen=True)
 class Track:
     """
-    A run as a view takes it.
+    A run in the form that views take.
 
     Attributes
     ----------
@@ -69,11 +69,11 @@ class Track:
     ns : ndarray, shape (n,)
         Sim times of the samples [ns], not descending.
     poses : function(ndarray of int or slice) -> Poses
-        At these samples.
+        Returns the Poses at some samples.
     traces : list of Trace
     body : Body
     note : str
-        What it is and how its shape is known, Markdown.
+        Settings of the run and how its shape is known, Markdown.
 
     """
 
@@ -90,7 +90,7 @@ class Track:
 
     def frames(self, rate, at=None):
         """
-        Return the samples that make at most so many frames per second, ascending.
+        Return ascending indices of samples for at most `rate` frames per second.
 
         Where a sim time `at` [s] is given, the last sample until then is one of them.
         """
@@ -104,7 +104,7 @@ class Track:
 
 
 def unique_names(names):
-    """Return names with a number, which makes none of the others, after those already there."""
+    """Return names with a suffix _N after repeated ones, such that all differ."""
     found = []
     for place, name in enumerate(names):
         numbered = (f'{name}_{number}' for number in itertools.count(place))
@@ -125,8 +125,8 @@ def of_recording(recording, name):
     """
     Return the track of a `log.recording.Recording`.
 
-    Without modal coordinates the shape is a cubic from root to tip. Raises TrackError if what a
-    shape needs is not on it.
+    Without modal coordinates the shape is a cubic from root to tip. Raises TrackError if topics
+    that the shape needs are missing.
     """
     scene, series = recording.scene, recording.read(
         'joint_states', '~/modal_state', *_UNSEEN)
@@ -167,12 +167,12 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
     effort : ndarray, shape (n, 3)
         Force on the carrier, world x and y [N], torque on the shaft [N m].
     resets : array_like of int
-        Samples that don't follow from the one before.
+        First samples after resets, which do not follow from the one before.
     balanced : bool
-        Whether work and losses are worked out, too; the work of a load on the tip is not known,
-        nor what friction takes when it was set to something else on the way.
+        Whether to compute the balance of energy, work and losses. It is not known if a command
+        acted on the tip, or parameters such as friction were set during the run.
     heat : ndarray, shape (n,), optional
-        What Coulomb friction has taken so far [J], needed for the balance where there is any.
+        What Coulomb friction has dissipated so far [J]; where it acts, the balance needs it.
 
     Returns
     -------
@@ -191,7 +191,7 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
     if half > 3:
         traces.append(Trace('modal', tuple(f'q{n}' for n in range(1, half - 2)), ns, modal))
     energy = _in_blocks(formulation.energy, motion)
-    # What constraints do is part of the effort, a torque on a driven shaft besides is not.
+    # The effort of a driven shaft is that of its drive; a load's torque on it is not in there.
     unseen = 'torque' if scene.values['motor.shaft'] == 'driven' else 'tip'
     pushed = any(scene.load.terms[channel] for channel in CHANNELS
                  if channel.startswith(('tip', unseen)))
@@ -233,14 +233,14 @@ def body_of(scene):
 
 
 def _of_bag(recording, name, joints):
-    """Return a track with a cubic, along the shaft at the root, along the section at the tip."""
+    """Return a track with a cubic that has the angles of the shaft and of the tip at its ends."""
     topics = '~/tip_pose', '~/tip_deflection'
     tip, bend = map(recording.read(*topics).get, topics)
     if tip is None or bend is None or not len(tip.ns) or not len(bend.ns):
         raise TrackError(f'{recording.path}: the shape of the arm needs tip_pose and '
                          'tip_deflection, or a log of the node with modal_state')
 
-    # Messages may have come in another order.
+    # Messages of a bag may be out of order.
     (joint_ns, joints), (tip_ns, place), (bend_ns, bend) = (
         (series.ns[order], series.values[order]) for series, order in (
             (series, np.argsort(series.ns, kind='stable')) for series in (joints, tip, bend)))

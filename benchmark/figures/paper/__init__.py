@@ -6,4 +6,4 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The source paper, regenerated: tables and figures of doc/paper.md, a module for each kind."""
+"""Tables and figures of the source paper, made for doc/paper.md; one module for each kind."""

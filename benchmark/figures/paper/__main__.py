@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-The source paper, regenerated: `make paper` writes doc/paper.md and its figures.
+Reproduces the tables and figures of the source paper: `make paper` writes doc/paper.md.
 
 Every number is computed here, from this package and from the stored finite-element references.
 """
@@ -74,8 +74,8 @@ how it normalises.
 
 {claims}
 
-Where `newton` misses a bound, its own equations do: the foreshortening of the bent arm and the
-moment of the axial force are not in them, and the error stays when modes are added (Fig. 12).
+Where `newton` misses a bound, its equations are the cause: they lack the foreshortening of the
+bent arm and the moment of the axial force, and the error stays when modes are added (Fig. 12).
 At the carrier, which moves by 0.4 m and 0.1 m only, that is a larger share than at the tip.
 
 ## Table 2: eigenfrequencies

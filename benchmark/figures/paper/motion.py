@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Figs. 6 to 10 and 13: motion of sections, and what the wrong axial force does to it."""
+"""Figs. 6 to 10 and 13: motion of sections, and the effect of the wrong axial force on it."""
 
 import matplotlib.pyplot as plt
 import numpy as np

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""How the figures of the page look, and how they are saved."""
+"""Colours and style of the figures of doc/paper.md, and how they are saved."""
 
 import matplotlib
 import matplotlib.pyplot as plt
@@ -17,12 +17,12 @@ from timo_sim.physics.equations import FORMULATIONS
 FIGURES = ROOT / 'doc' / 'paper'
 MODES = 5
 NAMES = {'0': '0', 'l4': 'l/4', 'l2': 'l/2', '3l4': '3l/4', 'l': 'l'}
-# Okabe and Ito's colours, told apart by all readers.
+# Okabe and Ito's colours, which colour-blind readers tell apart.
 BLACK, ORANGE, BLUE, GREEN, RED = '#000000', '#E69F00', '#0072B2', '#009E73', '#D55E00'
 COLOURS = dict(zip(FORMULATIONS, (BLUE, ORANGE, GREEN, RED)))
 matplotlib.use('Agg')
-plt.rcParams.update({'font.size': 9, 'axes.grid': True,
-                     'figure.constrained_layout.use': True, 'grid.alpha': 0.3, 'lines.linewidth': 1.2,
+plt.rcParams.update({'font.size': 9, 'axes.grid': True, 'grid.alpha': 0.3,
+                     'lines.linewidth': 1.2, 'figure.constrained_layout.use': True,
                      'svg.fonttype': 'none', 'svg.hashsalt': 'timo_sim',
                      'path.simplify_threshold': 1.0})
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Shapes for the axial strain of an arm that stretches, as further modes after the others."""
+"""Axial modes of an arm that stretches, appended to its bending modes."""
 
 import numpy as np
 
@@ -15,13 +15,13 @@ from timo_sim.physics.arm.quadrature import Quadrature
 
 class AxialModes:
     """
-    Modes in bending, followed by axial modes of the same arm with its end effector.
+    Bending modes, followed by axial modes of the same arm with its end effector.
 
-    Fields have a column for each mode; axial modes have no deflection, rotation or shear, and
-    those in bending no stretch. An eigenmode of the rod misses 1.4 % of how a uniform arm
-    stretches as it turns; so what the axial modes span is the response to loads: to the
-    centrifugal forces, to an acceleration along the arm, then to the inertia of these responses.
-    They are combined so that they are normalised and orthogonal as the others are (T3).
+    Fields have a column for each mode. Axial modes have no deflection, rotation or shear; bending
+    modes have no stretch. The first eigenmode of the rod misses 1.4 % of the lengthening of a
+    uniform arm that turns. The axial modes therefore span the responses to loads: to centrifugal
+    forces, to an acceleration along the arm, then to the inertia of earlier responses. They are
+    orthogonal and normalised as the bending modes are (T3).
 
     Source: load-dependent Ritz vectors, Wilson, Yuan and Dickens, Earthquake Eng. Struct. Dyn. 10
     (1982) 813-821; strains at Gauss nodes and singular values as in `galerkin`.
@@ -34,13 +34,13 @@ class AxialModes:
     count : int
         Number of axial modes A.
     constraints : Constraints
-        Centrifugal forces are those of an arm that turns about the root, if the carrier is held,
-        about the mass centre, if it is free, or about the point between, if one axis is held.
+        They set the centre of rotation for the centrifugal forces: the root if the carrier is
+        held, the mass centre if it is free, the point half-way between if one axis is held.
 
     Attributes
     ----------
     omega : ndarray, shape (N + A,)
-        Angular frequencies, ascending in either part [rad/s].
+        Angular frequencies of the bending modes, then of the axial ones, both ascending [rad/s].
 
     """
 

@@ -81,7 +81,7 @@ class Section:
 
     @property
     def cutoff(self):
-        """Angular frequency above which the second spectrum begins, omega_0 [rad/s]."""
+        """Cut-off frequency omega_0, above which the second spectrum begins [rad/s]."""
         return math.sqrt(self.shear_stiffness / self.inertia_per_length)
 
 
@@ -95,10 +95,10 @@ class Beam:
     length : float
         [m]
     section : Section
-        Of floats: the arm is uniform. Of tuples: its values at `positions`, linear between.
+        Its fields are floats, or tuples of values at `positions` with linear interpolation.
     positions : tuple of float
-        Distances from the root, ascending from 0 to `length`; one twice is a jump [m]. Empty for
-        a uniform arm.
+        Distances from the root, ascending from 0 to `length` [m]; at a position given twice the
+        section jumps. Empty for a uniform arm.
 
     """
 
@@ -119,7 +119,7 @@ class Beam:
         return np.unique([0.0, *self.positions, self.length])
 
     def at(self, xi):
-        """Return the sections at distances xi from the root, inside the spans, shape (p,) [m]."""
+        """Return the sections at distances xi from the root, not at jumps, shape (p,) [m]."""
         if self.uniform:
             return self.section
         values: dict[str, Any] = {
@@ -141,7 +141,7 @@ class Manipulator:
     ----------
     arm : Beam
     carrier_mass, motor_mass : float
-        m_c, m_m [kg]; the motor's rotor is on the carrier, so both masses only translate.
+        m_c, m_m [kg]; the motor is on the carrier, so both masses only translate.
     shaft_inertia : float
         J_m [kg m2]
     end_effector_mass, end_effector_inertia : float
@@ -168,17 +168,17 @@ class Manipulator:
 
     def inertia(self, quadrature):
         """
-        Return M(xi) and J(xi) of the paper's Remark 1 as weights of an integral.
+        Return M(xi) and J(xi) of the paper's Remark 1, times the weights of an integral.
 
         Parameters
         ----------
         quadrature : Quadrature
-            On the arm, p nodes.
+            With p nodes on the arm.
 
         Returns
         -------
         mass, inertia : ndarray, shape (p + 1,)
-            At the nodes and, the end effector's, at the tip [kg], [kg m2].
+            At the nodes, then those of the end effector at the tip [kg], [kg m2].
 
         """
         section, weights = self.arm.at(quadrature.nodes), quadrature.weights
@@ -193,13 +193,13 @@ class Constraints:
 
     Attributes
     ----------
-    carrier : tuple
+    carrier : tuple of float or None
         Position at which the carrier is held, x and y in world axes [m]; None: it is free to move
         along that axis.
     driven : bool
         Whether the shaft follows an angle that is given in the load, instead of a torque.
     locked : float or None
-        That angle, if it never changes [rad].
+        The angle of a driven shaft that never moves [rad]; None for all others.
 
     """
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Eigenmodes of the clamped arm by the Legendre-Galerkin method: any section along the arm."""
+"""Eigenmodes of a clamped arm with any section along it, by the Legendre-Galerkin method."""
 
 import functools
 
@@ -17,25 +17,27 @@ from timo_sim.physics.arm.quadrature import Quadrature
 
 @functools.lru_cache(maxsize=8)
 def _operators(breaks, terms):
-    # Nodes of the strains and of the fields; from nodal strains to their integral at the points,
-    # to themselves at the nodes of the fields, and from there to the integral at the points.
-    # Products of two fields, and a section cubic in xi, are integrated exactly.
+    # Returns the nodes of the strains, the finer nodes and points of the fields, and matrices:
+    # nodal strains to integrals at the points, nodal strains to values at the fine nodes, these
+    # to integrals at the points. Three more nodes integrate exactly two fields times a cubic.
     nodes, fine = Quadrature(breaks, terms), Quadrature(breaks, terms, extra=3)
     return (nodes, fine, nodes.integrate_to(fine.points), nodes.interpolate_to(fine.nodes),
             fine.integrate_to(fine.points))
 
 
 def _strain_modes(manipulator, terms, vectors=True):
-    # The singular value decomposition of G; factors of the scaled bending and shear strains.
+    # Returns the singular value decomposition of G, see `GalerkinModes`, and the factors from
+    # scaled to nodal strains of bending and shear.
     arm = manipulator.arm
-    nodes, fine, once, there, twice = _operators(tuple(arm.breaks.tolist()), terms)
+    nodes, fine, integrate, interpolate, integrate_fine = _operators(
+        tuple(arm.breaks.tolist()), terms)
     section = arm.at(nodes.nodes)
     bend = 1.0 / np.sqrt(nodes.weights * section.bending_stiffness)
     shear = 1.0 / np.sqrt(nodes.weights * section.shear_stiffness)
     mass, inertia = (np.sqrt(values)[:, np.newaxis] for values in manipulator.inertia(fine))
-    slope = np.hstack([once[:-1] * bend, there * shear])
-    matrix = np.vstack([mass * (twice @ slope),
-                        inertia * np.hstack([once * bend, np.zeros_like(once)])])
+    slope = np.hstack([integrate[:-1] * bend, interpolate * shear])
+    matrix = np.vstack([mass * (integrate_fine @ slope),
+                        inertia * np.hstack([integrate * bend, np.zeros_like(integrate)])])
     return np.linalg.svd(matrix, full_matrices=False, compute_uv=vectors), bend, shear
 
 
@@ -43,8 +45,8 @@ def frequencies(manipulator, count):
     """
     Return the lowest eigenfrequencies of an arm, ascending, shape (count,) [rad/s].
 
-    With fewer terms than `GalerkinModes`: within 1e-6, from a thousandth to the thousandfold of
-    the arm's mass at the tip, and from slender to thick; enough to tell modes apart.
+    With fewer terms than `GalerkinModes` they are within 1e-6 for slender and thick arms with
+    0.001 to 1000 times the arm's mass at the tip, which is enough to separate the modes.
     """
     return 1.0 / _strain_modes(manipulator, 2 * count + 8, vectors=False)[0][:count]
 
@@ -55,10 +57,11 @@ class GalerkinModes:
 
     Curvature and shear strain are polynomials in each span on which the section is smooth, given
     by their values at Gauss-Legendre nodes; rotation and deflection are their integrals from
-    the clamped root. Nothing has to match where spans meet. With the strain energy
+    the clamped root, so they are continuous where spans meet. With the strain energy
     `|c|^2 / 2` of scaled nodal strains c and the kinetic energy `|G c'|^2 / 2`, the singular
-    values of G are 1/omega_n: exact to round-off of the largest, which costs omega_n / omega_1 in
-    relative accuracy and not its square. The sign makes the root curvature positive.
+    values of G are 1/omega_n. Round-off of the largest costs omega_n a factor omega_n / omega_1
+    in relative accuracy; eigenvalues of G^T G would cost its square. The curvature of a mode is
+    positive at the root.
 
     Source: weak form of the paper's (1), (2) with M, J of its Remark 1; doc/theory.md (T8).
 
@@ -76,8 +79,8 @@ class GalerkinModes:
     """
 
     def __init__(self, manipulator, count):
-        # Two nodes for each mode give 1e-12 at the fortieth of a slender arm; the rest is margin
-        # for a heavy tip or a strong taper.
+        # Two nodes for each mode give 1e-12 at the fortieth mode of a slender arm; the others are
+        # a margin for a heavy tip or a strong taper.
         terms = 2 * count + 30
         self._strains, self._fields = _operators(tuple(manipulator.arm.breaks.tolist()), terms)[:2]
         (_, singular, rows), bend, shear = _strain_modes(manipulator, terms)

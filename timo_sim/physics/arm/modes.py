@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Eigenfrequencies and mode shapes of the arm clamped at its root, tip mass and inertia on it."""
+"""Eigenfrequencies and mode shapes of the arm, clamped at its root, with the end effector."""
 
 import functools
 
@@ -24,7 +24,7 @@ def modes_of(manipulator, count, static=()):
     """
     Return the lowest modes of a manipulator's arm, both spectra together.
 
-    Kept for those that ask again: the check of a scene, its projection, its run.
+    They are cached, because the check of a scene and its run ask for the same modes.
 
     Parameters
     ----------
@@ -32,12 +32,12 @@ def modes_of(manipulator, count, static=()):
     count : int
         Number of modes N.
     static : tuple of str
-        Loads on the tip whose static shapes take the place of the last modes, 'force', 'torque'.
+        Loads on the tip, 'force' or 'torque', whose static shapes replace the last modes.
 
     Returns
     -------
     UniformModes, GalerkinModes or StaticModes
-        The closed form where there is one.
+        The closed form for a uniform arm.
 
     """
     if count and static:
@@ -51,7 +51,7 @@ class UniformModes:
     """
     The lowest modes of a uniform arm in closed form, mass-normalised.
 
-    Each is the sum of four waves, see `waves`. The sign makes the root curvature positive.
+    Each is the sum of four waves, see `waves`. The curvature of a mode is positive at the root.
 
     Source: paper eqs. (8)-(19), (23).
 
@@ -70,7 +70,7 @@ class UniformModes:
     Raises
     ------
     ValueError
-        If two modes are too close to be told apart.
+        If two eigenfrequencies are too close to be separated.
 
     """
 
@@ -121,9 +121,9 @@ class UniformModes:
         if count == 0:
             return omega
         guesses = frequencies(manipulator, count + 1)
-        # Between two limits the Galerkin count rises by one, and the determinant of the boundary
-        # conditions must change sign. Rounded: the last bits of the guesses depend on the number
-        # of BLAS threads, and those of the frequencies should not.
+        # One Galerkin frequency lies between two limits, so the determinant of the boundary
+        # conditions must change sign there. The limits are rounded, because the last bits of the
+        # guesses depend on the number of BLAS threads, and those of the frequencies should not.
         limits = np.append(0.5 * guesses[0], np.sqrt(guesses[:-1] * guesses[1:]))
         limits = limits.astype(np.float32).astype(float)
         found = bisect(self._arm, limits, omega)

@@ -6,14 +6,14 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Gauss-Legendre nodes along the arm, and the integral of what is known there from the root."""
+"""Gauss-Legendre quadrature along the arm, with integration from the root and interpolation."""
 
 import functools
 
 import numpy as np
 from numpy.polynomial import legendre
 
-_FEWEST = 4  # nodes in a span, however short
+_FEWEST = 4  # least number of nodes in a span
 
 
 def legendre_values(x, count):
@@ -53,10 +53,11 @@ def _rule(count):
 
 @functools.lru_cache(maxsize=64)
 def _integrals(spans, xi):
-    # Of `Quadrature.integrate_to`; kept, since arms that differ in what they carry share it.
+    # The matrix of `Quadrature.integrate_to`; cached, since arms that differ only in section or
+    # end effector share it.
     rows = []
     for start, stop, count in spans:
-        # Left of the span this is nothing, right of it the whole span.
+        # A clipped point left of the span gives 0, one right of it the integral over the span.
         x = np.clip(2.0 * (np.array(xi) - start) / (stop - start) - 1.0, -1.0, 1.0)
         rows.append(0.5 * (stop - start) * legendre_values(x, count)[1] @ _rule(count)[2])
     matrix = np.hstack(rows)
@@ -68,14 +69,14 @@ class Quadrature:
     """
     Gauss-Legendre quadrature on the spans of an arm.
 
-    A function with its values at the nodes stands for the polynomial through them in each span.
+    Nodal values stand for the polynomial through them in each span.
 
     Parameters
     ----------
     breaks : ndarray, shape (spans + 1,)
         Ends of the spans, ascending from 0 [m].
     count : int
-        Number of nodes, shared out by length; a short span has a few at least.
+        Least number of nodes, distributed by length; each span has at least four.
     extra : int
         Further nodes in each span.
 
@@ -90,7 +91,7 @@ class Quadrature:
 
     def __init__(self, breaks, count, extra=0):
         shares = np.diff(breaks) / breaks[-1]
-        # 1e-9: a share that is whole but for its rounding.
+        # 1e-9: round-off must not raise a share that is a whole number.
         counts = np.maximum(np.ceil(count * shares - 1e-9).astype(int), _FEWEST) + extra
         ends = np.asarray(breaks, dtype=float).tolist()
         self._spans = tuple(zip(ends, ends[1:], counts.tolist()))
@@ -102,7 +103,7 @@ class Quadrature:
 
     def integrate_to(self, xi):
         """
-        Return the rows that integrate nodal values from 0 to each of the given points.
+        Return the matrix from nodal values to their integrals from 0 to the given points.
 
         Parameters
         ----------
@@ -118,7 +119,7 @@ class Quadrature:
         return _integrals(self._spans, tuple(np.asarray(xi, dtype=float).tolist()))
 
     def interpolate_to(self, xi):
-        """Return the rows that interpolate nodal values at the given points, shape (p, n)."""
+        """Return the matrix from nodal values to values at the given points, shape (p, n)."""
         xi = np.asarray(xi, dtype=float)
         rows, past = [], np.zeros(len(xi), dtype=bool)
         for start, stop, count in self._spans:

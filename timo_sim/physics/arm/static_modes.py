@@ -6,16 +6,15 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Eigenmodes, and what static shapes of an arm, by loads on its tip or its weight, add to them."""
+"""Eigenmodes, followed by residual static shapes under loads on the tip or the arm's weight."""
 
 import numpy as np
 
 from timo_sim.physics.arm.quadrature import Quadrature
 
 
-
 def _outboard(manipulator, rule):
-    """Return moment and shear force at the nodes of a rule, by load, shape (n_g,) each."""
+    """Return bending moment and shear force at the nodes of a rule by load, shape (n_g,) each."""
     distance = manipulator.arm.length - rule.nodes
     mass, _ = manipulator.inertia(rule)
     inner = rule.integrate_to(rule.nodes)
@@ -29,20 +28,20 @@ class StaticModes:
     """
     Eigenmodes, then residual static shapes, all normalised as in doc/theory.md (T3).
 
-    What eigenmodes leave of a static shape is orthogonal to them in mass and stiffness, so that
-    nothing else changes: a shape is a mode with a frequency by Rayleigh's quotient, (T9).
+    A residual is a static shape less its share in the eigenmodes. It is orthogonal to them in mass
+    and stiffness, and therefore a further mode with the frequency of Rayleigh's quotient (T9).
 
     Parameters
     ----------
     manipulator : Manipulator
     modes : UniformModes or GalerkinModes
     loads : sequence of str
-        Of `_outboard`.
+        Of 'force', 'torque', 'weight'.
 
     Attributes
     ----------
     omega : ndarray, shape (N,)
-        [rad/s]
+        Angular frequencies of the eigenmodes, then of the static shapes [rad/s].
 
     """
 
@@ -58,11 +57,11 @@ class StaticModes:
         curvature, shear = moment / bending, force / shearing
         weights = rule.weights[:, np.newaxis]
         bent, sheared = modes.curvature(rule.nodes), modes.shear(rule.nodes)
-        for _ in range(2):  # twice: little is left beside many modes
+        for _ in range(2):  # twice, since cancellation is strong beside many modes
             share = (bent.T @ (weights * bending * curvature)
                      + sheared.T @ (weights * shearing * shear)) / modes.omega[:, np.newaxis]**2
             curvature, shear = curvature - bent @ share, shear - sheared @ share
-        # Uncoupled from each other, too, and normalised.
+        # The residuals of two loads are also uncoupled from each other, and normalised.
         self._curvature, self._shear = curvature, shear
         mass, inertia = manipulator.inertia(rule)
         deflection, rotation = (field(rule.points)[:, len(modes):] for field in (

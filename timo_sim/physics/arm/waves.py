@@ -7,18 +7,18 @@
 # language governing permissions and limitations under the License.
 
 """
-Waves of a uniform arm, compiled: what eigenfrequencies are found with and mode shapes made of.
+Waves of a uniform arm, whose sums are its mode shapes: boundary conditions and fields, compiled.
 
-With `s` either root of the characteristic equation (8), `-alpha^2` or one that is `beta^2` below
-the cut-off frequency and `-beta'^2` above it, and `g'' = s g`, `g = G'`, the field equations
-(1), (2) have the solutions
+The characteristic equation (8) has two roots s: one is `-alpha^2`, the other `beta^2` below the
+cut-off frequency and `-beta'^2` above it. With `g'' = s g` and `g = G'` the field equations (1),
+(2) have the solutions
 
     W = g     Phi = (s + nu) G     W' - Phi = -nu G     nu = rho A omega^2 / (kappa G A)
 
-and a mode is the sum of four. The pair (g, G) is (cos, sin / k) and (-k sin, cos) of k xi for
-s = -k^2, the same with cosh and sinh for a small s > 0, and otherwise exponentials that decay
-from either end; sinh and cosh of beta xi, as printed in (18), cancel beyond the twelfth mode. All
-are analytic in s, so nothing happens at the cut-off.
+A mode is the sum of four, two for each root. For s = -k^2 the pairs (g, G) are (cos, sin / k) and
+(-k sin, cos) of k xi; for a small s > 0 the same with cosh and sinh, so that nothing is singular
+at the cut-off; for a larger s exponentials that decay from either end, because sinh and cosh of
+beta xi, as printed in (18), cancel beyond the twelfth mode.
 
 Source: paper eqs. (8)-(19), with the corrections listed in doc/paper.md; doc/theory.md (T5), (T6),
 and (T7) for the boundary conditions.
@@ -121,13 +121,13 @@ def boundary_conditions(arm, omega, matrix, scale):
 
 @strict
 def _minor(matrix, i, j, k):
-    """Return that of rows i, i + 1 and columns j, k."""
+    """Return the minor of rows i, i + 1 and columns j, k."""
     return matrix[i, j] * matrix[i + 1, k] - matrix[i, k] * matrix[i + 1, j]
 
 
 @strict
 def _determinant(arm, omega, matrix, scale):
-    """Return that of the boundary conditions."""
+    """Return the determinant of the boundary conditions at a frequency."""
     boundary_conditions(arm, omega, matrix, scale)
     return (_minor(matrix, 0, 0, 1) * _minor(matrix, 2, 2, 3)
             - _minor(matrix, 0, 0, 2) * _minor(matrix, 2, 1, 3)
@@ -154,8 +154,8 @@ def bisect(arm, limits, omega):
     Returns
     -------
     int
-        How many were found before a pair of limits between which the determinant of the boundary
-        conditions does not change sign; N if there is none.
+        Number of frequencies found before a pair of limits between which the determinant of the
+        boundary conditions does not change sign; N if all are found.
 
     """
     matrix, scale = np.empty((4, 4)), np.empty(4)
@@ -178,7 +178,7 @@ def bisect(arm, limits, omega):
 @entry_point
 def fields(arm, omega, shape, xi, out):
     """
-    Write the fields of modes.
+    Write the fields of modes at points.
 
     Parameters
     ----------
@@ -191,8 +191,8 @@ def fields(arm, omega, shape, xi, out):
     xi : ndarray, shape (p,)
         Points [m].
     out : ndarray, shape (4, p, N)
-        Receives deflection, rotation, curvature and shear strain W' - Phi. The difference of W'
-        and Phi themselves would lose seven digits on a slender arm.
+        Receives deflection, rotation, curvature and shear strain. The last is computed as -nu G,
+        since the difference W' - Phi would lose seven digits on a slender arm.
 
     """
     for n in range(len(omega)):

@@ -15,8 +15,8 @@ They may import `jit`, `physics.arm` and `physics.layout`. A formulation is a su
 
 from importlib import import_module
 
-# Name of each formulation, and where it is. The modules are imported when they are needed: names
-# alone cost nothing.
+# Module and class of each formulation by name. Modules are imported on demand, so that listing
+# the names is cheap.
 FORMULATIONS = {
     'exact': 'timo_sim.physics.equations.exact:Exact',
     'newton': 'timo_sim.physics.equations.newton:Newton',

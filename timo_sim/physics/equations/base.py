@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What every formulation of the equations of motion offers, and what all of them share."""
+"""Base class of all formulations of the equations of motion: their interface, shared methods."""
 
 from abc import ABC, abstractmethod
 from functools import cached_property
@@ -25,7 +25,7 @@ from timo_sim.physics.equations.observables import Observables
 
 
 class Points(NamedTuple):
-    """Points of the centre line, and what the fields there are made of."""
+    """Points of the centre line, with the integration weights and mode shapes there."""
 
     xi: np.ndarray          # distance from the root [m], (p,)
     integral: np.ndarray    # from nodal values to their integral from 0 [m], (n_g, p)
@@ -37,11 +37,10 @@ class Formulation(Observables, ABC):
     """
     Equations of motion of a manipulator in N assumed modes.
 
-    The N modes are those in bending and, where the arm stretches, axial ones behind them. A
-    *motion* is an array of size 2 (3 + N), the same for all formulations:
-    `[x_c, y_c, theta, q_1..q_N, d/dt of each]`, carrier in world axes [m], shaft angle [rad],
-    modal coordinates [m sqrt(kg)]. A *state* is what a formulation integrates: its coordinates,
-    without those that are constrained, then as many momenta or rates; m in all.
+    The N modes are those in bending, followed by axial ones if the arm stretches. A *motion*
+    `[x_c, y_c, theta, q_1..q_N, d/dt of each]` of size 2 (3 + N) is the same for all formulations:
+    carrier in world axes [m], shaft angle [rad], modal coordinates [m sqrt(kg)]. A *state* is what
+    a formulation integrates: its free coordinates, then as many momenta or rates; size m.
 
     Parameters
     ----------
@@ -52,9 +51,11 @@ class Formulation(Observables, ABC):
         Modal damping ratios zeta_n.
     constraints : Constraints
     nodes : int, optional
-        Number of quadrature nodes; by default as many as `node_count` finds good.
-    static, axial : tuple of str, int
-        See `modes_of`; number of axial modes, in formulations that know them.
+        Least number of quadrature nodes; by default that of `node_count`.
+    static : tuple of str
+        See `modes_of`.
+    axial : int
+        Number of axial modes; 0 for formulations other than `exact`.
     gravity : sequence of float
         Acceleration of free fall along world x and y [m/s2].
 
@@ -63,11 +64,11 @@ class Formulation(Observables, ABC):
     linear : ndarray, shape (m, m)
         Constant linear part of the state's rate; the compiled rate is the rest.
     tables, packed : NamedTuple, packed constants
-        Constants of the compiled functions, and as these take them: made by the attribute `pack`.
+        Constants of the compiled functions, and the same packed by the attribute `pack`.
     sectors : int
-        Sectors of half a turn with a linear part each, see `Exact.in_sector`; of most models none.
+        Number of sectors of half a turn, each with its linear part, see `Exact.in_sector`; or 0.
     speed_limit : float
-        Shaft speed from which on the equations are unstable, whatever the step [rad/s].
+        Shaft speed above which the equations are unstable, whatever the step [rad/s].
 
     """
 
@@ -85,10 +86,10 @@ class Formulation(Observables, ABC):
         # The first of the coordinates theta, q_1..q_N that is free, and the free axes.
         self.first = int(constraints.driven)
         self.axes = np.array(constraints.free_axes, dtype=np.int64)
-        # Of carrier x, y and shaft, which are held, locked or driven.
+        # Whether carrier x, carrier y and shaft are held, locked or driven.
         self.constrained = np.array([*(k not in self.axes for k in (0, 1)), constraints.driven])
         self.anchor = np.array([position or 0.0 for position in constraints.carrier])
-        # Three times: so that the strains of axial modes are resolved.
+        # Three times the axial modes, so that their strains are resolved.
         self.quadrature = Quadrature(manipulator.arm.breaks,
                                      nodes or self.node_count(max(count, 3 * axial)))
         # The points that carry mass: the nodes and the tip.
@@ -105,10 +106,10 @@ class Formulation(Observables, ABC):
         """
         Return the number of quadrature nodes for N modes.
 
-        A Gauss rule resolves a wave with pi nodes per wave length, and mode N has about N/2 of
-        them between two boundary layers. With 3/2 N nodes, and whole vectors of four of them, the
-        highest free-free frequency of the paper's arm is within 2 % of its limit for N <= 20, the
-        others are much closer.
+        A Gauss rule resolves a wave with pi nodes per wavelength, and mode N has about N/2
+        wavelengths between two boundary layers. With 3/2 N nodes, rounded up to multiples of four
+        for vector code, the highest free-free frequency of the paper's arm is within 2 % of that
+        with many nodes for N <= 20; the others are much closer.
         """
         return 6 if count <= 3 else 4 * math.ceil((1.5 * count + 0.5) / 4.0)
 
@@ -123,7 +124,7 @@ class Formulation(Observables, ABC):
     @abstractmethod
     def centre_line(self, q, points):
         """
-        Return where points of the centre line are, in the arm frame.
+        Return the positions of points of the centre line in the arm frame.
 
         Parameters
         ----------
@@ -140,14 +141,15 @@ class Formulation(Observables, ABC):
 
     @abstractmethod
     def centre_line_rate(self, q, qdot, points):
-        """Return the rate of `centre_line` in the turning axes, shape (n, p, 2) [m/s]."""
+        """Return the rate of `centre_line`, components in the arm frame, shape (n, p, 2) [m/s]."""
 
     def effort(self, motions, accelerations, loads):
         """
-        Return what must act on carrier and shaft, friction included, for accelerations (T45).
+        Return the force on the carrier and torque on the shaft that accelerations need (T45).
 
-        Motions, accelerations of their 3 + N coordinates, loads of which those on the tip act:
-        n of each; forces in world axes [N] and torque [N m], shape (n, 3).
+        They include loads on carrier and shaft, friction and constraints. There are n motions,
+        accelerations of 3 + N coordinates and loads, of which only those on the tip are used.
+        Shape (n, 3): in world axes [N], then [N m].
         """
         specific = accelerations.copy()
         specific[:, :2] -= self.gravity  # held in gravity is the same as accelerated against it
@@ -159,7 +161,7 @@ class Formulation(Observables, ABC):
 
     @cached_property
     def reach(self):
-        """Shift of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, sizes, (3 + N,)."""
+        """Travel of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, shape (3 + N,)."""
         length = self.manipulator.arm.length
         return np.concatenate([[1.0, 1.0, length], np.abs(self.modes.deflection([length]))[0]])
 
@@ -172,11 +174,10 @@ class Formulation(Observables, ABC):
 
     def tip_shift(self):
         """
-        Return what an error in the state means for the tip, shape (m, m).
+        Return the matrix from an error of the state to shifts of the straight arm's tip, (m, m).
 
-        Applied to an error it gives shifts of the tip [m]: of the straight arm by each coordinate;
-        then, from each rate, by carrier and shaft within a second, by a mode within a radian of
-        its vibration.
+        The first m / 2 shifts [m] are those by each coordinate. The others are those by the rates
+        of carrier and shaft within a second, and of a mode within a radian of its vibration.
         """
         half, count = len(self.linear) // 2, len(self.modes)
         reach = np.concatenate([self.reach[:len(self.axes)], self.reach[2 + self.first:]])
@@ -187,7 +188,7 @@ class Formulation(Observables, ABC):
         return shift
 
     def tip(self, motion):
-        """Return where the tip is in the arm frame [m], its rotation to the shaft [rad], (3,)."""
+        """Return the tip's position in the arm frame [m], rotation from the shaft [rad], (3,)."""
         place = np.empty(3)
         tip_once(self.packed, motion, place)
         return place

@@ -57,10 +57,9 @@ def equilibrium(model, motion, load):
 
     time = None
     for _ in range(_ITERATIONS if len(turn) else 0):
-        steps = np.diag(_SHIFT / turn)
         slope = mobility @ np.stack([
-            (pull(shifted(motion, step)) - pull(shifted(motion, -step)))[axes:] / (2.0 * step.max())
-            for step in steps], axis=-1)
+            (pull(shifted(motion, step)) - pull(shifted(motion, -step)))[axes:] / (2 * step.max())
+            for step in np.diag(_SHIFT / turn)], axis=-1)
         flow = mobility @ pull(motion)[axes:]
         growth, directions = np.linalg.eig(slope)
         fastest = growth.real.max()

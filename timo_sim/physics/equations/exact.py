@@ -11,8 +11,8 @@ The `exact` formulation: geometrically exact kinematics on assumed strain modes.
 
 Numbers (T..) are those of doc/theory.md, section 6.
 
-Section rotation and shear strain are expanded in the modes and the arm is inextensible, but for
-its axial modes, if it has any: `exact_stretch` has what they add (T34), (T35). With the
+Section rotation and shear strain are expanded in the modes. The arm is inextensible unless it has
+axial modes; `exact_rates` has the terms that they add (T34), (T35). With the
 shaft angle as coordinate q_0 (`Phi_0 = 1`, `Gamma_0 = 0`) and `Gamma_n = W_n' - Phi_n`,
 
     phi = sum Phi_i q_i     gamma = sum Gamma_i q_i     i = 0..N                (T22)
@@ -24,24 +24,24 @@ line in world axes and its derivative with respect to q_i follow without approxi
     b = sin phi + gamma cos phi     C2_i =  a Phi_i + cos(phi) Gamma_i          (T24)
 
 The equations are Hamilton's. With the mass centre (X, Y) in place of the carrier, translation
-separates; what is left are the coordinates q_i and their momenta p_i = M_ij q_j', with
+separates from the coordinates q_i and their momenta p_i = M_ij q_j', with
 `M_ij = Xi_ij + C1_i K C1_j + C2_i K C2_j` (T26):
 
     X'   = P_x / m_t         P_x' = F_x          (the same in y)                (T27)
     q_i' = (M^-1 p)_i        p_i' = dT/dq_i - omega_i^2 q_i - 2 zeta_i omega_i q_i' + Q_i  (T28)
 
-where Q holds the shaft torque and the forces on carrier and tip as seen from the mass centre, and
-the torque on the tip, `Phi_i(l)` of it; F is the sum of both forces (T32). Viscous friction of
-the carrier is a force on it, that of the shaft stands for `2 zeta_0 omega_0` (T33). The
-momenta of a free manipulator, P and p_0 (spin about the mass centre), are constant by
-construction. Nodal values act through two constant arrays: `d = D^T m`, and for either
-axis a kernel, `K = D^T diag(m) D - d d^T / m_t` of the masses about their centre.
+Q_i is the generalised force of the shaft torque, of the forces on carrier and tip about the mass
+centre, and of the torque on the tip times `Phi_i(l)`; F is the sum of both forces (T32). Viscous
+friction of the carrier is a force on it; the coefficient of the shaft's friction takes the place
+of `2 zeta_0 omega_0` (T33). The momenta of a free manipulator, P and p_0 (spin about the mass
+centre), are constant by construction. Nodal values enter through two constant arrays: `d = D^T m`,
+and for either axis a kernel, `K = D^T diag(m) D - d d^T / m_t` of the masses about their centre.
 
-A carrier held along an axis takes the mass centre's place there: its coordinate and momentum are
-struck out, and the kernel is the one about the root, without `d d^T / m_t` (T30). With one axis
-held the kernels differ, T depends on the shaft angle too, and the state has rates q_i' in place of
-momenta (T35). Of a driven shaft q_0 and q_0' are given: p_0 is struck out, and the other momenta
-keep their share `M_i0 q_0'` (T31); its acceleration is needed only where the state has rates.
+Along an axis on which the carrier is held, the mass centre's coordinate and momentum are removed,
+and the kernel is the one about the root, without `d d^T / m_t` (T30). With one axis held the
+kernels differ, T depends on the shaft angle too, and the state has rates q_i' in place of momenta
+(T35). For a driven shaft q_0 and q_0' are given: p_0 is removed, and the other momenta keep their
+share `M_i0 q_0'` (T31); its acceleration is needed only where the state has rates.
 """
 
 from functools import cached_property
@@ -77,32 +77,32 @@ class Exact(Formulation):
         rotary[0, 0] += self.manipulator.shaft_inertia
         damping = np.append(self.manipulator.shaft_friction, 2.0 * self.damping * modes.omega)
 
-        turns = len(self.axes) == 1
-        # So many of the last coordinates have rates in place of momenta.
-        self._rated = self.axial or turns * (len(rotary) - self.first)
+        one_axis = len(self.axes) == 1
+        # Number of last coordinates whose rates, not momenta, are in the state.
+        self._rates = self.axial or one_axis * (len(rotary) - self.first)
         locked = self.constraints.locked
-        self.sectors = SECTORS if turns and self._rated and locked is None else 0
+        self.sectors = SECTORS if one_axis and self._rates and locked is None else 0
         self._kernel, self._slope = kernel, rotation + shear
-        tables = Tables(self.mass, kernel if turns else kernel[:1], lever, rotation.T, shear.T,
+        tables = Tables(self.mass, kernel if one_axis else kernel[:1], lever, rotation.T, shear.T,
                         rotary, np.empty(0), damping, self.manipulator.carrier_friction, self.axes,
                         self.anchor, self.points.integral[:, -1], at_points[-1],
                         self.mass * self.gravity)
-        return self._with_linear_part(tables, locked if turns else None)
+        return self._with_linear_part(tables, locked if one_axis else None)
 
     def sector(self, state, load):
-        """Return the number of the sector in which the shaft is."""
+        """Return the number of the sector in which the shaft angle lies."""
         angle = load[ANGLE] if self.first else state[len(self.axes)]
         return math.floor(angle * (SECTORS / math.pi)) % SECTORS
 
     def in_sector(self, number):
-        """Return tables and linear part of the straight arm in the middle of a sector."""
+        """Return tables and linear part of the straight arm at the middle angle of a sector."""
         tables, linear = self._with_linear_part(Tables._make(self.tables[:len(Tables._fields)]),
                                                 (number + 0.5) * np.pi / SECTORS)
         return tables._replace(sector=number), linear
 
     def _with_linear_part(self, tables, angle):
-        # Of the straight arm C along the arm is E, across it Phi + Gamma; where it is not known
-        # along which axis the arm lies, the mean kernel stands for both.
+        # For the straight arm C is E along the arm and Phi + Gamma across it. Without an angle the
+        # mean of the kernels is used for both directions.
         slope, stretch, kernel = self._slope.T, self._stretch, self._kernel
         if angle is None:
             mean = kernel.mean(axis=0)
@@ -114,12 +114,13 @@ class Exact(Formulation):
         matrix = matrix[self.first:, self.first:]
         inverse = straight = np.linalg.inv(matrix)
         stiffness, damping = np.append(0.0, self.modes.omega**2), tables.damping
-        if self._rated:
-            # Rates of the last coordinates are as given; the others' are those for their momenta.
-            own, last = slice(len(matrix) - self._rated), slice(len(matrix) - self._rated, None)
+        if self._rates:
+            # The state has the rates of the last coordinates, and momenta of those before.
+            last = slice(len(matrix) - self._rates, None)
+            others = slice(len(matrix) - self._rates)
             straight = np.eye(len(matrix))
-            straight[own, own] = np.linalg.inv(matrix[own, own])
-            straight[own, last] = -straight[own, own] @ matrix[own, last]
+            straight[others, others] = np.linalg.inv(matrix[others, others])
+            straight[others, last] = -straight[others, others] @ matrix[others, last]
 
         axes, half = len(self.axes), len(self.axes) + len(straight)
         linear = np.zeros((2 * half, 2 * half))
@@ -128,18 +129,18 @@ class Exact(Formulation):
         linear[half + axes:, axes:half] = -np.diag(stiffness[self.first:])
         linear[half + axes:, half + axes:] = -damping[self.first:, np.newaxis] * straight
         tables = tables._replace(straight=straight)
-        if self._rated:
-            last = slice(-self._rated, None)
+        if self._rates:
+            last = slice(-self._rates, None)
             rate = -inverse[last, last] * [[stiffness[last]], [damping[last]]]
             linear[last] = 0.0
-            linear[last, half - self._rated:half], linear[last, last] = rate
+            linear[last, half - self._rates:half], linear[last, last] = rate
             tables = RateTables._make([*tables, stretch[len(stretch) - self.axial:], stiffness,
                                        rate.transpose(1, 0, 2), -1])
         return tables, linear
 
     @cached_property
     def reach(self):
-        """Of an axial mode, the shift of the tip along the arm."""
+        """As in `Formulation`; an axial mode moves the tip along the arm."""
         reach, tip = super().reach, [self.manipulator.arm.length]
         if self.axial:
             reach[3:] += np.abs(self.modes.displacement(tip))[0]
@@ -156,7 +157,7 @@ class Exact(Formulation):
         centre = motion[:2] + np.array([a, b]) @ table.lever
         momentum = table.mass * (motion[half:half + 2] + speed @ slope @ table.lever)
         momenta = matrix @ speed
-        momenta[len(momenta) - self._rated:] = speed[len(speed) - self._rated:]
+        momenta[len(momenta) - self._rates:] = speed[len(speed) - self._rates:]
         return np.concatenate([centre[self.axes], coordinates[self.first:],
                                momentum[self.axes], momenta[self.first:]])
 
@@ -175,7 +176,7 @@ class Exact(Formulation):
             (a * turning + cosine * shearing + sine * stretching) @ points.integral], axis=-1)
 
     def _effort(self, motions, accelerations, loads):
-        """Return the rates of momentum, those by loads on the tip left out (T45)."""
+        """Return the rates of momentum and spin less those by loads on the tip (T45)."""
         half, table, body = self.size // 2, self.tables, self.manipulator
         cosine, sine, a, b = self._slopes(motions[:, 2:half])
         rates, second = motions[:, half + 2:], accelerations[:, 2:]
@@ -185,7 +186,7 @@ class Exact(Formulation):
             second @ field for field in (table.rotation, table.shear, self._stretch))
         to_points = self.points.integral
         x, y = a @ to_points, b @ to_points
-        # Second derivatives of the slopes, integrated to the points of mass.
+        # Mass times acceleration of the points of mass, from second derivatives of the slopes.
         pull_x = self.point_mass * (accelerations[:, :1] + (
             -b * turn - sine * shear + cosine * stretch
             - turning * (a * turning + 2.0 * (cosine * shearing + sine * stretching))) @ to_points)
@@ -204,7 +205,7 @@ class Exact(Formulation):
 
     @staticmethod
     def _relative(q):
-        # Coordinates as seen from the shaft.
+        # Coordinates relative to the shaft, with q_0 = 0.
         return np.column_stack([np.zeros(len(q)), q])
 
     def _slopes(self, coordinates):

@@ -60,8 +60,8 @@ def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors):
             total_1 = 0.0
             total_2 = 0.0
             for k in range(nodes):
-                # K is symmetric. Read down a column, this loop is unrolled and that over j becomes
-                # vector code; where it is too long for that, it becomes vector code itself.
+                # K is symmetric. Up to 16 nodes it is read down a column, so that this loop is
+                # unrolled and the one over j is vector code; beyond, this loop is vector code.
                 row, column = (k, j) if nodes <= 16 else (j, k)
                 total_1 += c1[i, k] * kernel[0, row, column]
                 total_2 += c2[i, k] * kernel[len(kernel) - 1, row, column]
@@ -103,7 +103,7 @@ def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors):
 
 @inner
 def _carrier_rate(tables, state, k, slope_rates, speed):
-    """Return the carrier's speed along its k-th free axis, with C1 or C2 of that axis."""
+    """Return the carrier's speed along its k-th free axis; `slope_rates` is C1 or C2 there."""
     rate = state[len(state) // 2 + k] / tables.mass
     for j in range(len(tables.lever)):
         for i in range(len(speed)):
@@ -114,7 +114,7 @@ def _carrier_rate(tables, state, k, slope_rates, speed):
 @inlined
 def _translate(tables, state, load, angle, c1, c2, speed, out):
     """
-    Write the rates of the mass centre; return forces x, y on the carrier, and on the tip.
+    Write the rates of the mass centre; return x, y of the force on the carrier and of the tip's.
 
     A carrier that is held in gravity is pushed against it, which bends the arm (T34).
     """
@@ -144,7 +144,7 @@ def _set_moments(tables, load, forces, cosine, sine, a, b, image_1, image_2, spe
     Set A_j and B_j of (T29); return the moment of torque and forces about the shaft.
 
     dT/dq_i = sum_j Phi_ij A_j + Gamma_ij B_j, from (g1, g2) = K (a', b') and the rates of phi and
-    gamma. The forces do their work on C1, C2: the same sum.
+    gamma. The forces act on C1, C2, which gives a sum of the same form: A_j, B_j include it.
     """
     lever, reach, rotation, shear = tables.lever, tables.reach, tables.rotation, tables.shear
     push_x, push_y, tip_x, tip_y = forces
@@ -172,7 +172,7 @@ def _set_moments(tables, load, forces, cosine, sine, a, b, image_1, image_2, spe
 @functions.rate.of(RateTables)
 @functions.rate.of(Tables)
 def _rate(tables, state, load, out):
-    """Write what the linear part leaves of the state's rate."""
+    """Write the state's rate less its linear part."""
     rotation, shear, lever = tables.rotation, tables.shear, tables.lever
     count, nodes = rotation.shape
     first = count - len(tables.straight)
@@ -186,7 +186,7 @@ def _rate(tables, state, load, out):
     momenta, half = len(state) - count, len(state) // 2
     coordinates = momenta - half
 
-    # q': what the mass matrix of the straight arm does not account for.
+    # q' less that by the mass matrix of the straight arm, which is in the linear part.
     for i in range(first, count):
         total = speed[i]
         for j in range(first, count):
@@ -198,8 +198,8 @@ def _rate(tables, state, load, out):
     moment = _set_moments(tables, load, forces, cosine, sine, a, b, image_1, image_2, speed,
                           script_a, script_b)
     for i in range(first, count - rated(tables)):
-        # Unless one axis is held, T does not depend on the shaft angle: left out, not summed to
-        # round-off.
+        # Unless one axis is held, T does not depend on the shaft angle; that sum would only give
+        # round-off and is left out.
         total = moment
         if i or len(tables.axes) == 1:
             total = 0.0 if i else load[TORQUE]
@@ -243,7 +243,7 @@ def _observe(tables, state, load, out):
 @functions.tip.of(RateTables)
 @functions.tip.of(Tables)
 def _tip(tables, motion, out):
-    """Write where the tip is: the slopes' integral, as seen from the shaft."""
+    """Write the tip's position, the integral of the slopes, and rotation from the shaft."""
     rotation, shear, reach = tables.rotation, tables.shear, tables.reach
     count, nodes = rotation.shape
     for k in range(3):

@@ -7,10 +7,10 @@
 # language governing permissions and limitations under the License.
 
 """
-What the compiled functions of `exact` add where coordinates have rates in place of momenta.
+Additions to the compiled functions of `exact` for coordinates with rates in place of momenta.
 
-Numbers (T..) are those of doc/theory.md, section 6. These are the axial coordinates or,
-with one axis of the carrier held and no axial ones, all that are free.
+These coordinates are the axial ones or, with one axis of the carrier held and no axial ones, all
+free ones. Numbers (T..) are those of doc/theory.md, section 6.
 """
 
 import math
@@ -37,24 +37,24 @@ def stretch_slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
 
 @optional
 def known_rates(tables, state, mass, inverse, speed, factors):
-    """Set the rates that are part of the state; keep L and 1/D of the mass matrix."""
+    """Set the rates that are part of the state; copy L and 1/D of the mass matrix to `factors`."""
 
 
 @optional
 def rated(tables):
-    """Return how many of the last coordinates have rates in place of momenta."""
+    """Return the number of last coordinates that have rates in place of momenta."""
     return 0
 
 
 @optional
 def stretch_forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordinate, speed,
                    factors, out):
-    """Add what the axial strain adds to dT/dq (T29); write the accelerations (T35)."""
+    """Add the terms of the axial strain to dT/dq (T29); write the accelerations (T35)."""
 
 
 @optional
 def stretch_tip(tables, motion, out):
-    """Add the axial strain to where the tip is, as seen from the shaft."""
+    """Add the displacement by axial strain to the tip's position from the shaft."""
 
 
 @functions.holds.of(RateTables)
@@ -93,15 +93,15 @@ def _rated(tables):
 @known_rates.of(RateTables)
 def _rates(tables, state, mass, inverse, speed, factors):
     count = len(speed)
-    own = count - len(tables.linear_rate)
+    rates_from = count - len(tables.linear_rate)
     for i in range(count - len(tables.straight), count):
         for j in range(i):
             factors[i, j] = mass[i, j]
         factors[i, i] = inverse[i]
-    for i in range(own, count):
+    for i in range(rates_from, count):
         speed[i] = state[len(state) - count + i]
-        for j in range(own, i):
-            mass[i, j] = 0.0  # other rates of the state are as given
+        for j in range(rates_from, i):
+            mass[i, j] = 0.0  # the back substitution that follows must not change these rates
 
 
 @stretch_forces.of(RateTables)
@@ -110,7 +110,7 @@ def _forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordi
     rotation, shear, stretch, lever = tables.rotation, tables.shear, tables.stretch, tables.lever
     count, nodes = rotation.shape
     first, axial, momenta = count - len(tables.straight), count - len(stretch), len(out) - count
-    own = count - len(tables.linear_rate)
+    rates_from = count - len(tables.linear_rate)
     push_x, push_y, tip_x, tip_y = forces
     across, bent_1, bent_2 = local((lever,)), local((lever,)), local((lever,))
     for j in range(nodes):
@@ -141,8 +141,8 @@ def _forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordi
             work_y = tables.reach[j] * tip_y - lever[j] * push_y
             total += (work_x * c1[i, j] + work_y * c2[i, j] - image_1[i, j] * bent_1[j]
                       - image_2[i, j] * bent_2[j])
-        # Of the shaft, T does not depend on the angle unless one axis is held.
-        if i < own and (i or len(tables.axes) == 1):
+        # Unless one axis is held, T does not depend on the shaft angle.
+        if i < rates_from and (i or len(tables.axes) == 1):
             out[momenta + i] += added
         total += (tables.turn[i] * load[TIP_TORQUE] - tables.stiffness[i] * coordinate[i]
                   - tables.damping[i] * speed[i])
@@ -151,19 +151,19 @@ def _forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordi
         for j in range(first):
             total -= factors[i, j] * load[ACCELERATION]
         force[i] = total
-    # M q'' = force, with M = L D L^T of `_set_speed`, for the last q''.
+    # Solve M q'' = force for the last q'', with M = L D L^T of `_set_speed`.
     for k in range(first, count):
         for i in range(k + 1, count):
             force[i] -= factors[i, k] * force[k]
-    for k in range(count - 1, own - 1, -1):
+    for k in range(count - 1, rates_from - 1, -1):
         force[k] *= factors[k, k]
         for i in range(k + 1, count):
             force[k] -= factors[i, k] * force[i]
-    for i in range(own, count):
+    for i in range(rates_from, count):
         total = force[i]
-        for j in range(own, count):
-            total -= (tables.linear_rate[i - own, 0, j - own] * coordinate[j]
-                      + tables.linear_rate[i - own, 1, j - own] * speed[j])
+        for j in range(rates_from, count):
+            total -= (tables.linear_rate[i - rates_from, 0, j - rates_from] * coordinate[j]
+                      + tables.linear_rate[i - rates_from, 1, j - rates_from] * speed[j])
         out[momenta + i] = total
 
 

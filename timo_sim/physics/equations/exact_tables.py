@@ -26,22 +26,20 @@ class Tables(NamedTuple):
     straight: np.ndarray   # M^-1 of the straight arm, (n, n)
     damping: np.ndarray    # c_s, then 2 zeta_i omega_i, (1 + N,)
     drag: float            # c_c
-    axes: np.ndarray       # along which the carrier is free
-    anchor: np.ndarray     # where it is held, (2,)
+    axes: np.ndarray       # axes along which the carrier is free
+    anchor: np.ndarray     # position at which it is held, (2,)
     reach: np.ndarray      # from nodal values to their integral over the arm, (n_g,)
     turn: np.ndarray       # Phi_i at the tip, (1 + N,)
     weight: np.ndarray     # m_t g along world x and y, (2,)
 
 
-# The same for an arm that stretches, whose last A coordinates are axial, and
-# - stretch: E_i of these at the nodes, (A, n_g);
-# - stiffness: omega_i^2, (1 + N,);
-# - axial_rate: what the linear part has for their accelerations per q_i and q_i', (2, A, A).
-# With one axis of the carrier held, each of so many sectors of half a turn has its linear part.
+# Number of sectors of half a turn with a linear part each, if one axis of the carrier is held.
 SECTORS = 16
 
-# Where the last R coordinates have rates in place of momenta (T35): the axial strain of the last A
-# at the nodes, (A, n_g); omega_i^2, (1 + N,); the linear part of the accelerations, (R, 2, R); the
-# sector of the shaft angle for which it is, -1: any.
+# Constants where the last R coordinates have rates in place of momenta (T35). In addition:
+# - stretch: E_i of the last A coordinates, the axial ones, at the nodes, (A, n_g);
+# - stiffness: omega_i^2, (1 + N,);
+# - linear_rate: linear part of the last accelerations per q_i and per q_i', (R, 2, R);
+# - sector: number of the sector for which the linear part is, -1: any.
 RateTables = namedtuple(  # type: ignore[misc]
     'RateTables', (*Tables._fields, 'stretch', 'stiffness', 'linear_rate', 'sector'))

@@ -7,10 +7,10 @@
 # language governing permissions and limitations under the License.
 
 """
-The compiled functions of a formulation, declared; each formulation ties its own to its constants.
+Declarations of the compiled functions of a formulation, for which each formulation has bodies.
 
-An integrator calls `rate` and `observe` by these names; numba chooses the body by the type of the
-constants, `rate.of(Tables)`.
+An integrator calls `rate` and `observe` by these names. numba chooses the body by the type of the
+constants, for which `@rate.of(Tables)` registers it.
 """
 
 from timo_sim.jit.decorators import dispatch, entry_point, optional
@@ -19,7 +19,7 @@ from timo_sim.jit.decorators import dispatch, entry_point, optional
 @dispatch
 def rate(tables, state, load, out):
     """
-    Write the nonlinear part n(y, load) of a formulation, the load included.
+    Write n(y, load), the state's rate less its linear part; loads are included.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def rate(tables, state, load, out):
 
 @optional
 def holds(tables, state, load):
-    """Return whether the linear part, of which the constants know, is that for this state."""
+    """Return whether the linear part that belongs to the constants is the one for this state."""
     return True
 
 
@@ -46,7 +46,7 @@ def observe(tables, state, load, out):
 @dispatch
 def tip(tables, motion, out):
     """
-    Write where the tip of a motion's arm is.
+    Write the position and rotation of the tip in a motion.
 
     Parameters
     ----------

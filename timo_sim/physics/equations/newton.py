@@ -18,8 +18,9 @@ of Remark 1 and
     a_n = int M W_n     b_n = int (M xi W_n + J Phi_n)     c_n = int M xi W_n
     G_nl = int M W_n W_l    s_a = int M xi    J_0 = J_m + int (M xi^2 + J)     m_a = int M
 
-(28), (29) projected on the modes and (33) are, with `alpha` and `beta` the carrier's acceleration
-along axes I and II, and the modal stress `k_n = omega_n^2 q_n + 2 zeta_n omega_n q_n'`,
+let `alpha` and `beta` be the carrier's acceleration along axes I and II, and
+`k_n = omega_n^2 q_n + 2 zeta_n omega_n q_n'` the modal stress. Then (33) and the projections of
+(28), (29) on the modes are
 
     J_0 theta'' + b.q'' + s_a beta = tau + theta'^2 c.q                  (T15)
     q_n'' + b_n theta'' + a_n beta = theta'^2 (G q)_n - k_n              (T11)
@@ -32,11 +33,11 @@ and the reactions of the root on the carrier, in (31), (32), are integrals over 
 A force (F_1, F_2) and a torque tau_e on the tip add `l F_2 - w(l) F_1 + tau_e` to the first row,
 `W_n(l) F_2 + Phi_n(l) tau_e` to the others, F_1 to P(0) and F_2 to V(0) (T17).
 
-The formulations derived from this one change rows of these tables, see `Laws`. The first two rows
-have a constant matrix A for z = (theta'', q''). It is inverted once and leaves `z = z_0 - v beta`;
-beta follows from (31), (32), of which the rows of the axes along which the carrier is held are
-left out. Of a driven shaft theta'' is given, and its row is left out too. The state is the motion,
-without what is held or driven.
+The formulations derived from this one change coefficients of these equations, see `Laws`. (T15)
+and (T11) have a constant matrix A for z = (theta'', q''). It is inverted once, so that
+`z = z_0 - v beta`. beta follows from (31), (32), without the rows of axes along which the carrier
+is held. The row of a driven shaft, whose theta'' is given, is left out too. The state is the
+motion without the coordinates that are held or driven.
 """
 
 from functools import cached_property
@@ -67,7 +68,7 @@ class Laws(NamedTuple):
     shear_softening: np.ndarray  # U, (N,)
     shear_stress: np.ndarray    # Y, (N,)
     axial: np.ndarray           # e, (N,)
-    tip_share: float = 1.0      # of a load on the tip that shaft and V(0) see besides the modes
+    tip_share: float = 1.0      # share of a load on the tip in the shaft's row and in V(0)
 
 
 class Newton(Formulation):
@@ -75,7 +76,7 @@ class Newton(Formulation):
 
     @staticmethod
     def node_count(count):
-        """Return the number of quadrature nodes: only the tables need them, so they are many."""
+        """Return the number of quadrature nodes; they are many, since no step evaluates them."""
         return 4 * count + 40
 
     @property
@@ -122,7 +123,7 @@ class Newton(Formulation):
         per_stress[free] = -inverse @ laws.stress[free]
         across = laws.shear_mass - laws.shear_row @ response
         reaction = laws.shear_stress - laws.shear_row @ per_stress
-        # With one axis held, beta per stress depends on the shaft angle.
+        # With one axis held beta per stress depends on the shaft angle: not in the linear part.
         in_linear = 1.0 / (base_mass + across) if axes == 2 else 0.0
 
         half, modal = axes + len(inverse), axes + len(inverse) - len(stiffness)
@@ -147,7 +148,7 @@ class Newton(Formulation):
         return np.concatenate([motion[free], motion[half + free]])
 
     def _effort(self, motions, accelerations, loads):
-        """Return what rows of the shaft and of the carrier, with P(0), V(0), ask for (T45)."""
+        """Return what (T15) and (T16) need, with P(0), V(0) of this formulation (T45)."""
         half, laws, theta = self.size // 2, self._laws, motions[:, 2]
         q, omega, qdot = motions[:, 3:half], motions[:, half + 2], motions[:, half + 3:]
         alpha, beta = rotate(-theta, *accelerations[:, :2].T)
@@ -168,7 +169,8 @@ class Newton(Formulation):
 
     @cached_property
     def _tension(self):
-        # Stiffness of the first mode by a force on the tip, an acceleration, a squared speed.
+        # Geometric stiffness of the first mode per axial force on the tip, per alpha, and per
+        # squared shaft speed.
         xi = self.quadrature.nodes
         slope = self.modes.rotation(xi)[:, 0] + self.modes.shear(xi)[:, 0]
         inboard = self.points.integral.T @ slope**2
@@ -177,9 +179,10 @@ class Newton(Formulation):
 
     def axial_share(self, state, load):
         """
-        Return the stiffness by the axial force, which is left out, over the first mode's (T18).
+        Return the geometric stiffness that the equations lack, over that of the first mode (T18).
 
-        At a state and a load that acts; negative in compression, below -1 the arm buckles.
+        It is the stiffness by the axial force at a state and a load that acts, negative in
+        compression; below -1 the arm would buckle.
         """
         half, axes = len(state) // 2, list(self.axes)
         angle, speed = (load[ANGLE], load[SPEED]) if self.first else (

@@ -37,7 +37,7 @@ class Tables(NamedTuple):
     across: float               # m_V - h.v: V(0) per beta
     swing: np.ndarray           # theta'' per k_n, (N,)
     reaction: np.ndarray        # V(0) per k_n at beta = 0, (N,)
-    in_linear: float            # share of beta per k_n that the linear part accounts for
+    in_linear: float            # beta per V(0) of the modal stress in the linear part, or 0
     softening: np.ndarray       # S, (1 + N, N)
     shear_row: np.ndarray       # h, (1 + N,)
     shear_softening: np.ndarray  # U, (N,)
@@ -45,10 +45,10 @@ class Tables(NamedTuple):
     stiffness: np.ndarray       # omega_n^2, (N,)
     damping: np.ndarray         # 2 zeta_n omega_n, (N,)
     drag: np.ndarray            # c_c of the carrier, c_s of the shaft, (2,)
-    axes: np.ndarray            # along which the carrier is free
-    anchor: np.ndarray          # where it is held, (2,)
+    axes: np.ndarray            # axes along which the carrier is free
+    anchor: np.ndarray          # position at which it is held, (2,)
     length: float               # l
-    tip_share: float            # of a load on the tip, see `Laws`
+    tip_share: float            # share of a load on the tip, see `Laws`
     sway: np.ndarray            # W_n at the tip, (N,)
     turn: np.ndarray            # Phi_n at the tip, (N,)
     gravity: np.ndarray         # g along world x and y, (2,)
@@ -63,8 +63,8 @@ def _dot(left, right):
 
 
 @inlined
-def _set_unheld(tables, q, theta_rate, load, tip_2, tip_moment, force, z):
-    """Set z_0, the accelerations at beta = 0 without the modal stress, which is linear."""
+def _set_z_0(tables, q, theta_rate, load, tip_2, tip_moment, force, z):
+    """Set z_0: theta'' and q'' at beta = 0, without the modal stress (in the linear part)."""
     inverse, softening = tables.inverse, tables.softening
     rows, count = softening.shape
     first = rows - len(inverse)
@@ -141,7 +141,7 @@ def _fall(tables, cosine, sine, tilt, out):
 
 @functions.rate.of(Tables)
 def _rate(tables, state, load, out):
-    """Write what the linear part leaves of the state's rate."""
+    """Write the state's rate less its linear part."""
     rows, count = tables.softening.shape
     first, half = rows - len(tables.inverse), len(state) // 2
     modal = half - count
@@ -154,14 +154,14 @@ def _rate(tables, state, load, out):
     else:
         theta, omega = load[ANGLE], load[SPEED]
 
-    # A load on the tip, in turning axes, and its moment about the shaft.
+    # Force on the tip in axes I, II; moment of the tip's load about the shaft.
     sine, cosine = sincos(theta)
     tip_1 = load[TIP_I] + cosine * load[TIP_X] + sine * load[TIP_Y]
     tip_2 = load[TIP_II] - sine * load[TIP_X] + cosine * load[TIP_Y]
     tip_moment = tables.tip_share * (
         load[TIP_TORQUE] + tables.length * tip_2 - _dot(tables.sway, q) * tip_1)
     force, z = local((tables.softening,)), local((tables.softening,))
-    _set_unheld(tables, q, omega, load, tip_2, tip_moment, force, z)
+    _set_z_0(tables, q, omega, load, tip_2, tip_moment, force, z)
 
     # P(0) and V(0) at alpha = beta = 0.
     swing = z[0]
@@ -205,7 +205,7 @@ def _observe(tables, state, load, out):
 
 @functions.tip.of(Tables)
 def _tip(tables, motion, out):
-    """Write where the tip is: at (l, w)."""
+    """Write the tip's position (l, w), and its rotation."""
     out[0] = tables.length
     out[1] = 0.0
     out[2] = 0.0

@@ -9,9 +9,9 @@
 """
 The `newton_rigid_axial` formulation: the axial assumption that the paper warns of.
 
-`newton` with (35) in place of (34): the axial force at the root is that of a rigid body,
-`P(0) = -m_a a_I(chi)` with the acceleration (26) of the mass centre at xi = chi, w(chi) included:
-doc/theory.md (T21).
+It is `newton` with (35) in place of (34): the axial force at the root is that of a rigid body,
+`P(0) = -m_a a_I(chi)`, with the acceleration (26) of the mass centre at xi = chi, which includes
+w(chi). See doc/theory.md (T21).
 """
 
 import numpy as np

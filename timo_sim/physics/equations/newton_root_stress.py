@@ -11,12 +11,12 @@ The `newton_root_stress` formulation: root reactions from the truncated series.
 
 This is the literal reading of the paper's section 3.3: `V(0) = kappa G A (w' - phi)(0)` and
 `M(0) = E I phi'(0)` with (36), where `kappa G A (W_n' - Phi_n)(0) = omega_n^2 a_n` and
-`E I Phi_n'(0) = omega_n^2 b_n`; a damped mode adds its damping stress. With `k_n` as in `newton`
+`E I Phi_n'(0) = omega_n^2 b_n`; a damped mode adds its damping stress. With the k of `newton`,
 
     J_m theta'' = tau + b.k     V(0) = a.k                               (T20)
 
-in place of its rows for theta and V(0); a load on the tip acts on the modes and P(0) alone. What
-the modes left out weigh is lost: with N = 5 in the paper's scene 5 % of the arm's mass.
+replace its rows for theta and V(0). A load on the tip acts on the modes and P(0) alone. The mass
+beyond mode N does not load the carrier: with N = 5 in the paper's scene 5 % of the arm's mass.
 """
 
 import numpy as np
@@ -38,8 +38,8 @@ class NewtonRootStress(Newton):
         matrix[0, 0] = body.shaft_inertia
         softening[0] = 0.0
         stress[0] = -laws.matrix[0, 1:]
-        none = np.zeros_like(laws.axial)
+        zero = np.zeros_like(laws.axial)
         return laws._replace(
             matrix=matrix, column=np.append(0.0, self.moment), softening=softening, stress=stress,
-            shear_mass=0.0, shear_row=np.zeros_like(laws.column), shear_softening=none,
+            shear_mass=0.0, shear_row=np.zeros_like(laws.column), shear_softening=zero,
             shear_stress=self.moment, tip_share=0.0)

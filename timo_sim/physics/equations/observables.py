@@ -17,11 +17,11 @@ class Observables:
     """A part of `base.Formulation`, whose attributes it uses."""
 
     def section_rotation(self, q, points):
-        """Return phi relative to the shaft, shape (n, p) [rad]. Source: paper eq. (36)."""
+        """Return section rotations from the shaft, shape (n, p) [rad]. Source: paper eq. (36)."""
         return q @ points.rotation
 
     def world(self, motions, points):
-        """Return where points of the centre line are, in world axes, shape (n, p, 2) [m]."""
+        """Return the world positions of points of the centre line, shape (n, p, 2) [m]."""
         along, across = np.moveaxis(self.centre_line(self._split(motions)[0], points), -1, 0)
         turned = np.stack(rotate(motions[:, 2, np.newaxis], along, across), axis=-1)
         return motions[:, np.newaxis, 0:2] + turned
@@ -58,7 +58,7 @@ class Observables:
         """Return the power that viscous friction and modal damping take, shape (n,) [W]."""
         half, body = self.size // 2, self.manipulator
         rates = motions[:, half:]**2
-        # What is held, locked or driven is not rubbed: a driven shaft's friction is its drive's.
+        # Coordinates that are held, locked or driven have no viscous friction in the equations.
         return (body.carrier_friction * rates[:, self.axes].sum(axis=1)
                 + (1 - self.first) * body.shaft_friction * rates[:, 2]
                 + rates[:, 3:] @ (2.0 * self.damping * self.modes.omega))
@@ -96,7 +96,7 @@ class Observables:
 
     def velocities(self, motions, points):
         """
-        Return how points of the centre line move.
+        Return the velocities of points of the centre line and of the sections there.
 
         Velocity in world axes, shape (n, p, 2) [m/s], and angular velocity of the sections,
         shape (n, p) [rad/s].

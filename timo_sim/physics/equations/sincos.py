@@ -9,8 +9,8 @@
 """
 Sine and cosine for compiled loops over nodes.
 
-The library's functions are calls, one per number; these are arithmetic without branches, of which
-the compiler makes vector code. Errors are below 1 unit in the last place up to 1e5 rad.
+The library's functions need a call for each number. These are arithmetic without branches, which
+the compiler turns into vector code. Errors are below 1 unit in the last place up to 1e5 rad.
 """
 
 import numpy as np
@@ -26,7 +26,8 @@ def sincos(angle):
     """
     Return sine and cosine of an angle [rad].
 
-    Reduced to [-pi/4, pi/4]; polynomials there by Sun Microsystems (fdlibm, k_sin.c, k_cos.c).
+    The angle is reduced to [-pi/4, pi/4]. Source of the polynomials there: fdlibm by Sun
+    Microsystems, k_sin.c and k_cos.c.
     """
     quarters = np.floor(angle * (2.0 / np.pi) + 0.5)
     x = (angle - quarters * _HIGH) - quarters * _LOW

@@ -6,30 +6,30 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Damping ratios of the arm clamped at the shaft from those of the whole manipulator."""
+"""Convert damping ratios of the whole manipulator to those of the clamped arm's modes."""
 
 import numpy as np
 
 
 def clamped_ratios(model, ratios):
     """
-    Return the ratios of the clamped modes that give the manipulator's vibrations others.
+    Return the ratios of the clamped modes that give the manipulator's vibrations stated ratios.
 
-    With displacements x of the manipulator's k-th undamped vibration, of which the strain energy
-    is that of a unit mass, damping of the n-th clamped mode adds `2 zeta_n omega_n x_n^2` to
-    `2 zeta_k omega_k`: as many equations as modes, right to first order in the ratios.
+    Let x_n be the modal coordinates of the manipulator's k-th undamped vibration, of unit modal
+    mass and frequency Omega_k. Damping of the n-th clamped mode adds `2 zeta_n omega_n x_n^2` to
+    `2 zeta_k Omega_k`. This gives as many equations as modes, right to first order in the ratios.
 
     Parameters
     ----------
     model : Formulation
-        Its damping does not matter.
+        Its own damping is not used.
     ratios : float or ndarray, shape (N,)
-        Of the manipulator's vibrations, by ascending frequency.
+        Stated ratios of the manipulator's vibrations, by ascending frequency.
 
     Returns
     -------
     ndarray, shape (N,)
-        Negative where no damping of clamped modes does it.
+        An entry is negative if no positive damping of the clamped modes gives these ratios.
 
     """
     half, omega = len(model.linear) // 2, model.modes.omega

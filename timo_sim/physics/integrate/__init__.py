@@ -7,10 +7,10 @@
 # language governing permissions and limitations under the License.
 
 """
-From a state to later ones: the time step ETDRK4, its error, Coulomb friction.
+Integration in time: the step ETDRK4, the estimate of its error, Coulomb friction.
 
-It may import `jit`, `physics.layout` and `physics.equations`, of which it knows the declared
-functions and `Formulation`.
+This package may import `jit`, `physics.layout` and `physics.equations`, of which it knows the
+declared functions and `Formulation`.
 """
 
 from timo_sim.physics.integrate.friction import FrictionSteps
@@ -28,7 +28,7 @@ def steps_of(model, step, tolerance=0.0, friction=None):
     step : float
         [s]
     tolerance : float
-        Largest estimated error of a step [m]; 0: none is split.
+        Largest estimated error of a step [m]; 0: none is split. Not used with friction.
     friction : ndarray, shape (3,), optional
         Largest Coulomb friction of carrier x, y [N] and shaft [N m].
 

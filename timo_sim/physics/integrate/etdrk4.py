@@ -65,7 +65,7 @@ def check(state, load, loads, propagator):
 @inlined
 def one_step(tables, propagator, now, start, middle, end, half, following, combined,
              rate_0, rate_a, rate_b, rate_c, stage):
-    """Write the state one step after `now`, and the rates of the four stages."""
+    """Write the state one step after `now` to `stage`, n of the four stages to `rate_*`."""
     rate(tables, now, start, rate_0)
     _multiply(propagator.half, now, half)
     copy(half, stage)
@@ -93,12 +93,12 @@ def one_step(tables, propagator, now, start, middle, end, half, following, combi
 @entry_point
 def advance(tables, propagator, state, load, loads, sample_every, done, samples, states, rates):
     """
-    Integrate over a run of equal steps, as long as the linear part holds.
+    Integrate over some equal steps, as long as the linear part of the tables is valid.
 
     Parameters
     ----------
     tables : packed constants
-        The formulation's constants; their names select the formulation.
+        Constants of the formulation; the names of their fields select its functions.
     propagator : packed constants
         The matrices of the step.
     state : ndarray, shape (m,)
@@ -106,9 +106,9 @@ def advance(tables, propagator, state, load, loads, sample_every, done, samples,
     load : ndarray, shape (14,)
         Load at the start, for the first sample.
     loads : ndarray, shape (steps, 4, 14)
-        Load of each step at its start, middle and end, as the step itself sees it: a jump on the
-        boundary between two steps appears on the right side in either, and what happens inside is
-        there by its moments. Then the true one at its end, which samples show.
+        Load of each step at its start, middle and end, as the step itself sees it: of a jump on
+        the boundary between two steps each sees its own side, and changes inside a step enter by
+        their moments (T37). Then the true load at the end of the step, which samples show.
     sample_every : int
         Steps between samples; 0: none are taken.
     done : int
@@ -116,13 +116,13 @@ def advance(tables, propagator, state, load, loads, sample_every, done, samples,
     samples : ndarray, shape (n, 2 (3 + N))
         Receives the motions `sample_every`, 2 `sample_every`, ... steps after the first sample.
     states, rates : ndarray, shape (steps, m)
-        Receive the state at the start of each step, and what the linear part leaves of its rate.
+        Receive the state at the start of each step, and n there.
 
     Returns
     -------
     int
-        Steps done; fewer than given if the state is no longer finite, or the constants do not hold
-        for it.
+        Steps done; fewer than given if the state is no longer finite, or the linear part is not
+        the one for it.
 
     """
     check(state, load, loads, propagator)
@@ -132,7 +132,7 @@ def advance(tables, propagator, state, load, loads, sample_every, done, samples,
     rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
     copy(state, now)
     for k in range(len(loads) + 1):
-        # The only place from which motions come: others would be rounded in another way.
+        # `Steps.motion` comes from here, too: compiled elsewhere it could be rounded differently.
         if sample_every and (done + k) % sample_every == 0:
             observe(tables, now, load, samples[(done + k) // sample_every])
         if k == len(loads):
@@ -160,30 +160,31 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
     """
     Integrate as `advance`, until a step and its two halves differ by more than a tolerance.
 
-    It is the halves that count; their error is about 1/15 of the difference.
+    The result of the halves is kept; its error is about 1/15 of the difference.
 
     Parameters
     ----------
     whole, halves : packed constants
         The matrices of the step, and of one half as long.
     shift : ndarray, shape (m, m)
-        Turns the difference of the states into errors, of which the sizes are summed up.
+        Turns the difference of the states into shifts of the tip, whose sizes are summed up [m].
     tolerance : float
+        Largest such sum [m].
     loads, of_halves : ndarray, shapes (steps, 4, 14), (2 steps, 4, 14)
-        Of steps and of their halves.
+        Loads of the steps and of their halves.
     first : int
-        Steps of these that are done.
+        Number of these steps that are done already.
     done : int
         Steps from the first sample to the first of these.
     differences : ndarray, shape (steps, m)
-        Receives by how much the states after each step and after its halves differ.
+        Receives the state after each step less that after its halves.
     errors : ndarray, shape (2,)
-        Receives the largest error of a step that was done, and that of the one that was not.
+        Receives the largest sum of a step that is accepted, and the sum of one that is not.
 
     Returns
     -------
     int
-        Steps of these that are done, the first ones included.
+        Number of these steps that are done, the first ones included.
 
     """
     check(state, load, loads, whole)

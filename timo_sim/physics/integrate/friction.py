@@ -10,9 +10,9 @@
 Coulomb friction of the joints: of the carrier along world x and y, and of the shaft.
 
 In each step the friction of a joint is a straight line in time, a mean R and a slope R', which is
-added to the load. It is found by trial steps, see doc/theory.md (T41)-(T43): sliding through the
-whole step takes one, and what comes to rest, is held or breaks away takes a few more. No trial
-knows of the steps before, so that it does not matter how many steps are done at once.
+added to the load. It is found by trial steps, see doc/theory.md (T41)-(T43): one if all joints
+slide through the whole step, a few more if a joint comes to rest, is held or breaks away. No trial
+depends on earlier steps, so that it does not matter how many steps are done at once.
 """
 
 import sys
@@ -28,15 +28,15 @@ from timo_sim.physics.integrate.friction_events import (
 from timo_sim.physics.integrate.steps import Steps
 from timo_sim.physics.layout import AFTER, LOADS, STAGES
 
-# What is kept from step to step: forces, heat, the drift of each joint.
+# Places in `Steps.memory`: friction of each joint, heat, drift of each joint; size of all.
 _HEAT, _DRIFT, _KEPT = JOINTS, JOINTS + 1, 2 * JOINTS + 1
-# Trial steps at most, of which the first and one for each joint make the linear model.
+# Most trial steps; the first and one for each joint identify the linear model.
 _TRIALS = 12
 
 
 @inlined
 def _clear(mobility, going):
-    """Set what no trial has told yet to zero."""
+    """Set the linear model to zero, which stays so for joints without friction."""
     for i in range(JOINTS):
         for j in range(JOINTS):
             mobility[i, j] = going[i, j] = 0.0
@@ -52,7 +52,7 @@ def _slide(joints, speed, r, slope, acting):
 
 @inlined
 def _push(loads, r, slope, pushed):
-    """Set the loads of a step with friction."""
+    """Set the loads of a step with friction at its start, middle and end."""
     for j in range(STAGES):
         copy(loads[j], pushed[j])
         for i in range(JOINTS):
@@ -61,7 +61,7 @@ def _push(loads, r, slope, pushed):
 
 @inlined
 def _learn(joints, trial, motion, place, speed, r, before, end, travel, mobility, going):
-    """Set where a trial ends, and what its friction did; return whether all joints slid."""
+    """Set speeds and travels of a trial, and their change by r; return whether all joints slid."""
     rates, sliding = len(motion) // 2, True
     for i in range(JOINTS):
         if 0 < trial <= JOINTS:
@@ -75,7 +75,7 @@ def _learn(joints, trial, motion, place, speed, r, before, end, travel, mobility
 
 @inlined
 def _add_heat(joints, motion, place, speed, r, slope, friction):
-    """Add what friction has made of work in a step that ends with a motion."""
+    """Add the heat of friction in a step that ends with a motion."""
     rates = len(motion) // 2
     for i in range(JOINTS):
         friction[_HEAT] -= (r[i] * (motion[i] - place[i])
@@ -84,7 +84,7 @@ def _add_heat(joints, motion, place, speed, r, slope, friction):
 
 @inlined
 def _add_drift(joints, side, travel, path, friction):
-    """Add how far joints that came to rest or were held went from where straight speeds lead."""
+    """Add the drift of joints that came to rest or were held, from travel and path."""
     for i in range(JOINTS):
         if joints.limit[i] > 0.0 and side[i] == 0.0:
             friction[_DRIFT + i] += abs(travel[i] - path[i]) * joints.step
@@ -101,12 +101,13 @@ def advance(tables, propagator, joints, friction, state, load, loads, first, sam
     joints : packed constants
         Of `Joints`.
     friction : ndarray, shape (7,)
-        Forces of friction on carrier x, y [N] and its torque on the shaft [N m] at the end of the
-        last step; the heat it has made [J]; how far joints that came to rest, turned round or were
-        held went from where straight speeds lead, summed up over steps [m, m, rad]. Advanced in
-        place.
+        Friction on carrier x, y [N] and shaft [N m] at the end of the last step; its heat [J];
+        drift of carrier x, y [m] and shaft [rad]: how far joints that came to rest, turned round
+        or were held went from where straight speeds lead, summed up over steps. Advanced in place.
     heat : ndarray, shape (n,)
         Receives the heat with each sample.
+    first : int
+        Number of these steps that are done already; see `etdrk4.advance` for the others.
 
     """
     check(state, load, loads, propagator)
@@ -114,7 +115,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, first, sam
     now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
     combined = local((size,))
     rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
-    # Where the step begins and what a trial ends with; its travel is counted in steps.
+    # Positions and speeds at the start of a step, speeds and travels / h at the end of a trial.
     place, speed, end, travel = local((three,)), local((three,)), local((three,)), local((three,))
     r, slope, acting, path = local((three,)), local((three,)), local((three,)), local((three,))
     before, sloping, last = local((three,)), local((three,)), local((three,))
@@ -139,7 +140,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, first, sam
             break
 
         for trial in range(_TRIALS):
-            # The r of a trial: that of sliding, one that differs for one joint, the solution.
+            # Mean friction r of a trial: of sliding; changed for one joint; by the linear model.
             copy(r, before)
             if trial == 0:
                 _slide(joints, speed, r, slope, acting)
@@ -188,7 +189,7 @@ class FrictionSteps(Steps):
     """
 
     keeps_states = False
-    least = sys.maxsize  # rates jump where a joint stops or breaks away
+    least = sys.maxsize  # no estimate by defects: rates jump where a joint stops or breaks away
 
     def __init__(self, model, step, limit):
         super().__init__(model, step)
@@ -207,17 +208,17 @@ class FrictionSteps(Steps):
 
     @property
     def heat(self):
-        """What friction has made of work since the initial motion [J]."""
+        """Heat of Coulomb friction since the initial motion [J]."""
         return float(self.memory[_HEAT])
 
     @property
     def friction_drift(self):
-        """How far joints drifted in steps with events, summed up, as at the tip [m]."""
+        """Drift of joints in steps with events of friction, summed up, as at the tip [m]."""
         return float(self.memory[_DRIFT:] @ [1.0, 1.0, self.model.manipulator.arm.length])
 
     def warm_up(self, state, load):
-        """Compile, or load from disk, what is called besides `motion`."""
-        self._observe(state, load)  # estimates of the error leave friction out
+        """Compile, or load from disk, the functions that `motion` does not call."""
+        self._observe(state, load)  # steps without friction, which estimates of the error use
 
     def _integrate(self, state, load, loads, sample_every, sampled, motions, heat):
         return self._by_sectors(state, load, loads, 0, lambda part, first, load: advance(
@@ -225,7 +226,7 @@ class FrictionSteps(Steps):
             sample_every, sampled, motions, heat))
 
     def acting(self, load):
-        """Return a load with what friction adds to it, shape (14,)."""
+        """Return a load plus the friction at the end of the last step, shape (14,)."""
         load = load.copy()
         load[list(COLUMNS)] += self.friction
         return load

@@ -9,7 +9,9 @@
 """
 Coulomb friction within one step: speeds from event to event in the linear model of the step.
 
-An event is that a joint comes to rest. Numbers (T..) are those of doc/theory.md.
+At an event a joint comes to rest. Numbers (T..) are those of doc/theory.md. In the names of its
+(T42) and (T43): r, slope = R, R' and drift, bend = d, e of each joint; mobility, going, cross,
+bending = B, B_x, C, B_s; travel = Delta x / h.
 """
 
 from typing import NamedTuple
@@ -24,7 +26,7 @@ COLUMNS = FORCE_X, FORCE_Y, TORQUE  # of a load, by joint
 JOINTS = len(COLUMNS)
 _SAME = 1e-12   # relative change of r treated as converged; speeds then end at zero to round-off
 _STILL = 1e-12  # path treated as rest [m, rad]: what is at rest stays there to the last bit
-# Rounds for mean and slope in the linear model, and sweeps over the joints in each.
+# Most rounds for mean and slope in the linear model; most sweeps over the joints in `_hold`.
 _ROUNDS, _SWEEPS = 30, 200
 
 
@@ -37,7 +39,7 @@ class Joints(NamedTuple):
 
 @inner
 def _hold(side, pull, mobility, room, r):
-    """Set r of the joints that are at rest: what holds them against a pull, or all their room."""
+    """Set r of the joints at rest by Gauss-Seidel: it cancels their pull within +-room."""
     for _ in range(_SWEEPS):
         changed = False
         for i in range(JOINTS):
@@ -58,23 +60,23 @@ def _follow(joints, speed, drift, bend, mobility, bending, now, change, room, tu
     """
     Follow speeds that are parabolas from event to event through a step, (T42).
 
-    Receives mean and slope of r over the step, and each joint's path in steps as of speeds that
-    are straight lines; r itself is left with what it is at the end.
+    Sets mean and slope of r over the step, r to its value at the end, and `path`: each joint's
+    travel / h if speeds were straight lines between events.
     """
     for i in range(JOINTS):
         now[i], side[i] = speed[i], np.sign(speed[i])
         mean[i], slope[i], path[i], turn[i] = 0.0, 0.0, 0.0, 0.0
-    left, part = 1.0, 1.0  # of the step, and of that until the next event
-    for _ in range(JOINTS + 1):  # each comes to rest once
+    left, part = 1.0, 1.0  # what remains of the step, and the part until the next event
+    for _ in range(JOINTS + 1):  # each joint comes to rest once at most
         for i in range(JOINTS):
-            # What is held has no speed at the end.
+            # The pull on a joint at rest, including what brings its speed to zero at the end.
             change[i] = drift[i] + 0.5 * (1.0 - left) * bend[i] + now[i] / left
             if side[i] != 0.0:
                 r[i] = -joints.limit[i] * side[i]
         _hold(side, change, mobility, joints.limit, r)
         part, stops = left, -1
         for i in range(JOINTS):
-            # From here on, change from now: `change` t + bend t^2 / 2.
+            # From here on the speed is now + change t + bend t^2 / 2.
             change[i] = drift[i] + (0.5 - left) * bend[i]
             for j in range(JOINTS):
                 change[i] += mobility[i, j] * r[j]
@@ -91,7 +93,7 @@ def _follow(joints, speed, drift, bend, mobility, bending, now, change, room, tu
         if stops < 0:
             break
         side[stops], now[stops] = 0.0, 0.0
-    # What holds to the end is a straight line, too, within the limits.
+    # Joints held to the end have friction with a slope, too, within the limits.
     for i in range(JOINTS):
         room[i] = 2.0 * (joints.limit[i] - abs(r[i])) / part
     _hold(side, bend, bending, room, turn)
@@ -103,7 +105,7 @@ def _follow(joints, speed, drift, bend, mobility, bending, now, change, room, tu
 
 @inner
 def same(joints, r, other):
-    """Return whether two r are the same but for round-off."""
+    """Return whether two values of r are equal but for round-off."""
     for i in range(JOINTS):
         if abs(r[i] - other[i]) > _SAME * joints.limit[i]:
             return False
@@ -112,7 +114,7 @@ def same(joints, r, other):
 
 @inlined
 def fit(speed, end, travel, mobility, going, r, slope, drift, bend, cross, bending):
-    """Set the linear model of a step: drift and bend of the speeds without friction, (T43)."""
+    """Set the linear model of a step: its matrices, drift and bend without friction (T43)."""
     for i in range(JOINTS):
         drift[i] = end[i] - speed[i]
         bend[i] = 6.0 * (speed[i] + end[i]) - 12.0 * travel[i]
@@ -127,9 +129,9 @@ def fit(speed, end, travel, mobility, going, r, slope, drift, bend, cross, bendi
 def solve(joints, speed, drift, bend, mobility, cross, bending, before, pull, turning, passing,
           change, room, turn, side, acting, last, r, slope, sloping, path):
     """
-    Set mean and slope of r, of which one depends on the other, in the linear model.
+    Set mean and slope of r by the linear model, in rounds because each depends on the other.
 
-    Returns whether they are those of the trial before, which is then the step.
+    Return whether r is that of the last trial, which then is the step.
     """
     copy(slope, sloping)
     for _ in range(_ROUNDS):

@@ -7,15 +7,15 @@
 # language governing permissions and limitations under the License.
 
 """
-The error of a state after many steps, estimated from what the solution leaves of the equations.
+The error of a state after many steps, estimated from the defects of the steps.
 
 Numbers (T..) are those of doc/theory.md, section 7. The error E of the states obeys, to first
 order, the linear part of the equations, driven by the defect of each step (T38):
 
     E_{k+1} = exp(h L) E_k + y_{k+1} - exp(h L) y_k - int_0^h exp((h - s) L) n(t_k + s) ds
 
-The integral takes n as the polynomial of degree 5 through its values at six boundaries of steps
-around, which the integrator has at hand: no further evaluation is needed.
+In the integral n is the polynomial of degree 5 through its values at the six nearest boundaries of
+steps. The integrator has computed these, so n is not evaluated again.
 """
 
 from functools import cached_property, lru_cache
@@ -25,20 +25,20 @@ import numpy as np
 
 from timo_sim.physics.integrate.propagator import phi_functions
 
-_POINTS = 6  # of the polynomial
-_MIDDLE = _POINTS // 2 - 1  # the step between them where it is best
-LEAST = 8  # steps that can be estimated
-_BLOCK, _FEW = 64, 256  # steps summed up by one matrix; fewer do not pay for it
-_PRODUCTS = 2**18  # of numbers in one call of BLAS; for more it wakes its threads
+_POINTS = 6  # number of points of the polynomial
+_MIDDLE = _POINTS // 2 - 1  # the step between them for which it is most accurate
+LEAST = 8  # least number of steps for an estimate
+_BLOCK, _FEW = 64, 256  # steps summed up by one matrix; least number of steps for which that pays
+_PRODUCTS = 2**18  # most products of numbers in a call of BLAS before it starts threads
 
 
 @lru_cache(maxsize=1)
 def _coefficients():
     """
-    Return the weights of the moments of a step, shape (steps, powers, points).
+    Return the derivatives of the polynomial per nodal value, shape (steps, powers, points).
 
-    Of the polynomial through the points, its i-th derivative at the start of the o-th of the steps
-    between them per value at the j-th.
+    Entry (o, i, j) is the i-th derivative at the start of the o-th step between the points, per
+    value at the j-th point; the unit of time is the step.
     """
     offsets = np.arange(_POINTS) - np.arange(_POINTS - 1)[:, np.newaxis]
     inverse = np.linalg.inv(offsets[:, :, np.newaxis] ** np.arange(_POINTS, dtype=float))
@@ -80,7 +80,7 @@ class GlobalError:
         return powers
 
     def grow(self, steps):
-        """Follow the error over steps without defects."""
+        """Propagate the error over steps without defects."""
         for _ in range(steps // _BLOCK):
             self.error = self._powers[_BLOCK] @ self.error
         self.error = self._powers[steps % _BLOCK] @ self.error
@@ -108,14 +108,14 @@ class GlobalError:
         states, rates : ndarray, shape (steps + 1, m)
             y and n at the boundaries of the steps, smooth in between; at least `LEAST` steps.
         weight : float
-            How much the defects count, which may stand for those of steps before.
+            Factor of the defects, above 1 if they also stand for those of earlier steps.
 
         Returns
         -------
         errors : ndarray, shape (k, m)
-            At some boundaries.
+            Errors at some boundaries.
         numbers : list of int
-            Of these boundaries.
+            Numbers of these boundaries.
 
         """
         steps, size = len(rates) - 1, states.shape[1]
@@ -158,13 +158,13 @@ class GlobalError:
         defects[0] += self._powers[_BLOCK] @ self.error
         distance = 1
         while distance < len(defects):
-            # All are sums over so many blocks now.
+            # Each entry now sums up to so many blocks, the last of which is its own.
             defects[distance:] += defects[:-distance] @ self._over_blocks(distance).T
             distance *= 2
         self.error = defects[-1].copy()
 
     def _over_blocks(self, count):
-        # exp of L over a power of two of blocks.
+        # exp(k h L) over `count` blocks, a power of two.
         if count == 1:
             return self._powers[_BLOCK]
         if count not in self._squares:
@@ -174,12 +174,12 @@ class GlobalError:
 
     @cached_property
     def _of_step(self):
-        """The weights in the integral of a step, (steps, points, m, m)."""  # noqa: D401
+        """Return the weights of n in the integral of a step, (steps, points, m, m)."""
         return self._step * np.tensordot(_coefficients(), self._phi[1:], axes=(1, 0))
 
     @cached_property
     def _sums(self):
-        """What sums up the integrals of n over a block, ((_BLOCK + 1) m, m)."""
+        """Return the weights of n in the sum of integrals over a block, ((_BLOCK + 1) m, m)."""
         size, inner = len(self._linear), _BLOCK - 2 * _MIDDLE
         sums = np.zeros((_BLOCK + 1, size, size))
         later = self._powers[_BLOCK - 1 - _MIDDLE - np.arange(inner)]
@@ -193,7 +193,7 @@ class GlobalError:
 
 
 def _windows(rows, stride, length, count):
-    """Return each of some windows on rows as one row, shape (count, length m)."""
+    """Return windows of `length` rows, `stride` apart, each as one row, (count, length m)."""
     size = rows.shape[1]
     return np.lib.stride_tricks.as_strided(
         rows, (count, length * size), (stride * rows.strides[0], rows.strides[1]))

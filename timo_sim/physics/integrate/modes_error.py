@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""How far the tip is off because a model has no more modes, see doc/theory.md (T39), (T40)."""
+"""Estimated tip error by the modes that a model lacks, see doc/theory.md (T39), (T40)."""
 
 from functools import cached_property
 import math
@@ -16,18 +16,18 @@ from scipy.linalg import eig
 
 from timo_sim.physics.layout import tip_force, TIP_TORQUE
 
-_GROWTH = 1.25  # of the strain at which the shape is looked at again
-_LAST = 2  # modes that tell how much is left out
-_PAUSE = 8192  # steps after which it is anyway
+_GROWTH = 1.25  # factor by which the strain of the last modes must grow for new `shifts`
+_LAST = 2  # number of last bending modes whose strain is watched
+_PAUSE = 8192  # steps after which `shifts` are computed without such growth
 
 
 class ModesError:
     """
-    What the modes of a model leave out, by the balance of forces and moments along the arm.
+    Estimate of what the modes of a model lack, by forces and moments along the arm.
 
-    Inertia and loads outboard of a section tell its bending moment and shear force, and these the
-    strains that the arm would have. What of them is not in the modes is left out: it shifts the
-    tip, and it makes natural frequencies too high, so that vibrations run ahead.
+    Inertia and loads outboard of a section determine its bending moment and shear force, and so
+    the strains that the arm would have. The part of them that is not in the modes shifts the tip.
+    It also makes natural frequencies too high, so that vibrations run ahead.
 
     Parameters
     ----------
@@ -36,9 +36,10 @@ class ModesError:
     Attributes
     ----------
     tip : float
-        Largest distance of the tip from where more modes would have it so far [m].
+        Largest estimated distance of the tip from that of a model with more modes, so far [m].
     stretch : float
-        Largest shift of the tip by the axial force of an arm that does not stretch [m].
+        Largest shift of the tip so far that the axial force would cause, if the model does not
+        stretch [m].
 
     """
 
@@ -47,41 +48,41 @@ class ModesError:
         self.reset()
 
     def reset(self):
-        """Begin anew."""
+        """Set all errors to zero."""
         self.tip, self._shift, self._strain, self._pause, self._ahead = 0.0, 0.0, 0.0, 0, 0.0
         self.stretch = 0.0
 
     def go_on(self, earlier):
-        """Go on where an earlier one, of a model of the same size, has ended."""
+        """Take over the errors from the estimate for an earlier model of the same size."""
         self.tip, self._shift, self._ahead = earlier.tip, earlier._shift, earlier._ahead
 
     def look(self, state, load, rate, count):
         """
-        Look at a state.
+        Update the estimate by one state.
 
         Parameters
         ----------
         state : ndarray, shape (m,)
         load : ndarray, shape (14,)
-            That acts.
+            Load that acts, friction included.
         rate : ndarray, shape (m,)
-            Of the state, here or a step before.
+            Rate of the state, or of the state a step before.
         count : int
-            Steps since the last look.
+            Steps since the last call.
 
         """
         if not len(self._model.modes):
-            return  # a rigid arm is meant to be one
+            return  # without modes the arm is rigid on purpose
         self._pause += count
         self._look_at_shape(self._strains(state[np.newaxis])[0], state, load)
-        # By the rate: what does not change does not vibrate.
+        # Amplitudes follow from the rate, to which a constant deflection does not contribute.
         left, ahead = self._vibrations
         self._ahead += count * float(np.abs(left @ rate) @ ahead)
         tip = self._shift + self._ahead
         self.tip = max(self.tip, tip if math.isfinite(tip) else math.inf)
 
     def look_for_peak(self, states, loads):
-        """Look at the most strained of some states, (n, m), under their loads, (n, 14)."""
+        """Update by the most strained of some states, (n, m), under their loads, (n, 14)."""
         if len(self._model.modes):
             strains = self._strains(states)
             peak = np.argmax(strains)
@@ -95,7 +96,7 @@ class ModesError:
             self.stretch = max(self.stretch, math.hypot(*stretched))
 
     def _strains(self, states):
-        # Of the last two modes in bending: what is left out is as sharp or sharper.
+        # Strain of the last bending modes: those left out vary at least as fast along the arm.
         omega, axial = self._model.modes.omega, self._model.axial
         last = slice(max(0, len(omega) - axial - _LAST), len(omega) - axial)
         q = states[:, states.shape[1] // 2 - len(omega):]
@@ -103,9 +104,10 @@ class ModesError:
 
     def shifts(self, state, load):
         """
-        Return how the tip shifts along and across the shaft [m].
+        Return the shifts of the tip along and across the shaft, shape (2, 2) [m].
 
-        By what is left out of bending and shear, and by the axial force; shape (2, 2).
+        The first is that by the strains of bending and shear that are not in the modes; the second
+        that by the axial force, if the model does not stretch.
         """
         model = self._model
         motions, half_time = self._steps.flow(state, load)
@@ -116,7 +118,7 @@ class ModesError:
         force += model.point_mass[:, np.newaxis] * model.gravity
         force[-1] += np.ravel(tip_force(load[np.newaxis], motion[2:3]))
         moment[-1] += load[TIP_TORQUE]
-        # The arm is seen from the shaft.
+        # Forces in axes of the shaft.
         cosine, sine = math.cos(motion[2]), math.sin(motion[2])
         force = force @ np.array([[cosine, -sine], [sine, cosine]])
         q, (rotation, _, shear, *_) = motion[3:len(motion) // 2], self._fields
@@ -135,7 +137,7 @@ class ModesError:
         """
         Return the curvature and shear strain at the nodes that are not in the modes (T39).
 
-        Of q, (..., N); forces and moments at the points of mass, (..., p, 2), (..., p); slopes
+        For q, (..., N); forces and moments at the points of mass, (..., p, 2), (..., p); slopes
         a, b of the centre line; cosine and sine of the sections' rotation.
         """
         nodal = self._outboard @ force
@@ -156,7 +158,7 @@ class ModesError:
 
     @cached_property
     def _fields(self):
-        """Rotation, curvature, shear of the modes at the nodes, stiffnesses of bending, shear."""
+        """Rotation, curvature, shear of the modes at the nodes; bending and shear stiffness."""
         model = self._model
         nodes = model.quadrature.nodes
         section = model.manipulator.arm.at(nodes)
@@ -167,7 +169,7 @@ class ModesError:
 
     @cached_property
     def _softness(self):
-        # Strain per axial force, of arms that do not stretch in the model.
+        # Axial strain per axial force; 0 if the model stretches.
         model = self._model
         return (not model.axial) / model.manipulator.arm.at(model.quadrature.nodes).axial_stiffness
 
@@ -181,21 +183,21 @@ class ModesError:
 
     @cached_property
     def _rest(self):
-        # From nodal values to their integral up to the tip.
+        # From nodal values to their integrals from each node to the tip.
         return self._whole - self._inboard
 
     @cached_property
     def _outboard(self):
-        # From values at the points of mass to their sums outboard of the nodes.
+        # From values at the points of mass to their sums outboard of each node.
         return self._model.points.integral / self._weights[:, np.newaxis]
 
     @cached_property
     def _vibrations(self):
         """
-        The natural vibrations of the straight arm, as the modes have them (T40).
+        Return the left eigenvectors of the straight arm's natural vibrations (T40).
 
-        Their left eigenvectors, and by how much the tip runs ahead in a step, per rate.
-        """  # noqa: D401
+        With them, how far the tip runs ahead in a step, per modal component of the state's rate.
+        """
         model, step, tip_shift = self._model, self._steps.step, self._steps.errors.tip_shift
         values, left, right = eig(model.linear, left=True)
         kept = values.imag > 1e-6 * np.abs(values).max()

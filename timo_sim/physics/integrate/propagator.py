@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import matrix_balance
 
-_NORM, _TERMS = 2.0, 22  # 2^23 3! / 26! = 1e-19 is left of the series of phi_3
+_NORM, _TERMS = 2.0, 22  # the series of phi_3 is truncated at a relative 2^23 3! / 26! = 1e-19
 
 
 class Propagator(NamedTuple):
@@ -37,13 +37,13 @@ class Propagator(NamedTuple):
 
 
 def propagator(linear, step):
-    """Build the matrices of a step, see `propagators`."""
+    """Return the matrices of a step, a Propagator, see `propagators`."""
     return propagators(linear, step)[0]
 
 
 def propagators(linear, step):
     """
-    Build the matrices of a step and, for little more, those of a step half as long.
+    Return the matrices of a step and, at little more cost, those of a step half as long.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ def propagators(linear, step):
     list of Propagator
 
     """
-    # Stiffnesses and compliances differ by many decades; balanced (by powers of two, exactly),
-    # the norm of h L is about that of the fastest wave and the exponential keeps its digits.
+    # Stiffnesses and compliances differ by many decades. Balancing, exact by powers of two, brings
+    # the norm of h L to about that of the fastest wave, so that the exponential keeps its digits.
     balanced, (scale, _) = matrix_balance(linear, permute=False, separate=True)
     whole, half, quarter = (scale[:, np.newaxis] * phi / scale for phi in _phi(step * balanced))
     return [_combined(step, whole, half), _combined(0.5 * step, half, quarter)]
@@ -74,7 +74,7 @@ def phi_functions(linear, step, order):
         series = z @ series
         series.flat[::len(z) + 1] += 1.0 / math.factorial(k)
         phi[min(k, order)] = series
-    # The k-th of twice the argument per the j-th, without that of the product with phi_0.
+    # share[k, j]: weight of phi_j(z) in 2^k phi_k(2 z), besides phi_0(z) phi_k(z), see `_phi`.
     share = np.array([[1.0 / math.factorial(k - j) if 0 < j <= k else 0.0
                        for j in range(1 + order)] for k in range(1 + order)])
     half = 0.5 ** np.arange(1 + order)[:, np.newaxis, np.newaxis]
@@ -94,7 +94,7 @@ def _phi(z):
     """
     Return phi_0 to phi_3 of a matrix, of its half and of its quarter, each of shape (4, m, m).
 
-    By the series of phi_3 of the matrix divided by a power of two, then doubling the argument:
+    The matrix is divided by a power of two for the series of phi_3; then the argument is doubled:
     `2^k phi_k(2 z) = phi_0(z) phi_k(z) + sum_j phi_j(z) / (k - j)!`, j = 1..k. Source: Skaflestad
     and Wright, Appl. Numer. Math. 59 (2009) 783-799.
     """
@@ -116,7 +116,7 @@ def _phi(z):
 
 
 def _scaled(z):
-    """Return a matrix divided by a power of two, small enough for the series, and the power."""
+    """Return a matrix divided by 2^k to be small enough for the series, and k >= 2."""
     norm = np.linalg.norm(z, 1)
     doublings = max(2, math.ceil(math.log2(norm / _NORM))) if norm > 0.0 else 2
     return z / 2.0**doublings, doublings

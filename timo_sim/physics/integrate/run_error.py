@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What steps and modes of a run have got wrong, as seen at the tip."""
+"""Estimated error of a run at the tip, by its steps and by its modes."""
 
 from functools import cached_property
 import math
@@ -17,21 +17,21 @@ from timo_sim.physics.integrate.global_error import GlobalError
 from timo_sim.physics.integrate.modes_error import ModesError
 from timo_sim.physics.layout import ANGLE, LOADS, rotate, START
 
-CHUNK = 1024  # steps at once
-_KEPT = 2048  # steps whose states are kept
-_COST = 128  # steps that pay for an estimate
-_OF_STEP = 16.0 / 15.0  # so much more than from its halves a step differs from the truth
-_BENT = 1e-5  # [rad]
-_FEW = 512  # of steps whose states are not kept
-_LOOK = 16  # steps that pay for a look at the modes
+CHUNK = 1024  # most steps at once
+_KEPT = 2048  # most steps between estimates, if their states are kept
+_STEPS_PER_ESTIMATE = 128  # least mean number of steps for each estimate, to limit its cost
+_OF_STEP = 16.0 / 15.0  # error of a step, over its difference from its halves
+_BENT = 1e-5  # largest rotation of a section in the linearisation [rad]
+_FEW = 512  # most steps between estimates, if their states are not kept
+_STEPS_PER_LOOK = 16  # least number of steps after which `cut` estimates the modes' error again
 
 
 class RunError:
     """
     The estimated error of a run, see doc/theory.md (T38).
 
-    Steps between which no load jumps are told by their defects. Where loads jump every few steps,
-    one step in a while is done in halves, too, and stands for those that are unseen.
+    For steps between which no load jumps it follows from their defects. Where loads jump every few
+    steps, one step in a while is done in halves, too; its error stands for that of unseen steps.
 
     Parameters
     ----------
@@ -40,36 +40,36 @@ class RunError:
     Attributes
     ----------
     tip : float
-        Largest distance of the tip from where the equations have it so far [m].
+        Largest estimated distance of the tip from that of the exact solution so far [m].
     modes : ModesError
-        What the model's modes leave out.
+        Estimate of what the model's modes lack.
     unseen : int
-        Steps of which the error is not known.
+        Number of steps that no estimate covers yet.
 
     """
 
     def __init__(self, steps):
         self._steps, self._error = steps, GlobalError(steps.model.linear, steps.step)
         self.tip, self.unseen, self.modes, self._unlooked = 0.0, 0, ModesError(steps), 0
-        # Of the steps since the last cut: how many, and the states and rates at their starts.
+        # Number of steps since the last cut, and y and n of (T38) at their starts.
         self._open, self._credit = 0, CHUNK
         self._states, self._rates = np.zeros((2, _KEPT + 1, len(steps.model.linear)))
 
     def reset(self):
-        """Begin anew."""
+        """Set all errors to zero."""
         self.tip, self.unseen, self._open, self._credit = 0.0, 0, 0, CHUNK
         self._unlooked, self._error.error[:] = 0, 0.0
         self.modes.reset()
 
     def go_on(self, earlier):
-        """Go on where an earlier one, of a model of the same size, has ended."""
+        """Take over the errors from the estimate for an earlier model of the same size."""
         self.tip, self.unseen = earlier.tip, earlier.unseen
         self._error.error = earlier._error.error
         self.modes.go_on(earlier.modes)
 
     @property
     def total(self):
-        """What steps and modes have got wrong together, at the tip [m]."""
+        """Estimated error of steps and modes together, at the tip [m]."""
         return self.tip + self.modes.tip
 
     def give_up(self):
@@ -78,16 +78,16 @@ class RunError:
 
     @property
     def room(self):
-        """Steps that can be done at once."""
+        """Number of steps that can be done before the next cut."""
         return (_KEPT if self._steps.keeps_states else _FEW) - self._open
 
     @property
     def rest(self):
-        """Where the states and rates of coming steps are kept."""
+        """Arrays for y and n of (T38) of coming steps, or their error in `SplitSteps`, (k, m)."""
         return self._states[self._open:], self._rates[self._open:]
 
     def count(self, done, state, load):
-        """Count steps whose states and rates are kept; state and load are those at their end."""
+        """Count steps that are done; state and load are those at their end."""
         self._open += done
         self._unlooked += done
         self._credit = min(self._credit + done, CHUNK)
@@ -97,7 +97,7 @@ class RunError:
         """
         Estimate the error of the steps since the last cut.
 
-        Where they are too few, or that would cost too much, they are unseen until the next time.
+        If they are too few, or an estimate would cost too much, a later estimate includes them.
 
         Parameters
         ----------
@@ -105,10 +105,10 @@ class RunError:
         load : ndarray, shape (14,)
             At the end of the last step.
         smooth : bool
-            Whether the load was smooth since then; if not, a `look` has counted them.
+            Whether the load was smooth since the last cut; if not, `look` has counted the steps.
 
         """
-        self._look_at_modes(state, load, _LOOK)
+        self._look_at_modes(state, load, _STEPS_PER_LOOK)
         count, self._open = self._open, 0
         if not (smooth and count >= self._steps.least and self._pay()):
             self.unseen += count * smooth
@@ -122,9 +122,9 @@ class RunError:
 
     def look(self, state, tabulate, number, count):
         """
-        Estimate the error of a step, for some from there and for all that are unseen.
+        Estimate the error of `count` steps from step `number` on, and of all unseen ones.
 
-        The step is done as a whole and in halves, on copies.
+        All are taken to have the error of step `number`, done as a whole and in halves on copies.
         """
         self.unseen += count
         if not self._pay():
@@ -139,7 +139,7 @@ class RunError:
         self._note(self._error.error, state, loads[0, START])
 
     def conclude(self, state, load, tabulate, number):
-        """Estimate the error of all steps so far, if need be by the next one, `number`."""
+        """Estimate the error of all steps so far, if necessary by that of the step `number`."""
         self._credit = CHUNK
         self.cut(state, load)
         self._look_at_modes(state, load, 1)
@@ -155,9 +155,9 @@ class RunError:
             self._unlooked = 0
 
     def _pay(self):
-        # Whether an estimate is not too much beside the steps since the last.
-        enough = self._credit >= _COST
-        self._credit -= _COST * enough
+        # Whether there were enough steps to afford an estimate.
+        enough = self._credit >= _STEPS_PER_ESTIMATE
+        self._credit -= _STEPS_PER_ESTIMATE * enough
         return enough
 
     def _note(self, errors, states, load):
@@ -171,15 +171,15 @@ class RunError:
 
     @cached_property
     def motions(self):
-        """What coordinates of a state mean for those of a motion, linearised, (3 + N, m / 2)."""
+        """Coordinates of the motion per coordinate of the state, straight arm, (3 + N, m / 2)."""
         return self._linearised[0]
 
     @cached_property
     def tip_shift(self):
         """
-        What an error in the coordinates of a state means for the tip, shape (4, m / 2).
+        Shift of the straight arm's tip per coordinate of the state, shape (4, m / 2).
 
-        Of the straight arm: x and y in world axes, then along and across the shaft.
+        Rows: x and y in world axes by the carrier; along and across the shaft by all others.
         """
         return self._linearised[1]
 

@@ -18,12 +18,12 @@ from timo_sim.physics.layout import AFTER
 
 # A step is done in 2^(1 + FINEST) parts at most.
 FINEST = 5
-_OF_HALVES = 15.0  # a step and its halves differ by so much more than the halves are wrong
+_OF_HALVES = 15.0  # difference between a step and its halves, over the error of the halves
 
 
 class SplitSteps(Steps):
     """
-    Steps that are done as a whole and in halves; where these differ, in more parts.
+    Steps that are done as a whole and in halves; in more parts where the two differ too much.
 
     Parameters
     ----------
@@ -31,12 +31,12 @@ class SplitSteps(Steps):
     step : float
         [s]
     tolerance : float
-        Largest estimated error of a step [m].
+        Largest difference at the tip between a step and its halves; the halves are kept [m].
 
     Attributes
     ----------
     largest_error : float
-        Largest estimated error of a step so far [m].
+        Largest such difference of a step so far, its parts summed up [m].
 
     """
 
@@ -53,7 +53,7 @@ class SplitSteps(Steps):
         return [self.model.packed, self._part.propagator(), self._part.propagator(1)]
 
     def warm_up(self, state, load):
-        """Compile, or load from disk, what is called besides `motion`."""
+        """Compile, or load from disk, the functions that `motion` does not call."""
         self._do(state, load, lambda *span: NO_LOADS, 0, 0, 0, 0, *self.samples(0, 0))
 
     def _do(self, state, load, tabulate, first, count, sample_every, sampled, motions, heat):
@@ -78,10 +78,10 @@ class SplitSteps(Steps):
                 tolerance, state, load, loads, of_halves, first, *rest))
 
     def _split(self, state, load, number, tabulate, difference, errors):
-        """Do one step in parts; return whether the state is still finite."""
+        """Do one step in parts; return False if its state is not finite."""
         level, none = 0, np.empty((0, self.model.size))
         while True:
-            # Of parts half as large each makes 1/32 of the error, all together 1/16.
+            # Each of twice as many parts has 1/32 of the error, all together 1/16.
             excess = errors[1] / self.tolerance * 2**level
             level += max(1, math.ceil(math.log2(excess) / 4.0)) if math.isfinite(excess) else 1
             level = min(level, FINEST)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Equal time steps of a model, as they are, and an estimate of what they have got wrong."""
+"""Equal time steps of a model, none of them split, with an estimate of their error."""
 
 import numpy as np
 
@@ -18,12 +18,12 @@ from timo_sim.physics.layout import (
     ACCELERATION, AFTER, ANGLE, LOADS, SPEED, START, STEP_LOADS)
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
-_TURN = 1e-5  # [rad]
-_MANY = 64  # steps that pay for a look at the most bent of them
+_TURN = 1e-5  # largest turn of a section between a motion and those of `flow` [rad]
+_LONG = 64  # least number of steps at once whose most strained state is worth a look
 
 
 class LinearPart:
-    """Packed constants of a model, and the matrices of its steps, by one linear part."""
+    """Packed constants of a model for one linear part, and the matrices of its steps."""
 
     def __init__(self, pack, packed, linear, step):
         self._pack, self.packed, self.linear = pack, packed, linear
@@ -53,17 +53,17 @@ class Steps:
     memory : ndarray
         What is kept from step to step besides the state; a caller may copy it and put it back.
     errors : RunError
-        What the steps have got wrong so far.
+        Estimated error of the steps so far.
     splits : int
-        Steps that were split.
+        Number of steps that were split.
     unresolved : int
-        Steps whose error was above the tolerance in the smallest parts, too.
+        Number of steps whose error was above the tolerance even in the smallest parts.
 
     """
 
     tolerance = 0.0
-    keeps_states = True  # at the start of each step, in `errors.rest`
-    least = LEAST  # steps without breaks that tell their error
+    keeps_states = True  # whether y and n of (T38) at each step's start go to `errors.rest`
+    least = LEAST  # least number of steps between breaks of the load to estimate their error
 
     def __init__(self, model, step):
         self.model, self.step = model, step
@@ -81,20 +81,25 @@ class Steps:
 
     @property
     def heat(self):
-        """What Coulomb friction has made of work since the initial motion [J]."""
+        """Heat of Coulomb friction since the initial motion [J]."""
         return 0.0
 
     @property
     def friction_drift(self):
-        """How far joints drifted in steps with events of friction, summed up, at the tip [m]."""
+        """Drift of joints in steps with events of friction, summed up, as at the tip [m]."""
         return 0.0
 
     def acting(self, load):
-        """Return a load with what friction adds to it, shape (14,)."""
+        """Return a load plus the friction at the end of the last step, shape (14,)."""
         return load
 
+    def reset(self):
+        """Forget friction, heat and errors of earlier steps."""
+        self.memory[:] = 0.0
+        self.errors.reset()
+
     def follow(self, earlier):
-        """Go on counting where the steps of an earlier model of the same size have ended."""
+        """Take over memory, counts and errors from the steps of a model of the same size."""
         self.memory, self.splits, self.unresolved = (
             earlier.memory, earlier.splits, earlier.unresolved)
         self.errors.go_on(earlier.errors)
@@ -105,18 +110,18 @@ class Steps:
         return [self.model.packed, self._part.propagator()]
 
     def warm_up(self, state, load):
-        """Compile, or load from disk, what is called besides `motion`."""
+        """Compile, or load from disk, the functions that `motion` does not call."""
 
     def samples(self, count, sample_every):
         """
-        Return room for samples of some steps.
+        Return arrays to be filled with samples of some steps.
 
         Returns
         -------
         motions : ndarray, shape (1 + count // sample_every, 2 (3 + N))
-            For motions at the start and after each `sample_every` steps; if that is 0 empty.
+            For motions at the start and after each `sample_every` steps; if that is 0, empty.
         heat : ndarray, shape (1 + count // sample_every,)
-            For what Coulomb friction has made of work so far [J].
+            For the heat of Coulomb friction so far [J].
 
         """
         if not sample_every:
@@ -135,13 +140,14 @@ class Steps:
         load : ndarray, shape (14,)
             Load at the start.
         tabulate : function(int, int, int) -> ndarray
-            Returns the loads of parts of steps: from the number of the first step, the number of
-            steps and the parts of each, shape (parts count, 4, 14), see `physics.layout`.
+            Takes the number of the first step, the number of steps and the parts of each; returns
+            the loads of these parts, shape (parts count, 4, 14), see `physics.layout`.
         first, count : int
+            Number of the first step, and number of steps.
         sample_every : int
             Steps between samples; 0: none are taken.
         sampled : int
-            Steps from the first sample to the first of these.
+            Number of steps from the first sample to the step `first`.
         motions, heat : ndarray
             Receive the samples, see `samples`.
 
@@ -150,7 +156,7 @@ class Steps:
         done : int
             Steps done; fewer than `count` if the state is no longer finite.
         load : ndarray, shape (14,)
-            Load at the end of the last of all steps.
+            Load at the end of step `first + count - 1`, done or not.
 
         """
         done, load = self._do(state, load, tabulate, first, count, sample_every, sampled, motions,
@@ -161,7 +167,7 @@ class Steps:
     def _do(self, state, load, tabulate, first, count, *samples):
         loads = tabulate(first, count, 1)
         done = self._integrate(state, load, loads, *samples)
-        if done >= _MANY and self.keeps_states:
+        if done >= _LONG and self.keeps_states:
             self.errors.modes.look_for_peak(self.errors.rest[0][:done], loads[:done, START])
         return done, loads[-1, AFTER].copy() if count else load
 
@@ -174,17 +180,17 @@ class Steps:
             done = first + etdrk4.advance(
                 part.packed, part.propagator(level), state, load, loads[first:], sample_every,
                 sampled + first, motions, states[first:], rates[first:])
-            if part is not self._part:  # rates are kept beside the linear part of all sectors
+            if part is not self._part:  # n is kept for the linear part of the whole model
                 rates[first:done] += states[first:done] @ (part.linear - self.model.linear).T
             return done
         return self._by_sectors(state, load, loads, 0, integrate)
 
     def _by_sectors(self, state, load, loads, done, integrate):
         """
-        Integrate with the linear part of each sector through which the shaft turns.
+        Integrate, with the linear part of each sector through which the shaft turns.
 
-        With `integrate`, a function(LinearPart, int, ndarray) -> int: from steps done and the load
-        there to steps done. No more are, if the last call did none.
+        `integrate`, a function(LinearPart, int, ndarray) -> int, takes the number of steps done
+        and the load there, and returns the new number; a call that does no step is the last.
         """
         if not self.model.sectors:
             return integrate(self._part, done, load)
@@ -201,32 +207,33 @@ class Steps:
 
     def follow_errors(self, error, states, rates, load, weight):
         """
-        Follow the error of the state over steps by what `advance` has kept of them.
+        Follow the error of the state over steps, from what `advance` has kept of them.
 
         Parameters
         ----------
         error : GlobalError
         states, rates : ndarray, shape (steps + 1, m)
-            At the start of each step, and room for the rate at the end.
+            y and n of (T38) at the start of each step and at the end; the last n is not set yet.
         load : ndarray, shape (14,)
-            At the end of these steps.
+            Load at the end of these steps.
         weight : float
             See `GlobalError.follow`.
 
         Returns
         -------
         errors : ndarray, shape (k, m)
+            At some boundaries between steps.
         numbers : list of int
-            Of the boundaries at which these are.
+            Numbers of these boundaries.
 
         """
-        # The rate at the end, under the load of these steps, is that of one step more.
+        # n at the end, under the load of these steps, is a by-product of one step more.
         self._constant[:] = load
         self.step_once(0, states[-1].copy(), self._constant, states[-1:], rates[-1:])
         return error.follow(states, rates, weight)
 
     def step_once(self, level, state, loads, states=None, rates=None):
-        """Advance a state by steps divided by 2^level under their loads."""
+        """Advance a state in place by steps divided by 2^level under their loads."""
         if states is None:
             states, rates = np.empty((2, len(loads), len(state)))
         self._step(level, state, loads[0, START], loads, 0, 0, self._no_samples[0], states, rates)
@@ -239,16 +246,20 @@ class Steps:
 
     def tip_acceleration(self, state, load):
         """
-        Return the tip's acceleration in world axes under what is acting, shape (2,) [m/s2].
+        Return the tip's acceleration in world axes under a load that acts, shape (2,) [m/s2].
 
-        The difference of its velocity along the flow, good to 1e-9 in ordinary motion.
+        It is a central difference of the velocity along `flow`, to 1e-9 in ordinary motion.
         """
         motions, shift = self.flow(state, load)
         before, after = self.model.velocities(motions, self.model.tip_point)[0][:, 0]
         return (after - before) / (2.0 * shift)
 
     def flow(self, state, load):
-        """Return motions just before and after a state, (2, 2 (3 + N)), half their time [s]."""
+        """
+        Return motions just before and after a state, shape (2, 2 (3 + N)), and half the time.
+
+        State and drive are extrapolated linearly over that half [s].
+        """
         model, drift = self.model, np.zeros(LOADS)
         drift[ANGLE], drift[SPEED] = load[SPEED], load[ACCELERATION]
         rate, half = model.rate(state, load), model.size // 2
