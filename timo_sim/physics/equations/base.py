@@ -8,7 +8,7 @@
 
 """Base class of all formulations of the equations of motion: their interface, shared methods."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from functools import cached_property
 import math
 from typing import NamedTuple
@@ -33,7 +33,7 @@ class Points(NamedTuple):
     rotation: np.ndarray    # Phi_n, (N, p)
 
 
-class Formulation(Observables, ABC):
+class Formulation(Observables):
     """
     Equations of motion of a manipulator in N assumed modes.
 
@@ -120,28 +120,6 @@ class Formulation(Observables, ABC):
     @abstractmethod
     def state(self, motion):
         """Return the state that belongs to a motion, shape (m,)."""
-
-    @abstractmethod
-    def centre_line(self, q, points):
-        """
-        Return the positions of points of the centre line in the arm frame.
-
-        Parameters
-        ----------
-        q : ndarray, shape (n, N)
-        points : Points
-            See `at`.
-
-        Returns
-        -------
-        ndarray, shape (n, p, 2)
-            Along axes I and II, from the root [m].
-
-        """
-
-    @abstractmethod
-    def centre_line_rate(self, q, qdot, points):
-        """Return the rate of `centre_line`, components in the arm frame, shape (n, p, 2) [m/s]."""
 
     def effort(self, motions, accelerations, loads):
         """

@@ -8,13 +8,49 @@
 
 """What is read off motions of any formulation: places, velocities, energy, momentum."""
 
+from abc import ABC, abstractmethod
+from typing import Any
+
 import numpy as np
 
 from timo_sim.physics.layout import rotate
 
 
-class Observables:
-    """A part of `base.Formulation`, whose attributes it uses."""
+class Observables(ABC):
+    """What every formulation tells of its motions; `base.Formulation` sets the attributes."""
+
+    manipulator: Any
+    modes: Any
+    points: Any
+    point_mass: np.ndarray
+    point_inertia: np.ndarray
+    damping: np.ndarray
+    gravity: np.ndarray
+    axes: np.ndarray
+    first: int
+    size: int
+
+    @abstractmethod
+    def centre_line(self, q, points):
+        """
+        Return the positions of points of the centre line in the arm frame.
+
+        Parameters
+        ----------
+        q : ndarray, shape (n, N)
+        points : Points
+            See `at`.
+
+        Returns
+        -------
+        ndarray, shape (n, p, 2)
+            Along axes I and II, from the root [m].
+
+        """
+
+    @abstractmethod
+    def centre_line_rate(self, q, qdot, points):
+        """Return the rate of `centre_line`, components in the arm frame, shape (n, p, 2) [m/s]."""
 
     def section_rotation(self, q, points):
         """Return section rotations from the shaft, shape (n, p) [rad]. Source: paper eq. (36)."""
