@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from timo_sim.runs.run import Run
     from timo_sim.runs.simulate import simulate
     from timo_sim.scene.parameter import ModelWarning, ParameterError
-    from timo_sim.scene.scene import load_scene, project_on_modes, Scene
+    from timo_sim.scene.projection import project_on_modes
+    from timo_sim.scene.scene import load_scene, Scene
     from timo_sim.simulation.linear import LinearModel, linearize
     from timo_sim.simulation.model_warnings import DivergenceError
     from timo_sim.simulation.resolution import choose_resolution
@@ -39,7 +40,7 @@ _MODULES = {
     'linearize': 'simulation.linear',
     'load_scene': 'scene.scene',
     'open_log': 'runs.open_log',
-    'project_on_modes': 'scene.scene',
+    'project_on_modes': 'scene.projection',
     'simulate': 'runs.simulate',
     'simulate_many': 'sweep.many',
 }

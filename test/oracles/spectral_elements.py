@@ -39,7 +39,7 @@ def simulate(scene, period, samples, order=10, elements=2, courant=0.5,
     Parameters
     ----------
     scene : Scene
-        Its modes and step are not used; its loads jump at samples only.
+        Its modes and step are not used; its loads, and the load at its tip, jump at samples only.
     period : float
         Time from sample to sample [s].
     samples : int
@@ -66,10 +66,15 @@ def simulate(scene, period, samples, order=10, elements=2, courant=0.5,
     q = _straight(mesh, motion)
     v = np.column_stack([motion[half:half + 2] + spin * np.outer(line, [-along[1], along[0]]),
                          np.full(len(line), spin)])
-    step = courant * _limit(q, inverse, derivative, jacobian, stiffness)
+    changes = {round(number * scene.step / period): tip for number, *tip in scene.payloads}
+    lightest = inverse.copy()
+    lightest[-1] = 1.0 / mesh.arm_tip
+    step = courant * _limit(q, lightest if changes else inverse, derivative, jacobian, stiffness)
     count = int(np.ceil(period / step))
     step, found = period / count, [(q[0].copy(), q[-1].copy())]
     for sample in range(samples):
+        if sample in changes:
+            _take(mesh, v, *changes[sample], scene)
         for first in range(0, count, _CHUNK):
             loads = scene.load.stages(sample * count + first, min(_CHUNK, count - first), step)
             _advance(q, v, loads, step, inverse, derivative, jacobian, stiffness, mesh.weight,
@@ -77,6 +82,15 @@ def simulate(scene, period, samples, order=10, elements=2, courant=0.5,
         found.append((q[0].copy(), q[-1].copy()))
     root, tip = np.moveaxis(np.array(found), 1, 0)
     return root[:, :2], root[:, 2], tip[:, :2], tip[:, 2]
+
+
+def _take(mesh, v, mass, inertia, scene):
+    # A load that was at rest shares the momentum of the node that takes it.
+    tip = mesh.arm_tip + [mass, mass, inertia]
+    if scene.values['end_effector.pick_up'] == 'at_rest':
+        v[-1] *= np.minimum(1.0, mesh.mass[-1] / tip)
+    mesh.mass[-1], mesh.inverse[-1] = tip, 1.0 / tip
+    mesh.weight[-1] = tip * np.append(scene.values['gravity'], 0.0)
 
 
 class _Mesh(NamedTuple):
@@ -87,6 +101,7 @@ class _Mesh(NamedTuple):
     stiffness: np.ndarray
     mass: np.ndarray        # (n, 3)
     weight: np.ndarray      # (n, 3)
+    arm_tip: np.ndarray     # share of the arm in the last node's mass, (3,)
 
 
 def _mesh(scene, order, elements, stretch):
@@ -106,13 +121,15 @@ def _mesh(scene, order, elements, stretch):
             np.ravel(section.mass_per_length * np.ones_like(x))[:, np.newaxis])
         mass[k * order:(k + 1) * order + 1, 2] += share * section.inertia_per_length
     mass[0] += [body.base_mass, body.base_mass, body.shaft_inertia]
+    arm_tip = mass[-1].copy()
     mass[-1] += [body.end_effector_mass, body.end_effector_mass, body.end_effector_inertia]
     inverse = 1.0 / mass
     inverse[0, [k for k in range(2) if k not in scene.constraints.free_axes]] = 0.0
     if scene.constraints.driven:
         inverse[0, 2] = 0.0
     weight = mass * np.append(scene.values['gravity'], 0.0)
-    return _Mesh(np.unique(xi.round(13)), inverse, derivative, jacobian, stiffness, mass, weight)
+    return _Mesh(np.unique(xi.round(13)), inverse, derivative, jacobian, stiffness, mass, weight,
+                 arm_tip)
 
 
 def _straight(mesh, motion):

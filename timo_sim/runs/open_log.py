@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from timo_sim.log.payloads import payloads_of
 from timo_sim.log.records import LogError
 from timo_sim.log.recording import Recording
 from timo_sim.runs.run import Run
@@ -54,4 +55,5 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
     _, ns, motion = recording.motion()
     scene = recording.scene
     heat = np.full(len(ns), np.nan) if scene.friction.any() else np.zeros(len(ns))
-    return Run(scene, scene.build(), 1e-9 * ns, motion, heat, None, recording.summary, recording)
+    return Run(scene, scene.build(), 1e-9 * ns, motion, heat, None, recording.summary, recording,
+               payloads_of(recording))

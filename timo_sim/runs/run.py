@@ -12,32 +12,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any, TYPE_CHECKING
 import warnings
 
 import numpy as np
 
-from timo_sim.messages.outputs import outputs, with_angles
 from timo_sim.physics.equations.base import Formulation
-from timo_sim.physics.layout import FORCE_X, FORCE_Y, LOADS, MotionFields, TORQUE
+from timo_sim.physics.layout import LOADS, MotionFields
+from timo_sim.runs.tables import Tables
 from timo_sim.scene.parameter import ModelWarning
-from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.scene.scene import Scene
 from timo_sim.scene.summary import html_table
 from timo_sim.simulation.energy import dissipated
 from timo_sim.simulation.joints import applied, joints_of_run
-from timo_sim.simulation.snapshot import Snapshot
+from timo_sim.simulation.tip_load import pieces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    import pandas
 
 _BLOCK = 1024  # steps whose loads are worked out at once
 
 
 @dataclass(frozen=True, repr=False)
-class Run(MotionFields):
+class Run(MotionFields, Tables):
     """
     A run of n samples with N modes, simulated or read from a log.
 
@@ -61,6 +58,9 @@ class Run(MotionFields):
         it is instead the largest distance to the tip of a second, finer run.
     recording : Recording or None
         The log that the run was read from, with all its topics, commands included.
+    payloads : tuple of (int, float, float)
+        Changes of the load at the tip: step, mass [kg] and inertia [kg m2] from then on. The
+        sample of that step is from before it.
 
     Examples
     --------
@@ -79,6 +79,7 @@ class Run(MotionFields):
     warning: str | None = None
     stats: dict = field(default_factory=dict)
     recording: Any = None
+    payloads: tuple = ()
 
     @property
     def motion(self) -> np.ndarray:
@@ -136,8 +137,8 @@ class Run(MotionFields):
         return self._pick(xi, self.model.section_rotation(self.q, self._at(xi)))
 
     def energy(self) -> np.ndarray:
-        """Return kinetic plus strain energy, shape (n,) [J]."""
-        return self.model.energy(self.motion)
+        """Return kinetic plus strain energy and the potential of gravity, shape (n,) [J]."""
+        return np.concatenate([model.energy(self.motion[part]) for model, part in self._pieces])
 
     def dissipated(self) -> np.ndarray:
         """
@@ -160,7 +161,11 @@ class Run(MotionFields):
 
         Linear in world x and y [kg m/s], and angular about the world's origin [kg m2/s].
         """
-        return self.model.momentum(self.motion)
+        return np.concatenate([model.momentum(self.motion[part]) for model, part in self._pieces])
+
+    @cached_property
+    def _pieces(self):
+        return pieces(self.scene, np.rint(self.t / self.scene.step).astype(int), self.payloads)
 
     @cached_property
     def effort(self) -> np.ndarray:
@@ -178,7 +183,7 @@ class Run(MotionFields):
         effort, constrained = applied(self._loads(), self.shaft), self.model.constrained
         if not constrained.any():
             return effort
-        return np.where(constrained, self._joints.reactions, effort)
+        return np.where(constrained, self._of_joints('reactions'), effort)
 
     def root_moment(self) -> np.ndarray:
         """
@@ -193,18 +198,23 @@ class Run(MotionFields):
             For a log, which does not contain all loads.
 
         """
-        return self._joints.root_moment
+        return self._of_joints('root_moment')
 
     def root_strain(self) -> np.ndarray:
         """Return the strain of the outer fibre at the root, (n,); raises as `root_moment`."""
-        return self._joints.root_strain
+        return self._of_joints('root_strain')
 
     @cached_property
     def _joints(self):
         if self.recording is not None:
             raise ValueError('a log does not contain all loads: replay it with record_sensors = '
                              'true for ~/root_strain')
-        return joints_of_run(self.scene, self.motion, self._loads())
+        loads = self._loads()
+        return [joints_of_run(self.scene, model, self.motion[part], loads[part])
+                for model, part in self._pieces]
+
+    def _of_joints(self, name):
+        return np.concatenate([getattr(joints, name) for joints in self._joints])
 
     def _loads(self):
         # Loads at the samples without Coulomb friction, shape (n, 14).
@@ -219,54 +229,6 @@ class Run(MotionFields):
         loads[0] = load.stages(first, 1, step)[0, 0]
         return loads
 
-    def columns(self) -> dict[str, np.ndarray]:
-        """Return what the node publishes, except sensors, as columns named with units, (n,)."""
-        from timo_sim.log.export import named
-        snapshots, found = list(self._snapshots()), {'time_s': self.t}
-        for output in self._outputs():
-            values = np.array([output.numbers(snapshot) for snapshot in snapshots])
-            names, values = with_angles(output.columns, values)
-            found.update(zip(named(output.name, names), values.T))
-        return found
-
-    def to_pandas(self) -> pandas.DataFrame:
-        """Return `columns` as a pandas.DataFrame with the time as index."""
-        import pandas
-        return pandas.DataFrame(self.columns()).set_index('time_s')
-
-    def save(self, path: str | Path) -> Path:
-        """
-        Write the run to a file.
-
-        Parameters
-        ----------
-        path : str or Path
-            `*.mcap`: a log, as the node writes it, which `timo_sim.open_log` reads; `*.parquet` or
-            `*.csv`: a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
-            existing table is a LogError.
-
-        Returns
-        -------
-        Path
-            The file that was written.
-
-        """
-        from timo_sim.log.export import write_table
-        from timo_sim.log.recorder import NewLog
-        path = Path(path)
-        if path.suffix != '.mcap':
-            write_table(self.columns(), path)
-            return path
-        values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-        log = NewLog(path, self.scene, {**values, **self.scene.values}, saved_by='Run.save')
-        try:
-            for snapshot in self._snapshots():
-                for output in self._outputs():
-                    log.output(output.name, snapshot, output.numbers(snapshot))
-        finally:
-            log.close()
-        return log.path
-
     def plot(self) -> Figure:
         """Draw the tip, carrier and shaft over time and the arm in the plane; needs matplotlib."""
         from timo_sim.view.plot import plot
@@ -277,21 +239,6 @@ class Run(MotionFields):
         from timo_sim.view.show import show_tracks
         from timo_sim.view.track import of_run
         show_tracks([lambda: of_run(self)], web=web)
-
-    def _outputs(self):
-        # Topics that follow from the motion alone; sensors need the simulator.
-        return [output for output in outputs(self.scene.modal_count)
-                if output.columns and not output.delay]
-
-    def _snapshots(self):
-        steps = np.rint(self.t / self.scene.step).astype(int).tolist()
-        for step, motion, effort in zip(steps, self.motion, self.effort):
-            # Before the first step nothing has acted, but constraints hold.
-            shown = effort if step else np.where(self.model.constrained, effort, 0.0)
-            load = [0.0] * LOADS
-            load[FORCE_X], load[FORCE_Y], load[TORQUE] = shown.tolist()
-            yield Snapshot(self.scene, self.model, step, round(step * self.scene.step * 1e9),
-                           motion, load)
 
     def _at(self, xi):
         length, xi = self.scene.manipulator.arm.length, np.atleast_1d(np.asarray(xi, dtype=float))

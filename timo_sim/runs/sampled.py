@@ -39,9 +39,11 @@ def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=No
                  'modes_error_m': integration.errors.modes.tip,
                  'stretch_error_m': simulator.stretch.tip,
                  'split_steps': integration.splits, 'unresolved_steps': integration.unresolved,
-                 'friction_drift_m': integration.friction_drift}
-        return Run(scene, simulator.model, np.arange(samples.stop) * sample_every * scene.step,
-                   motion[samples], heat[samples], simulator.warning, stats)
+                 'friction_drift_m': integration.friction_drift,
+                 'impact_loss_J': simulator.tip_load.lost}
+        return Run(scene, scene.build(), np.arange(samples.stop) * sample_every * scene.step,
+                   motion[samples], heat[samples], simulator.warning, stats,
+                   payloads=scene.payloads)
 
     while simulator.steps < steps:
         first = simulator.steps

@@ -79,6 +79,20 @@ def constraints_of(values):
                        values['initial.shaft'] if shaft == 'locked' else None)
 
 
+def payloads_of(values):
+    """Return the steps at which loads at the tip change, and its mass and inertia from then on."""
+    times, masses, inertias = _same_length({
+        name: values[name] for name in ('payload.time', 'payload.mass', 'payload.inertia')})
+    if not np.all(np.less(times[:-1], times[1:])):
+        raise ParameterError(f'payload.time must ascend, got {short(list(times))}')
+    if times and values['model.formulation'] == 'newton_root_stress':
+        raise ParameterError('payload.time must be empty with model.formulation = '
+                             f'newton_root_stress, got {short(list(times))}')
+    steps = [whole_ratio(f'payload.time[{k}]', time, 'integrator.step', values['integrator.step'])
+             for k, time in enumerate(times)]
+    return tuple(zip(steps, masses, inertias))
+
+
 def check_initial(values):
     """Raise ParameterError if gravity is no vector, or an equilibrium is given a motion."""
     if len(values['gravity']) != 2:

@@ -17,8 +17,8 @@ _POSITION = [f'initial.{joint}' for joint in ('carrier_x', 'carrier_y', 'shaft')
 _VELOCITY = [f'{name}_velocity' for name in _POSITION]
 
 
-def initial_motion(scene):
-    """Return the motion at t = 0, shape (2 (3 + N),), see `physics.layout`."""
+def initial_motion(scene, model):
+    """Return the motion of a model at t = 0, shape (2 (3 + N),), see `physics.layout`."""
     rest = np.zeros(scene.modal_count)
     position, velocity = ([scene.values[name] for name in names]
                           for names in (_POSITION, _VELOCITY))
@@ -30,7 +30,7 @@ def initial_motion(scene):
     if not scene.values['initial.equilibrium']:
         return motion
     try:
-        return equilibrium(scene.build(), motion, scene.load_at_start())
+        return equilibrium(model, motion, scene.load_at_start())
     except ValueError as error:
         raise ParameterError(f'initial.equilibrium = true: {error}') from None
 

@@ -10,8 +10,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 import os
 from pathlib import Path
@@ -25,7 +25,8 @@ from timo_sim.physics.equations import formulation_class
 from timo_sim.physics.equations.base import Formulation
 from timo_sim.physics.layout import START
 from timo_sim.scene.build import (
-    check_counts, check_initial, constraints_of, implausible, load_of, manipulator_of, modal_count)
+    check_counts, check_initial, constraints_of, implausible, load_of, manipulator_of, modal_count,
+    payloads_of)
 from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.initial import initial_motion, state_of
 from timo_sim.scene.loads import Load
@@ -81,30 +82,50 @@ class Scene:
         """Number of modal coordinates: of modes in bending, then of axial ones."""
         return modal_count(self.values)
 
-    def build(self) -> Formulation:
-        """Return the scene's Formulation of the equations of motion; it is made once and kept."""
-        return self._formulation
+    def build(self, basis: Manipulator | None = None,
+              tip: tuple[float, float] | None = None) -> Formulation:
+        """
+        Return the scene's Formulation of the equations of motion; it is made once and kept.
+
+        Parameters
+        ----------
+        basis : Manipulator, optional
+            The same arm with another end effector, whose modes are assumed.
+        tip : tuple of float, optional
+            Mass [kg] and inertia [kg m2] at the tip, if not those of the end effector.
+
+        """
+        body = self.manipulator if tip is None else replace(
+            self.manipulator, end_effector_mass=tip[0], end_effector_inertia=tip[1])
+        if body == self.manipulator == (basis or body):
+            return self._formulation
+        return self._model(self._formulation.damping, body, basis or self.manipulator)
+
+    def _model(self, damping, body, basis=None):
+        values = self.values
+        return formulation_class(values['model.formulation'])(
+            body, values['model.modes'], damping, self.constraints,
+            static=_STATIC[values['model.static_modes']], axial=values['model.axial_modes'],
+            gravity=values['gravity'], basis=basis)
 
     @cached_property
     def _formulation(self):
         values, damping = self.values, np.array(self.values['arm.damping_ratio'] or 0.0)
-
-        def model(damping):
-            return formulation_class(values['model.formulation'])(
-                self.manipulator, values['model.modes'], damping, self.constraints,
-                static=_STATIC[values['model.static_modes']], axial=values['model.axial_modes'],
-                gravity=values['gravity'])
-
         if values['arm.damping_of'] == 'clamped' or not damping.any():
-            return model(damping)
+            return self._model(damping, self.manipulator)
         from timo_sim.physics.equations.system_damping import clamped_ratios
-        ratios = clamped_ratios(model(0.0), damping)
+        ratios = clamped_ratios(self._model(0.0, self.manipulator), damping)
         if ratios.min() < 0.0:
             raise ParameterError(
                 'arm.damping_of = system must be possible with damping of the clamped modes, but '
                 f'mode {np.argmin(ratios) + 1} would need a ratio of {ratios.min():.2g} for '
                 f'arm.damping_ratio = {short(list(values["arm.damping_ratio"]))}')
-        return model(ratios)
+        return self._model(ratios, self.manipulator)
+
+    @cached_property
+    def payloads(self) -> tuple:
+        """Changes of the load at the tip: step, mass [kg], inertia [kg m2] from then on."""
+        return payloads_of(self.values)
 
     @property
     def friction(self) -> np.ndarray:
@@ -157,13 +178,15 @@ class Scene:
         # Without the formulation, which the other process builds again.
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
-    def initial_motion(self) -> np.ndarray:
-        """Return the motion at t = 0, shape (2 (3 + N),), see `physics.layout`."""
-        return self._initial_motion.copy()
+    def initial_motion(self, model: Formulation | None = None) -> np.ndarray:
+        """Return the motion at t = 0, shape (2 (3 + N),), of the scene's or another model."""
+        if model in (None, self._formulation):
+            return self._initial_motion.copy()
+        return initial_motion(self, model)
 
     @cached_property
     def _initial_motion(self):
-        return initial_motion(self)
+        return initial_motion(self, self._formulation)
 
     def load_at_start(self) -> np.ndarray:
         """Return the scene's own load at t = 0, shape (14,), see `physics.layout`."""
@@ -225,38 +248,6 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
     return scene_from(values)
 
 
-def project_on_modes(scene: Scene, deflection: Callable[[np.ndarray], Any],
-                     rotation: Callable[[np.ndarray], Any]) -> tuple[float, ...]:
-    """
-    Project a deflection field, or a velocity field, on the modes of a scene.
-
-    The result is exact to first order in the field. It is a value for the parameters
-    `initial.modal_coordinates` or `initial.modal_rates`.
-
-    Parameters
-    ----------
-    scene : Scene
-    deflection : function(ndarray) -> array_like
-        Deflection w(xi) in the arm frame [m], or its rate [m/s], for xi of shape (p,) [m].
-    rotation : function(ndarray) -> array_like
-        Rotation phi(xi) [rad], or its rate [rad/s].
-
-    Returns
-    -------
-    tuple of float, length N
-        Modal coordinates [m sqrt(kg)] or rates [m sqrt(kg)/s]. Source: paper eqs. (21), (23).
-
-    Examples
-    --------
-    >>> import timo_sim
-    >>> scene = timo_sim.load_scene({})
-    >>> q = timo_sim.project_on_modes(scene, lambda xi: 0.01 * xi**2, lambda xi: 0.02 * xi)
-    >>> bent = scene.vary({'initial.modal_coordinates': q})
-
-    """
-    return tuple(scene.build().project_on_modes(deflection, rotation).tolist())
-
-
 def scene_from(values):
     """Return the Scene of checked values, or raise ParameterError if they do not fit together."""
     if os.environ.get('NUMBA_DISABLE_JIT', '0') not in ('', '0'):
@@ -266,6 +257,7 @@ def scene_from(values):
               if parameter.scope == SCENE}
     check_counts(values)
     check_initial(values)
+    payloads_of(values)
     step = values['integrator.step']
     for name in DELAYS:
         whole_ratio(name, values[name], 'integrator.step', step)

@@ -104,7 +104,7 @@ def joints_of_state(integration, motion, state, load):
                   load[np.newaxis])
 
 
-def joints_of_run(scene, motions, loads):
+def joints_of_run(scene, model, motions, loads):
     """
     Return the Joints of sampled motions of a scene.
 
@@ -113,12 +113,13 @@ def joints_of_run(scene, motions, loads):
     Parameters
     ----------
     scene : Scene
+    model : Formulation
     motions : ndarray, shape (n, 2 (3 + N))
     loads : ndarray, shape (n, 14)
         Without friction.
 
     """
-    integration, limit = Steps(scene.build(), scene.step), scene.friction
+    integration, limit = Steps(model, scene.step), scene.friction
     accelerations, acting = np.empty((len(motions), motions.shape[1] // 2)), loads.copy()
     speeds = motions[:, motions.shape[1] // 2:][:, :3]
     for k, motion in enumerate(motions):

@@ -13,23 +13,23 @@ import numpy as np
 from timo_sim.jit.code_store import compiling, is_compiled
 from timo_sim.physics.integrate import steps_of
 from timo_sim.physics.integrate.run_error import CHUNK
-from timo_sim.physics.layout import ANGLE, Motion
+from timo_sim.physics.layout import ANGLE
 from timo_sim.scene.parameters import check_runtime, steps_in
 from timo_sim.scene.scene import load_scene
 from timo_sim.simulation import model_warnings
 from timo_sim.simulation.actuators import Actuators, commanded_load
 from timo_sim.simulation.load_table import advance_by_pieces, LoadTable
 from timo_sim.simulation.model_warnings import DivergenceError
-from timo_sim.simulation.sensors import Sensors
-from timo_sim.simulation.snapshot import Snapshot
+from timo_sim.simulation.readings import Readings
 from timo_sim.simulation.stretch import StretchError
+from timo_sim.simulation.tip_load import TipLoad
 
 COMPILING = 'compiling once for a model of this size, this takes some seconds'
 # Deflection beyond which the run counts as diverged, in arm lengths.
 _MOST_BENT = 10.0
 
 
-class Simulator:
+class Simulator(Readings):
     """
     A scene at a certain time step, advanced by the node, `simulate` or a controller's loop.
 
@@ -61,12 +61,13 @@ class Simulator:
     """
 
     def __init__(self, scene):
-        self.steps, self._warm = 0, False
-        self._take(load_scene(scene))
+        self.steps, self._warm, scene = 0, False, load_scene(scene)
+        self.tip_load = TipLoad(scene)
+        self._take(scene, scene.build())
         self.reset()
 
-    def _take(self, scene):
-        self.scene, self.model = scene, scene.build()
+    def _take(self, scene, model):
+        self.scene, self.model = scene, model
         self.integration = steps_of(self.model, scene.step, scene.values['integrator.tolerance'],
                                     scene.friction)
         self.stretch = StretchError(self.model)
@@ -76,7 +77,9 @@ class Simulator:
 
     def reset(self):
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
-        motion = self.scene.initial_motion()
+        if self.tip_load.reset(self.scene):
+            self._take(self.scene, self.tip_load.model(self.scene, self.model))
+        motion = self.scene.initial_motion(self.model)
         self._state = self.model.state(motion)
         self.integration.reset()
         self.stretch.reset()
@@ -90,7 +93,7 @@ class Simulator:
 
     def change(self, scene):
         """
-        Go on with another scene: other loads, damping, viscous friction or limits.
+        Go on with another scene: other loads, damping, viscous friction, limits or end effector.
 
         Parameters
         ----------
@@ -101,14 +104,22 @@ class Simulator:
         check_runtime(self.scene.values, scene.values)
         first = self.steps - self._origin
         self._actuators = Actuators(scene.values, first, self._actuators.reached(first))
-        earlier, stretch = self.integration, self.stretch
-        earlier.errors.cut(self._state, self.load)
-        self._take(scene)
-        self.integration.follow(earlier)
-        self.stretch = stretch
+        self._go_on(scene, self.tip_load.of_change(self.scene, scene))
         self._resting = self._resting and not scene.load
         self._table = LoadTable(scene)
         self.warning = model_warnings.unseen_load(scene)
+
+    def _go_on(self, scene, tip):
+        """Go on with another scene, and a mass and inertia at the tip."""
+        earlier, stretch, motion = self.integration, self.stretch, self.motion.values
+        earlier.errors.cut(self._state, self.load)
+        added = self.tip_load.add(tip)
+        self._take(scene, self.tip_load.model(scene, self.model))
+        self.integration.follow(earlier)
+        self.stretch.follow(stretch)
+        if added is not None:
+            motion = self.tip_load.picked_up(scene, self.model, motion, added)
+            self._state = self.model.state(motion)
 
     def warm_up(self, tell=None, messages=False):
         """
@@ -131,48 +142,6 @@ class Simulator:
             if messages:
                 self.integration.errors.modes.look(self._state, self.load, rate, 0)
                 self.integration.errors.modes.reset()
-
-    @property
-    def t(self):
-        """Sim time [s]."""
-        return self.steps * self.scene.step
-
-    @property
-    def nanoseconds(self):
-        """Sim time [ns]."""
-        return round(self.steps * self.scene.step * 1e9)
-
-    @property
-    def motion(self):
-        """The motion now, see `Motion`."""
-        return Motion(self.integration.motion(self._state, self.load))
-
-    @property
-    def sensors(self):
-        """What the sensors read now: encoder, root_strain, tip_acceleration, gyro."""
-        return Sensors(self.snapshot(state=self._state.copy()))
-
-    @property
-    def deflection(self):
-        """Deflection of the tip in the arm frame, axial and transverse, shape (2,) [m]."""
-        return self.model.tip(self.motion.values)[:2] - [self.model.manipulator.arm.length, 0.0]
-
-    @property
-    def effort(self):
-        """Efforts of carrier x, y [N] and shaft [N m], shape (3,), see `Snapshot.effort`."""
-        return np.array(self.snapshot().effort)
-
-    def snapshot(self, load=None, state=None):
-        """Return a Snapshot of now: valid until the next step, or longer with a kept state."""
-        load = self.load.tolist() if load is None else load
-        acts = (self.integration, self._state if state is None else state,
-                self.integration.acting(self.load))
-        return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
-                        load, acts)
-
-    def tip_acceleration(self):
-        """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
-        return self.integration.tip_acceleration(self._state, self.integration.acting(self.load))
 
     def step(self, torque=0.0, force=(0.0, 0.0), tip_force=(0.0, 0.0), tip_torque=0.0,
              voltage=0.0, duration=None):
@@ -241,17 +210,22 @@ class Simulator:
         """
         if self._rests(count, commanded):
             return self._rest(count, sample_every)
-        before = self._state.copy(), self.load, self.integration.memory.copy()
+        before = (self._state.copy(), self.load, self.integration.memory.copy(),
+                  self.tip_load.kept(), self.model, self.integration, self.stretch)
         first = self.steps - self._origin
         actuators = None if commanded is None else self._actuators
         if actuators and actuators.command(commanded, first):
             self.integration.errors.cut(self._state, self.load)
         (motions, heat), done = self.integration.samples(count, sample_every), 0
         while done < count:
-            part, angle = min(count - done, CHUNK), self._angle
+            sample = self._change_tip(first + done)
+            part = min(count - done, CHUNK, self.tip_load.next_step - first - done)
+            angle = self._angle
             reached, self.load = advance_by_pieces(
                 self.integration, self._table, actuators, self._state, self.load, first + done,
                 part, sample_every, done, motions, heat)
+            if sample is not None and sample_every and done % sample_every == 0:
+                motions[done // sample_every] = sample  # that before the load changes
             done += reached
             if reached < part or not self._bend() <= _MOST_BENT * self.model.reach[2]:
                 self._give_up(before, count, commanded)
@@ -261,6 +235,14 @@ class Simulator:
         self.load = self.load.copy()
         self._look_for_warnings(motions)
         return motions, heat
+
+    def _change_tip(self, number):
+        # The loads that the scene changes at a step; return the motion before, if there are any.
+        before = None
+        while self.tip_load.next_step <= number:
+            before = self.motion.values if before is None else before
+            self._go_on(self.scene, self.tip_load.take_next())
+        return before
 
     @property
     def estimated_error(self):
@@ -298,7 +280,9 @@ class Simulator:
         return np.abs(self._state[half - len(modes):half]) @ modes
 
     def _give_up(self, before, count, commanded):  # return to the last good state and raise
-        self._state, self.load, self.integration.memory = before
+        self._state, self.load, memory, kept, *parts = before
+        self.model, self.integration, self.stretch = parts
+        self.integration.memory, self.tip_load = memory, kept
         self.integration.errors.give_up()
         if count > 1:
             for part in (count // 2, count - count // 2):

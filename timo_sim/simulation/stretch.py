@@ -55,6 +55,10 @@ class StretchError:
         """Set all errors to zero, and forget the warning."""
         self.tip, self._lag, self.told = 0.0, 0.0, None
 
+    def follow(self, earlier):
+        """Take over errors and warning from the estimate for an earlier model."""
+        self.tip, self._lag, self.told = earlier.tip, earlier._lag, earlier.told
+
     def add(self, turn, duration, by_force=0.0):
         """Add a turn of the shaft [rad] within a time [s], and a shift by axial forces [m]."""
         speed = turn / duration if duration else 0.0

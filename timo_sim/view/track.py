@@ -15,10 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from timo_sim.log.payloads import payloads_of
 from timo_sim.physics.layout import rotate
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameter import Parameter
 from timo_sim.simulation.energy import integral, work
+from timo_sim.simulation.tip_load import pieces
 
 FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
 _POINTS = 41     # of the centre line that is drawn
@@ -118,7 +120,8 @@ def of_run(run, name='run'):
     if run.recording is not None:
         return of_recording(run.recording, name)
     ns = np.rint(run.t * 1e9).astype(np.int64)
-    return of_motion(name, run.scene, ns, run.motion, run.effort, heat=run.friction_heat)
+    return of_motion(name, run.scene, ns, run.motion, run.effort, heat=run.friction_heat,
+                     payloads=run.payloads)
 
 
 def of_recording(recording, name):
@@ -149,10 +152,12 @@ def of_recording(recording, name):
     return of_motion(name, scene, ns, motion, joints.values[place, 6:9],
                      resets[(0 < resets) & (resets < len(ns))],
                      not (recording.changes or unseen
-                          or driven and recording.facts.get('timo_sim') == '0.1.0'))
+                          or driven and recording.facts.get('timo_sim') == '0.1.0'),
+                     payloads=payloads_of(recording))
 
 
-def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=None):
+def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=None,
+              payloads=()):
     """
     Return the track of a known motion.
 
@@ -173,6 +178,8 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
         acted on the tip, or parameters such as friction were set during the run.
     heat : ndarray, shape (n,), optional
         What Coulomb friction has dissipated so far [J]; where it acts, the balance needs it.
+    payloads : sequence of (int, float, float)
+        See `Run`; a balance is not computed then.
 
     Returns
     -------
@@ -190,13 +197,15 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
         *_joint_traces(ns, motion[:, :3], motion[:, half:half + 3], effort)]
     if half > 3:
         traces.append(Trace('modal', tuple(f'q{n}' for n in range(1, half - 2)), ns, modal))
-    energy = _in_blocks(formulation.energy, motion)
+    energy = np.concatenate([
+        _in_blocks(model.energy, motion[part]) for model, part in pieces(
+            scene, np.rint(1e-9 * ns / scene.step).astype(int), payloads)])
     # The effort of a driven shaft is that of its drive; a load's torque on it is not in there.
     unseen = 'torque' if scene.values['motor.shaft'] == 'driven' else 'tip'
     pushed = any(scene.load.terms[channel] for channel in CHANNELS
                  if channel.startswith(('tip', unseen)))
     known = heat is not None or not scene.friction.any()
-    if balanced and known and not pushed:
+    if balanced and known and not pushed and not payloads:
         done = work(ns, motion[:, :3], motion[:, half:half + 3], effort)
         done -= integral(ns, _in_blocks(formulation.dissipation, motion))
         done -= 0.0 if heat is None else np.diff(heat)

@@ -58,6 +58,8 @@ class Formulation(Observables):
         Number of axial modes; 0 for formulations other than `exact`.
     gravity : sequence of float
         Acceleration of free fall along world x and y [m/s2].
+    basis : Manipulator, optional
+        The same arm with another end effector, whose modes are assumed; by default its own.
 
     Attributes
     ----------
@@ -75,12 +77,15 @@ class Formulation(Observables):
     sectors, speed_limit = 0, math.inf
 
     def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
-                 static=(), axial=0, gravity=(0.0, 0.0)):
+                 static=(), axial=0, gravity=(0.0, 0.0), basis=None):
         self.manipulator, self.constraints = manipulator, constraints
         self.gravity = np.array(gravity, dtype=float)
-        self.modes, self.axial = modes_of(manipulator, count, static), axial
+        basis = basis or manipulator
+        self.modes, self.axial = modes_of(basis, count, static), axial
+        # Modal masses are 1 with the end effector that the modes were made for.
+        self.own_modes = basis == manipulator
         if axial:
-            self.modes = AxialModes(self.modes, manipulator, axial, constraints)
+            self.modes = AxialModes(self.modes, basis, axial, constraints)
         self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (len(self.modes),))
         self.size = 2 * (3 + len(self.modes))
         # The first of the coordinates theta, q_1..q_N that is free, and the free axes.

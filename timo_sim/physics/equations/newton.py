@@ -99,6 +99,9 @@ class Newton(Formulation):
         xi, mass, count = self.points.xi, self.point_mass, len(self.modes)
         about_root = self.points.deflection @ (mass * xi)
         matrix = np.eye(1 + count)
+        if not self.own_modes:
+            matrix[1:, 1:] = self.gram + (
+                self.points.rotation * self.point_inertia) @ self.points.rotation.T
         matrix[0, 0] = (self.manipulator.shaft_inertia + mass @ xi**2 + self.point_inertia.sum())
         matrix[0, 1:] = matrix[1:, 0] = about_root + self.points.rotation @ self.point_inertia
         column = np.append(self.lever, self.moment)

@@ -33,6 +33,9 @@ class NewtonRootStress(Newton):
         if body.shaft_inertia == 0.0 and not self.constraints.driven:
             raise ValueError('newton_root_stress needs a shaft inertia > 0: the reaction M(0) of '
                              'the truncated series acts on the shaft alone')
+        if not self.own_modes:
+            raise ValueError('newton_root_stress knows the reactions of the modes of one end '
+                             'effector alone: it cannot be changed')
         matrix, softening, stress = laws.matrix.copy(), laws.softening.copy(), laws.stress.copy()
         matrix[0] = 0.0
         matrix[0, 0] = body.shaft_inertia

@@ -99,6 +99,25 @@ class Observables(ABC):
                 + (1 - self.first) * body.shaft_friction * rates[:, 2]
                 + rates[:, 3:] @ (2.0 * self.damping * self.modes.omega))
 
+    def mass_matrix(self, motion):
+        """
+        Return the mass matrix of all coordinates at a motion, and the tip's velocities.
+
+        Returns
+        -------
+        matrix, tip : ndarray, shapes (3 + N, 3 + N), (3, 3 + N)
+            Of 3 + N rates; the tip's velocity in world axes and angular velocity per rate.
+
+        """
+        half, body = self.size // 2, self.manipulator
+        motions = np.tile(motion, (half, 1))
+        motions[:, half:] = np.eye(half)
+        velocity, turning = self.velocities(motions, self.points)
+        matrix = (np.einsum('kpi,p,lpi->kl', velocity, self.point_mass, velocity)
+                  + (turning * self.point_inertia) @ turning.T)
+        matrix[range(3), range(3)] += [body.base_mass, body.base_mass, body.shaft_inertia]
+        return matrix, np.vstack([velocity[:, -1].T, turning[:, -1]])
+
     def momentum(self, motions):
         """
         Return linear momentum in world axes and angular momentum about the world's origin.

@@ -1,0 +1,155 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Loads that the end effector picks up and drops while it moves."""
+
+import numpy as np
+import pytest
+
+from oracles import spectral_elements
+import timo_sim
+from timo_sim.simulation.simulator import Simulator
+
+TORQUE = {'load.torque.harmonic.amplitude': [5.0], 'load.torque.harmonic.frequency': [1.0]}
+HELD, FREE = {'carrier.held': 'both', **TORQUE}, {'initial.shaft_velocity': 1.0, **TORQUE}
+PICKED = {'payload.time': [0.3], 'payload.mass': [4.0], 'payload.inertia': [0.6]}
+DROPPED = {'payload.time': [0.3], 'payload.mass': [0.5], 'payload.inertia': [0.2]}
+BOTH = {'payload.time': [0.2, 0.5], 'payload.mass': [5.0, 1.0], 'payload.inertia': [0.5, 0.5],
+        'end_effector.pick_up': 'at_rest'}
+
+
+@pytest.mark.parametrize('values', [
+    {**HELD, **PICKED}, {**FREE, **PICKED}, {**FREE, **DROPPED},
+    {**HELD, **PICKED, 'gravity': [0.0, -9.81]}], ids=['held', 'free', 'dropped', 'gravity'])
+def test_a_load_that_changes_in_flight_against_spectral_elements(values):
+    scene = timo_sim.load_scene({**values, 'model.modes': 5, 'model.axial_modes': 1})
+    run = timo_sim.simulate(scene, 1.0, sample_every=100, compare=False)
+    carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 10)
+    assert np.abs(run.carrier - carrier).max() < 1e-6
+    assert np.abs(run.position(2.0) - tip).max() < 3e-6
+    # What it would be without the change is far from it.
+    same = timo_sim.simulate(scene.vary({'payload.time': [], 'payload.mass': [],
+                                         'payload.inertia': []}), 1.0, 100, compare=False)
+    assert np.abs(same.position(2.0) - tip).max() > 1e-3
+
+
+def test_a_load_picked_up_from_rest_against_spectral_elements():
+    """The impact makes all modes vibrate, of which the model has eight."""
+    scene = timo_sim.load_scene({
+        'initial.shaft_velocity': 0.5, **PICKED, 'end_effector.pick_up': 'at_rest',
+        'model.modes': 8, 'model.axial_modes': 1, 'model.static_modes': 'both',
+        'integrator.step': 0.0005})
+    run = timo_sim.simulate(scene, 0.6, sample_every=200, compare=False)
+    carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 6)
+    assert np.abs(run.carrier - carrier).max() < 1e-5
+    assert np.abs(run.position(2.0) - tip).max() < 2e-5
+
+
+@pytest.mark.parametrize('formulation', ['exact', 'newton'])
+def test_a_rigid_arm_picks_up_a_load_at_rest(formulation):
+    """J+ omega+ = J- omega-, and the energy lost is that of two bodies that stick together."""
+    scene = timo_sim.load_scene({
+        'carrier.held': 'both', 'model.modes': 0, 'initial.shaft_velocity': 2.0, **PICKED,
+        'end_effector.pick_up': 'at_rest', 'model.formulation': formulation})
+    body, section = scene.manipulator, scene.manipulator.arm.section
+    inertia = (body.shaft_inertia + section.mass_per_length * 8.0 / 3.0
+               + section.inertia_per_length * 2.0 + body.end_effector_inertia + 8.0)
+    added = 0.1 + 2.0 * 4.0
+    run = timo_sim.simulate(scene, 0.6, compare=False)
+    speed = 2.0 * inertia / (inertia + added)
+    assert run.shaft_velocity[300] == 2.0  # the sample of the impact is from before it
+    assert run.shaft_velocity[301:] == pytest.approx(speed, rel=1e-9)
+    lost = 0.5 * inertia * 4.0 * added / (inertia + added)
+    assert run.stats['impact_loss_J'] == pytest.approx(lost, rel=1e-9)
+    assert run.energy()[300] - run.energy()[-1] == pytest.approx(lost, rel=1e-9)
+
+
+@pytest.mark.parametrize('values', [{}, {'carrier.held': 'x'}, {'motor.shaft': 'locked'}],
+                         ids=['free', 'x held', 'locked'])
+def test_momentum_is_kept_by_an_impact(values):
+    scene = timo_sim.load_scene({
+        'initial.carrier_y_velocity': 0.4, 'initial.modal_rates': [0.5, 0.1, 0.0], **PICKED,
+        'end_effector.pick_up': 'at_rest', **values})
+    run = timo_sim.simulate(scene, 0.4, compare=False)
+    momentum = run.momentum()
+    kept = [axis for axis in range(2) if values.get('carrier.held') != 'xy'[axis]]
+    kept += [2] * (not values)
+    jump = np.abs(momentum[301] - momentum[300])[kept]
+    # To what a step does; about the origin a free manipulator's is kept, too.
+    assert jump.max() < 1e-9 * np.abs(momentum).max()
+    assert run.stats['impact_loss_J'] > 1e-3
+
+
+def test_nothing_is_lost_by_loads_that_move_with_the_tip():
+    """Sections keep place and velocity to the last bit but round-off of momenta."""
+    scene = timo_sim.load_scene({**FREE, **PICKED, 'initial.modal_rates': [0.5, 0.1, 0.0]})
+    simulator = Simulator(scene)
+    simulator.advance(300)
+    before = simulator.motion.values
+    simulator.change(scene.vary({'end_effector.mass': 4.0, 'end_effector.inertia': 0.6}))
+    assert np.abs(simulator.motion.values - before).max() < 1e-13
+    assert simulator.tip_load.lost == 0.0
+
+
+@pytest.mark.parametrize('values', [{**FREE, **BOTH}, {**HELD, **BOTH, 'gravity': [0.0, -9.81]}],
+                         ids=['free', 'held'])
+def test_how_many_steps_are_done_at_once_does_not_matter(values):
+    scene = timo_sim.load_scene(values)
+    whole, parts = Simulator(scene), Simulator(scene)
+    samples, _ = whole.advance(700, sample_every=10)
+    found = [parts.advance(10, sample_every=10)[0] for _ in range(70)]
+    np.testing.assert_array_equal(samples[1:], [each[1] for each in found])
+    np.testing.assert_array_equal(samples[:-1], [each[0] for each in found])
+    # Reset brings the first end effector back, and the changes again.
+    whole.reset()
+    np.testing.assert_array_equal(whole.advance(700, sample_every=10)[0], samples)
+
+
+def test_a_change_by_hand_is_that_of_the_scene():
+    scene = timo_sim.load_scene({**FREE, **PICKED})
+    by_hand = Simulator(scene.vary({'payload.time': [], 'payload.mass': [],
+                                    'payload.inertia': []}))
+    by_hand.advance(300)
+    by_hand.change(by_hand.scene.vary({'end_effector.mass': 4.0, 'end_effector.inertia': 0.6}))
+    by_hand.advance(200)
+    whole = Simulator(scene)
+    whole.advance(500)
+    np.testing.assert_array_equal(by_hand.motion.values, whole.motion.values)
+
+
+def test_a_saved_run_knows_its_loads(tmp_path):
+    run = timo_sim.simulate({**FREE, **BOTH}, 0.7, sample_every=10)
+    again = timo_sim.open_log(run.save(tmp_path / 'run.mcap'))
+    assert again.payloads == run.payloads == ((200, 5.0, 0.5), (500, 1.0, 0.5))
+    np.testing.assert_array_equal(again.energy(), run.energy())
+    np.testing.assert_array_equal(again.momentum(), run.momentum())
+
+
+def test_newton_with_modes_of_another_end_effector():
+    """Small vibrations with loads that the modes were not made for, beside those that were."""
+    values = {'model.formulation': 'newton', 'carrier.held': 'both', 'motor.shaft': 'locked',
+              'model.static_modes': 'both', 'model.modes': 5}
+    tip = (4.0, 0.6)
+    changed = timo_sim.load_scene(values).build(None, tip)
+    own = timo_sim.load_scene({**values, 'end_effector.mass': 4.0,
+                               'end_effector.inertia': 0.6}).build()
+    half = len(own.linear) // 2
+    found, expected = (np.sqrt(np.sort(np.linalg.eigvals(-model.linear[half:, :half]).real))
+                       for model in (changed, own))
+    assert found[:3] == pytest.approx(expected[:3], rel=1e-6)
+
+
+@pytest.mark.parametrize('values, words', [
+    ({**PICKED, 'model.formulation': 'newton_root_stress'}, 'must be empty with'),
+    ({**PICKED, 'payload.mass': []}, 'must have the same length'),
+    ({**PICKED, 'payload.time': [0.3005]}, 'whole multiple'),
+    ({**PICKED, 'payload.time': [0.0]}, 'payload.time must be'),
+    ({**BOTH, 'payload.time': [0.5, 0.2]}, 'payload.time must ascend')])
+def test_what_is_refused(values, words):
+    with pytest.raises(timo_sim.ParameterError, match=words):
+        timo_sim.load_scene(values)

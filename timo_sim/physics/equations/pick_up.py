@@ -1,0 +1,46 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What happens to a motion when the end effector takes a load that was at rest."""
+
+import numpy as np
+
+
+def pick_up(model, motion, mass, inertia):
+    """
+    Return the motion after a plastic impact with a load at rest, and the energy that is lost.
+
+    The momenta of all free coordinates stay: those of carrier, shaft and modes (T48).
+
+    Parameters
+    ----------
+    model : Formulation
+        With the load at its tip.
+    motion : ndarray, shape (2 (3 + N),)
+    mass, inertia : float
+        Of the load [kg], [kg m2].
+
+    Returns
+    -------
+    motion : ndarray, shape (2 (3 + N),)
+    lost : float
+        [J]
+
+    """
+    half = model.size // 2
+    matrix, tip = model.mass_matrix(motion)
+    before = matrix - (tip.T * [mass, mass, inertia]) @ tip
+    rates, free = motion[half:], np.setdiff1d(np.arange(half), np.flatnonzero(model.constrained))
+    given = np.where(np.isin(np.arange(half), free), 0.0, rates)
+    after = given.copy()
+    after[free] = np.linalg.solve(matrix[np.ix_(free, free)],
+                                  (before @ rates - matrix @ given)[free])
+    # A drive does work on what it moves; the rest is lost.
+    lost = 0.5 * (rates @ before @ rates - after @ matrix @ after) + given @ (
+        matrix @ after - before @ rates)
+    return np.concatenate([motion[:half], after]), float(lost)

@@ -1,0 +1,112 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The load at the tip, which changes while a simulation runs."""
+
+from copy import copy
+import math
+
+import numpy as np
+
+from timo_sim.physics.equations.pick_up import pick_up
+
+
+class TipLoad:
+    """
+    Mass and inertia at the tip; the modes stay those of the end effector of the first scene.
+
+    Sections keep place and velocity, since the modes do; a load that is picked up from rest
+    changes velocities, see `physics.equations.pick_up`.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Attributes
+    ----------
+    tip : tuple of float
+        Mass [kg] and inertia [kg m2] now.
+    lost : float
+        Energy lost in plastic impacts since the initial motion [J].
+
+    """
+
+    def __init__(self, scene):
+        self._basis, self.tip = scene.manipulator, _own(scene)
+        self._payloads, self._next, self.lost = scene.payloads, 0, 0.0
+
+    def kept(self):
+        """Return a copy as it is now."""
+        return copy(self)
+
+    def reset(self, scene):
+        """Return to the end effector of a scene, and whether that is another one than now."""
+        before, self.tip, self._next, self.lost = self.tip, _own(scene), 0, 0.0
+        return self.tip != before
+
+    @property
+    def next_step(self):
+        """Number of the step at which the scene changes the load next; infinite: never."""
+        return self._payloads[self._next][0] if self._next < len(self._payloads) else math.inf
+
+    def take_next(self):
+        """Return mass and inertia from `next_step` on, and go to the change after it."""
+        self._next += 1
+        return self._payloads[self._next - 1][1:]
+
+    def of_change(self, before, scene):
+        """Return mass and inertia after a change of the scene: its own, if it changes them."""
+        return self.tip if _own(scene) == _own(before) else _own(scene)
+
+    def add(self, tip):
+        """Set mass and inertia; return what is added of each, or None if nothing changes."""
+        before, self.tip = self.tip, tip
+        return None if tip == before else [max(now - then, 0.0) for now, then in zip(tip, before)]
+
+    def model(self, scene, earlier):
+        """Return the formulation of a scene with this load, packed as an earlier one."""
+        model = scene.build(self._basis, self.tip)
+        if model is not earlier:
+            model.pack, model.packed = earlier.pack, earlier.pack(model.tables)
+        return model
+
+    def picked_up(self, scene, model, motion, added):
+        """Return the motion after mass and inertia are added."""
+        if scene.values['end_effector.pick_up'] == 'moving' or not any(added):
+            return motion
+        motion, lost = pick_up(model, motion, *added)
+        self.lost += lost
+        return motion
+
+
+def pieces(scene, steps, payloads):
+    """
+    Return the formulations of a run whose load at the tip changes, and their samples.
+
+    Parameters
+    ----------
+    scene : Scene
+    steps : ndarray of int, shape (n,)
+        Of the samples, ascending; one at the step of a change is from before it.
+    payloads : sequence of (int, float, float)
+        Step, mass [kg] and inertia [kg m2] from then on, ascending.
+
+    Returns
+    -------
+    list of (Formulation, slice)
+
+    """
+    bounds = [0, *np.searchsorted(steps, [step for step, *_ in payloads], side='right'),
+              len(steps)]
+    tips = [None, *((mass, inertia) for _, mass, inertia in payloads)]
+    return [(scene.build(scene.manipulator, tip), slice(first, last))
+            for tip, first, last in zip(tips, bounds, bounds[1:]) if first < last]
+
+
+def _own(scene):
+    return scene.manipulator.end_effector_mass, scene.manipulator.end_effector_inertia
