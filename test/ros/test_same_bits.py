@@ -23,13 +23,18 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+import timo_sim
+from timo_sim.log.export import export
+from timo_sim.log.info import info
 from timo_sim.log.recorder import Channel, Recorder
 from timo_sim.log.recording import Recording
 from timo_sim.log.recover import recover
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.replay.replay import Replay, replay
 from timo_sim.replay.segments import segments_of
+from timo_sim.view.track import of_run
 
+TURNING = {'initial.shaft_velocity': 1.0}
 EVERY_STEP = ('joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
 SCENES = {
     'free, with friction': {
@@ -135,14 +140,24 @@ def test_a_run_that_diverged_was_reset_and_killed_replays(start, client):
     assert '3 resets' in lines[0] and 'same to the last bit' in lines[1]
 
 
-def test_rates_that_change_and_a_log_of_a_replay(start, client, paper, tmp_path):
+def test_parameters_that_change_and_a_log_of_a_replay(start, client, paper, tmp_path):
     """The log of a replay has the node's messages, and can be replayed, too."""
-    node = start('--params-file', str(paper))
+    node = start('--params-file', str(paper), **{
+        'rate.joint_states': 1000.0, 'rate.modal_state': 1000.0, **TURNING})
     torque = client.command(Float64, '/timo_sim/motor_torque')
     torque.publish(Float64(data=1.0))
     change = client.service(SetParameters, '/timo_sim/set_parameters')
-    change(parameters=[Parameter('rate.tip_pose', value=500.0).to_parameter_msg()])
+    reset = client.service(Trigger, '/timo_sim/reset')
+    for values in ({'rate.tip_pose': 500.0},
+                   {'end_effector.mass': 5.0, 'end_effector.inertia': 0.6},
+                   {'end_effector.mass': 8.0, 'end_effector.pick_up': 'at_rest'}):
+        time.sleep(0.2)
+        answer = change(parameters=[Parameter(name, value=value).to_parameter_msg()
+                                    for name, value in values.items()])
+        assert all(result.successful for result in answer.results)
     time.sleep(0.2)
+    assert reset().success
+    time.sleep(0.4)
     assert node.end()[0] == 0
     lines = []
     assert replay(node.log, output=tmp_path / 'again.mcap', show=lines.append)
@@ -154,6 +169,36 @@ def test_rates_that_change_and_a_log_of_a_replay(start, client, paper, tmp_path)
         assert np.array_equal(series.step, again.step) and series.data == again.data
         assert np.array_equal(series.values, again.values) and series.topic == again.topic
     assert replay(tmp_path / 'again.mcap', show=lines.append)
+    look_at_loads(node.log, paper)
+
+
+def look_at_loads(log, paper):
+    """Check a log with a load that moved with the tip, one that was at rest, and a reset."""
+    run = timo_sim.open_log(log)
+    (moving, *one), (at_rest, *two), (start, *three) = run.payloads
+    assert (one, two, three) == ([5.0, 0.6], [8.0, 0.6], [8.0, 0.6])
+    shown = '\n'.join(info(log))
+    assert (f'at step {moving}: end_effector.mass = 5.0' in shown
+            and f'at step {at_rest}: end_effector.pick_up = "at_rest"' in shown)
+    # A load that moves brings its momentum along; of one at rest nothing is added. The loads of
+    # the scene do 0.01 N s and 0.02 J in a step.
+    momentum, energy = run.momentum()[:, :2], run.energy()
+    tip = run.position(2.0)
+    speed = (tip[moving] - tip[moving - 1]) / 0.001
+    assert momentum[moving + 1] - momentum[moving] == pytest.approx(3.0 * speed, abs=0.05)
+    assert np.abs(momentum[at_rest + 1] - momentum[at_rest]).max() < 0.02
+    assert energy[moving + 1] > energy[moving] + 1.0 and energy[at_rest + 1] < energy[at_rest] - 1.0
+    # Of the two samples at the step of the reset the second has the load that is set then. Its
+    # modes are still those of the first one, of which three differ by some micrometres.
+    scene = timo_sim.load_scene(paper, {**TURNING, 'end_effector.mass': 8.0,
+                                        'end_effector.inertia': 0.6})
+    heavy = timo_sim.simulate(scene, 0.2)
+    assert energy[start + 1:start + 202] == pytest.approx(heavy.energy(), rel=1e-3)
+    assert np.abs(tip[start + 1:start + 202] - heavy.position(2.0)).max() < 1e-5
+    track = of_run(run)
+    np.testing.assert_array_equal(track.trace('energy').values[:, 0], energy)
+    export(log, log.with_suffix('.csv'))
+    assert len(log.with_suffix('.csv').read_text().splitlines()) == 1 + len(run.t)
 
 
 def test_a_player_by_the_rules_of_rosbag2_drives_a_live_node(start, client, tmp_path):

@@ -120,7 +120,8 @@ class ParameterNode(Node):
             return _refused(error)
 
     def _set_each(self, request, response):
-        # rclpy sets them one by one, and so would refuse lists that must change together.
+        # rclpy sets them one by one, and so would refuse lists that must change together, and make
+        # two impacts of mass and inertia.
         together = {}
         for message in request.parameters:
             together.setdefault(_group(message.name), []).append(
@@ -143,8 +144,9 @@ def _is_list(name):
 
 
 def _group(name):
-    # Parameters of one group are set together: the lists of a load.
-    return name.rpartition('.')[0] if _is_list(name) else name
+    # Parameters of one group are set together: the lists of a load, what the end effector carries.
+    group = name.rpartition('.')[0]
+    return group if _is_list(name) or group == 'end_effector' else name
 
 
 def _refused(error):

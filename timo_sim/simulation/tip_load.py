@@ -92,7 +92,8 @@ def pieces(scene, steps, payloads):
     ----------
     scene : Scene
     steps : ndarray of int, shape (n,)
-        Of the samples, ascending; one at the step of a change is from before it.
+        Of the samples, ascending; one at the step of a change is from before it. If there are
+        several, which a reset divides, the last is from after it.
     payloads : sequence of (int, float, float)
         Step, mass [kg] and inertia [kg m2] from then on, ascending.
 
@@ -101,8 +102,9 @@ def pieces(scene, steps, payloads):
     list of (Formulation, slice)
 
     """
-    bounds = [0, *np.searchsorted(steps, [step for step, *_ in payloads], side='right'),
-              len(steps)]
+    first, last = (np.searchsorted(steps, [step for step, *_ in payloads], side)
+                   for side in ('left', 'right'))
+    bounds = [0, *(last - (last - first > 1)), len(steps)]
     tips = [None, *((mass, inertia) for _, mass, inertia in payloads)]
     return [(scene.build(scene.manipulator, tip), slice(first, last))
             for tip, first, last in zip(tips, bounds, bounds[1:]) if first < last]
