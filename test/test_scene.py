@@ -21,8 +21,10 @@ def test_paper_file_gives_the_defaults_and_the_papers_loads(paper):
     values = read_parameter_file(paper)
     loads = {name: value for name, value in values.items() if name.startswith('load.')}
     rest = {name: value for name, value in values.items() if name not in loads}
-    assert rest == {name: parameter.default for name, parameter in PARAMETERS.items()
-                    if not name.startswith('load.') and parameter.default != ()}
+    defaults = {name: parameter.default for name, parameter in PARAMETERS.items()
+                if not name.startswith('load.') and parameter.default != ()}
+    assert rest == {name: [*default] if isinstance(default, tuple) else default
+                    for name, default in defaults.items()}
     assert {name: value for name, value in loads.items() if 'phase' not in name} == {
         'load.force_x.harmonic.amplitude': [5.0], 'load.force_x.harmonic.frequency': [2.0],
         'load.force_y.harmonic.amplitude': [5.0], 'load.force_y.harmonic.frequency': [3.0],
