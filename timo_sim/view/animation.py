@@ -28,7 +28,8 @@ def animate(tracks, path, fps=_MOST_FPS):
     Write a GIF of tracks, laid over each other, in real time.
 
     The left axes show the arms in the plane of motion, each with its straight arm and the path of
-    its tip so far; where there is gravity, a floor under the carrier. The right axes show the transverse deflection of the tips, with a line at now.
+    its tip so far; where there is gravity, a floor under the carrier. The right axes show the
+    transverse deflection of the tips, with a line at now.
 
     Parameters
     ----------

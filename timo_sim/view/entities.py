@@ -57,7 +57,7 @@ def log_frame_of_plane(stream, bounds):
 
 
 def log_floor(stream, name, floor, bounds):
-    """Log the Floor of a run and the direction of gravity across the bounds of the plane, (2, 2) [m]."""
+    """Log the Floor of a run, across bounds of the plane, (2, 2) [m], and gravity's direction."""
     stream.log(f'{PLANE}/{name}/floor', rr.LineStrips2D(
         [floor.line(bounds)], colors=TICKS, radii=rr.Radius.ui_points(1.0), draw_order=-5.0),
         static=True)

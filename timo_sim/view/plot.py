@@ -75,8 +75,8 @@ def draw_floor(axes, floor):
               linewidth=1.5, zorder=0.5, scalex=False, scaley=False)
     axes.annotate('', floor.arrow[1], floor.arrow[0], annotation_clip=True,
                   arrowprops={'arrowstyle': '->', 'color': _GREY, 'shrinkA': 0, 'shrinkB': 0})
-    axes.annotate('g', floor.arrow[0], -8.0 * floor.along, textcoords='offset points', color=_GREY,
-                  ha='center', va='center', annotation_clip=True)
+    axes.annotate('g', floor.arrow[0], -9.0 * floor.along, textcoords='offset points', color=_GREY,
+                  fontsize='small', ha='center', va='center', annotation_clip=True)
 
 
 def write(figure, path):
