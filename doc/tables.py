@@ -19,6 +19,7 @@ import re
 
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.outputs import outputs, TRANSFORMS
+from timo_sim.scene.parameter import NODE
 from timo_sim.scene.parameters import PARAMETERS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -69,7 +70,8 @@ def parameters():
     groups = {}
     for parameter in PARAMETERS.values():
         group, dot, _ = parameter.name.partition('.')
-        groups.setdefault(group if dot else 'node', []).append(parameter)
+        groups.setdefault('node' if not dot and parameter.scope == NODE else group,
+                          []).append(parameter)
     return '\n'.join(f'### {group}\n\n' + _table(
         ('parameter', 'default', 'rule', 'meaning'), *map(_row, entries))
         for group, entries in groups.items())
@@ -77,8 +79,10 @@ def parameters():
 
 def _row(parameter):
     default = parameter.default
-    shown = {tuple: '[]', bool: str(default).lower(), str: default or "''"}.get(type(default))
-    if shown is None:
+    shown = {bool: str(default).lower(), str: default or "''"}.get(type(default))
+    if isinstance(default, tuple):
+        shown = f'[{", ".join(f"{value:g}" for value in default)}]'
+    elif shown is None:
         shown = '.inf' if default == math.inf else f'{default:g}'
     unit = f' [{parameter.unit}]' if parameter.unit else ''
     live = '; *live*' if parameter.runtime else ''

@@ -10,6 +10,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 import timo_sim
@@ -21,8 +22,10 @@ def test_paper_file_gives_the_defaults_and_the_papers_loads(paper):
     values = read_parameter_file(paper)
     loads = {name: value for name, value in values.items() if name.startswith('load.')}
     rest = {name: value for name, value in values.items() if name not in loads}
-    assert rest == {name: parameter.default for name, parameter in PARAMETERS.items()
-                    if not name.startswith('load.') and parameter.default != ()}
+    defaults = {name: parameter.default for name, parameter in PARAMETERS.items()
+                if not name.startswith('load.') and parameter.default != ()}
+    assert rest == {name: [*default] if isinstance(default, tuple) else default
+                    for name, default in defaults.items()}
     assert {name: value for name, value in loads.items() if 'phase' not in name} == {
         'load.force_x.harmonic.amplitude': [5.0], 'load.force_x.harmonic.frequency': [2.0],
         'load.force_y.harmonic.amplitude': [5.0], 'load.force_y.harmonic.frequency': [3.0],
@@ -145,3 +148,32 @@ def test_files_that_are_refused(tmp_path, text, words):
 def test_a_missing_file_is_an_os_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         timo_sim.load_scene(tmp_path / 'none.yaml')
+
+
+def test_the_standing_scene_rests_until_its_torque_ends():
+    scene = timo_sim.load_scene('standing')
+    run = timo_sim.simulate(scene, 3.0)
+    rest = run.t <= 1.0
+    assert np.abs(run.motion[rest] - run.motion[0]).max() < 1e-10
+    assert math.degrees(run.shaft[0]) == pytest.approx(-30.0, abs=0.1)
+    # The weight turns the shaft as much as the torque, and the falling arm does not come back.
+    model = scene.build()
+    place = model.world(run.motion[:1], model.points)[0]
+    assert 9.81 * model.point_mass @ place[:, 0] == pytest.approx(51.5, abs=1e-6)
+    assert math.degrees(run.shaft.min()) < -145.0 and 'no warnings' in run.message
+
+
+def test_the_shape_of_the_weight_is_worth_modes():
+    """The numbers of doc/scene.md."""
+    def tip(**options):
+        scene = timo_sim.load_scene({
+            'gravity': [0.0, -9.81], 'carrier.held': 'both', 'motor.shaft': 'locked',
+            'initial.shaft': 0.0, 'initial.equilibrium': True,
+            **{f'model.{name}': value for name, value in options.items()}})
+        return scene.build().tip(scene.initial_motion())[:2]
+
+    true = tip(modes=16)
+    assert true[1] == pytest.approx(-0.078, abs=5e-4)
+    assert np.hypot(*(tip(modes=3) - true)) == pytest.approx(2.3e-6, rel=0.03)
+    assert np.hypot(*(tip(modes=3, static_modes='weight') - true)) == pytest.approx(
+        1.2e-8, rel=0.03)

@@ -135,7 +135,8 @@ def main():
     """Write the files that the command line names, or all, to a folder."""
     command = parser(__spec__, __doc__)
     command.add_argument('folder', nargs='?', type=Path, default=ROOT / 'test' / 'data')
-    command.add_argument('only', nargs='*', metavar='name', help='modes, spin_up, torque, pendulum, paper')
+    command.add_argument('only', nargs='*', metavar='name',
+                         help='modes, spin_up, torque, pendulum, paper')
     given = command.parse_args()
     paper = load_scene(ROOT / 'config' / 'paper.yaml')
     spin_up_scene = load_scene(ROOT / 'config' / 'spin_up.yaml', {'initial.shaft': 0.0})

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Draws five pictures with captions: `make gallery` writes doc/gallery.md and doc/gallery/."""
+"""Draws six pictures with captions: `make gallery` writes doc/gallery.md and doc/gallery/."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,6 +18,9 @@ import numpy as np
 from benchmark import ROOT
 from benchmark.command import parser
 import timo_sim
+from timo_sim.view.floor import floor_of
+from timo_sim.view.plot import draw_floor
+from timo_sim.view.track import body_of
 
 matplotlib.use('Agg')
 # Okabe-Ito colours, which colour-blind readers tell apart, and grey for the background.
@@ -239,6 +242,39 @@ def vibration_control():
             f'by {1e3 * left[1][0]:.0f} mm and leaves {1e3 * left[1][1]:.2f} mm.')
 
 
+def standing():
+    """Draw an arm that a torque bears in gravity until it ends; return the caption."""
+    scene = timo_sim.load_scene(ROOT / 'config/standing.yaml')
+    run = timo_sim.simulate(scene, 10.0)
+    across, below = run.deflection(LENGTH)[:, 1], -np.degrees(run.shaft)
+    turned = int(below.argmax())
+    figure, plane, time = sheet('Standing in gravity: the torque on the shaft ends at 1 s')
+    plane.plot(*run.position(LENGTH)[:turned].T, color=GREY, lw=1)
+    for k, sample in enumerate(range(1400, turned + 100, 400)):
+        draw_arm(plane, run, sample, BLUE, 0.3 + 0.2 * k, 'then every 0.4 s' if k == 3 else None)
+    draw_arm(plane, run, 1000, ORANGE, label='borne by the torque, until 1 s')
+    plane.set(xlim=(-2.1, 2.1), ylim=(-2.25, 1.35))
+    draw_floor(plane, floor_of(scene.values['gravity'], run.carrier[0], body_of(scene)))
+    plane.legend(loc='upper left')
+    time.plot(run.t, 1e3 * across, color=BLUE, label='tip deflection w(l)')
+    time.set(ylabel='w(l) [mm]', xlim=(0, 10), ylim=(-80, 110))
+    angle = time.twinx()
+    angle.plot(run.t, -below, '--', color=ORANGE, label='shaft angle')
+    angle.set(ylabel='shaft angle [degrees]', ylim=(-160, 220))
+    angle.grid(False)
+    time.legend(handles=[*time.lines, *angle.lines], loc='upper right')
+    save(figure, 'standing')
+    swing, vibration = timo_sim.linearize(scene.vary({
+        'load.torque.piecewise.value': [0.0, 0.0], 'initial.shaft': -1.6})).frequencies()[:2]
+    return (f'A torque of {run.effort[0, 2]:g} N m bears the arm at rest {below[0]:.1f} degrees '
+            f'below the horizontal; the weight bends it by {-1e3 * across[0]:.1f} mm. When the '
+            f'torque ends, the arm springs back to {1e3 * across.max():.0f} mm on the other side '
+            f'and swings on to {below[turned]:.1f} degrees. Hanging, it would vibrate at '
+            f'{vibration:.2f} Hz and swing at {swing:.3f} Hz. The damping ratio of 0.01 ends the '
+            'vibration; what is left of the bend after 8 s, up to '
+            f'{1e3 * np.abs(across[run.t > 8.0]).max():.1f} mm, turns the shaft.')
+
+
 def window():
     """Draw what `timo_sim view` shows of the paper's run, for the README."""
     from timo_sim.view.convert import write
@@ -259,7 +295,8 @@ def main():
             'numbers included. To look at a run of your own: `timo_sim view run.mcap`.']
     for draw, title in ((paper, "The paper's run"), (spin_up, 'Spin-up'),
                         (resonance, 'Resonance'), (disturbance, 'A disturbance at the tip'),
-                        (vibration_control, 'Vibration control')):
+                        (vibration_control, 'Vibration control'),
+                        (standing, 'Standing in gravity')):
         words = draw()
         print(f'{title}: {words}')
         text += ['', f'## {title}', '', f'![{title}](gallery/{draw.__name__}.png)', '', words]

@@ -57,7 +57,7 @@ def test_refusals_are_counted_and_the_log_is_readable(start, client):
     node = start(publish_clock=True)
     health = client.collect(DiagnosticArray, '/diagnostics')
     with attack('bad') as bad:
-        assert bad.stdout.readline() == 'sent 100\n'
+        assert 'sent 100\n' in bad.stdout  # the middleware may print errors of its own
         client.wait(lambda: values(health).get('refused_commands') == '100', '100 refusals')
     assert values(health)['failed_calls'] == '0'
 
@@ -90,7 +90,7 @@ def test_dropped_time_is_counted_and_the_motion_stays_the_same(start, client, pa
     """Stopping the process simulates a busy machine."""
     node = start('--params-file', str(paper), catch_up_limit=0.05)
     with attack('reader') as reader:
-        assert reader.stdout.readline() == 'hearing\n'
+        assert 'hearing\n' in reader.stdout
         reader.send_signal(signal.SIGSTOP)  # a reliable subscriber that never reads
         states = client.collect(JointState, '/joint_states')
         health = client.collect(DiagnosticArray, '/diagnostics')

@@ -137,6 +137,50 @@ def test_curves_have_every_sample_and_frames_are_thinned(run, shown):
     assert np.allclose(np.squeeze(lines)[:, -1], run.position(LENGTH)[sample], atol=1e-6)
 
 
+def static(path):
+    """Return the static entities of a file: flat values of each component, by path."""
+    found = {}
+    for chunk in RrdReader(path).stream():
+        if chunk.is_static:
+            batch = chunk.to_record_batch()
+            found.setdefault(chunk.entity_path, {}).update(
+                (name, np.array(batch.column(name).to_pylist()[0]).ravel())
+                for name in batch.schema.names if ':' in name)
+    return found
+
+
+def test_a_floor_is_under_the_carrier_where_there_is_gravity(run, shown, tmp_path):
+    gravity, start = np.array([3.0, -4.0]), np.array([0.5, 0.2])
+    leaning = timo_sim.simulate(timo_sim.load_scene({
+        'gravity': gravity, 'carrier.held': 'x', 'initial.carrier_x': 0.5,
+        'initial.carrier_y': 0.2, 'initial.shaft': -0.5}), 0.2)
+    leaning.save(tmp_path / 'leaning.mcap')
+    # A cube of 5 kg has sides of 0.12 m in the arm's material.
+    below, down = start + 0.5 * (5.0 / 2710.0)**(1 / 3) * gravity / 5.0, gravity / 5.0
+    for name, track in (('run', of_run(leaning)),
+                        ('log', of_recording(Recording(tmp_path / 'leaning.mcap'), 'log'))):
+        assert 'Gravity is 5 m/s2' in track.note
+        path = tmp_path / f'{name}.rrd'
+        write([track], path)
+        entities = static(path)
+        line = entities[f'/plane/{track.name}/floor']['LineStrips2D:strips'].reshape(2, 2)
+        assert np.abs((line - below) @ down).max() < 1e-5
+        assert (line[0] - below) @ (line[1] - below) < -1.0  # to both sides of the carrier
+        arrow = entities[f'/plane/{track.name}/gravity']
+        assert arrow['Arrows2D:vectors'] == pytest.approx(0.16 * down, abs=1e-6)
+        head = arrow['Arrows2D:origins'] + arrow['Arrows2D:vectors']
+        assert (head - below) @ down == pytest.approx(0.0, abs=1e-6)
+    plane, = (axes for axes in leaning.plot().axes if axes.get_xlabel() == 'x [m]')
+    drawn = plane.lines[-1].get_xydata()
+    assert np.abs((drawn - below) @ down).max() < 1e-9
+    assert plane.get_xlim()[0] < start[0] and plane.get_ylim()[1] > start[1]
+    animate([of_run(leaning)], tmp_path / 'leaning.gif')
+    assert Image.open(tmp_path / 'leaning.gif').n_frames == 5
+
+    assert not {'/plane/one/floor', '/plane/one/gravity'} & {*static(shown[0])}
+    assert of_run(run).floor is None and 'ravity' not in of_run(run).note
+
+
 def test_energy_balance_closes(run, paper):
     def worst(run):
         track = of_run(run)

@@ -163,7 +163,8 @@ def outputs(modes):
             'header': _frame('tip'),
             # REP 145: -1 means no orientation; a covariance of zeros means that it is unknown.
             'orientation_covariance': [-1.0] + 8 * [0.0],
-            # The plane of motion is horizontal: an accelerometer at rest shows +g along z.
+            # An accelerometer shows specific force; where the plane of motion is horizontal,
+            # without gravity in it, it shows +g along z.
             'linear_acceleration': {**_xy('acceleration_x_m_per_s2', 'acceleration_y_m_per_s2'),
                                     'z': _GRAVITY},
             'angular_velocity': {'z': Number('turning_rad_per_s')},

@@ -28,7 +28,8 @@ class Sensor(NamedTuple):
 SENSORS = (
     Sensor('root_strain', '', 'the strain of the outer fibre at the root',
            lambda snapshot: (snapshot.root_strain,)),
-    Sensor('tip_acceleration', 'm/s2', 'either axis of the acceleration of the tip',
+    Sensor('tip_acceleration', 'm/s2', 'either axis of the specific force '
+           '(acceleration less gravity) of the tip',
            lambda snapshot: snapshot.tip_acceleration),
     Sensor('gyro', 'rad/s', 'the angular velocity of the tip',
            lambda snapshot: (snapshot.tip_turning,)),

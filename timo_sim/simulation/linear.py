@@ -163,7 +163,8 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
         States: free coordinates, then their rates. Inputs: forces on carrier and tip in world
         axes, torques on shaft and tip; without those that have no effect. Outputs: carrier and
         shaft, tip in world axes, deflection and rotation of the tip, strain at the root, rates of
-        carrier and shaft, acceleration of the tip across the arm.
+        carrier and shaft, acceleration of the tip across the arm. It is the acceleration also in
+        gravity, while the sensor of that name measures specific force.
 
     Raises
     ------

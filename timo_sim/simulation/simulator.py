@@ -118,8 +118,9 @@ class Simulator(Readings):
         self.integration.follow(earlier)
         self.stretch.follow(stretch)
         if added is not None:
-            motion = self.tip_load.picked_up(scene, self.model, motion, added)
+            motion, error = self.tip_load.picked_up(scene, self.model, motion, added)
             self._state = self.model.state(motion)
+            self.integration.errors.add(self.model.state(motion + error) - self._state)
 
     def warm_up(self, tell=None, messages=False):
         """

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from timo_sim.physics.equations.pick_up import pick_up
+from timo_sim.physics.equations.pick_up import pick_up, unresolved
 
 
 class TipLoad:
@@ -66,7 +66,7 @@ class TipLoad:
     def add(self, tip):
         """Set mass and inertia; return what is added of each, or None if nothing changes."""
         before, self.tip = self.tip, tip
-        return None if tip == before else [max(now - then, 0.0) for now, then in zip(tip, before)]
+        return None if tip == before else [now - then for now, then in zip(tip, before)]
 
     def model(self, scene, earlier):
         """Return the formulation of a scene with this load, packed as an earlier one."""
@@ -76,12 +76,12 @@ class TipLoad:
         return model
 
     def picked_up(self, scene, model, motion, added):
-        """Return the motion after mass and inertia are added."""
-        if scene.values['end_effector.pick_up'] == 'moving' or not any(added):
-            return motion
-        motion, lost = pick_up(model, motion, *added)
-        self.lost += lost
-        return motion
+        """Return the motion after mass and inertia are added, and its estimated error."""
+        taken = [max(change, 0.0) for change in added]
+        if scene.values['end_effector.pick_up'] == 'at_rest' and any(taken):
+            motion, lost = pick_up(model, motion, *taken)
+            self.lost += lost
+        return motion, unresolved(model, motion, *added)
 
 
 def pieces(scene, steps, payloads):

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from timo_sim.scene.parameter import ParameterError
-from timo_sim.view.plot import COLOURS
+from timo_sim.view.plot import COLOURS, draw_floor
 from timo_sim.view.track import FPS
 
 _MOST_FPS = 20.0  # [Hz]; browsers play faster GIFs too slowly
@@ -28,7 +28,8 @@ def animate(tracks, path, fps=_MOST_FPS):
     Write a GIF of tracks, laid over each other, in real time.
 
     The left axes show the arms in the plane of motion, each with its straight arm and the path of
-    its tip so far. The right axes show the transverse deflection of the tips, with a line at now.
+    its tip so far; where there is gravity, a floor under the carrier. The right axes show the
+    transverse deflection of the tips, with a line at now.
 
     Parameters
     ----------
@@ -54,6 +55,8 @@ def animate(tracks, path, fps=_MOST_FPS):
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
     plane.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal', xlabel='x [m]',
               ylabel='y [m]')
+    for track in tracks:
+        draw_floor(plane, track.floor)
     for track, colour in zip(tracks, COLOURS):
         trace = track.trace('tip_deflection')
         curves.plot(1e-9 * trace.ns, trace.values[:, -1], color=colour, label=track.name)

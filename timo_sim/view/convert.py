@@ -14,7 +14,7 @@ import numpy as np
 import rerun as rr
 
 from timo_sim.view.entities import (
-    ABOUT, log_curves, log_frame_of_plane, Plane, send_curves, TRAIL)
+    ABOUT, log_curves, log_floor, log_frame_of_plane, Plane, send_curves, TRAIL)
 from timo_sim.view.panels import blueprint, Panel
 
 BLOCK = 65536  # samples, or frames, that are sent at once
@@ -65,6 +65,8 @@ def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
     panels = {}
     for run, track in enumerate(tracks):
         plane = Plane(stream, track.name, track.body, run, len(tracks))
+        if track.floor is not None:
+            log_floor(stream, track.name, track.floor, bounds)
         for part in _blocks(len(frames[run])):
             picked = frames[run][part]
             plane.send(track.ns[picked], track.poses(picked), largest)
@@ -80,7 +82,7 @@ def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
         if run:
             _send_differences(stream, tracks[0], track, run, len(tracks), panels)
     if 'balance' in panels:  # so that a balance that closes looks flat, not like magnified noise
-        panels['balance'].least = 1e-3 * panels['energy'].high
+        panels['balance'].least = 1e-3 * max(panels['energy'].high, -panels['energy'].low)
     stream.send_blueprint(blueprint(panels, bounds, len(tracks)))
     stream.disconnect()
     return bounds
@@ -131,6 +133,8 @@ def _about(tracks, largest, fps):
     lines.append(f'- arrow: force, at most {largest[0]:.3g} N; arc: torque, at most '
                  f'{largest[1]:.3g} N m; grey: the arm if it did not bend; trail: '
                  f'{TRAIL} frames of the tip, at most {fps:g} per second')
+    if any(track.floor is not None for track in tracks):
+        lines.append('- line and arrow at the carrier: floor, and direction of gravity')
     if len(tracks) > 1:
         lines.append(f'- differences are from **{tracks[0].name}**, interpolated linearly')
     return '\n'.join(lines)

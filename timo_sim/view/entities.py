@@ -56,6 +56,16 @@ def log_frame_of_plane(stream, bounds):
         places, labels=labels, show_labels=True, colors=TICKS, radii=0.0), static=True)
 
 
+def log_floor(stream, name, floor, bounds):
+    """Log the Floor of a run, across bounds of the plane, (2, 2) [m], and gravity's direction."""
+    stream.log(f'{PLANE}/{name}/floor', rr.LineStrips2D(
+        [floor.line(bounds)], colors=TICKS, radii=rr.Radius.ui_points(1.0), draw_order=-5.0),
+        static=True)
+    stream.log(f'{PLANE}/{name}/gravity', rr.Arrows2D(
+        origins=floor.arrow[:1], vectors=np.diff(floor.arrow, axis=0), colors=TICKS,
+        radii=rr.Radius.ui_points(1.5), draw_order=-5.0), static=True)
+
+
 def _spacing(extent):
     decade = 10.0**np.floor(np.log10(extent / 3.0))
     return decade * max(n for n in (1, 2, 5) if n * decade <= extent / 3.0)

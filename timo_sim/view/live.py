@@ -18,7 +18,8 @@ import numpy as np
 import rerun as rr
 
 from timo_sim.scene.scene import load_scene
-from timo_sim.view.entities import ABOUT, log_curves, log_frame_of_plane, Plane, send_curves
+from timo_sim.view.entities import (
+    ABOUT, log_curves, log_floor, log_frame_of_plane, Plane, send_curves)
 from timo_sim.view.panels import blueprint, Panel
 from timo_sim.view.track import body_of, of_motion
 
@@ -43,11 +44,13 @@ class Stream:
         self._stream.log(ABOUT, rr.TextDocument(
             f'**{name}**, live: 30 samples per second of wall time, also in the curves'
             ' (a log has all)', media_type='text/markdown'), static=True)
-        traces = self._track(np.concatenate([[0.0], start, np.zeros(3)])[np.newaxis]).traces
-        for trace in traces:
+        first = self._track(np.concatenate([[0.0], start, np.zeros(3)])[np.newaxis])
+        if first.floor is not None:
+            log_floor(self._stream, self._name, first.floor, bounds)
+        for trace in first.traces:
             log_curves(self._stream, trace.panel, self._name, 0, 1, trace.names)
         self._stream.send_blueprint(blueprint(
-            {trace.panel: Panel(len(trace.names)) for trace in traces}, bounds, live=True))
+            {trace.panel: Panel(len(trace.names)) for trace in first.traces}, bounds, live=True))
 
     def _track(self, samples):
         return of_motion(self._name, self._scene, samples[:, 0].astype(np.int64),

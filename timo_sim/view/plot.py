@@ -13,11 +13,14 @@ from matplotlib.ticker import MultipleLocator
 import numpy as np
 
 from timo_sim.scene.parameter import ParameterError
+from timo_sim.view.floor import floor_of
+from timo_sim.view.track import body_of
 
 # Okabe and Ito's colours, which colour-blind readers tell apart.
 COLOURS = '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'
 _ARMS, _POINTS = 8, 41  # shapes of the arm that are drawn, and points of each
 _FREQUENCIES = 4000
+_GREY = '0.5'
 
 
 def plot(run):
@@ -55,9 +58,25 @@ def plot(run):
                            label=f'arm until t = {run.t[-1]:g} s' if k == picked[-1] else None)
     axes['plane'].plot(*shapes[picked, 0].T, 's', color='0.3', markersize=4, label='carrier')
     axes['plane'].set(xlabel='x [m]', ylabel='y [m]', aspect='equal')
+    draw_floor(axes['plane'], floor_of(run.scene.values['gravity'], run.carrier[0],
+                                       body_of(run.scene)))
     axes['plane'].legend(fontsize='small')
     axes['plane'].grid(alpha=0.3)
     return figure
+
+
+def draw_floor(axes, floor):
+    """Draw a Floor, if not None, across what the axes show, and the direction of gravity."""
+    if floor is None:
+        return
+    axes.update_datalim(floor.arrow)
+    axes.autoscale_view()
+    axes.plot(*floor.line(np.transpose([axes.get_xlim(), axes.get_ylim()])).T, color=_GREY,
+              linewidth=1.5, zorder=0.5, scalex=False, scaley=False)
+    axes.annotate('', floor.arrow[1], floor.arrow[0], annotation_clip=True,
+                  arrowprops={'arrowstyle': '->', 'color': _GREY, 'shrinkA': 0, 'shrinkB': 0})
+    axes.annotate('g', floor.arrow[0], -9.0 * floor.along, textcoords='offset points', color=_GREY,
+                  fontsize='small', ha='center', va='center', annotation_clip=True)
 
 
 def write(figure, path):

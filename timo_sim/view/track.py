@@ -21,6 +21,7 @@ from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameter import Parameter
 from timo_sim.simulation.energy import integral, work
 from timo_sim.simulation.tip_load import pieces
+from timo_sim.view.floor import Floor, floor_of
 
 FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
 _POINTS = 41     # of the centre line that is drawn
@@ -76,6 +77,8 @@ class Track:
     body : Body
     note : str
         Settings of the run and how its shape is known, Markdown.
+    floor : Floor, optional
+        None without gravity, and where the scene is not known.
 
     """
 
@@ -85,6 +88,7 @@ class Track:
     traces: list
     body: Body
     note: str
+    floor: Floor | None = None
 
     def trace(self, panel):
         """Return the trace of a panel, or None."""
@@ -225,7 +229,10 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
     note = (f'formulation `{scene.values["model.formulation"]}`, {scene.values["model.modes"]} '
             f'modes, step {1e3 * scene.step:g} ms; {_span(ns)}. The shape of the arm is that of '
             'the modal coordinates.')
-    return Track(name, ns, poses, traces, body_of(scene), note)
+    body, gravity = body_of(scene), scene.values['gravity']
+    floor = floor_of(gravity, motion[0, :2], body)
+    note += f' Gravity is {np.hypot(*gravity):.4g} m/s2.' if floor else ''
+    return Track(name, ns, poses, traces, body, note, floor)
 
 
 def body_of(scene):

@@ -44,3 +44,36 @@ def pick_up(model, motion, mass, inertia):
     lost = 0.5 * (rates @ before @ rates - after @ matrix @ after) + given @ (
         matrix @ after - before @ rates)
     return np.concatenate([motion[:half], after]), float(lost)
+
+
+def unresolved(model, motion, mass, inertia):
+    """
+    Return an estimate of what the tip's vibrations beyond the modes do when its load changes.
+
+    A load takes or brings the momentum of its velocity. What the modes leave out of that is taken
+    for as large as the share of the last mode in bending.
+
+    Parameters
+    ----------
+    model : Formulation
+        With the load at its tip.
+    motion : ndarray, shape (2 (3 + N),)
+    mass, inertia : float
+        Change of the load [kg], [kg m2].
+
+    Returns
+    -------
+    ndarray, shape (2 (3 + N),)
+        Change of the motion, of its rates alone.
+
+    """
+    half, last = model.size // 2, len(model.modes) - model.axial - 1
+    change = np.zeros(model.size)
+    if last < 0:
+        return change
+    matrix, tip = model.mass_matrix(motion)
+    speed = np.hypot(motion[half + 3 + last], model.modes.omega[last] * motion[3 + last])
+    momentum = tip.T @ (np.array([mass, mass, inertia]) * tip[:, 3 + last] * speed)
+    free = np.setdiff1d(np.arange(half), np.flatnonzero(model.constrained))
+    change[half + free] = np.linalg.solve(matrix[np.ix_(free, free)], momentum[free])
+    return change

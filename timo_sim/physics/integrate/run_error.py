@@ -72,6 +72,10 @@ class RunError:
         """Estimated error of steps and modes together, at the tip [m]."""
         return self.tip + self.modes.tip
 
+    def add(self, error):
+        """Add an error of the state, shape (m,); it grows with the steps that follow."""
+        self._error.add(error[np.newaxis])
+
     def give_up(self):
         """Forget the steps since the last cut."""
         self._open = 0
