@@ -64,6 +64,7 @@ SLEWS = {'PD': lambda scene: PD(turn), 'ZV': lambda scene: shaped(scene, 'ZV'),
          'ZVD': lambda scene: shaped(scene, 'ZVD'), 'LQR': LQR,
          "PD on the LQR's plan": Planned}
 SEEDS = range(10)
+PAYLOAD = 2.0  # [kg]
 COLOURS = {'PD': '#d55e00', 'ZV': '#e69f00', 'ZVD': '#009e73', 'LQR': '#0072b2'}
 
 
@@ -94,6 +95,14 @@ def ratios(scene, values):
                 for make in (SLEWS['PD'], SLEWS['LQR'])]
         found.append(left[0] / left[1])
     return f'{min(found):.0f} to {max(found):.0f}'
+
+
+def carries(scene):
+    """Yield the rows of the table of slews with a payload, which a controller knows or not."""
+    loaded = scene.vary({'end_effector.mass': scene.values['end_effector.mass'] + PAYLOAD})
+    for name in ('LQR', "PD on the LQR's plan"):
+        yield name, *(told(slew.score(in_a_loop(loaded, SLEWS[name](known), slew.DURATION + 3.0)))
+                      for known in (scene, loaded))
 
 
 def moves(scene):
@@ -135,6 +144,8 @@ def main():
     print(table(['', *PLANTS, 'peak torque'], rows))
     print(f'\nPD over LQR, {len(SEEDS)} seeds: {ratios(scene, {})}; with the stroke '
           f'{ratios(scene, PLANTS["1 N s stroke on the tip"])}.\n')
+    print(table([f'with {PAYLOAD:g} kg more at the tip', 'payload not known', 'payload known'],
+                carries(scene)) + '\n')
     print(table(['carrier by 0.5 m', 'settled', 'residual'], moves(scene)))
     path = Path(ROOT / 'doc' / 'control.png')
     draw(records, path)
