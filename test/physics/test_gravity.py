@@ -13,6 +13,7 @@ import pytest
 
 from oracles import elastica, references, spectral_elements
 import timo_sim
+from timo_sim.messages.outputs import outputs
 from timo_sim.physics.equations import FORMULATIONS
 from timo_sim.simulation.simulator import Simulator
 
@@ -173,6 +174,11 @@ def test_forces_that_hold_an_arm_at_rest():
     turned = 0.3 + model.tip(motion)[2]
     assert simulator.sensors.tip_acceleration == pytest.approx(
         [G * np.sin(turned), G * np.cos(turned)], abs=1e-6)
+    # The topic has the third axis, too: nothing of the Earth's gravity is left for it.
+    imu = next(output for output in outputs(3) if output.name == '~/tip_imu/data_raw')
+    for gravity, along_z in (([0.0, -9.80665], 0.0), ([0.0, 0.0], 9.80665), ([3.0, 4.0], 8.43655)):
+        scene = timo_sim.load_scene({'gravity': gravity})
+        assert imu.unlogged(Simulator(scene).snapshot())[0] == pytest.approx(along_z, abs=1e-5)
     falling = timo_sim.Simulator(timo_sim.load_scene(DOWN))
     falling.step(duration=0.1)
     assert falling.sensors.tip_acceleration == pytest.approx([0.0, 0.0], abs=1e-6)

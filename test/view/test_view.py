@@ -31,12 +31,13 @@ from rosbags.typesys import get_typestore, Stores
 from ros_process import Process
 import timo_sim
 from timo_sim.cli import main
+from timo_sim.cli.view import unique_names
 from timo_sim.log.recording import Recording
 from timo_sim.simulation.energy import work
 from timo_sim.view.animation import animate
 from timo_sim.view.convert import write
 from timo_sim.view.show import picture
-from timo_sim.view.track import of_recording, of_run, TrackError, unique_names
+from timo_sim.view.track import of_recording, of_run, TrackError
 
 LENGTH, AT = 2.0, 1.782
 ARM, TIP, GRID = (86, 180, 233), (213, 94, 0), (50, 50, 50)

@@ -9,10 +9,21 @@
 """The subcommand `view`, which shows recorded runs."""
 
 from functools import partial
+import itertools
 
 import click
 
 from timo_sim.cli.commands import main
+
+
+def unique_names(names):
+    """Return names with a suffix _N after repeated ones, such that all differ."""
+    found = []
+    for place, name in enumerate(names):
+        numbered = (f'{name}_{number}' for number in itertools.count(place))
+        found.append(name if name not in found else next(
+            each for each in numbered if each not in {*names, *found}))
+    return found
 
 
 @main.command()
@@ -46,7 +57,7 @@ def view(files, save, png, gif, at, web, fps, node):
     if gif:
         from timo_sim.view.animation import animate
     from timo_sim.log.recording import Recording
-    from timo_sim.view.track import of_recording, unique_names
+    from timo_sim.view.track import of_recording
     recordings = [Recording(path, node) for path in files]
     names = unique_names([recording.path.stem for recording in recordings])
     makers = [partial(of_recording, *pair) for pair in zip(recordings, names)]

@@ -13,21 +13,18 @@ def payloads_of(recording):
     """Return the changes by step, mass [kg] and inertia [kg m2], as `Scene.payloads` does."""
     scene, changes = recording.scene, [(step, values) for step, _, values in recording.changes]
     starts, found = [0, *recording.resets.tolist()], []
-    own = (scene.values['end_effector.mass'], scene.values['end_effector.inertia'])
-    for start, end in zip(starts, [*starts[1:], None]):
-        events = [(start + step, tip) for step, *tip in scene.payloads]
-        events += [(step, values) for step, values in changes
-                   if start <= step and (end is None or step < end)]
-        if start:
-            found.append((start, *own))
-        for step, change in sorted(events, key=lambda event: event[0]):
-            if end is not None and step >= end:
-                continue
-            if isinstance(change, dict):
-                tip = (change.get('end_effector.mass', own[0]),
-                       change.get('end_effector.inertia', own[1]))
-                if tip == own:
-                    continue
-                own = change = tip
-            found.append((step, *change))
+    own = now = (scene.values['end_effector.mass'], scene.values['end_effector.inertia'])
+    for start, end in zip(starts, [*starts[1:], float('inf')]):
+        # A reset goes back to the mass and inertia that were set last.
+        events = [(start, own), *((start + step, tuple(tip)) for step, *tip in scene.payloads)]
+        for step, values in changes:
+            if start <= step < end:
+                own = tuple(values.get(f'end_effector.{name}', value)
+                            for name, value in zip(('mass', 'inertia'), own))
+                events += [(step, own)] * any(name in values for name in (
+                    'end_effector.mass', 'end_effector.inertia'))
+        for step, tip in sorted(events, key=lambda event: event[0]):
+            if step < end and tip != now:
+                found.append((step, *tip))
+                now = tip
     return tuple(found)

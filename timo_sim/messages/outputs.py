@@ -39,8 +39,11 @@ def _readings(*sensors):
     return lambda snapshot: [axis for name in sensors for axis in snapshot.sensor(name)]
 
 
-def _imu_variances(snapshot):
-    return [snapshot.variance(name) for name in ('tip_acceleration', 'tip_acceleration', 'gyro')]
+def _imu_unlogged(snapshot):
+    # Along z, what the gravity in the plane of motion leaves of the Earth's; variances.
+    lean = min(snapshot.gravity / _GRAVITY, 1.0)
+    return [_GRAVITY * math.sqrt(1.0 - lean * lean), *(snapshot.variance(name) for name in (
+        'tip_acceleration', 'tip_acceleration', 'gyro'))]
 
 
 def _transforms(snapshot):
@@ -66,7 +69,7 @@ class Output(NamedTuple):
         The message with a Number in place of each number; time stamps are filled in.
     delay : str or None
         Of a sensor, the parameter with the time from measurement to message [s].
-    variances : function(simulation.snapshot.Snapshot) -> sequence of float
+    unlogged : function(simulation.snapshot.Snapshot) -> sequence of float
         Returns the values of the template's Numbers without a name.
 
     """
@@ -76,11 +79,11 @@ class Output(NamedTuple):
     numbers: Callable
     template: dict
     delay: str | None = None
-    variances: Callable = lambda snapshot: ()
+    unlogged: Callable = lambda snapshot: ()
 
     def content(self, snapshot, numbers):
-        """Return `numbers` and the variances after them, as many as the template has Numbers."""
-        return (*numbers, *self.variances(snapshot))
+        """Return `numbers` and those without a name, as many as the template has Numbers."""
+        return (*numbers, *self.unlogged(snapshot))
 
     @property
     def rate(self):
@@ -163,14 +166,13 @@ def outputs(modes):
             'header': _frame('tip'),
             # REP 145: -1 means no orientation; a covariance of zeros means that it is unknown.
             'orientation_covariance': [-1.0] + 8 * [0.0],
-            # An accelerometer shows specific force; where the plane of motion is horizontal,
-            # without gravity in it, it shows +g along z.
+            # An accelerometer shows specific force: +g along z where the plane is horizontal.
             'linear_acceleration': {**_xy('acceleration_x_m_per_s2', 'acceleration_y_m_per_s2'),
-                                    'z': _GRAVITY},
+                                    'z': Number()},
             'angular_velocity': {'z': Number('turning_rad_per_s')},
             'linear_acceleration_covariance': _diagonal(Number(), Number(), 0.0),
             'angular_velocity_covariance': _diagonal(0.0, 0.0, Number())},
-            delay='sensor.tip_imu.delay', variances=_imu_variances),
+            delay='sensor.tip_imu.delay', unlogged=_imu_unlogged),
         Output('~/encoder', 'sensor_msgs/msg/JointState', _readings('encoder'), {
             'name': ['shaft'], 'position': _numbers('shaft_rad')},
             delay='sensor.encoder.delay'),

@@ -19,8 +19,8 @@ class Number(NamedTuple):
     Stands in a template for a number that changes from message to message.
 
     A template has the values of a message as `cdr.pack` takes them. Numbers are counted in the
-    order of the template, whatever the order of the message. Numbers without a name come last;
-    they describe the others, as variances do, and are no columns.
+    order of the template, whatever the order of the message, those without a name last; these
+    describe the others, as variances do, and are no columns.
 
     Examples
     --------
@@ -50,16 +50,16 @@ class Form(NamedTuple):
 
 def form(type_name, template):
     """Return the Form of a template."""
-    marks: list[float] = []
+    marks: list[tuple[bool, float]] = []
 
     def mark(number):  # with a value that no template holds: 5e-324, 1e-323, ...
-        marks.append(5e-324 * (len(marks) + 1))
-        return marks[-1]
+        marks.append((not number.column, 5e-324 * (len(marks) + 1)))
+        return marks[-1][1]
 
     data = pack(type_name, _filled(template, mark))
     found = layout(type_name, data)
     doubles = [struct.unpack_from('<d', data, place)[0] for place in found.doubles]
-    return Form(data, found, tuple(map(doubles.index, marks)))
+    return Form(data, found, tuple(doubles.index(value) for _, value in sorted(marks)))
 
 
 def _filled(template, value):

@@ -9,6 +9,7 @@
 """The motion at one step, and what messages need of it."""
 
 from functools import cached_property
+import math
 
 import numpy as np
 
@@ -125,6 +126,11 @@ class Snapshot:
     def energy(self):
         """Kinetic plus strain energy [J]."""
         return float(self._model.energy(self.motion[np.newaxis])[0])
+
+    @property
+    def gravity(self):
+        """Gravity in the plane of motion [m/s2]."""
+        return math.hypot(*self._model.gravity)
 
     @property
     def length(self):

@@ -10,7 +10,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -107,16 +106,6 @@ class Track:
             place = np.searchsorted(self.ns, round(1e9 * at), side='right') - 1
             wanted = np.append(wanted, max(place, 0))
         return np.unique(wanted)
-
-
-def unique_names(names):
-    """Return names with a suffix _N after repeated ones, such that all differ."""
-    found = []
-    for place, name in enumerate(names):
-        numbered = (f'{name}_{number}' for number in itertools.count(place))
-        found.append(name if name not in found else next(
-            each for each in numbered if each not in {*names, *found}))
-    return found
 
 
 def of_run(run, name='run'):
