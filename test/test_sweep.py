@@ -50,6 +50,7 @@ def test_rows_are_those_of_simulate_to_the_bit_for_one_worker_and_two(scene, pap
         'shaft_velocity': random.uniform(-1.0, 1.0), 'carrier_x': 1.0},
         'load.torque.harmonic.amplitude': [random.uniform(1.0, 8.0)]} for _ in range(35)]
     variations += [{'model.formulation': 'newton', 'end_effector.mass': 1.0},
+                   {'payload': {'time': [1.0, 3.0], 'mass': [2.1, 1.9], 'inertia': [0.51, 0.5]}},
                    {'model.modes': 0}, {'carrier.held': 'x'}, {'integrator.step': 0.004}, {},
                    {'load.torque.harmonic.amplitude': [], 'load.torque.harmonic.frequency': [],
                     'load.torque.harmonic.phase': []}]

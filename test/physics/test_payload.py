@@ -14,6 +14,7 @@ import pytest
 from oracles import spectral_elements
 import timo_sim
 from timo_sim.simulation.simulator import Simulator
+from timo_sim.simulation.tip_load import pieces
 
 TORQUE = {'load.torque.harmonic.amplitude': [5.0], 'load.torque.harmonic.frequency': [1.0]}
 HELD, FREE = {'carrier.held': 'both', **TORQUE}, {'initial.shaft_velocity': 1.0, **TORQUE}
@@ -134,6 +135,13 @@ def test_a_change_by_hand_is_that_of_the_scene():
     np.testing.assert_array_equal(by_hand.motion.values, whole.motion.values)
 
 
+def test_of_two_samples_at_the_step_of_a_reset_the_second_is_from_after_it():
+    scene = timo_sim.load_scene({})
+    found = pieces(scene, np.array([0, 1, 2, 3, 3, 4]), ((1, 5.0, 0.6), (3, 2.0, 0.5)))
+    assert [(model.manipulator.end_effector_mass, part.start, part.stop)
+            for model, part in found] == [(2.0, 0, 2), (5.0, 2, 4), (2.0, 4, 6)]
+
+
 def test_a_saved_run_knows_its_loads(tmp_path):
     run = timo_sim.simulate({**FREE, **BOTH}, 0.7, sample_every=10)
     again = timo_sim.open_log(run.save(tmp_path / 'run.mcap'))
@@ -165,3 +173,14 @@ def test_newton_with_modes_of_another_end_effector():
 def test_what_is_refused(values, words):
     with pytest.raises(timo_sim.ParameterError, match=words):
         timo_sim.load_scene(values)
+
+
+def test_the_refused_load_of_a_simulator_leaves_it_as_it_was():
+    simulator = Simulator({**FREE, 'model.formulation': 'newton_root_stress'})
+    simulator.advance(10)
+    before = simulator.scene, simulator.tip_load.tip, simulator.motion.values.tolist()
+    with pytest.raises(timo_sim.ParameterError, match='2.5 cannot be set while a simulation of ne'):
+        simulator.change(simulator.scene.vary({'end_effector.mass': 2.5}))
+    assert before == (simulator.scene, simulator.tip_load.tip, simulator.motion.values.tolist())
+    simulator.change(simulator.scene.vary({'motor.viscous_friction': 1.0}))
+    assert simulator.model.own_modes  # friction changes no modes

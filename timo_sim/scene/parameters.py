@@ -232,6 +232,7 @@ _ALL = [
 
 PARAMETERS = {parameter.name: parameter for parameter in _ALL}
 RATES = [name for name in PARAMETERS if name.startswith('rate.')]
+_TIP = 'end_effector.mass', 'end_effector.inertia'
 DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
 
 
@@ -279,11 +280,13 @@ def steps_in(duration, step):
 
 def check_runtime(values, later):
     """Raise ParameterError if `later` changes what cannot be set while a simulation runs."""
-    fixed = [name for name, value in later.items()
-             if value != values[name] and not PARAMETERS[name].runtime]
+    reactions = values['model.formulation'] == 'newton_root_stress'
+    fixed = [name for name, value in later.items() if value != values[name] and (
+        not PARAMETERS[name].runtime or reactions and name in _TIP)]
     if fixed:
         raise ParameterError(f'{fixed[0]} = {short(later[fixed[0]])} cannot be set while a '
-                             f'simulation runs; it stays {short(values[fixed[0]])}')
+                             f'simulation{" of newton_root_stress" * (fixed[0] in _TIP)} runs; '
+                             f'it stays {short(values[fixed[0]])}')
 
 
 # 0.2.0 renamed these. Before 0.2.0 a limit of 0 meant no limit; now it is refused.

@@ -9,6 +9,7 @@
 """The load at the tip, which changes while a simulation runs."""
 
 from copy import copy
+from dataclasses import replace
 import math
 
 import numpy as np
@@ -37,7 +38,7 @@ class TipLoad:
     """
 
     def __init__(self, scene):
-        self._basis, self.tip = scene.manipulator, _own(scene)
+        self._first = self.tip = _own(scene)
         self._payloads, self._next, self.lost = scene.payloads, 0, 0.0
 
     def kept(self):
@@ -70,7 +71,9 @@ class TipLoad:
 
     def model(self, scene, earlier):
         """Return the formulation of a scene with this load, packed as an earlier one."""
-        model = scene.build(self._basis, self.tip)
+        mass, inertia = self._first
+        model = scene.build(replace(scene.manipulator, end_effector_mass=mass,
+                                    end_effector_inertia=inertia), self.tip)
         if model is not earlier:
             model.pack, model.packed = earlier.pack, earlier.pack(model.tables)
         return model
