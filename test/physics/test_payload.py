@@ -8,11 +8,14 @@
 
 """Loads that the end effector picks up and drops while it moves."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from oracles import spectral_elements
 import timo_sim
+from timo_sim.log.payloads import payloads_of
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.tip_load import pieces
 
@@ -135,6 +138,27 @@ def test_a_change_by_hand_is_that_of_the_scene():
     np.testing.assert_array_equal(by_hand.motion.values, whole.motion.values)
 
 
+def test_a_log_tells_the_loads_of_a_simulator():
+    """The scene's and those that are set; what is set to the same value again changes nothing."""
+    scene = timo_sim.load_scene({**FREE, **BOTH})
+    simulator, loads, changes = Simulator(scene), [], []
+    for step, mass in ((100, 3.0), (300, 3.0), (400, 4.0), (600, None), (650, 4.0)):
+        while simulator.steps < step:
+            simulator.advance(1)
+            loads.append(simulator.tip_load.tip)
+        if mass is None:
+            simulator.reset()
+        else:
+            changes.append((step, 0, {'end_effector.mass': mass}))
+            simulator.change(simulator.scene.vary(changes[-1][-1]))
+    told = payloads_of(SimpleNamespace(scene=scene, changes=changes, resets=np.array([600])))
+    assert told == ((100, 3.0, 0.5), (200, 5.0, 0.5), (400, 4.0, 0.5), (500, 1.0, 0.5),
+                    (600, 4.0, 0.5), (800, 5.0, 0.5), (1100, 1.0, 0.5))
+    for step, tip in enumerate(loads):
+        assert tip == (2.0, 0.5) if step < 100 else [each[1:] for each in told
+                                                     if each[0] <= step][-1]
+
+
 def test_of_two_samples_at_the_step_of_a_reset_the_second_is_from_after_it():
     scene = timo_sim.load_scene({})
     found = pieces(scene, np.array([0, 1, 2, 3, 3, 4]), ((1, 5.0, 0.6), (3, 2.0, 0.5)))
@@ -179,7 +203,7 @@ def test_the_refused_load_of_a_simulator_leaves_it_as_it_was():
     simulator = Simulator({**FREE, 'model.formulation': 'newton_root_stress'})
     simulator.advance(10)
     before = simulator.scene, simulator.tip_load.tip, simulator.motion.values.tolist()
-    with pytest.raises(timo_sim.ParameterError, match='2.5 cannot be set while a simulation of ne'):
+    with pytest.raises(timo_sim.ParameterError, match='2.5 cannot be set while a simulation of'):
         simulator.change(simulator.scene.vary({'end_effector.mass': 2.5}))
     assert before == (simulator.scene, simulator.tip_load.tip, simulator.motion.values.tolist())
     simulator.change(simulator.scene.vary({'motor.viscous_friction': 1.0}))

@@ -19,10 +19,10 @@ def payloads_of(recording):
         events = [(start, own), *((start + step, tuple(tip)) for step, *tip in scene.payloads)]
         for step, values in changes:
             if start <= step < end:
-                own = tuple(values.get(f'end_effector.{name}', value)
-                            for name, value in zip(('mass', 'inertia'), own))
-                events += [(step, own)] * any(name in values for name in (
-                    'end_effector.mass', 'end_effector.inertia'))
+                before, own = own, tuple(values.get(f'end_effector.{name}', value)
+                                         for name, value in zip(('mass', 'inertia'), own))
+                # As in a simulator, a value that is set again changes nothing.
+                events += [(step, own)] * (own != before)
         for step, tip in sorted(events, key=lambda event: event[0]):
             if step < end and tip != now:
                 found.append((step, *tip))
