@@ -62,9 +62,9 @@ def recover(file, output=None):
             raise LogError(f'{printable(path)}: nothing in it is intact: {reader.damage}')
         stream.seek(len(MCAP0_MAGIC))
         new = _write(Reader(stream).records(), reader.profile, Path(file), output)
-        found = 'it is still being written' if held(stream) else reader.damage
+        state = 'it is still being written' if held(stream) else reader.damage
     more = f' and {reader.faults - 1} more' if reader.faults > 1 else ''
-    return (f'{printable(path)}: {found}{more}; {contents}, {reader.size - reader.kept} '
+    return (f'{printable(path)}: {state}{more}; {contents}, {reader.size - reader.kept} '
             f'bytes lost; complete in {printable(new)}')
 
 
