@@ -14,14 +14,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
-import warnings
 
 import numpy as np
 
 from timo_sim.messages.outputs import outputs, with_angles
 from timo_sim.physics.equations.base import Formulation
 from timo_sim.physics.layout import FORCE_X, FORCE_Y, LOADS, MotionFields, TORQUE
-from timo_sim.scene.parameter import ModelWarning
+from timo_sim.scene.parameter import warn
 from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.scene.scene import Scene
 from timo_sim.scene.summary import html_table
@@ -149,9 +148,8 @@ class Run(MotionFields):
         """
         energy, doubt = dissipated(self.scene, self.t, self.motion)
         if doubt:
-            warnings.warn('the dissipated energy is not accurate, because samples are too far '
-                          'apart and the run cannot be simulated again: take more samples',
-                          ModelWarning, stacklevel=2)
+            warn('the dissipated energy is not accurate, because samples are too far apart and '
+                 'the run cannot be simulated again: take more samples')
         return energy
 
     def momentum(self) -> np.ndarray:
