@@ -185,6 +185,17 @@ def test_forces_that_hold_an_arm_at_rest():
     assert falling.sensors.tip_acceleration == pytest.approx([0.0, 0.0], abs=1e-6)
 
 
+@pytest.mark.parametrize('share, holds', [(1.01, True), (0.99, False)])
+def test_dry_friction_holds_an_arm_up_to_its_weight(share, holds):
+    locked = timo_sim.load_scene({**CLAMPED, 'initial.shaft': 0.3})
+    torque, start = Simulator(locked).effort[2], locked.initial_motion()
+    scene = timo_sim.load_scene({
+        **DOWN, 'carrier.held': 'both', 'motor.coulomb_friction': share * torque,
+        'initial.shaft': 0.3, 'initial.modal_coordinates': start[3:6]})
+    run = timo_sim.simulate(scene, 1.0, compare=False)
+    assert (np.abs(run.shaft - 0.3).max() < 1e-9) == holds
+
+
 @pytest.mark.parametrize('values, words', [
     ({'gravity': [1.0]}, 'gravity must have 2 elements'),
     ({**DOWN, 'initial.equilibrium': True}, 'the carrier is free along y'),

@@ -13,6 +13,8 @@ import pytest
 
 from oracles import spectral_elements
 import timo_sim
+from timo_sim.replay.replay import replay
+from timo_sim.simulation.energy import work
 from timo_sim.simulation.simulator import Simulator
 
 TORQUE = {'load.torque.harmonic.amplitude': [5.0], 'load.torque.harmonic.frequency': [1.0]}
@@ -134,12 +136,42 @@ def test_a_change_by_hand_is_that_of_the_scene():
     np.testing.assert_array_equal(by_hand.motion.values, whole.motion.values)
 
 
+def test_a_state_after_a_change_is_not_taken_for_one_before():
+    run = timo_sim.simulate({**FREE, **PICKED}, 0.6, sample_every=100)
+    assert run.scene.at(run, 0.3).initial_motion() == pytest.approx(run.motion[3])
+    with pytest.raises(timo_sim.ParameterError, match='it changes at 0.3 s'):
+        run.scene.at(run, 0.4)
+
+
+@pytest.mark.parametrize('values', [
+    {'carrier.coulomb_friction': 3.0, 'motor.coulomb_friction': 1.0},
+    {'integrator.tolerance': 1e-7}, {'model.axial_modes': 1}, {'motor.shaft': 'locked'},
+    {'model.formulation': 'newton_rigid_axial'},
+    {'carrier.held': 'x', 'model.formulation': 'newton'}], ids=str)
+def test_energy_is_balanced_between_impacts(values):
+    """All that a scene may have: what is lost at impacts and to friction is counted."""
+    scene = timo_sim.load_scene({**FREE, **BOTH, 'gravity': [0.5, -1.0], **values, **{
+        'initial.shaft_velocity': 0.0 if 'motor.shaft' in values else 1.0,
+        'load.torque.harmonic.amplitude': [0.0 if 'motor.shaft' in values else 5.0]}})
+    run = timo_sim.simulate(scene, 0.7, compare=False)
+    energy = run.energy() + run.friction_heat
+    done = work(np.rint(run.t * 1e9), run.motion[:, :3],
+                np.column_stack([run.carrier_velocity, run.shaft_velocity]), run.effort)
+    left = np.append(0.0, np.cumsum(done)) - energy
+    # From after the impact at 0.2 s, with its own rates, to that at 0.5 s.
+    bound = 1e-6 if values.get('model.formulation', 'exact') == 'exact' else 2e-2
+    assert np.ptp(left[201:501]) < bound * np.ptp(energy)
+
+
 def test_a_saved_run_knows_its_loads(tmp_path):
     run = timo_sim.simulate({**FREE, **BOTH}, 0.7, sample_every=10)
     again = timo_sim.open_log(run.save(tmp_path / 'run.mcap'))
     assert again.payloads == run.payloads == ((200, 5.0, 0.5), (500, 1.0, 0.5))
     np.testing.assert_array_equal(again.energy(), run.energy())
     np.testing.assert_array_equal(again.momentum(), run.momentum())
+    lines = []
+    assert replay(again.recording.path, show=lines.append)
+    assert any('all are the same to the last bit' in line for line in lines)
 
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])
