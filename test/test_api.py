@@ -20,6 +20,7 @@ import pytest
 import yaml
 
 import timo_sim
+from timo_sim.log.records import LogError
 
 NAMES = [name for name in timo_sim.__all__ if not name.startswith('__')]
 FUNCTIONS = [name for name in NAMES if inspect.isfunction(getattr(timo_sim, name))]
@@ -162,7 +163,10 @@ def test_a_run_is_saved_and_opened(run, tmp_path):
     assert np.array_equal(again.effort[1:], run.effort[1:])
     frame = run.to_pandas()
     assert np.array_equal(frame['shaft_rad'], run.shaft) and frame.index.name == 'time_s'
-    assert run.save(tmp_path / 'run.parquet').exists()
+    path = run.save(tmp_path / 'run.parquet')
+    with pytest.raises(LogError) as error:
+        run.save(path)
+    assert str(error.value) == f'{path} exists: remove it or choose another name'
 
 
 def test_effort_is_the_load_at_the_samples(run):
@@ -273,6 +277,18 @@ def test_implausible_values_give_one_warning(given, words):
     with pytest.warns(timo_sim.ModelWarning, match=words) as caught:
         timo_sim.load_scene(given)
     assert len(caught) == 1
+
+
+@pytest.mark.parametrize('call', [
+    timo_sim.load_scene, timo_sim.linearize, timo_sim.Simulator,
+    lambda given: timo_sim.simulate(given, 0.01).save('run.mcap')])
+def test_a_warning_names_the_line_of_the_caller(call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.warns(timo_sim.ModelWarning) as caught:
+        call({'initial.shaft': 45.0})
+        for path in tmp_path.iterdir():
+            timo_sim.open_log(path)
+    assert {each.filename for each in caught} == {__file__}
 
 
 def test_plausible_values_give_no_warning():

@@ -135,6 +135,14 @@ def test_the_command_refuses(arguments, words, tmp_path, monkeypatch):
     assert result.exit_code == 2 and words in result.output
 
 
+def test_the_command_shows_a_warning_as_one_line():
+    command = ['simulate', 'paper', '--duration', '0.01', '--set', 'initial.shaft=45']
+    done = subprocess.run([sys.executable, '-m', 'timo_sim', *command], capture_output=True,
+                          text=True)
+    told, = [line for line in done.stderr.splitlines() if 'compiling' not in line]
+    assert told.startswith('timo_sim: is this meant? initial.shaft = 45 rad is more than a turn')
+
+
 # The clock goes on by 0.1 s each time it is read: the bar appears after ten readings.
 SHORT_AND_LONG = """
 import io, itertools, sys

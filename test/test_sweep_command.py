@@ -184,6 +184,19 @@ def test_files_that_are_refused(write, entries, words):
     assert words in str(caught.value) and 'yaml' in str(caught.value)
 
 
+@pytest.mark.parametrize('entries', [
+    {'grids' * 99: {}}, {'scene': [3] * 99, 'runs': [{}]}, {'parameters': [1] * 99, 'runs': [{}]},
+    {'runs': 'all' * 99}, {'grid': {'model.modes': 'all' * 99}}, {'grid': {'a' * 300: 3}},
+    {'random': {'seed' * 99: 1}}, {'random': {**RANDOM, 'ranges': {'arm.length': [1.0] * 99}}},
+    {'random': {**RANDOM, 'ranges': {'load.force_x.values': [[2.0] * 99, [1.0] * 99]}}}])
+def test_refusals_show_a_long_value_in_part(write, entries):
+    path = write(**entries)
+    with pytest.raises(timo_sim.ParameterError) as caught:
+        read_plan(path)
+    told = str(caught.value).removesuffix(f' ({path})')
+    assert len(told) < 200 and '\n' not in told
+
+
 def test_bad_input_ends_with_one_line_and_code_2(write, tmp_path):
     (tmp_path / 'broken.yaml').write_text('scene: [')
     for path, words in ((write(grid={'model.modes': [-1]}), 'model.modes must be'),

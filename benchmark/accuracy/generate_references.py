@@ -145,7 +145,7 @@ def main():
         'modes': lambda: modes(paper),
         'spin_up': lambda: inextensible(spin_up_scene, 20.0, 0.02, ('t', *TIP)),
         'torque': lambda: reference(load_scene(TORQUE), 5.0, 0.01, tip, 104, 0.00025),
-        'pendulum': lambda: reference(load_scene(PENDULUM), 5.0, 0.01, tip, 52, 0.001),
+        'pendulum': lambda: reference(load_scene(PENDULUM), 5.0, 0.01, tip, 104, 0.00025),
         'paper': lambda: reference(paper, 10.0, 0.01, whole, 52, 0.0005),
     }
     for name in given.only or files:

@@ -165,6 +165,13 @@ def test_export_overwrites_nothing(log, tmp_path):
     assert 'must end with' in call('export', log, '-o', tmp_path / 'run.xlsx', code=2)
 
 
+@pytest.mark.parametrize('option', ['--topic', '--node'])
+def test_options_of_tables_are_refused_for_a_bag(log, tmp_path, option):
+    text = call('export', log, '-o', tmp_path / 'bag', '--bag', option, '/timo_sim', code=2)
+    assert text == f'timo_sim: --bag takes the whole file: leave out {option}\n'
+    assert not (tmp_path / 'bag').exists()
+
+
 def test_a_bag_opens_as_a_folder(log, tmp_path):
     call('export', log, '-o', tmp_path / 'bag', '--bag')
     with Reader(tmp_path / 'bag') as bag:

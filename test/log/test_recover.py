@@ -363,6 +363,26 @@ def test_killed_nodes_leave_logs_that_can_be_recovered(start, client, tmp_path):
         assert set(notes[0][1]) >= {'parameters', 'initial_motion', 'timo_sim'}
 
 
+def test_a_log_that_is_still_being_written_is_called_that(start, client, tmp_path):
+    node = start()
+    client.wait(lambda: node.log.exists() and node.log.stat().st_size > 10000, 'the log')
+    called = [([command, str(node.log)], 2) for command in ('info', 'view', 'replay')]
+    called += [(['export', str(node.log), '-o', str(tmp_path / 'run.csv')], 2),
+               (['recover', str(node.log)], 0)]
+    for arguments, code in called:
+        result = CliRunner().invoke(main, arguments)
+        assert result.exit_code == code and result.output.count('\n') == 1, result.output
+        assert 'still being written' in result.output and 'died' not in result.output
+    node.send(signal.SIGKILL)
+    node.wait()
+    for arguments, code in called:
+        result = CliRunner().invoke(main, arguments)
+        assert result.exit_code == code and result.output.count('\n') == 1, result.output
+        assert 'is still being written' not in result.output
+    told = CliRunner().invoke(main, ['info', str(node.log)]).output
+    assert 'its process died, or another tool still writes it: timo_sim recover' in told
+
+
 def time_of(state):
     """Return the stamp of a message [s]."""
     return state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec

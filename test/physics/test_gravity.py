@@ -176,12 +176,24 @@ def test_forces_that_hold_an_arm_at_rest():
         [G * np.sin(turned), G * np.cos(turned)], abs=1e-6)
     # The topic has the third axis, too: nothing of the Earth's gravity is left for it.
     imu = next(output for output in outputs(3) if output.name == '~/tip_imu/data_raw')
-    for gravity, along_z in (([0.0, -9.80665], 0.0), ([0.0, 0.0], 9.80665), ([3.0, 4.0], 8.43655)):
+    for gravity, along_z in (([0.0, -9.80665], 0.0), ([0.0, 0.0], 9.80665),
+                             ([3.0, 4.0], 8.436254)):
         scene = timo_sim.load_scene({'gravity': gravity})
         assert imu.unlogged(Simulator(scene).snapshot())[0] == pytest.approx(along_z, abs=1e-5)
     falling = timo_sim.Simulator(timo_sim.load_scene(DOWN))
     falling.step(duration=0.1)
     assert falling.sensors.tip_acceleration == pytest.approx([0.0, 0.0], abs=1e-6)
+
+
+@pytest.mark.parametrize('share, holds', [(1.01, True), (0.99, False)])
+def test_dry_friction_holds_an_arm_up_to_its_weight(share, holds):
+    locked = timo_sim.load_scene({**CLAMPED, 'initial.shaft': 0.3})
+    torque, start = Simulator(locked).effort[2], locked.initial_motion()
+    scene = timo_sim.load_scene({
+        **DOWN, 'carrier.held': 'both', 'motor.coulomb_friction': share * torque,
+        'initial.shaft': 0.3, 'initial.modal_coordinates': start[3:6]})
+    run = timo_sim.simulate(scene, 1.0, compare=False)
+    assert (np.abs(run.shaft - 0.3).max() < 1e-9) == holds
 
 
 @pytest.mark.parametrize('values, words', [

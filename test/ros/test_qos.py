@@ -8,12 +8,15 @@
 
 """QoS of the topics: subscribers with the profile for sensor data, and qos_overrides.*."""
 
+from mcap.reader import make_reader
 import pytest
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import qos_profile_sensor_data, ReliabilityPolicy
 from std_msgs.msg import Float64
+import yaml
 
+from timo_sim.log.export import export_bag
 from timo_sim.messages.outputs import outputs
 from timo_sim.ros.parameters import ParameterNode
 from timo_sim.ros.topics import message_class
@@ -63,6 +66,23 @@ def test_subscribers_of_sensor_data_receive_every_topic_and_overrides_act(start,
         return heard['joint_states'][-1].effort[2] == 2.0
     client.wait(acts, 'the torque of an unreliable publisher')
     assert node.end()[0] == 0
+
+
+def test_the_log_names_the_qos_that_acts(start, tmp_path):
+    node = start(duration=0.1, **OVERRIDES)
+    assert node.wait()[0] == 0
+    profile = {'/timo_sim/tip_pose': (1, 'best_effort'), TORQUE: (1000, 'best_effort')}
+    with open(node.log, 'rb') as stream:
+        channels = make_reader(stream).get_summary().channels.values()
+    logged = {channel.topic: yaml.safe_load(channel.metadata['offered_qos_profiles'])
+              for channel in channels}
+    export_bag(node.log, tmp_path / 'bag')
+    bag = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())
+    exported = {topic['topic_metadata']['name']: topic['topic_metadata']['offered_qos_profiles']
+                for topic in bag['rosbag2_bagfile_information']['topics_with_message_count']}
+    assert logged == exported and {*profile} < {*logged}
+    for topic, (qos,) in logged.items():
+        assert (qos['depth'], qos['reliability']) == profile.get(topic, (10, 'reliable')), topic
 
 
 @pytest.mark.parametrize('name, value, words', [

@@ -34,12 +34,14 @@ from timo_sim.cli import main
 from timo_sim.cli.view import unique_names
 from timo_sim.log.recording import Recording
 from timo_sim.simulation.energy import work
+from timo_sim.view import animation, plot
 from timo_sim.view.animation import animate
 from timo_sim.view.convert import write
 from timo_sim.view.show import picture
 from timo_sim.view.track import of_recording, of_run, TrackError
 
 LENGTH, AT = 2.0, 1.782
+_ARM = animation._Arm
 ARM, TIP, GRID = (86, 180, 233), (213, 94, 0), (50, 50, 50)
 
 
@@ -111,17 +113,27 @@ def test_tip_and_centre_line_are_drawn_where_they_are(run, shown, tmp_path):
 
 def test_an_animation_shows_the_arm_where_it_is(run, tmp_path):
     animate([of_run(run)], tmp_path / 'run.gif', 10.0)
-    animation = Image.open(tmp_path / 'run.gif')
-    assert animation.n_frames == 31 and animation.info['duration'] == 100  # [ms], as in the run
+    frames = Image.open(tmp_path / 'run.gif')
+    assert frames.n_frames == 31 and frames.info['duration'] == 100  # [ms], as in the run
     for number, k in ((0, 0), (18, 900)):
-        animation.seek(number)
+        frames.seek(number)
         # A line is fitted to the arm's pixels; the left part has no others of this colour.
-        found = pixels(np.asarray(animation.convert('RGB'))[:, :360] / 255.0, (0, 114, 178))
+        found = pixels(np.asarray(frames.convert('RGB'))[:, :360] / 255.0, (0, 114, 178))
         x, y = np.linalg.svd(found - found.mean(axis=0), full_matrices=False)[2][0]
         chord = run.position(LENGTH)[k] - run.carrier[k]
         off = np.arctan2(-y, x) - np.arctan2(*chord[::-1])
         # The bent arm lies to one side of its chord, and the pixels include a part of its path.
         assert abs((off + np.pi / 2) % np.pi - np.pi / 2) < 0.02
+
+
+def test_no_run_or_curve_is_left_out_for_want_of_colours(run, monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(animation, '_Arm', lambda *given: drawn.append(given[1]) or _ARM(*given))
+    animate([of_run(run, str(number)) for number in range(7)], tmp_path / 'run.gif', 0.5)
+    assert [track.name for track in drawn] == [*'0123456']
+    model = timo_sim.linearize(run.scene)
+    assert len(model.outputs) > 6
+    assert len(plot.bode(model).axes[0].lines) == len(model.outputs)
 
 
 def test_curves_have_every_sample_and_frames_are_thinned(run, shown):
@@ -359,6 +371,8 @@ def test_invalid_numbers_are_refused(log, option, words):
     (['--save', 'a.rrd', '--at', 'nan'], '--at must be a finite number, got nan'),
     (['--save', 'a.rrd', '--at', '99'], '--at = 99 s is not in the run, which is from 0 to'),
     (['--save', 'a.png'], 'the path of --save, a rerun file, must end with .rrd, got a.png'),
+    (['--gif', 'a.gif', '--at', '1'], '--at is the time of a picture: it needs --png or --save'),
+    (['--web', '--at', '1'], '--at is the time of a picture: it needs --png or --save'),
     (['--gif', 'a.png'], 'the path of an animation must end with .gif, got a.png'),
     (['--png', 'none/a.png'], '--png none/a.png cannot be written')])
 def test_invalid_views_are_refused_in_one_line(log, tmp_path, monkeypatch, arguments, words):

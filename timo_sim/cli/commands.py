@@ -21,6 +21,14 @@ _EXTRAS = {'pyarrow': 'sweep', 'distributed': 'cluster', 'geometry_msgs': 'ros',
 _WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError', 'TrackError'
 
 
+def _shown(message, category, filename, lineno, file=None, line=None):
+    """Print a warning; a ModelWarning is one line, without a place in this package or click."""
+    text = warnings.formatwarning(message, category, filename, lineno, line).rstrip()
+    if category.__name__ == 'ModelWarning':
+        text = 'timo_sim: ' + ' '.join(str(message).split())
+    click.echo(text, err=True)
+
+
 class _Command(click.Command):
     """A subcommand that reports an error as one line and an exit code."""
 
@@ -32,7 +40,9 @@ class _Command(click.Command):
     def invoke(self, context):
         """Run it; exit with 2 for wrong input, 1 for a missing package, MemoryError or OSError."""
         try:
-            return super().invoke(context)
+            with warnings.catch_warnings():
+                warnings.showwarning = _shown
+                return super().invoke(context)
         except Exception as error:
             code, text = 1, str(error)
             if type(error).__name__ in _WRONG_INPUT:
@@ -120,6 +130,9 @@ def export(file, output, topic, bag, node):
     time, before and after it.
     """
     from timo_sim.log.export import export, export_bag
+    from timo_sim.log.records import LogError
+    if bag and (topic or node):
+        raise LogError(f'--bag takes the whole file: leave out {"--topic" if topic else "--node"}')
     click.echo(export_bag(file, output) if bag else export(file, output, topic, node))
 
 

@@ -35,10 +35,12 @@ def unique_names(names):
 @click.option('--gif', type=click.Path(dir_okay=False), metavar='OUT.gif',
               help='Draw an animation instead, without rerun.')
 @click.option('--at', type=float, metavar='SECONDS',
-              help='Sim time of the picture [s]; by default the end.')
+              help='Sim time of the picture of --png, and of a frame in the file of --save [s]; '
+                   'by default the end.')
 @click.option('--web', is_flag=True, help='Open the browser instead of a window.')
 @click.option('--fps', type=click.FloatRange(min=0.0, min_open=True), default=30.0,
-              show_default=True, help='Frames per second of the arm; curves have all samples.')
+              show_default=True, help='Frames per second of the arm, in an animation at most 20; '
+              'curves have all samples.')
 @click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
 def view(files, save, png, gif, at, web, fps, node):
     r"""
@@ -52,6 +54,9 @@ def view(files, save, png, gif, at, web, fps, node):
         timo_sim view run.mcap --gif run.gif
     """
     wanted = save or png or web or not gif
+    if at is not None and not (png or save):
+        from timo_sim.scene.parameter import ParameterError
+        raise ParameterError('--at is the time of a picture: it needs --png or --save')
     if wanted:
         import rerun  # noqa: F401  # if it is missing, fail before minutes are spent on reading
     if gif:

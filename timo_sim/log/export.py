@@ -73,7 +73,7 @@ def _new_table(path):
     if path.suffix not in ('.parquet', '.csv'):
         raise LogError(f'{printable(path)} must end with .parquet or .csv')
     if path.exists():
-        raise LogError(f'{printable(path)} exists: remove it or choose another --output')
+        raise LogError(f'{printable(path)} exists: remove it or choose another name')
     return path
 
 
@@ -138,7 +138,7 @@ def export_bag(file, output):
         folder.mkdir(parents=True)
     except FileExistsError:
         raise LogError(
-            f'{printable(folder)} exists: remove it or choose another --output') from None
+            f'{printable(folder)} exists: remove it or choose another name') from None
     try:
         os.link(index.path, new)  # a hard link takes neither time nor space for a gigabyte
     except OSError:

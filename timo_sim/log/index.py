@@ -23,8 +23,8 @@ from mcap.writer import MCAP0_MAGIC
 import numpy as np
 
 from timo_sim.log.records import (
-    Broken, file_of, HEAD, LARGEST_RECORD, LogError, open_file, parsed, printable, uncompressed,
-    UNREADABLE)
+    Broken, file_of, HEAD, held, LARGEST_RECORD, LogError, open_file, parsed, printable,
+    uncompressed, UNREADABLE)
 
 _FOOTER = struct.Struct('<BQQQI8s')    # opcode, length, places of summary and offsets, CRC, magic
 _LARGEST_SUMMARY = 512 * 1024 * 1024   # [B], about that of a log of a month
@@ -44,7 +44,7 @@ def read_summary(stream):
     stream.seek(max(0, size - _FOOTER.size))
     end = stream.read(_FOOTER.size)
     if len(end) < _FOOTER.size or not end.endswith(MCAP0_MAGIC) or end[0] != Opcode.FOOTER:
-        raise Broken('it has no end, as after a crash')
+        raise Broken('it has no end: its process died, or another tool still writes it')
     _, _, place, _, crc, _ = _FOOTER.unpack(end)
     length = size - place
     if not place or not _FOOTER.size < length <= _LARGEST_SUMMARY:
@@ -117,8 +117,10 @@ class Index:
             try:
                 found = read_summary(self._stream)
             except Broken as error:
-                raise LogError(f'{self.name}: {error}: timo_sim recover {self.name} makes a '
-                               'complete log of it') from None
+                reason = ('it is still being written: wait for its end, or' if held(self._stream)
+                          else f'{error}:')
+                raise LogError(f'{self.name}: {reason} timo_sim recover {self.name} makes a '
+                               'complete log of what is there') from None
         self.schemas = {schema.id: schema for schema in found[Schema]}
         self.channels = {channel.id: channel for channel in found[Channel]}
         self.statistics = found[Statistics][-1]

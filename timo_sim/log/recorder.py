@@ -21,7 +21,8 @@ from mcap.records import Channel as ChannelRecord
 from mcap.records import Schema
 
 from timo_sim.log.notes import Peak, start_note, START, SUMMARY
-from timo_sim.log.writer import channel_metadata, Chunk, Writer
+from timo_sim.log.records import hold
+from timo_sim.log.writer import channel_metadata, Chunk, DEPTH, Writer
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.definitions import schema_text, TYPE_HASHES
 from timo_sim.messages.outputs import in_frames, outputs
@@ -40,6 +41,8 @@ class Channel(NamedTuple):
     topic: str      # fully qualified name
     type_name: str  # as in 'sensor_msgs/msg/JointState'
     name: str = ''  # before remapping, as in '~/tip_pose'
+    depth: int = DEPTH
+    reliability: str = 'reliable'  # or 'best_effort'
 
 
 class Recorder:
@@ -88,8 +91,8 @@ class Recorder:
                      for number, name in enumerate(types, start=1)),
                    *(ChannelRecord(id=number, topic=topic, message_encoding='cdr',
                                    schema_id=types.index(name) + 1,
-                                   metadata=channel_metadata(TYPE_HASHES[name]))
-                     for number, (topic, name, _) in enumerate(channels, start=1))]
+                                   metadata=channel_metadata(TYPE_HASHES[name], *qos))
+                     for number, (topic, name, _, *qos) in enumerate(channels, start=1))]
         self.path, self._file = create(Path(path))
         try:
             self._writer = Writer(self._file, 'ros2')
@@ -256,10 +259,12 @@ def create(path):
         candidate = path.with_stem(f'{path.stem}_{attempt}') if attempt else path
         try:
             # O_APPEND: if another program cuts the file or adds to it, its size shows that.
-            return candidate, open(candidate, 'xb', opener=lambda name, flags: os.open(
+            stream = open(candidate, 'xb', opener=lambda name, flags: os.open(
                 name, flags | os.O_APPEND, 0o666))
         except FileExistsError:
             continue
+        hold(stream)
+        return candidate, stream
     raise FileExistsError(f'{path} and 9999 numbered names after it exist')
 
 

@@ -8,6 +8,8 @@
 
 """Parse and check MCAP records and chunks, and define the errors of logs."""
 
+from contextlib import suppress
+import fcntl
 from io import BytesIO
 import os
 from pathlib import Path
@@ -66,6 +68,24 @@ def open_file(path):
         raise LogError(f'{printable(path)} is empty' if not start else
                        f'{printable(path)} is not an MCAP file: it begins with {start!r}')
     return stream
+
+
+def hold(stream):
+    """Mark a new log as being written until its stream is closed or its process ends."""
+    with suppress(OSError):  # some network file systems have no locks
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def held(stream):
+    """Return whether a process of this package is still writing a log, open for reading."""
+    try:
+        fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    fcntl.flock(stream, fcntl.LOCK_UN)
+    return False
 
 
 def uncompressed(content):

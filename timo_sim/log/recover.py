@@ -16,7 +16,7 @@ from mcap.writer import MCAP0_MAGIC
 from timo_sim.log.notes import START
 from timo_sim.log.reader import Private, Reader
 from timo_sim.log.recorder import create, sync
-from timo_sim.log.records import file_of, LogError, open_file, printable
+from timo_sim.log.records import file_of, held, LogError, open_file, printable
 from timo_sim.log.writer import Chunk, Writer
 
 
@@ -62,8 +62,9 @@ def recover(file, output=None):
             raise LogError(f'{printable(path)}: nothing in it is intact: {reader.damage}')
         stream.seek(len(MCAP0_MAGIC))
         new = _write(Reader(stream).records(), reader.profile, Path(file), output)
+        state = 'it is still being written' if held(stream) else reader.damage
     more = f' and {reader.faults - 1} more' if reader.faults > 1 else ''
-    return (f'{printable(path)}: {reader.damage}{more}; {contents}, {reader.size - reader.kept} '
+    return (f'{printable(path)}: {state}{more}; {contents}, {reader.size - reader.kept} '
             f'bytes lost; complete in {printable(new)}')
 
 

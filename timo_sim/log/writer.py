@@ -13,6 +13,7 @@ Besides messages, a file has what rosbag2 writes: the QoS of topics, and its own
 """
 
 from collections import Counter, defaultdict
+import re
 import struct
 import zlib
 
@@ -32,9 +33,10 @@ from timo_sim.log.records import bytes_of, HEAD, printable
 _MESSAGE = struct.Struct('<BQHIQQ')
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
 _FOR_EVER = {'sec': 9223372036, 'nsec': 854775807}
-# What the node offers on every topic, as rosbag2 writes it (metadata version 9).
+DEPTH = 10  # default depth of a topic's queue [messages]
+# What the node offers on a topic by default, as rosbag2 writes it (metadata version 9).
 _QOS = {
-    'history': 'keep_last', 'depth': 10, 'reliability': 'reliable', 'durability': 'volatile',
+    'history': 'keep_last', 'depth': DEPTH, 'reliability': 'reliable', 'durability': 'volatile',
     'deadline': _FOR_EVER, 'lifespan': _FOR_EVER, 'liveliness': 'automatic',
     'liveliness_lease_duration': _FOR_EVER, 'avoid_ros_namespace_conventions': False}
 
@@ -200,12 +202,26 @@ def yaml_text(value):
     return yaml.dump(value, Dumper=_Dumper, sort_keys=False)
 
 
-_QOS_TEXT = yaml_text([_QOS])
+_OWN_QOS = re.compile(
+    '- history: keep_last\n  depth: ([0-9]{1,5})\n  reliability: ([a-z_]{1,11})\n')
 
 
-def channel_metadata(type_hash):
-    """Return the metadata of a channel: the QoS that the node offers, and the hash of its type."""
-    return {'offered_qos_profiles': _QOS_TEXT, 'topic_type_hash': type_hash}
+def _qos(depth, reliability):
+    return [{**_QOS, 'depth': depth, 'reliability': reliability}]
+
+
+def channel_metadata(type_hash, depth=DEPTH, reliability='reliable'):
+    """Return the metadata of a channel: the QoS of its topic, and the hash of its type."""
+    return {'offered_qos_profiles': yaml_text(_qos(depth, reliability)),
+            'topic_type_hash': type_hash}
+
+
+def _qos_of(channel):
+    """Return the QoS that `channel_metadata` wrote; any other text may be hostile: no QoS."""
+    text = channel.metadata.get('offered_qos_profiles', '')
+    found = _OWN_QOS.match(text)
+    profiles = _qos(int(found[1]), found[2]) if found else []
+    return profiles if yaml_text(profiles) == text else []
 
 
 def information(schemas, channels, statistics, name):
@@ -219,9 +235,7 @@ def information(schemas, channels, statistics, name):
         {'topic_metadata': {
             'name': channel.topic, 'type': types.get(channel.schema_id, ''),
             'serialization_format': channel.message_encoding,
-            # Any other text is left out, unparsed: it may come from a hostile file.
-            'offered_qos_profiles':
-                [_QOS] if channel.metadata.get('offered_qos_profiles') == _QOS_TEXT else [],
+            'offered_qos_profiles': _qos_of(channel),
             'type_description_hash': channel.metadata.get('topic_type_hash', '')},
          'message_count': statistics.channel_message_counts.get(channel.id, 0)}
         for channel in channels]

@@ -10,10 +10,9 @@
 
 from rclpy.serialization import deserialize_message, serialize_message
 
-from timo_sim.log.recorder import Channel
 from timo_sim.messages.commands import COMMANDS, INPUTS, JOINTS, LARGEST, Refused
 from timo_sim.messages.outputs import NANOSECONDS
-from timo_sim.ros.topics import message_class
+from timo_sim.ros.topics import channel_of, message_class
 
 QUEUE = 10  # commands that may wait on a topic, by default
 
@@ -64,8 +63,7 @@ class Inlet:
         self._subscription = node.create_subscription(
             self.type, command.name, lambda data: None, QUEUE, raw=True)
         self.publishers = self._subscription.get_publisher_count
-        self.channel = Channel(
-            self._subscription.topic_name, command.type_name, command.name)
+        self.channel = channel_of(self._subscription, command.type_name, command.name)
         self.pending = None
         self.refused = self.mismatched = self.foreign = 0
 

@@ -27,6 +27,12 @@ def message_class(type_name):
     return getattr(import_module(f'{package}.msg'), name)
 
 
+def channel_of(endpoint, type_name, name):
+    """Return the channel of a publisher or subscription in the log, with the QoS that acts."""
+    qos = endpoint.qos_profile
+    return Channel(endpoint.topic_name, type_name, name, qos.depth, qos.reliability.name.lower())
+
+
 class Outlet:
     """
     A publisher that also hands its messages to the log, and knows whether anybody wants them.
@@ -53,7 +59,7 @@ class Outlet:
         self._publisher = node.create_publisher(
             message_class(type_name), topic, 10,
             event_callbacks=PublisherEventCallbacks(matched=self._matched))
-        self.channel = Channel(self._publisher.topic_name, type_name, topic)
+        self.channel = channel_of(self._publisher, type_name, topic)
         self.recorder, self.index = None, None
 
     def _matched(self, event):

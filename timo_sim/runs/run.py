@@ -13,14 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TYPE_CHECKING
-import warnings
 
 import numpy as np
 
 from timo_sim.physics.equations.base import Formulation
 from timo_sim.physics.layout import LOADS, MotionFields
 from timo_sim.runs.tables import Tables
-from timo_sim.scene.parameter import ModelWarning
+from timo_sim.scene.parameter import warn
 from timo_sim.scene.scene import Scene
 from timo_sim.scene.summary import html_table
 from timo_sim.simulation.energy import dissipated
@@ -150,9 +149,8 @@ class Run(MotionFields, Tables):
         """
         energy, doubt = dissipated(self.scene, self.t, self.motion)
         if doubt:
-            warnings.warn('the dissipated energy is not accurate, because samples are too far '
-                          'apart and the run cannot be simulated again: take more samples',
-                          ModelWarning, stacklevel=2)
+            warn('the dissipated energy is not accurate, because samples are too far apart and '
+                 'the run cannot be simulated again: take more samples')
         return energy
 
     def momentum(self) -> np.ndarray:

@@ -11,14 +11,13 @@
 from __future__ import annotations
 
 import sys
-import warnings
 
 from tqdm import tqdm
 
 from timo_sim.runs.run import Run
 from timo_sim.runs.sampled import sampled_run
 from timo_sim.runs.second_run import compared, in_doubt
-from timo_sim.scene.parameter import ModelWarning, Parameter, ParameterError
+from timo_sim.scene.parameter import Parameter, ParameterError, warn
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.resolution import resolved
 
@@ -88,7 +87,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
         if in_doubt(run) if compare is None else compare:
             run = compared(run, tell=_tell)
     if run.warning:
-        warnings.warn(run.warning, ModelWarning, stacklevel=2)
+        warn(run.warning)
     return run
 
 

@@ -47,6 +47,11 @@ def state_of(scene, run, t):
     if scene.values['motor.shaft'] == 'driven':
         raise ParameterError('motor.shaft = driven starts at the beginning of motor.drive, '
                              'not at the state of a run')
+    changed = [step for step, *_ in run.payloads if step < round(run.t[sample] / run.scene.step)]
+    if changed:
+        raise ParameterError(
+            f't = {t:g} s must not be after a change of the load at the tip, since the modes are '
+            f'those of the first end effector; it changes at {changed[0] * run.scene.step:g} s')
     position, velocity = run.motion[sample].reshape(2, -1).tolist()
     return {**dict(zip(_POSITION, position)), **dict(zip(_VELOCITY, velocity)),
             'initial.modal_coordinates': position[3:], 'initial.modal_rates': velocity[3:],

@@ -13,6 +13,8 @@ import difflib
 import math
 import re
 import reprlib
+import sys
+import warnings
 
 import numpy as np
 
@@ -104,6 +106,16 @@ class Parameter:
         if not (above and number <= self.high) or self.finite and not math.isfinite(number):
             raise ValueError
         return number
+
+
+def warn(text):
+    """Give a ModelWarning whose place is the caller's line outside of this package."""
+    level, frame = 1, sys._getframe()
+    # functools, because it calls the functions of cached properties.
+    while frame.f_back and frame.f_globals.get('__name__', '').partition('.')[0] in (
+            'timo_sim', 'functools'):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, ModelWarning, stacklevel=level)
 
 
 def short(value, show=_SHORT.repr):

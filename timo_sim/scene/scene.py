@@ -16,7 +16,6 @@ from functools import cached_property
 import os
 from pathlib import Path
 from typing import Any
-import warnings
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from timo_sim.scene.build import (
 from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.initial import initial_motion, state_of
 from timo_sim.scene.loads import Load
-from timo_sim.scene.parameter import ModelWarning, ParameterError, SCENE, short, whole_ratio
+from timo_sim.scene.parameter import ParameterError, SCENE, short, warn, whole_ratio
 from timo_sim.scene.parameters import changed, check, DELAYS, PARAMETERS
 from timo_sim.scene.summary import html_table
 
@@ -245,7 +244,7 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
     values.update(check(flatten(overrides or {}), 'override'))
     doubts = implausible(values)
     if doubts:
-        warnings.warn(doubts, ModelWarning, stacklevel=2)
+        warn(doubts)
     return scene_from(values)
 
 

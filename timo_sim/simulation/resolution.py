@@ -13,12 +13,11 @@ from __future__ import annotations
 from collections.abc import Callable
 import math
 from typing import NamedTuple
-import warnings
 
 import numpy as np
 
 from timo_sim.physics.layout import Motion
-from timo_sim.scene.parameter import ModelWarning, ParameterError
+from timo_sim.scene.parameter import ParameterError, warn
 from timo_sim.scene.parameters import PARAMETERS, steps_in
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
 from timo_sim.simulation.model_warnings import DivergenceError
@@ -179,7 +178,7 @@ def resolved(scene, duration, tell=None):
         if tell:
             tell(f'model.accuracy = {goal:g} m: {choice}')
         elif choice.warning:
-            warnings.warn(choice.warning, ModelWarning, stacklevel=3)
+            warn(choice.warning)
         scene = choice.scene
     return scene, steps_in(duration, scene.step)
 

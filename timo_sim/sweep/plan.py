@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from timo_sim.scene.files import flatten, read_yaml
-from timo_sim.scene.parameter import Parameter, ParameterError, SCENE
+from timo_sim.scene.parameter import Parameter, ParameterError, SCENE, short
 from timo_sim.scene.parameters import check, PARAMETERS, steps_in
 from timo_sim.scene.scene import load_scene, Scene
 from timo_sim.sweep.jobs import jobs_of
@@ -88,14 +88,15 @@ def read_plan(path):
 def _plan(content, folder):
     if not isinstance(content, dict) or not set(content) <= set(_ENTRIES):
         shown = [*set(content) - set(_ENTRIES)] if isinstance(content, dict) else content
-        raise ParameterError(f'a sweep has the entries {", ".join(_ENTRIES)}; got {shown!r}')
+        raise ParameterError(f'a sweep has the entries {", ".join(_ENTRIES)}; got {short(shown)}')
     kinds = [kind for kind in _KINDS if kind in content]
     if len(kinds) != 1 or 'scene' not in content:
         raise ParameterError('a sweep must have a scene and one of runs, grid, random; got '
                              + ', '.join(content))
     scene, kind = content['scene'], kinds[0]
     if not isinstance(scene, (str, dict)):
-        raise ParameterError(f'scene must be the name of a file, or parameters, got {scene!r}')
+        raise ParameterError('scene must be the name of a file, or parameters, got '
+                             + short(scene))
     scene = load_scene(folder / scene if isinstance(scene, str) else scene,
                        _mapping('parameters', content.get('parameters') or {}))
     duration = _DURATION.check(content.get('duration'))
@@ -106,7 +107,7 @@ def _plan(content, folder):
 
 def _runs(given):
     if not isinstance(given, list) or not given:
-        raise ParameterError(f'runs must be a list of sets of parameters, got {given!r}')
+        raise ParameterError(f'runs must be a list of sets of parameters, got {short(given)}')
     for run, values in enumerate(given):
         _check(f'runs[{run}]', flatten(_mapping(f'runs[{run}]', values)))
     names = dict.fromkeys(name for values in given for name in flatten(values))
@@ -116,7 +117,8 @@ def _runs(given):
 def _grid(given):
     for name, values in _mapping('grid', given).items():
         if not isinstance(values, list) or not values:
-            raise ParameterError(f'grid: {name} must be a list of values, got {values!r}')
+            raise ParameterError(f'grid: {short(name, str)} must be a list of values, got '
+                                 + short(values))
         for value in values:
             _check('grid', {name: value})
     return list(given), math.prod(len(values) for values in given.values())
@@ -124,17 +126,19 @@ def _grid(given):
 
 def _random(given):
     if set(_mapping('random', given)) != {*_RANDOM, 'ranges'}:
-        raise ParameterError(f'random must have seed, count and ranges, got {list(given)}')
+        raise ParameterError(f'random must have seed, count and ranges, got {short(list(given))}')
     for name, parameter in _RANDOM.items():
         parameter.check(given[name])
     for name, ends in _mapping('random: ranges', given['ranges']).items():
         try:
             low, high = np.array(ends, dtype=float)
         except (TypeError, ValueError):
-            raise ParameterError(f'random: {name} must have a lower and an upper end, numbers or '
-                                 f'lists of equal length, got {ends!r}') from None
+            raise ParameterError(
+                f'random: {short(name, str)} must have a lower and an upper end, numbers or lists '
+                f'of equal length, got {short(ends)}') from None
         if not np.all(low <= high):
-            raise ParameterError(f'random: {name} must have ends in ascending order, got {ends!r}')
+            raise ParameterError(f'random: {short(name, str)} must have ends in ascending order, '
+                                 f'got {short(ends)}')
         for end in ends:
             _check('random', {name: end})
     return list(given['ranges']), given['count']
@@ -142,7 +146,7 @@ def _random(given):
 
 def _mapping(entry, given):
     if not isinstance(given, dict):
-        raise ParameterError(f'{entry} must be parameters with values, got {given!r}')
+        raise ParameterError(f'{entry} must be parameters with values, got {short(given)}')
     return given
 
 

@@ -8,6 +8,8 @@
 
 """Draws tracks as an animated GIF, which any browser shows."""
 
+from itertools import cycle
+
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np
@@ -50,14 +52,14 @@ def animate(tracks, path, fps=_MOST_FPS):
     figure = Figure(figsize=_SIZE, dpi=_DPI, layout='constrained')
     canvas = FigureCanvasAgg(figure)
     plane, curves = figure.subplots(1, 2, width_ratios=[3, 2])
-    arms = [_Arm(plane, track, fps, colour) for track, colour in zip(tracks, COLOURS)]
+    arms = [_Arm(plane, track, fps, colour) for track, colour in zip(tracks, cycle(COLOURS))]
     corners = np.array([arm.corners for arm in arms])
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
     plane.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal', xlabel='x [m]',
               ylabel='y [m]')
     for track in tracks:
         draw_floor(plane, track.floor)
-    for track, colour in zip(tracks, COLOURS):
+    for track, colour in zip(tracks, cycle(COLOURS)):
         trace = track.trace('tip_deflection')
         curves.plot(1e-9 * trace.ns, trace.values[:, -1], color=colour, label=track.name)
     curves.set(xlabel='time [s]', ylabel='transverse tip deflection [m]')

@@ -8,6 +8,8 @@
 
 """Figures: a run, and the Bode diagram of a linear model."""
 
+from itertools import cycle
+
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 import numpy as np
@@ -97,7 +99,7 @@ def bode(model):
 
     figure = Figure(figsize=(12, 6), layout='constrained')
     axes = figure.subplot_mosaic([['size', 'poles'], ['phase', 'poles']], width_ratios=[2, 1])
-    for name, values, colour in zip(model.outputs, response[:, :, 0].T, COLOURS):
+    for name, values, colour in zip(model.outputs, response[:, :, 0].T, cycle(COLOURS)):
         axes['size'].loglog(frequency, np.abs(values), color=colour, label=name)
         # Rotated by 1e-3 rad and back, so that round-off does not choose between +-180 degrees.
         phase = np.unwrap(np.angle(values * np.exp(-1e-3j))) + 1e-3

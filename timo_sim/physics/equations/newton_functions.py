@@ -116,7 +116,7 @@ def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
 @inlined
 def _fall(tables, cosine, sine, tilt, out):
     """
-    Add what gravity does (T17).
+    Add what gravity does, see doc/theory.md, section 10.
 
     Seen by who falls, a carrier that is held is accelerated against gravity, alpha and beta.
     """

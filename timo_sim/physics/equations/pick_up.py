@@ -15,7 +15,7 @@ def pick_up(model, motion, mass, inertia):
     """
     Return the motion after a plastic impact with a load at rest, and the energy that is lost.
 
-    The momenta of all free coordinates stay: those of carrier, shaft and modes (T48).
+    The momenta of all free coordinates stay: those of carrier, shaft and modes (T49).
 
     Parameters
     ----------
