@@ -185,6 +185,28 @@ def test_forces_that_hold_an_arm_at_rest():
     assert falling.sensors.tip_acceleration == pytest.approx([0.0, 0.0], abs=1e-6)
 
 
+def test_the_sag_that_modes_leave_out_is_estimated():
+    scene = timo_sim.load_scene({**CLAMPED, 'initial.shaft': 0.0, 'model.modes': 2})
+    run = timo_sim.simulate(scene, 0.1, compare=False)
+    section, body = scene.manipulator.arm.section, scene.manipulator
+    truth = elastica.boundary_value(section, -G * body.end_effector_mass,
+                                    -G * section.mass_per_length)
+    error = abs(run.deflection(2.0)[0, 1] - 2.0 * truth[1])
+    assert 0.2 < run.stats['modes_error_m'] / error < 5.0
+
+
+def test_the_axial_force_that_newton_leaves_out_is_that_of_an_accelerated_carrier():
+    held = timo_sim.load_scene({**HANGING, 'model.formulation': 'newton'}).build()
+    pushed = timo_sim.load_scene({'model.formulation': 'newton', 'initial.shaft': -np.pi / 2})
+    pushed, load = pushed.build(), np.zeros(14)
+    load[1] = pushed.mass * G
+    motion = np.zeros(held.size)
+    motion[2] = -np.pi / 2
+    share = pushed.axial_share(pushed.state(motion), load)
+    assert held.axial_share(held.state(motion), np.zeros(14)) == pytest.approx(share, rel=1e-9)
+    assert share > 0.1
+
+
 @pytest.mark.parametrize('share, holds', [(1.01, True), (0.99, False)])
 def test_dry_friction_holds_an_arm_up_to_its_weight(share, holds):
     locked = timo_sim.load_scene({**CLAMPED, 'initial.shaft': 0.3})

@@ -91,7 +91,8 @@ def root_strain(model):
             -0.5 * height * modes.curvature(root)[0] * 2.0 * model.damping / modes.omega)
 
 
-def _accelerations(integration, state, load):
+def accelerations_of(integration, state, load):
+    """Return the accelerations of the coordinates of a state under a load, shape (3 + N,)."""
     motions, shift = integration.flow(state, load)
     half = motions.shape[1] // 2
     return (motions[1, half:] - motions[0, half:]) / (2.0 * shift)
@@ -99,7 +100,7 @@ def _accelerations(integration, state, load):
 
 def joints_of_state(integration, motion, state, load):
     """Return the Joints of a motion, with its state, by `Steps` under a load that acts."""
-    accelerations = _accelerations(integration, state, load)
+    accelerations = accelerations_of(integration, state, load)
     return Joints(integration.model, motion[np.newaxis], accelerations[np.newaxis],
                   load[np.newaxis])
 
@@ -123,7 +124,7 @@ def joints_of_run(scene, model, motions, loads):
     accelerations, acting = np.empty((len(motions), motions.shape[1] // 2)), loads.copy()
     speeds = motions[:, motions.shape[1] // 2:][:, :3]
     for k, motion in enumerate(motions):
-        accelerate = partial(_accelerations, integration, integration.model.state(motion))
+        accelerate = partial(accelerations_of, integration, integration.model.state(motion))
         if limit.any():
             acting[k, _FRICTION] += _friction(accelerate, loads[k], speeds[k], limit)
         accelerations[k] = accelerate(acting[k])

@@ -18,6 +18,7 @@ from timo_sim.scene.parameters import check_runtime, steps_in
 from timo_sim.scene.scene import load_scene
 from timo_sim.simulation import model_warnings
 from timo_sim.simulation.actuators import Actuators, commanded_load
+from timo_sim.simulation.joints import accelerations_of
 from timo_sim.simulation.load_table import advance_by_pieces, LoadTable
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.readings import Readings
@@ -113,12 +114,15 @@ class Simulator(Readings):
         """Go on with another scene, and a mass and inertia at the tip."""
         earlier, stretch, motion = self.integration, self.stretch, self.motion.values
         earlier.errors.cut(self._state, self.load)
-        added = self.tip_load.add(tip)
+        added, accelerations = self.tip_load.add(tip), None
+        if added is not None:
+            accelerations = accelerations_of(earlier, self._state, earlier.acting(self.load))
         self._take(scene, self.tip_load.model(scene, self.model))
         self.integration.follow(earlier)
         self.stretch.follow(stretch)
         if added is not None:
-            motion, error = self.tip_load.picked_up(scene, self.model, motion, added)
+            motion, error = self.tip_load.picked_up(scene, self.model, motion, accelerations,
+                                                    added)
             self._state = self.model.state(motion)
             self.integration.errors.add(self.model.state(motion + error) - self._state)
 

@@ -78,13 +78,13 @@ class TipLoad:
             model.pack, model.packed = earlier.pack, earlier.pack(model.tables)
         return model
 
-    def picked_up(self, scene, model, motion, added):
+    def picked_up(self, scene, model, motion, accelerations, added):
         """Return the motion after mass and inertia are added, and its estimated error."""
         taken = [max(change, 0.0) for change in added]
         if scene.values['end_effector.pick_up'] == 'at_rest' and any(taken):
             motion, lost = pick_up(model, motion, *taken)
             self.lost += lost
-        return motion, unresolved(model, motion, *added)
+        return motion, unresolved(model, motion, accelerations, *added)
 
 
 def pieces(scene, steps, payloads):
