@@ -204,7 +204,7 @@ def test_the_axial_force_that_newton_leaves_out_is_that_of_an_accelerated_carrie
     motion[2] = -np.pi / 2
     share = pushed.axial_share(pushed.state(motion), load)
     assert held.axial_share(held.state(motion), np.zeros(14)) == pytest.approx(share, rel=1e-9)
-    assert share > 0.1
+    assert share > 0.04
 
 
 @pytest.mark.parametrize('share, holds', [(1.01, True), (0.99, False)])
