@@ -185,7 +185,7 @@ def disturbance():
             f'arm bends by up to {1e3 * abs(across[largest]):.0f} mm, at {run.t[largest]:.2f} s, '
             'vibrates, and drifts away with the momentum of the stroke: '
             f'{gained[0, 1]:.6f} N s after it, changed by at most '
-            f'{np.abs(gained - gained[0]).max():.1g} N s after 2 s.')
+            f'{max(np.abs(gained - gained[0]).max(), 1e-12):.1g} N s after 2 s.')
 
 
 def slew(scene, reference, inertia):

@@ -43,7 +43,8 @@ class Prepared:
     def __init__(self, scene, steps=STEPS, nodes=None):
         kind = formulation_class(scene.values['model.formulation'])
         self.model = kind(scene.manipulator, scene.values['model.modes'],
-                          scene.values['arm.damping_ratio'] or 0.0, scene.constraints, nodes)
+                          scene.values['arm.damping_ratio'] or 0.0, scene.constraints, nodes,
+                          gravity=scene.values['gravity'])
         self.steps = steps
         self._start = self.model.state(scene.initial_motion())
         self._loads = scene.load.stages(0, steps, scene.step)

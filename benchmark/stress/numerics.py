@@ -30,6 +30,7 @@ import numpy as np  # noqa: E402
 
 from benchmark import ROOT  # noqa: E402
 from benchmark.command import parser  # noqa: E402
+from benchmark.stress.laden import laden  # noqa: E402
 from benchmark.stress.scenes import cell  # noqa: E402
 from benchmark.stress.truth import judge, SEEN, shares, VERDICTS  # noqa: E402
 from oracles.linear_beam import LinearBeam  # noqa: E402
@@ -53,11 +54,12 @@ _CAUSES = ('torque_N_m', 'force_y_N', 'tip_force_y_N', 'tip_torque_N_m')
 OUTPUTS = ('tip_y_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain')
 
 
-def judged(number, seed=1):
-    """Return what `truth.judge` finds of a cell; an unexpected error counts as silent."""
+def judged(number, seed=1, change=None):
+    """Return what `truth.judge` finds of a changed cell; unexpected errors count as silent."""
     begun = time.process_time()
     try:
-        found = judge(cell(number, seed))
+        given = cell(number, seed)
+        found = judge(change(given, seed) if change else given)
     except Exception as error:
         found = [{'number': number, 'kind': 'crash', 'family': 'exact', 'steps': 'as given',
                   'against': 'finer', 'verdict': 'silent', 'error': math.inf, 'estimate': math.nan,
@@ -66,14 +68,14 @@ def judged(number, seed=1):
     return [{**each, 'seconds': time.process_time() - begun} for each in found]
 
 
-def findings(numbers, seed=1, processes=2):
+def findings(numbers, seed=1, processes=2, change=None):
     """Yield what `judged` finds of each number, done by so many processes, in order."""
     if processes == 1:
-        yield from map(functools.partial(judged, seed=seed), numbers)
+        yield from map(functools.partial(judged, seed=seed, change=change), numbers)
         return
     context = multiprocessing.get_context('spawn')
     with ProcessPoolExecutor(processes, context) as pool:
-        yield from pool.map(functools.partial(judged, seed=seed), numbers)
+        yield from pool.map(functools.partial(judged, seed=seed, change=change), numbers)
 
 
 def ratio(found):
@@ -91,12 +93,13 @@ def is_listed(found):
         told is not None and not 1.0 / _FACTOR < told < _FACTOR)
 
 
-def rows(quick=False, seed=1, count=None, processes=2):
+def rows(quick=False, seed=1, count=None, processes=2, change=None):
     """Yield the rows of the table, and write what was found."""
     LISTED.parent.mkdir(exist_ok=True)
     found = []
     with LISTED.open('w', encoding='utf-8') as file:
-        for each in findings(range(count or (CELLS // 10 if quick else CELLS)), seed, processes):
+        for each in findings(range(count or (CELLS // 10 if quick else CELLS)), seed, processes,
+                             change):
             found += each
             file.write(''.join(json.dumps(one) + '\n' for one in each))
             file.flush()
@@ -206,17 +209,21 @@ def main():
     words.add_argument('--cells', type=int, help='how many scenes')
     words.add_argument('--only', type=int, nargs='+', help='numbers of scenes to run and print')
     words.add_argument('--processes', type=int, default=2)
+    words.add_argument('--laden', action='store_true',
+                       help='in gravity, with loads that change, or both')
     given = words.parse_args()
+    change = laden if given.laden else None
     for number in given.only or []:
-        print(json.dumps(cell(number, given.seed)._asdict(), indent=1))
-        for each in judged(number, given.seed):
+        each = cell(number, given.seed)
+        print(json.dumps((change(each, given.seed) if change else each)._asdict(), indent=1))
+        for each in judged(number, given.seed, change):
             print(json.dumps(each))
         print('changes of the tip as steps, stretch and modes are refined in turn [lengths]:',
               json.dumps(shares(cell(number, given.seed))))
     if given.only:
         return
     begun = time.monotonic()
-    _show(rows(given.quick, given.seed, given.cells, given.processes))
+    _show(rows(given.quick, given.seed, given.cells, given.processes, change))
     print(f'{time.monotonic() - begun:.0f} s; to be looked at (number, kind, against, steps, '
           f'verdict, error, estimate [lengths]):')
     for line in LISTED.read_text(encoding='utf-8').splitlines():

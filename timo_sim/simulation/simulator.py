@@ -48,6 +48,8 @@ class Simulator(Readings):
         Steps done since the start; sim time is `steps * scene.step`.
     load : ndarray, shape (14,)
         Load at the end of the last step, see `physics.layout`.
+    tip_load : TipLoad
+        Mass and inertia at the tip now, and the energy lost in plastic impacts.
     warning : str or None
         Why the results should not be trusted, and the remedy.
 

@@ -15,6 +15,7 @@ _FARTHEST = 0.3      # that a section turns from one iteration to the next [rad]
 _CLOSE = 1e-12       # [rad]
 _ITERATIONS = 400
 _TIP_OVER = 1e-3     # by which an unstable equilibrium is left [rad]
+_LONG = 1e3          # a step over the slowest time constant, from which on it is Newton's
 _UNBALANCED = 1e-9   # force on a free carrier over all forces
 
 
@@ -40,54 +41,77 @@ def equilibrium(model, motion, load):
         If there is none: the text says what is not balanced.
 
     """
-    axes, half = len(model.axes), len(model.linear) // 2
-    mobility = model.linear[axes:half, half + axes:]
-    unknown = slice(2 + model.first, model.size // 2)
-    turn = np.append(1.0, model.section_turn)[model.first:]
-    motion = np.concatenate([motion[:model.size // 2], np.zeros(model.size // 2)])
-
-    def pull(at):
-        state = model.state(at)
-        return model.rate(state, load)[half:]
-
-    def shifted(at, change):
-        at = at.copy()
-        at[unknown] += change
-        return at
-
-    time = None
-    for _ in range(_ITERATIONS if len(turn) else 0):
-        slope = mobility @ np.stack([
-            (pull(shifted(motion, step)) - pull(shifted(motion, -step)))[axes:] / (2 * step.max())
-            for step in np.diag(_SHIFT / turn)], axis=-1)
-        flow = mobility @ pull(motion)[axes:]
+    forces = _Forces(model, load)
+    half, time, found = model.size // 2, None, not len(forces.turn)
+    motion = np.concatenate([motion[:half], np.zeros(half)])
+    for _ in range(_ITERATIONS):
+        if found:
+            _check_carrier(model, forces.at(motion), load)
+            return motion
+        flow, slope = forces.flow(motion), forces.slope(motion)
+        if not np.isfinite(slope).all():
+            break
         growth, directions = np.linalg.eig(slope)
         fastest = growth.real.max()
         if time is None:
-            time = _FARTHEST / max(turn @ np.abs(flow), _CLOSE)
+            time = _FARTHEST / max(forces.turned_by(flow), _CLOSE)
         if fastest > 0.0:
             time = min(time, 0.5 / fastest)
         while True:
             change = np.linalg.solve(np.eye(len(flow)) / time - slope, flow)
-            if turn @ np.abs(change) <= _FARTHEST:
+            if forces.turned_by(change) <= _FARTHEST:
                 break
             time *= 0.25
-        motion[unknown] += change
-        if turn @ np.abs(change) <= _CLOSE and fastest * time > 0.4:
-            tipped = directions[:, np.argmax(growth.real)].real
-            motion[unknown] += _TIP_OVER * tipped / (turn @ np.abs(tipped))
-        elif turn @ np.abs(change) <= _CLOSE and time * max(
-                np.abs(growth).min(), 1e-12 * np.abs(growth).max()) > 1e3:
-            break
+        motion = forces.moved(motion, change)
+        slowest = max(np.abs(growth).min(), 1e-12 * np.abs(growth).max())
+        if forces.turned_by(change) <= _CLOSE and fastest * time > 0.4:
+            away = directions[:, np.argmax(growth.real)].real
+            motion = forces.moved(motion, _TIP_OVER * away / forces.turned_by(away))
+        elif forces.turned_by(change) <= _CLOSE:
+            found = time * slowest > _LONG
         time *= 4.0
-    else:
-        if len(turn):
-            raise ValueError('no equilibrium was found: the shaft turns, or the arm bends, on and '
-                             'on under these loads')
-    force = pull(motion)[:axes]
+    raise ValueError('no equilibrium was found: the shaft turns, or the arm bends, on and on '
+                     'under these loads')
+
+
+class _Forces:
+    """Forces on a motion at rest; what they do to shaft and modes, as far as these are free."""
+
+    def __init__(self, model, load):
+        self._model, self._load = model, load
+        self._axes, self._half = len(model.axes), len(model.linear) // 2
+        self._unknown = slice(2 + model.first, model.size // 2)
+        self._mobility = model.linear[self._axes:self._half, self._half + self._axes:]
+        self.turn = np.append(1.0, model.section_turn)[model.first:]
+
+    def at(self, motion):
+        """Return the forces on free axes of the carrier, shaft and modes, shape (m / 2,)."""
+        return self._model.rate(self._model.state(motion), self._load)[self._half:]
+
+    def flow(self, motion):
+        """Return the speed M^-1 F of shaft and modes."""
+        return self._mobility @ self.at(motion)[self._axes:]
+
+    def slope(self, motion):
+        """Return the derivative of the flow, by central differences."""
+        return np.stack([
+            (self.flow(self.moved(motion, shift)) - self.flow(self.moved(motion, -shift)))
+            / (2.0 * shift.max()) for shift in np.diag(_SHIFT / self.turn)], axis=-1)
+
+    def moved(self, motion, change):
+        """Return the motion after a change of shaft and modes."""
+        motion = motion.copy()
+        motion[self._unknown] += change
+        return motion
+
+    def turned_by(self, change):
+        """Return by how much a section turns at most [rad]."""
+        return self.turn @ np.abs(change)
+
+
+def _check_carrier(model, forces, load):
     weights = np.abs(model.mass * model.gravity).sum() + np.abs(load).sum()
-    for axis, left in zip(model.axes, force):
+    for axis, left in zip(model.axes, forces):
         if abs(left) > _UNBALANCED * weights:
             raise ValueError(f'there is none, because the carrier is free along {"xy"[axis]} and '
                              'the forces along it do not balance; hold it with carrier.held')
-    return motion
