@@ -93,3 +93,9 @@ def test_motions_do_not_depend_on_batches(values):
         single.advance(1)
         np.testing.assert_array_equal(single.motion.values, expected)
     assert np.ptp(motions[:, 2]) > 1.0  # through five sectors at least
+
+
+def test_a_state_that_is_not_finite_is_no_crash():
+    """Found by `make stress`: a finer run diverged, and its error was estimated before that."""
+    model = timo_sim.load_scene({'carrier.held': 'y'}).build()
+    assert model.sector(np.full(len(model.linear), np.nan), np.zeros(14)) == 0

@@ -92,6 +92,8 @@ class Exact(Formulation):
     def sector(self, state, load):
         """Return the number of the sector in which the shaft angle lies."""
         angle = load[ANGLE] if self.first else state[len(self.axes)]
+        if not math.isfinite(angle):
+            return 0  # of a run that diverges any will do
         return math.floor(angle * (SECTORS / math.pi)) % SECTORS
 
     def in_sector(self, number):
