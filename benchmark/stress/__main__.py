@@ -19,6 +19,7 @@ from benchmark import ROOT
 from benchmark.command import parser
 from benchmark.report import machine, table
 from benchmark.stress import log, node, numerics
+from benchmark.stress.laden import laden
 
 TITLE = '# Stress\n\nMade by `make stress`, each part on the machine named below it.\n'
 NUMERICS = """\
@@ -36,6 +37,11 @@ sensitive scenes, in which a tip that begins 1e-9 lengths off ends 1e-5 lengths 
 among them, unless the run is accurate all the same.
 Scenes that were silent once are tests now (`test/test_stress.py`).
 """
+LADEN = """\
+The first scenes of those above, in gravity of any direction by which the clamped arm would sag by
+1e-3 to 0.3 lengths, with one or two changes of the load at the tip (`benchmark/stress/laden.py`),
+picked up moving or from rest, or both."""
+_LADEN_CELLS = 68
 PARTS = [
     ('Node', node, """Real processes over real DDS (`benchmark/stress/node.py`). Survived:
 the node goes on, or has ended with code 0, has counted what it should, does not leak, and
@@ -63,9 +69,16 @@ def numerics_part(quick):
               numerics.long_rows(quick))])
 
 
+def laden_part(quick):
+    """Return the text of the part in gravity and with loads that change."""
+    return LADEN + '\n\n' + table(
+        ['equations', 'against', 'steps', 'tried', *numerics.VERDICTS, 'remark'],
+        numerics.rows(quick, count=_LADEN_CELLS // (4 if quick else 1), change=laden))
+
+
 def main():
     """Run all of it, or some parts, and write the page."""
-    makers = {'Numerics': numerics_part}
+    makers = {'Numerics': numerics_part, 'Gravity and loads that change': laden_part}
     for title, module, words in PARTS:
         makers[title] = lambda quick, module=module, words=words: words + '\n\n' + table(
             ['fault', 'tried', 'survived', 'remark'], module.rows(quick))
