@@ -44,24 +44,22 @@ def test_a_load_that_changes_in_flight_against_spectral_elements(values):
     assert np.abs(same.position(2.0) - tip).max() > 1e-3
 
 
-@pytest.mark.parametrize('modes', [5, 8])
-def test_the_estimate_knows_of_vibrations_that_the_modes_leave_out(modes):
+def test_the_estimate_knows_of_vibrations_that_the_modes_leave_out():
     """Let go in gravity all modes vibrate; a load takes the momentum of all at the tip."""
-    scene = timo_sim.load_scene({**HELD, **PICKED, 'gravity': [0.0, -9.81], 'model.modes': modes,
+    scene = timo_sim.load_scene({**HELD, **PICKED, 'gravity': [0.0, -9.81], 'model.modes': 5,
                                  'model.axial_modes': 1})
     run = timo_sim.simulate(scene, 1.0, sample_every=100, compare=False)
     error = np.abs(run.position(2.0) - spectral_elements.simulate(scene, 0.1, 10)[2]).max()
-    assert error < {5: 5e-5, 8: 5e-6}[modes]
+    assert error < 5e-5
     assert 0.2 < run.stats['estimated_tip_error_m'] / error < 5.0
 
 
 def test_a_load_picked_up_from_rest_against_spectral_elements():
-    """The impact makes all modes vibrate, of which the model has eight."""
+    """The impact makes all modes vibrate, of which the model has five."""
     scene = timo_sim.load_scene({
         'initial.shaft_velocity': 0.5, **PICKED, 'end_effector.pick_up': 'at_rest',
-        'model.modes': 8, 'model.axial_modes': 1, 'model.static_modes': 'both',
-        'integrator.step': 0.0005})
-    run = timo_sim.simulate(scene, 0.6, sample_every=200, compare=False)
+        'model.modes': 5, 'model.axial_modes': 1})
+    run = timo_sim.simulate(scene, 0.6, sample_every=100, compare=False)
     carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 6)
     assert np.abs(run.carrier - carrier).max() < 1e-5
     assert np.abs(run.position(2.0) - tip).max() < 2e-5
@@ -195,7 +193,7 @@ def test_energy_is_balanced_between_impacts(values):
 
 
 def test_a_saved_run_knows_its_loads(tmp_path):
-    run = timo_sim.simulate({**FREE, **BOTH}, 0.7, sample_every=10)
+    run = timo_sim.simulate({**FREE, **BOTH}, 0.7, sample_every=10, compare=False)
     again = timo_sim.open_log(run.save(tmp_path / 'run.mcap'))
     assert again.payloads == run.payloads == ((200, 5.0, 0.5), (500, 1.0, 0.5))
     np.testing.assert_array_equal(again.energy(), run.energy())
