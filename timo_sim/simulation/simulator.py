@@ -66,6 +66,7 @@ class Simulator(Readings):
     def __init__(self, scene):
         self.steps, self._warm, scene = 0, False, load_scene(scene)
         self.tip_load = TipLoad(scene)
+        scene.initial_motion()  # of which the model takes an equilibrium, before steps are made
         self._take(scene, scene.build())
         self.reset()
 

@@ -24,6 +24,9 @@ from timo_sim.physics.equations.functions import rate_once, tip_once
 from timo_sim.physics.equations.observables import Observables
 
 
+_TURN = 1e-5  # largest turn of a section in differences [rad]
+
+
 class Points(NamedTuple):
     """Points of the centre line, with the integration weights and mode shapes there."""
 
@@ -74,7 +77,7 @@ class Formulation(Observables):
 
     """
 
-    sectors, speed_limit = 0, math.inf
+    sectors, speed_limit, rest = 0, math.inf, None
 
     def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
                  static=(), axial=0, gravity=(0.0, 0.0), basis=None):
@@ -144,9 +147,24 @@ class Formulation(Observables):
 
     @cached_property
     def reach(self):
-        """Travel of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, shape (3 + N,)."""
+        """Travel of the tip per x_c, y_c, theta [m/rad] and q_n, shape (3 + N,), see `about`."""
+        if self.rest is None:
+            return self._straight_reach()
+        half, travel = self.size // 2, []
+        for step, shift in zip(_TURN / np.append(np.ones(3), self.section_turn),
+                               np.eye(self.size)[:half]):
+            ends = self.world(self.rest + step * np.array([[-1.0], [1.0]]) * shift, self.tip_point)
+            travel.append(np.linalg.norm(ends[1, 0] - ends[0, 0]) / (2.0 * step))
+        return np.array(travel)
+
+    def _straight_reach(self):
         length = self.manipulator.arm.length
         return np.concatenate([[1.0, 1.0, length], np.abs(self.modes.deflection([length]))[0]])
+
+    def about(self, rest):
+        """See travels of the tip from an equilibrium, shape (2 (3 + N),), not a straight arm."""
+        self.rest = rest
+        self.__dict__.pop('reach', None)
 
     @cached_property
     def section_turn(self):
@@ -157,7 +175,7 @@ class Formulation(Observables):
 
     def tip_shift(self):
         """
-        Return the matrix from an error of the state to shifts of the straight arm's tip, (m, m).
+        Return the matrix from an error of the state to shifts of the tip, see `about`, (m, m).
 
         The first m / 2 shifts [m] are those by each coordinate. The others are those by the rates
         of carrier and shaft within a second, and of a mode within a radian of its vibration.

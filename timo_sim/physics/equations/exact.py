@@ -44,7 +44,6 @@ kernels differ, T depends on the shaft angle too, and the state has rates q_i' i
 share `M_i0 q_0'` (T31); its acceleration is needed only where the state has rates.
 """
 
-from functools import cached_property
 import math
 
 import numpy as np
@@ -140,10 +139,9 @@ class Exact(Formulation):
                                        rate.transpose(1, 0, 2), -1])
         return tables, linear
 
-    @cached_property
-    def reach(self):
-        """As in `Formulation`; an axial mode moves the tip along the arm."""
-        reach, tip = super().reach, [self.manipulator.arm.length]
+    def _straight_reach(self):
+        # An axial mode moves the tip along the arm.
+        reach, tip = super()._straight_reach(), [self.manipulator.arm.length]
         if self.axial:
             reach[3:] += np.abs(self.modes.displacement(tip))[0]
         return reach

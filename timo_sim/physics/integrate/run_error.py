@@ -175,13 +175,13 @@ class RunError:
 
     @cached_property
     def motions(self):
-        """Coordinates of the motion per coordinate of the state, straight arm, (3 + N, m / 2)."""
+        """Coordinates of the motion per coordinate of the state, (3 + N, m / 2)."""
         return self._linearised[0]
 
     @cached_property
     def tip_shift(self):
         """
-        Shift of the straight arm's tip per coordinate of the state, shape (4, m / 2).
+        Shift of the tip of the straight arm, or of one in equilibrium, per coordinate, (4, m / 2).
 
         Rows: x and y in world axes by the carrier; along and across the shaft by all others.
         """
@@ -195,6 +195,10 @@ class RunError:
         bent = _BENT / np.concatenate([np.ones(half - count), np.where(turn > 0.0, turn, 1.0)])
         states, load = np.zeros((1 + half, size)), np.zeros(LOADS)
         np.fill_diagonal(states[1:], bent)
+        if model.rest is not None:
+            rest = model.rest.copy()
+            rest[:3] = 0.0  # as seen from the shaft
+            states += model.state(rest)
         motions = np.array([self._steps.motion(state, load) for state in states])
         tips = model.world(motions, model.tip_point)[:, 0]
         change = ((tips[1:] - tips[0]) / bent[:, np.newaxis]).T
