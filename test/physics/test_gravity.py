@@ -98,8 +98,7 @@ def test_a_swinging_arm_against_finite_elements():
 
 
 @pytest.mark.parametrize('held, gravity, angle', [
-    ('both', [0.0, -G], 0.6), ('x', [0.0, -G], 0.6), ('y', [0.0, -G], 0.6),
-    ('both', [4.0, -3.0], 2.0)])
+    ('both', [0.0, -G], 0.6), ('x', [0.0, -G], 0.6), ('both', [4.0, -3.0], 2.0)])
 def test_a_swinging_arm_against_spectral_elements(held, gravity, angle):
     scene = timo_sim.load_scene({'gravity': gravity, 'carrier.held': held, 'model.modes': 5,
                                  'initial.shaft': angle, 'model.axial_modes': 1,
