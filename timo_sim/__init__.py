@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from timo_sim.scene.parameter import ModelWarning, ParameterError
     from timo_sim.scene.projection import project_on_modes
     from timo_sim.scene.scene import load_scene, Scene
-    from timo_sim.simulation.linear import LinearModel, linearize
+    from timo_sim.simulation.linear import linearize
+    from timo_sim.simulation.linear_model import LinearModel
     from timo_sim.simulation.model_warnings import DivergenceError
     from timo_sim.simulation.resolution import choose_resolution
     from timo_sim.simulation.simulator import Simulator
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 # NumPy, SciPy and numba are loaded.
 _MODULES = {
     'DivergenceError': 'simulation.model_warnings',
-    'LinearModel': 'simulation.linear',
+    'LinearModel': 'simulation.linear_model',
     'ModelWarning': 'scene.parameter',
     'ParameterError': 'scene.parameter',
     'Run': 'runs.run',

@@ -11,55 +11,19 @@
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import matplotlib
 from matplotlib.image import imread, imsave
 import numpy as np
 
 from benchmark import ROOT
 from benchmark.command import parser
+from benchmark.figures.drawing import BLUE, draw_arm, GREEN, GREY, ORANGE, save, sheet
 import timo_sim
 from timo_sim.view.floor import floor_of
 from timo_sim.view.plot import draw_floor
 from timo_sim.view.track import body_of
 
-matplotlib.use('Agg')
-# Okabe-Ito colours, which colour-blind readers tell apart, and grey for the background.
-BLUE, ORANGE, GREEN, GREY = '#0072B2', '#D55E00', '#009E73', '#999999'
 LENGTH = 2.0  # of the paper's arm [m]
-FOLDER = ROOT / 'doc' / 'gallery'
 FINE = {'model.modes': 5}
-
-
-def sheet(title, ratio=1.0):
-    """Return a figure, its plane of motion on the left, and its axes of time on the right."""
-    import matplotlib.pyplot as plt
-    plt.rcParams.update({'font.size': 15, 'axes.grid': True, 'grid.alpha': 0.3,
-                         'lines.linewidth': 2.0, 'legend.fontsize': 13})
-    figure, (plane, time) = plt.subplots(1, 2, figsize=(12.0, 5.2), layout='constrained',
-                                         width_ratios=[ratio, 1.6])
-    figure.suptitle(title, fontsize=18)
-    plane.set(xlabel='x [m]', ylabel='y [m]', aspect='equal')
-    time.set(xlabel='t [s]')
-    return figure, plane, time
-
-
-def draw_arm(plane, run, sample, colour, alpha=1.0, label=None, body=True):
-    """Draw carrier, bent arm and end effector of a sample."""
-    length = run.scene.manipulator.arm.length
-    line = run.model.world(run.motion[[sample]], run.model.at(
-        np.linspace(0.0, length, 41)))[0]
-    plane.plot(*line.T, color=colour, alpha=alpha, lw=3, label=label, solid_capstyle='round')
-    plane.plot(*line[-1], 'o', color=colour, alpha=alpha, ms=11)
-    if body:
-        plane.plot(*line[0], 's', color=colour, alpha=alpha, ms=12)
-
-
-def save(figure, name):
-    """Write a picture."""
-    import matplotlib.pyplot as plt
-    FOLDER.mkdir(exist_ok=True)
-    figure.savefig(FOLDER / f'{name}.png', dpi=100)
-    plt.close(figure)
 
 
 def paper():

@@ -54,6 +54,16 @@ def test_the_estimate_knows_of_vibrations_that_the_modes_leave_out():
     assert 0.2 < run.stats['estimated_tip_error_m'] / error < 5.0
 
 
+def test_a_warning_after_a_change_of_load_names_the_modes():
+    scene = timo_sim.load_scene({**FREE, **BOTH})
+    assert 'or more model.modes' in timo_sim.simulate(scene, 0.7, 10, compare=False).warning
+    simulator = Simulator(scene)
+    simulator.advance(300)
+    assert simulator.integration.errors.by_load
+    simulator.reset()
+    assert not simulator.integration.errors.by_load
+
+
 def test_a_load_picked_up_from_rest_against_spectral_elements():
     """The impact makes all modes vibrate, of which the model has five."""
     scene = timo_sim.load_scene({

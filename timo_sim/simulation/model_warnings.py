@@ -122,8 +122,12 @@ def after_second_run(scene, finer, error, parts, warning):
 
 def _inaccurate_steps(scene, steps, time):
     remedy = '' if scene.friction.any() else ', or let them be split by an integrator.tolerance'
-    return (f'by t = {time:.6g} s the steps have put the tip about {steps.errors.tip:.1g} m off: '
-            f'take a smaller integrator.step{remedy}')
+    cause = ''
+    if steps.errors.by_load:
+        cause = ', or vibrations beyond the modes when the load at the tip changed,'
+        remedy = ' or more model.modes'
+    return (f'by t = {time:.6g} s the steps{cause} have put the tip about '
+            f'{steps.errors.tip:.1g} m off: take a smaller integrator.step{remedy}')
 
 
 def _few_modes(scene, steps, time):

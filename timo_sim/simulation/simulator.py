@@ -235,7 +235,8 @@ class Simulator(Readings):
             if sample is not None and sample_every and done % sample_every == 0:
                 motions[done // sample_every] = sample  # that before the load changes
             done += reached
-            if reached < part or not self._bend() <= _MOST_BENT * self.model.reach[2]:
+            if reached < part or not (
+                    self._bend() <= _MOST_BENT * self.model.manipulator.arm.length):
                 self._give_up(before, count, commanded)
             self.stretch.add(self._angle - angle, part * self.scene.step,
                              self.integration.errors.modes.stretch)

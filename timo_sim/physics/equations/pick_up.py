@@ -10,7 +10,7 @@
 
 import numpy as np
 
-# Speed of the tip that modes leave out, over that by the last one; found: 0.02 to 1.
+# Speed of the tip that modes leave out, over that by the last one, which decays from mode to mode.
 _LEFT_OUT = 0.5
 
 

@@ -43,6 +43,8 @@ class RunError:
         Largest estimated distance of the tip from that of the exact solution so far [m].
     modes : ModesError
         Estimate of what the model's modes lack.
+    by_load : bool
+        Whether changes of the load at the tip are part of it.
     unseen : int
         Number of steps that no estimate covers yet.
 
@@ -51,6 +53,7 @@ class RunError:
     def __init__(self, steps):
         self._steps, self._error = steps, GlobalError(steps.model.linear, steps.step)
         self.tip, self.unseen, self.modes, self._unlooked = 0.0, 0, ModesError(steps), 0
+        self.by_load = False
         # Number of steps since the last cut, and y and n of (T38) at their starts.
         self._open, self._credit = 0, CHUNK
         self._states, self._rates = np.zeros((2, _KEPT + 1, len(steps.model.linear)))
@@ -58,12 +61,12 @@ class RunError:
     def reset(self):
         """Set all errors to zero."""
         self.tip, self.unseen, self._open, self._credit = 0.0, 0, 0, CHUNK
-        self._unlooked, self._error.error[:] = 0, 0.0
+        self._unlooked, self._error.error[:], self.by_load = 0, 0.0, False
         self.modes.reset()
 
     def go_on(self, earlier):
         """Take over the errors from the estimate for an earlier model of the same size."""
-        self.tip, self.unseen = earlier.tip, earlier.unseen
+        self.tip, self.unseen, self.by_load = earlier.tip, earlier.unseen, earlier.by_load
         self._error.error = earlier._error.error
         self.modes.go_on(earlier.modes)
 
@@ -73,7 +76,8 @@ class RunError:
         return self.tip + self.modes.tip
 
     def add(self, error):
-        """Add an error of the state, shape (m,); it grows with the steps that follow."""
+        """Add an error by a load that changes, shape (m,); it grows with the steps to come."""
+        self.by_load = True
         self._error.add(error[np.newaxis])
 
     def give_up(self):
