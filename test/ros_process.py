@@ -59,6 +59,7 @@ class Client(Node):
         """Return a function that calls a service and returns its response."""
         client = self.create_client(service_type, name)
         assert client.wait_for_service(PATIENCE), f'no service {name}'
+        time.sleep(0.25)  # the server, which may be busy, may discover the client later
         return lambda **fields: self.answer(
             lambda: client.call_async(service_type.Request(**fields)), name)
 
@@ -68,7 +69,8 @@ class Client(Node):
         Return what a service answers; `call` asks it and returns a future.
 
         The middleware drops the answer to a client that the server has not discovered within a
-        tenth of a second, so a second question follows; a warning says so.
+        tenth of a second, so a second question follows, and the service is done twice; a warning
+        says so.
         """
         for patience in (PATIENCE / 4.0, PATIENCE):
             done, future = threading.Event(), call()
