@@ -14,6 +14,10 @@ from typing import TYPE_CHECKING
 from timo_sim.version import __version__
 
 if TYPE_CHECKING:
+    from timo_sim.fitting.files import read_record
+    from timo_sim.fitting.fit import fit
+    from timo_sim.fitting.record import Record
+    from timo_sim.fitting.result import Fit
     from timo_sim.runs.open_log import open_log
     from timo_sim.runs.run import Run
     from timo_sim.runs.simulate import simulate
@@ -31,25 +35,29 @@ if TYPE_CHECKING:
 # NumPy, SciPy and numba are loaded.
 _MODULES = {
     'DivergenceError': 'simulation.model_warnings',
+    'Fit': 'fitting.result',
     'LinearModel': 'simulation.linear_model',
     'ModelWarning': 'scene.parameter',
     'ParameterError': 'scene.parameter',
+    'Record': 'fitting.record',
     'Run': 'runs.run',
     'Scene': 'scene.scene',
     'Simulator': 'simulation.simulator',
     'choose_resolution': 'simulation.resolution',
+    'fit': 'fitting.fit',
     'linearize': 'simulation.linear',
     'load_scene': 'scene.scene',
     'open_log': 'runs.open_log',
     'project_on_modes': 'scene.projection',
+    'read_record': 'fitting.files',
     'simulate': 'runs.simulate',
     'simulate_many': 'sweep.many',
 }
 
 __all__ = [
-    'DivergenceError', 'LinearModel', 'ModelWarning', 'ParameterError', 'Run', 'Scene',
-    'Simulator', '__version__', 'choose_resolution', 'linearize', 'load_scene', 'open_log',
-    'project_on_modes', 'simulate', 'simulate_many']
+    'DivergenceError', 'Fit', 'LinearModel', 'ModelWarning', 'ParameterError', 'Record', 'Run',
+    'Scene', 'Simulator', '__version__', 'choose_resolution', 'fit', 'linearize', 'load_scene',
+    'open_log', 'project_on_modes', 'read_record', 'simulate', 'simulate_many']
 
 
 def __getattr__(name):

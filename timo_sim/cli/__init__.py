@@ -13,7 +13,8 @@ It may import everything; nothing imports it.
 """
 
 # Each of these modules adds its subcommand to `main`.
-from timo_sim.cli import teleop as _teleop, urdf as _urdf, view as _view  # noqa: F401
+from timo_sim.cli import (  # noqa: F401
+    fit as _fit, teleop as _teleop, urdf as _urdf, view as _view)
 from timo_sim.cli.commands import main
 
 __all__ = ['main']

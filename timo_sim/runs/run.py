@@ -178,7 +178,7 @@ class Run(MotionFields, Tables):
         if self.recording is not None:
             joints = self.recording.read('joint_states')['joint_states']
             return joints.values[np.searchsorted(joints.ns, np.rint(self.t * 1e9)), 6:9]
-        effort, constrained = applied(self._loads(), self.shaft), self.model.constrained
+        effort, constrained = applied(self.loads(), self.shaft), self.model.constrained
         if not constrained.any():
             return effort
         return np.where(constrained, self._of_joints('reactions'), effort)
@@ -207,15 +207,15 @@ class Run(MotionFields, Tables):
         if self.recording is not None:
             raise ValueError('a log does not contain all loads: replay it with record_sensors = '
                              'true for ~/root_strain')
-        loads = self._loads()
+        loads = self.loads()
         return [joints_of_run(self.scene, model, self.motion[part], loads[part])
                 for model, part in self._pieces]
 
     def _of_joints(self, name):
         return np.concatenate([getattr(joints, name) for joints in self._joints])
 
-    def _loads(self):
-        # Loads at the samples without Coulomb friction, shape (n, 14).
+    def loads(self) -> np.ndarray:
+        """Return the scene's loads at the samples, (n, 14), see `physics.layout`."""
         load, step = self.scene.load, self.scene.step
         loads = np.empty((len(self.t), LOADS))
         first, last = np.rint(self.t[[0, -1]] / step).astype(int)

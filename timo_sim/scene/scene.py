@@ -141,6 +141,13 @@ class Scene:
         """
         return scene_from({**self.values, **check(flatten(overrides), 'override')})
 
+    def with_load(self, load: Load) -> Scene:
+        """Return the scene under another load, which its `values` do not describe."""
+        scene = replace(self, load=load)
+        if not self.values['initial.equilibrium']:  # on which tables of the equations depend
+            scene.__dict__['_formulation'] = self._formulation
+        return scene
+
     def at(self, run: Any, t: float) -> Scene:
         """
         Return the scene with the state of a run as its initial state.

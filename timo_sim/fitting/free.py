@@ -1,0 +1,206 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""The free parameters of a fit: their names, scales and bounds, and where their values go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+import re
+
+import numpy as np
+
+from timo_sim.scene.parameter import did_you_mean, ParameterError, SCENE, short
+from timo_sim.scene.parameters import PARAMETERS
+
+INITIAL = 'initial'  # stands for the whole initial state
+# Of a quantity of the record, by default; an input has no lag.
+SENSOR = {'gain': 1.0, 'bias': 0.0, 'delay': 0.0, 'lag': 0.0}
+_FIXED = 'model.', 'integrator.', 'sensor.', 'payload.time', 'motor.drive'
+_INDEXED = re.compile(r'(.+)\[(\d+)\]')
+_FURTHEST = 1e3  # factor by which a positive parameter may differ from its start
+
+
+@dataclass(frozen=True)
+class Free:
+    """
+    A free parameter.
+
+    Attributes
+    ----------
+    name : str
+        Of the scene, with [k] for an element of a list, or QUANTITY.gain, .bias, .delay, .lag.
+    start, low, high : float
+        First value and bounds, in the unit of the parameter.
+    scale : float
+        Change that matters, in the same unit; of a logarithm 1.
+    log : bool
+        Whether the fit works with its logarithm, and `scale` is a part of the value.
+    unit : str
+
+    """
+
+    name: str
+    start: float
+    low: float
+    high: float
+    scale: float
+    log: bool
+    unit: str
+
+    def coordinate(self, value):
+        """Return the coordinate of the fit for a value."""
+        with np.errstate(divide='ignore'):
+            return np.log(value) if self.log else value / self.scale
+
+    def value(self, coordinate):
+        """Return the value for a coordinate."""
+        return math.exp(coordinate) if self.log else coordinate * self.scale
+
+
+def free_parameters(names, bounds, scene, record):
+    """
+    Return the Free parameters of a fit, a list.
+
+    Parameters
+    ----------
+    names : sequence of str
+        See `fit`.
+    bounds : dict
+        (low, high) by name.
+    scene : Scene
+    record : Record
+
+    Raises
+    ------
+    ParameterError
+        If a name is unknown or given twice, or a start is outside of its bounds.
+
+    """
+    wanted = [each for name in names for each in (
+        initial_names(scene) if name == INITIAL else [name])]
+    if not wanted:
+        raise ParameterError('a fit must have at least one free parameter, got none')
+    for place, name in enumerate(wanted):
+        if name in wanted[:place]:
+            raise ParameterError(f'{name} is free twice')
+    for name in bounds:
+        if name not in wanted:
+            raise ParameterError(f'bounds of {short(name, str)} need it to be free; free are '
+                                 f'{", ".join(wanted)}{did_you_mean(name, wanted)}')
+    return [_free(name, bounds.get(name), scene, record) for name in wanted]
+
+
+def _free(name, bounds, scene, record):
+    quantity, _, kind = name.rpartition('.')
+    channels = {**record.inputs, **record.outputs}
+    if quantity in channels and kind in SENSOR and (kind != 'lag' or quantity in record.outputs):
+        values = channels[quantity].values
+        start = SENSOR[kind]
+        low, high, scale, log, unit = {
+            'gain': (0.0, math.inf, 1.0, True, ''),
+            'bias': (-math.inf, math.inf, float(np.std(values)) or 1.0, False, 'of the quantity'),
+            'delay': (-0.1 * record.duration, 0.1 * record.duration, 10.0 * record.period, False,
+                      's'),
+            'lag': (0.0, 0.1 * record.duration, 10.0 * record.period, False, 's'),
+        }[kind]
+    else:
+        parameter, start = _of_scene(name, scene, channels)
+        low, high, unit = parameter.low, parameter.high, parameter.unit
+        log = low == 0.0
+        scale = 1.0 if log else _scale(name, scene) or max(abs(start), 1.0)
+        if log and start == 0.0:
+            raise ParameterError(f'{name} must be > 0 {unit} in the scene to be fitted, since its '
+                                 'first value is a guess to begin with; got 0')
+    given = (-math.inf, math.inf) if bounds is None else bounds
+    try:
+        given = float(given[0]), float(given[1])
+        good = len(bounds or given) == 2 and given[0] < given[1]
+    except (TypeError, ValueError, IndexError):
+        good = False
+    if not good:
+        raise ParameterError(f'bounds of {name} must be two ascending numbers, got '
+                             f'{short(bounds)}')
+    low, high = max(low, given[0]), min(high, given[1])
+    if log:
+        low, high = max(low, start / _FURTHEST), min(high, start * _FURTHEST)
+    if not low <= start <= high:
+        raise ParameterError(f'{name} = {start:g} must be within its bounds, {low:g} to {high:g}, '
+                             'where the fit begins')
+    return Free(name, start, low, high, scale, log, unit)
+
+
+def _of_scene(name, scene, channels):
+    """Return the Parameter of a name, and its value in a scene."""
+    match = _INDEXED.fullmatch(name)
+    base, place = (match.group(1), int(match.group(2))) if match else (name, None)
+    known = [*PARAMETERS, *(f'{channel}.{kind}' for channel in channels for kind in SENSOR)]
+    parameter = PARAMETERS.get(base)
+    if parameter is None:
+        raise ParameterError(f'{short(name, str)} cannot be free: it is neither a parameter of '
+                             f'the scene nor QUANTITY.gain, .bias, .delay or '
+                             f'.lag of {", ".join(channels)}{did_you_mean(base, known)}')
+    value = scene.values.get(base)
+    if base.startswith('initial.modal') and value == ():
+        value = (0.0,) * scene.modal_count
+    if (parameter.scope != SCENE or base.startswith(_FIXED)
+            or not isinstance(value, (float, tuple)) or value is True):
+        raise ParameterError(f'{name} cannot be free: it is no number of the physics')
+    if isinstance(value, tuple):
+        if place is None and len(value) == 1:
+            place = 0
+        if place is None or place >= len(value):
+            raise ParameterError(f'{name} cannot be free: {base} has {len(value)} elements, of '
+                                 f'which one is named {base}[0]')
+        return parameter, value[place]
+    if place is not None:
+        raise ParameterError(f'{name} cannot be free: {base} is one number')
+    if not math.isfinite(value):
+        raise ParameterError(f'{name} cannot be free: it is {value:g} in the scene')
+    return parameter, value
+
+
+def initial_names(scene):
+    """Return the names of all numbers of the initial state that are not prescribed."""
+    still = scene.build().constrained
+    joints = [joint for joint, held in zip(('carrier_x', 'carrier_y', 'shaft'), still) if not held]
+    modes = range(scene.modal_count)
+    return [*(f'initial.{joint}' for joint in joints),
+            *(f'initial.{joint}_velocity' for joint in joints),
+            *(f'initial.modal_coordinates[{n}]' for n in modes),
+            *(f'initial.modal_rates[{n}]' for n in modes)]
+
+
+def _scale(name, scene):
+    # Of the initial state: what moves the tip by a tenth of the arm's length, or turns it by 0.1.
+    match = _INDEXED.fullmatch(name)
+    if not name.startswith('initial.'):
+        return None
+    model, length = scene.build(), scene.manipulator.arm.length
+    if match and match.group(1) == 'initial.modal_coordinates':
+        return 0.1 * length / model.reach[3 + int(match.group(2))]
+    if match:
+        n = int(match.group(2))
+        return 0.1 * length / model.reach[3 + n] * model.modes.omega[n]
+    return 0.1 if 'shaft' in name else 0.1 * length
+
+
+def placed(values, scene):
+    """Return free values of the scene, by name with [k], as overrides of whole parameters."""
+    found = {}
+    for name, value in values.items():
+        match = _INDEXED.fullmatch(name)
+        base, place = (match.group(1), int(match.group(2))) if match else (name, 0)
+        if isinstance(scene.values[base], tuple):
+            whole = found.get(base) or scene.values[base] or (0.0,) * scene.modal_count
+            found[base] = (*whole[:place], value, *whole[place + 1:])
+        else:
+            found[base] = value
+    return found

@@ -1,0 +1,140 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""The inputs of a record as loads of a scene."""
+
+import functools
+
+import numpy as np
+from scipy.interpolate import make_interp_spline, make_lsq_spline
+
+from timo_sim.fitting.quantities import DRIVE
+from timo_sim.scene.build import motor_constants
+from timo_sim.scene.loads import Load, Term
+from timo_sim.scene.parameter import ParameterError
+
+_DEGREE = 5  # of the spline through a driven angle, whose acceleration is smooth
+# Columns of a load with a limit of commands, which a record cannot pass.
+_LIMITS = {'voltage': 'motor.dc.voltage_limit', 'torque': 'motor.torque_limit',
+           'force_x': 'carrier.force_limit', 'force_y': 'carrier.force_limit'}
+_RATE_LIMITS = 'carrier.force_rate_limit', 'motor.torque_rate_limit'
+
+
+class Sampled(Term):
+    """
+    A load given by samples.
+
+    A step sees the mean of values that hold, so that the impulse is right if they change inside
+    it, and the values at its stages of those that are joined by straight lines.
+
+    Parameters
+    ----------
+    channel : Channel
+    gain, bias, delay : float
+        The load is `gain u(t - delay) + bias`; the delay is in [s].
+    shift : float
+        Time in the record at which the scene's begins [s].
+
+    """
+
+    def __init__(self, channel, gain=1.0, bias=0.0, delay=0.0, shift=0.0):
+        t, values = channel.t + (delay - shift), gain * channel.values + bias
+        self._t, self._values, self._holds = t, values, channel.hold == 'zero'
+        # The integral from the first sample on, before which its value holds.
+        self._integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
+
+    def stages(self, first, count, step):
+        if self._holds:
+            impulse = np.diff(self._integrate(step * np.arange(first, first + count + 1)))
+            return (impulse / step)[:, np.newaxis]
+        at = 0.5 * step * np.arange(2 * first, 2 * (first + count) + 1)
+        values = np.interp(at, self._t, self._values)
+        return np.column_stack([values[:-2:2], values[1::2], values[2::2]])
+
+    def _integrate(self, at):
+        place = np.clip(np.searchsorted(self._t, at, side='right') - 1, 0, None)
+        return self._integral[place] + self._values[place] * (at - self._t[place])
+
+
+class Driven(Term):
+    """
+    The angle of a driven shaft, a spline through samples; before and after them it stays.
+
+    Parameters are as for `Sampled`.
+    """
+
+    def __init__(self, channel, gain=1.0, bias=0.0, delay=0.0, shift=0.0):
+        self._spline = _spline(channel.t.tobytes(), channel.values.tobytes(), channel.knots)
+        self._ends, self._late = channel.t[[0, -1]], delay - shift
+        self._gain, self._bias = gain, bias
+
+    def stages(self, first, count, step):
+        """Return angle, speed and acceleration at the stages of steps, shape (count, 3, 3)."""
+        at = 0.5 * step * np.arange(2 * first, 2 * (first + count) + 1) - self._late
+        inside = (self._ends[0] <= at) & (at <= self._ends[1])
+        motion = self._gain * np.stack([
+            self._spline(np.clip(at, *self._ends), order) * (inside if order else 1.0)
+            for order in range(3)], axis=-1)
+        motion[:, 0] += self._bias
+        return np.stack([motion[:-2:2], motion[1::2], motion[2::2]], axis=1)
+
+
+def loads_of(record, scene, sensors, shift=0.0):
+    """
+    Return the Load of a scene under its own loads and the inputs of a record.
+
+    Parameters
+    ----------
+    record : Record
+    scene : Scene
+    sensors : function(str, str) -> float
+        The gain, bias or delay of a quantity, by its name.
+    shift : float
+        Time in the record at which the scene's begins [s].
+
+    """
+    terms, drive = {name: [*own] for name, own in scene.load.terms.items()}, scene.load.drive
+    for name, channel in record.inputs.items():
+        gain, bias, delay = (sensors(name, kind) for kind in ('gain', 'bias', 'delay'))
+        if name == DRIVE:
+            drive = Driven(channel, gain, bias, delay, shift)
+            continue
+        if name == 'voltage':
+            constant = motor_constants(scene.values)[0]
+            gain, bias, name = constant * gain, constant * bias, 'torque'
+        terms.setdefault(name, []).append(Sampled(channel, gain, bias, delay, shift))
+    return Load({name: tuple(found) for name, found in terms.items()}, drive)
+
+
+def clipped(record, values):
+    """Return a record whose inputs are within the limits of the scene's actuators."""
+    for name in _RATE_LIMITS:
+        if np.isfinite(values[name]):
+            raise ParameterError(f'{name} must be .inf for a fit, got {values[name]:g}')
+    if 'voltage' in record.inputs and not values['motor.dc.resistance']:
+        raise ParameterError('the record has a voltage, which needs a DC motor: '
+                             'motor.dc.resistance must be > 0 ohm, and motor.dc.torque_constant')
+    inputs = dict(record.inputs)
+    for name, limit in _LIMITS.items():
+        if name in inputs and np.isfinite(values[limit]):
+            channel = inputs[name]
+            inputs[name] = channel._replace(
+                values=np.clip(channel.values, -values[limit], values[limit]))
+    return type(record)(inputs, record.outputs, record.source)
+
+
+@functools.lru_cache(maxsize=4)
+def _spline(t, angle, knots):
+    t, angle = np.frombuffer(t), np.frombuffer(angle)
+    if not knots:
+        return make_interp_spline(t, angle, _DEGREE)
+    inner = np.linspace(t[0], t[-1], max(2, round((t[-1] - t[0]) / knots) + 1))
+    ends = np.ones(_DEGREE)
+    return make_lsq_spline(t, angle, np.concatenate([inner[0] * ends, inner, inner[-1] * ends]),
+                           _DEGREE)

@@ -1,0 +1,177 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""The class Record: what was measured, in time, with its units and sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from timo_sim.fitting.quantities import DRIVE, INPUTS, OUTPUTS
+from timo_sim.scene.parameter import did_you_mean, ParameterError, short
+
+HOLDS = 'zero', 'linear'
+_FEWEST = 20  # samples of an output
+
+
+class Channel(NamedTuple):
+    """
+    The samples of one quantity.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Times, ascending [s]; they may be uneven.
+    values : ndarray, shape (n,)
+        In the unit of the quantity, see `quantities`.
+    noise : float or None
+        Standard deviation of the noise of a sensor, if it is known.
+    hold : str
+        Of an input: `zero` if each value holds until the next sample, as a controller's command
+        does, or `linear` in between.
+    knots : float or None
+        Of the input `drive`: distance of the knots of the spline that smooths the angle [s], since
+        noise and counts of an encoder would become accelerations; None: it meets all samples.
+
+    """
+
+    t: np.ndarray
+    values: np.ndarray
+    noise: float | None = None
+    hold: str = 'zero'
+    knots: float | None = None
+
+
+@dataclass(frozen=True)
+class Record:
+    """
+    A measured record of an arm; t = 0 is its first sample.
+
+    Attributes
+    ----------
+    inputs, outputs : dict of Channel
+        By name of a quantity, see `timo_sim.fitting.quantities`.
+    source : str
+        Where it is from, for messages.
+
+    Examples
+    --------
+    >>> import numpy as np, timo_sim
+    >>> t = np.arange(100) * 0.01
+    >>> timo_sim.Record.of({'torque': (t, np.sin(t))}, {'shaft': (t, t**3 / 6.0)}).duration
+    0.99
+
+    """
+
+    inputs: dict[str, Channel]
+    outputs: dict[str, Channel]
+    source: str = 'given arrays'
+
+    @staticmethod
+    def of(inputs: Mapping[str, Any], outputs: Mapping[str, Any],
+           noise: Mapping[str, float] | None = None, source: str = 'given arrays') -> Record:
+        """
+        Return a checked Record of arrays.
+
+        Parameters
+        ----------
+        inputs, outputs : dict
+            By quantity its times and values, two arrays of shape (n,), or a Channel. Samples
+            that are not finite are left out.
+        noise : dict, optional
+            Standard deviations of the noise of sensors, by quantity; by default fitted, too.
+        source : str
+            For messages.
+
+        Raises
+        ------
+        ParameterError
+            If a quantity is unknown, has too few samples, or times do not ascend.
+
+        """
+        ins: dict[str, Channel] = {}
+        outs: dict[str, Channel] = {}
+        rules: Any = (ins, inputs, INPUTS, 'input', 1), (outs, outputs, OUTPUTS, 'output', _FEWEST)
+        for kept, given, known, kind, fewest in rules:
+            for name, channel in given.items():
+                if name not in known:
+                    raise ParameterError(f'{short(name, str)} is no {kind} of a record, but '
+                                         f'{", ".join(known)}{did_you_mean(name, known)} '
+                                         f'({source})')
+                kept[name] = _checked(name, channel, source, fewest)
+        for name, deviation in (noise or {}).items():
+            if name not in outs or not deviation > 0.0:
+                raise ParameterError(f'noise of {short(name, str)} must be > 0, of one of '
+                                     f'{", ".join(outs)}, got {short(deviation)} '
+                                     f'({source})')
+            outs[name] = outs[name]._replace(noise=float(deviation))
+        if not outs:
+            raise ParameterError(f'a record must have an output, one of {", ".join(OUTPUTS)} '
+                                 f'({source})')
+        if DRIVE in ins and len(ins[DRIVE].t) < _FEWEST:
+            raise ParameterError(f'{DRIVE} must have at least {_FEWEST} samples ({source})')
+        begin = min(channel.t[0] for channel in (*ins.values(), *outs.values()))
+        for part in (ins, outs):
+            part.update({name: channel._replace(t=channel.t - begin)
+                         for name, channel in part.items()})
+        return Record(ins, outs, source)
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample of an output [s]."""
+        return float(max(channel.t[-1] for channel in self.outputs.values()))
+
+    @property
+    def period(self) -> float:
+        """The shortest of the median times between samples of a quantity [s]."""
+        return float(min(np.median(np.diff(channel.t)) for channel in (
+            *self.inputs.values(), *self.outputs.values()) if len(channel.t) > 1))
+
+    def cut(self, start: float = 0.0, end: float = np.inf) -> Record:
+        """Return the part from `start` to `end` [s], whose time begins at 0 again."""
+        def part(channel, is_input):
+            first, last = np.searchsorted(channel.t, [start, end])
+            if is_input and first and (first == len(channel.t) or channel.t[first] > start):
+                first -= 1  # its value still holds at the start
+            t = np.maximum(channel.t[first:last + 1] - start, 0.0)
+            within = t <= end - start
+            return channel._replace(t=t[within], values=channel.values[first:last + 1][within])
+        return Record({name: part(channel, True) for name, channel in self.inputs.items()},
+                      {name: part(channel, False) for name, channel in self.outputs.items()},
+                      self.source)
+
+
+def _checked(name, channel, source, fewest):
+    t, values, *more = channel
+    try:
+        t, values = np.array(t, dtype=float), np.array(values, dtype=float)
+        good = t.ndim == 1 and t.shape == values.shape
+    except (TypeError, ValueError):
+        good = False
+    if not good:
+        raise ParameterError(f'{name} must have as many times as values, lists of numbers '
+                             f'({source})')
+    kept = np.isfinite(t) & np.isfinite(values)
+    t, values = t[kept], values[kept]
+    if len(t) < fewest:
+        raise ParameterError(f'{name} must have at least {fewest} finite samples, got {len(t)} '
+                             f'({source})')
+    late = np.flatnonzero(np.diff(t) <= 0.0)
+    if len(late):
+        raise ParameterError(f'times of {name} must ascend, got {t[late[0]]:.12g} s and then '
+                             f'{t[late[0] + 1]:.12g} s ({source})')
+    found = Channel(t, values, *more)
+    if found.hold not in HOLDS:
+        raise ParameterError(f'hold of {name} must be one of {", ".join(HOLDS)}, got '
+                             f'{short(found.hold)} ({source})')
+    return found

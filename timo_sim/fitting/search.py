@@ -1,0 +1,204 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""The search for the parameters with the least squares of residuals in standard deviations."""
+
+import math
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from timo_sim.fitting.initial import initial_states
+from timo_sim.scene.parameter import ParameterError
+
+LOSSES = 'linear', 'soft_l1', 'huber', 'cauchy'
+# Steps of differences in coordinates of the fit: of a search, and two for the intervals.
+_FORWARD, _CENTRAL, _WIDE = 1e-6, 3e-4, 1e-3
+_ROUGH = 0.3         # relative difference of derivatives by steps, from which on they are told
+_FIRST = 0.25        # part of the record that is fitted first, where runs are closer to it
+_GUESS = 0.1         # first standard deviation, in those of what an output shows
+_LOOSE, _TIGHT = 1e-4, 1e-7      # relative changes of the sum of squares at which a search ends
+_ROUNDS = 6          # most searches with standard deviations from the one before
+_SETTLED = 0.01      # relative change of standard deviations after which they are good
+_PRIOR = 10.0        # standard deviation of initial states of windows, in their scales
+_MAD = 1.4826        # standard deviations in a median absolute deviation
+
+
+class Search:
+    """A search for the least sum of squares; x are the coordinates of all that is free."""
+
+    def __init__(self, problem, loss):
+        self.problem, self.loss, record = problem, loss, problem.record
+        self.deviations = {name: channel.noise or _GUESS * float(np.std(channel.values)) or 1.0
+                           for name, channel in record.outputs.items()}
+        free = problem.free
+        self.x = np.array([each.coordinate(each.start) for each in free])
+        self._low = np.array([each.coordinate(each.low) for each in free])
+        self._high = np.array([each.coordinate(each.high) for each in free])
+        self._states = []  # of each window, the Free parameters of its initial state
+        self._prior = np.zeros(0)
+
+    def do(self):
+        """Find x and the standard deviations of the sensors."""
+        self._check_start()
+        problem = self.problem
+        if not problem.windows[0].names:
+            whole, = problem.windows
+            problem.windows = [whole.__class__(0.0, _FIRST * problem.until, ())]
+            self._solve(_LOOSE)
+            problem.windows = [whole]
+            self._solve(_LOOSE)
+        self._begin_windows()
+        for _ in range(_ROUNDS):
+            self._solve(_LOOSE)
+            if self._deviate() < _SETTLED:
+                break
+        self._solve(_TIGHT)
+        self._deviate()
+
+    def _check_start(self):
+        problem = self.problem
+        values = problem.values(self.x)
+        try:
+            problem.run(values, 0.0, problem.until)
+        except Exception as error:
+            if isinstance(error, ParameterError) or not problem.windows[0].names:
+                raise ParameterError('the record cannot be predicted with the first guess: '
+                                     f'{error}') from None
+
+    def _begin_windows(self):
+        problem = self.problem
+        if not problem.windows[0].names:
+            return
+        self._states = initial_states(problem, problem.values(self.x))
+        every = [each for states in self._states for each in states]
+        start = np.array([each.coordinate(each.start) for each in every])
+        self.x, self._prior = np.concatenate([self.x, start]), start
+        self._low = np.concatenate([self._low, np.full(len(every), -np.inf)])
+        self._high = np.concatenate([self._high, np.full(len(every), np.inf)])
+
+    def _solve(self, tolerance):
+        found = least_squares(self._residuals, np.clip(self.x, self._low, self._high),
+                              self._jacobian, (self._low, self._high), x_scale='jac',
+                              loss=self.loss, ftol=tolerance, xtol=tolerance, gtol=1e-12,
+                              max_nfev=60)
+        self.x = found.x
+
+    def _split(self, x):
+        """Return the values of free parameters and those of the initial state of each window."""
+        first, states = len(self.problem.free), []
+        for every in self._states or [[]] * len(self.problem.windows):
+            states.append({each.name: each.value(part)
+                           for each, part in zip(every, x[first:first + len(every)])})
+            first += len(every)
+        return self.problem.values(x), states
+
+    def first_state(self):
+        """Return the initial state of the first window by name, if windows have their own."""
+        return self._split(self.x)[1][0]
+
+    def _residuals(self, x):
+        values, states = self._split(x)
+        parts = [self.problem.residuals(values, self.deviations, window, state)
+                 for window, state in zip(self.problem.windows, states)]
+        return np.concatenate([*parts, self._of_prior(x)])
+
+    def _of_prior(self, x):
+        return (x[len(self.problem.free):] - self._prior) / _PRIOR
+
+    def _jacobian(self, x, step=_FORWARD, central=False):
+        """Return the derivatives of the residuals by x, from differences of runs."""
+        problem = self.problem
+        count, states = len(problem.free), self._split(x)[1]
+        here = self._residuals(x)
+        sizes = [sum(map(len, problem.measured(window).values())) for window in problem.windows]
+        edges = np.concatenate([[0], np.cumsum(sizes)])
+        found = np.zeros((len(here), len(x)))
+
+        def difference(k, windows):
+            up = step if x[k] + step <= self._high[k] else -step
+            ends = [(x + up * (np.arange(len(x)) == k), up)]
+            down = x - up * (np.arange(len(x)) == k)
+            if central and self._low[k] <= down[k] <= self._high[k]:
+                ends.append((down, -up))
+            for w in windows:
+                rows = slice(edges[w], edges[w + 1])
+                values = []
+                for at, _ in ends:
+                    free, own = self._split(at)
+                    values.append(problem.residuals(free, self.deviations, problem.windows[w],
+                                                    own[w]))
+                values.append(here[rows])
+                found[rows, k] = (values[0] - values[1]) / (2.0 * up if len(ends) == 2 else up)
+
+        for k in range(count):
+            difference(k, range(len(problem.windows)))
+        k = count
+        for w, every in enumerate(states):
+            for _ in every:
+                difference(k, [w])
+                k += 1
+        found[edges[-1]:, count:] = np.eye(len(x) - count) / _PRIOR
+        return found
+
+    def _deviate(self):
+        """Estimate the standard deviations of the sensors; return the largest relative change."""
+        values, states = self._split(self.x)
+        apart = {name: [] for name in self.deviations}
+        for window, state in zip(self.problem.windows, states):
+            residuals, first = self.problem.residuals(values, self.deviations, window, state), 0
+            for name, measured in self.problem.measured(window).items():
+                apart[name].append(residuals[first:first + len(measured)])
+                first += len(measured)
+        change = 0.0
+        for name, parts in apart.items():
+            r = np.concatenate(parts)
+            size = math.sqrt(np.mean(r**2)) if self.loss == 'linear' else (
+                _MAD * float(np.median(np.abs(r))))
+            known = self.problem.record.outputs[name].noise
+            new = max(size * self.deviations[name], known or 0.0, np.finfo(float).tiny)
+            if not known or new > 1.5 * known:
+                change = max(change, abs(new / self.deviations[name] - 1.0))
+                self.deviations[name] = new
+        return change
+
+    def derivatives(self):
+        """
+        Return the derivatives at the end.
+
+        Returns
+        -------
+        jacobians, residuals : list of ndarray, shapes (n_i, p + k), (n_i,)
+            Of each output in each window, and of the prior of k initial states of windows. With a
+            loss other than `linear` they have its weights.
+        jumps : list of str
+            Names of parameters on which runs depend in jumps.
+
+        """
+        jacobian, residuals = self._jacobian(self.x, _CENTRAL, True), self._residuals(self.x)
+        wide, count = self._jacobian(self.x, _WIDE, True), len(self.problem.free)
+        size, other = np.linalg.norm(jacobian, axis=0), np.linalg.norm(wide, axis=0)
+        rough = np.linalg.norm(jacobian - wide, axis=0) > _ROUGH * np.minimum(size, other)
+        # Of those that depend on jumps of the run the smaller, from which intervals are wider.
+        jacobian[:, rough & (other < size)] = wide[:, rough & (other < size)]
+        jumps = [free.name for free, jumps in zip(self.problem.free, rough[:count]) if jumps]
+        weight = {'linear': lambda z: np.ones_like(z), 'soft_l1': lambda z: (1.0 + z)**-0.5,
+                  'huber': lambda z: np.where(z <= 1.0, 1.0, 1.0 / np.sqrt(np.maximum(z, 1.0))),
+                  'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
+        root, jacobians, parts, first = np.sqrt(weight), [], [], 0
+        for window in self.problem.windows:
+            for measured in self.problem.measured(window).values():
+                rows = slice(first, first + len(measured))
+                jacobians.append(jacobian[rows] * root[rows, np.newaxis])
+                parts.append(residuals[rows] * root[rows])
+                first += len(measured)
+        if first < len(residuals):
+            jacobians.append(jacobian[first:])
+            parts.append(residuals[first:])
+        return jacobians, parts, jumps

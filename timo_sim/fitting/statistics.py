@@ -1,0 +1,120 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""How certain fitted parameters are: covariance, combinations that cannot be told, whiteness."""
+
+import numpy as np
+
+WHITE = 0.01         # probability below which residuals do not count as white
+NORMAL = 1.959964    # standard deviations of a 95 % interval
+_LAGS = 20           # of the test for whiteness
+_BANDWIDTH = 4       # lags of the covariance, in lags after which residuals are uncorrelated
+_ROUND_OFF = 1e-9    # singular value, relative to the largest, below which it is that of noise
+_PART = 0.25         # of the largest part in a combination, from which on a parameter is named
+
+
+def whiteness(residuals):
+    """
+    Return the probability that white residuals are as correlated as these, by Ljung and Box.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (n,)
+        Ascending in time.
+
+    """
+    from scipy.stats import chi2
+    r = residuals - residuals.mean()
+    n, lags = len(r), min(_LAGS, len(r) // 4)
+    power = r @ r
+    if not power:
+        return 1.0
+    lag = np.arange(1, lags + 1)
+    correlation = np.array([r[k:] @ r[:-k] for k in lag]) / power
+    return float(chi2.sf(n * (n + 2.0) * np.sum(correlation**2 / (n - lag)), lags))
+
+
+def covariance(jacobians, residuals):
+    """
+    Return the covariance of parameters estimated by least squares.
+
+    If the residuals of all outputs are white it is that of independent noise. Otherwise what the
+    model lacks is in them, too, and it is the one that Newey and West give for correlated
+    residuals, which is larger.
+
+    Parameters
+    ----------
+    jacobians : list of ndarray, shape (n_i, p)
+        Of the residuals of each series (an output in a window) by the parameters.
+    residuals : list of ndarray, shape (n_i,)
+        In standard deviations.
+
+    Returns
+    -------
+    covariance : ndarray, shape (p, p)
+    white : bool
+
+    """
+    whole = np.concatenate(jacobians)
+    u, s, vt = np.linalg.svd(whole, full_matrices=False)
+    s = np.maximum(s, _ROUND_OFF * s[0])
+    inverse = (vt.T / s**2) @ vt
+    white = all(whiteness(each) >= WHITE for each in residuals if len(each) > 4)
+    if white:
+        return inverse, True
+    middle = sum(_long_run(j * r[:, np.newaxis], r) for j, r in zip(jacobians, residuals))
+    return inverse @ middle @ inverse, False
+
+
+def _long_run(scores, residuals):
+    """Return the covariance of the sum of correlated scores, (n, p), by Bartlett's weights."""
+    power, lag = residuals @ residuals, 1
+    while lag < len(residuals) // 4 and residuals[lag:] @ residuals[:-lag] > 0.05 * power:
+        lag += 1
+    most = min(_BANDWIDTH * lag, len(residuals) // 2)
+    found = scores.T @ scores
+    for k in range(1, most + 1):
+        product = scores[k:].T @ scores[:-k]
+        found += (1.0 - k / (most + 1.0)) * (product + product.T)
+    return found
+
+
+def unknown(jacobian, names, most=1.0):
+    """
+    Return which combinations of parameters the residuals hardly depend on.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (n, p)
+        Of all residuals in standard deviations, by coordinates of the fit.
+    names : list of str, length p
+    most : float
+        Half of the 95 % interval of a combination from which on it counts as unknown.
+
+    Returns
+    -------
+    list of dict
+        For each such combination the part of each parameter that matters in it, by name.
+
+    """
+    _, s, vt = np.linalg.svd(jacobian, full_matrices=False)
+    found = []
+    for value, parts in zip(s, vt):
+        if value * most < NORMAL or value < _ROUND_OFF * s[0]:
+            large = np.abs(parts) > _PART * np.abs(parts).max()
+            sign = np.sign(parts[np.argmax(np.abs(parts))])
+            found.append({name: float(sign * part)
+                          for name, part, kept in zip(names, parts, large) if kept})
+    return found
+
+
+def r_squared(measured, predicted):
+    """Return the coefficient of determination R^2; NaN if nothing was measured to vary."""
+    spread = np.sum((measured - measured.mean())**2)
+    return float(1.0 - np.sum((measured - predicted)**2) / spread) if spread else np.nan
