@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 import re
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,8 @@ _NUMBERS.update({name: Parameter(name, 0.0, '', '', low=0.0, open_low=True)
 _COMMENT = '%#'
 
 
-def read_record(path, mapping=None):
+def read_record(path: str | Path,
+                mapping: str | Path | Mapping[str, Any] | None = None) -> Record:
     """
     Return the Record in a table.
 
@@ -52,6 +54,16 @@ def read_record(path, mapping=None):
         If something in table or mapping is not understood; the text says what.
     OSError
         If a file cannot be read.
+
+    Examples
+    --------
+    >>> import numpy as np, timo_sim
+    >>> t = np.arange(100) * 0.01
+    >>> np.savetxt('arm.csv', np.column_stack([t, np.sin(t), 20.0 * t]), delimiter=',')
+    >>> record = timo_sim.read_record('arm.csv', {'time': {'column': 0}, 'columns': {
+    ...     1: 'torque', 2: {'quantity': 'shaft', 'unit': 'deg'}}})
+    >>> round(float(record.outputs['shaft'].values[-1]), 4)
+    0.3456
 
     """
     path = Path(path)
