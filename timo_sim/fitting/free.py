@@ -103,7 +103,8 @@ def _free(name, bounds, scene, record):
     channels = {**record.inputs, **record.outputs}
     if quantity in channels and kind in SENSOR and (kind != 'lag' or quantity in record.outputs):
         values = channels[quantity].values
-        start = SENSOR[kind]
+        # A search that begins at a bound leaves it slowly.
+        start = 2.0 * record.period if kind == 'lag' else SENSOR[kind]
         low, high, scale, log, unit = {
             'gain': (0.0, math.inf, 1.0, True, ''),
             'bias': (-math.inf, math.inf, float(np.std(values)) or 1.0, False, 'of the quantity'),

@@ -35,8 +35,10 @@ class Search:
 
     def __init__(self, problem, loss):
         self.problem, self.loss, record = problem, loss, problem.record
-        self.deviations = {name: channel.noise or _GUESS * float(np.std(channel.values)) or 1.0
-                           for name, channel in record.outputs.items()}
+        self.deviations = {
+            name: channel.noise or _GUESS * float(np.std(
+                channel.values[channel.t <= problem.until])) or 1.0
+            for name, channel in record.outputs.items()}
         free = problem.free
         self.x = np.array([each.coordinate(each.start) for each in free])
         self._low = np.array([each.coordinate(each.low) for each in free])

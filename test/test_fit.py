@@ -1,0 +1,344 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""Fits of scenes to records: truth recovered, inputs, sensors, doubts."""
+
+import numpy as np
+import pytest
+
+import timo_sim
+from timo_sim.fitting.inputs import loads_of
+from timo_sim.fitting.problem import Problem
+from timo_sim.fitting.quantities import OUTPUTS
+from timo_sim.fitting.record import Channel
+from timo_sim.fitting.statistics import covariance, unknown, whiteness
+
+ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.height': 0.001, 'arm.width': 0.02,
+       'arm.density': 7800.0, 'arm.young_modulus': 2e11, 'arm.shear_modulus': 7.7e10,
+       'arm.damping_ratio': [0.01], 'motor.shaft_inertia': 0.002, 'end_effector.mass': 0.03,
+       'end_effector.inertia': 1e-5, 'motor.viscous_friction': 0.01, 'initial.shaft': 0.0,
+       'integrator.step': 0.002, 'model.modes': 2}
+MOTOR = {'motor.dc': {'resistance': 2.6, 'torque_constant': 0.0077, 'gear_ratio': 70.0}}
+T = 0.002 * np.arange(1501)
+VOLTAGE = np.sign(np.sin(2.0 * np.pi * 0.7 * T)) * 2.0 + np.sin(2.0 * np.pi * 3.1 * T)
+
+
+def predicted(scene, inputs, outputs, values=None, t=T):
+    """Return a noise-free Record of a scene; `values` are those of sensors."""
+    blank = timo_sim.Record.of(inputs, {name: (t, np.zeros_like(t)) for name in outputs})
+    problem = Problem(timo_sim.load_scene(scene), blank, ['arm.length'], {}, blank.duration)
+    found = problem.predictions(problem.run(values or {}), values or {})
+    return timo_sim.Record.of(inputs, found)
+
+
+def noisy(record, deviations, seed=1):
+    """Return a record with white noise on its outputs."""
+    random = np.random.default_rng(seed)
+    return timo_sim.Record.of(record.inputs, {
+        name: channel._replace(values=channel.values + deviations[name]
+                               * random.standard_normal(len(channel.t)))
+        for name, channel in record.outputs.items()})
+
+
+def test_the_truth_is_recovered_from_a_record_without_noise():
+    truth = {'arm.young_modulus': 2e11, 'end_effector.mass': 0.03, 'arm.damping_ratio': 0.01,
+             'motor.viscous_friction': 0.01, 'motor.shaft_inertia': 0.002}
+    record = predicted({**ARM, **MOTOR}, {'voltage': (T, VOLTAGE)}, ['shaft', 'tip_transverse'])
+    guess = timo_sim.load_scene({**ARM, **MOTOR}, {
+        'arm.young_modulus': 1.6e11, 'end_effector.mass': 0.04, 'arm.damping_ratio': [0.03],
+        'motor.viscous_friction': 0.005, 'motor.shaft_inertia': 0.003})
+    found = timo_sim.fit(guess, record, list(truth))
+    assert found.values == pytest.approx(truth, rel=1e-5)
+    for name, value in found.scene.values.items():
+        if name in truth:
+            assert np.ravel(value)[0] == found.values[name]
+    assert min(each.r_squared for each in found.errors.values()) > 1.0 - 1e-9
+
+
+def test_held_values_give_a_rigid_shaft_their_impulse():
+    """A shaft with inertia alone has the speed of the impulse, however uneven the samples."""
+    random = np.random.default_rng(3)
+    t, torque = np.cumsum(random.uniform(0.0005, 0.007, 60)), random.standard_normal(60)
+    t -= t[0]
+    scene = timo_sim.load_scene({**ARM, 'model.modes': 0, 'motor.viscous_friction': 0.0})
+    for delay in (0.0, 0.0031):
+        record = predicted(scene, {'torque': (t, torque)}, ['shaft_velocity'],
+                           {'torque.delay': delay})
+        wanted = np.zeros(len(T))
+        for k, at in enumerate(T):
+            edges = np.clip(np.append(t, np.inf) + delay, 0.0, at)
+            edges[0] = 0.0
+            wanted[k] = np.diff(edges) @ torque
+        inertia = scene.build().mass_matrix(scene.initial_motion())[0][2, 2]
+        assert record.outputs['shaft_velocity'].values * inertia == pytest.approx(
+            wanted, abs=1e-12)
+
+
+def test_values_joined_by_lines_are_the_table_of_a_scene():
+    t, torque = [0.0, 0.01, 0.5, 3.0], [0.0, 0.05, -0.02, 0.0]
+    scene = timo_sim.load_scene({**ARM, 'load.torque.table': {'time': t, 'value': torque}})
+    run = timo_sim.simulate(scene, T[-1], compare=False)
+    channel = Channel(np.array(t), np.array(torque), hold='linear')
+    record = predicted(ARM, {'torque': channel}, ['shaft'])
+    assert record.outputs['shaft'].values == pytest.approx(run.shaft, abs=1e-9)
+
+
+def test_a_voltage_acts_as_that_of_the_simulator():
+    scene = timo_sim.load_scene({**ARM, **MOTOR, 'motor.coulomb_friction': 0.01,
+                                 'motor.dc.voltage_limit': 2.5})
+    simulator, shaft = timo_sim.Simulator(scene), [0.0]
+    for voltage in VOLTAGE[:-1]:
+        shaft.append(float(simulator.step(voltage=voltage).shaft))
+    record = predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft'])
+    # The impulse of a step is a difference of sums.
+    assert record.outputs['shaft'].values == pytest.approx(shaft, abs=1e-10)
+
+
+def test_a_driven_shaft_follows_the_samples():
+    """A polynomial of degree five is met everywhere; the arm moves as under motor.drive."""
+    angle = 0.4 * T**3 / 9.0 - 0.05 * T**5 / 81.0
+    drive = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.4 / 9.0, 0.0, -0.05 / 81.0])
+    speed, acceleration = drive.deriv(1), drive.deriv(2)
+    points = np.linspace(0.0, T[-1], 7)
+    scene = timo_sim.load_scene(ARM, {'motor.shaft': 'driven', 'motor.drive': {
+        'time': points, 'angle': drive(points), 'speed': speed(points),
+        'acceleration': [*acceleration(points[:-1]), 0.0]}})
+    run = timo_sim.simulate(scene, T[-1], compare=False)
+    record = predicted(ARM, {'drive': (T, angle)}, ['shaft', 'tip_transverse'])
+    whole = slice(0, 1200)  # the last piece of motor.drive ends without acceleration
+    assert record.outputs['shaft'].values == pytest.approx(angle, abs=1e-12)
+    assert record.outputs['tip_transverse'].values[whole] == pytest.approx(
+        run.deflection(0.42)[whole, 1], abs=1e-8)
+
+
+@pytest.mark.parametrize('more', [
+    {'carrier.held': 'none'}, {'gravity': [0.0, -9.81]}, {'motor.shaft': 'locked'},
+    {'load.tip_force_y.harmonic': {'amplitude': [0.3], 'frequency': [1.0]},
+     'load.tip_torque.harmonic': {'amplitude': [0.02], 'frequency': [2.0]}}])
+def test_strain_and_acceleration_are_those_of_the_sensors(more):
+    scene = timo_sim.load_scene(ARM, {
+        'initial.modal_coordinates': [0.003, 0.0], **more,
+        'load.torque.harmonic': {'amplitude': [0.05], 'frequency': [3.0]}})
+    simulator, strain, acceleration = timo_sim.Simulator(scene), [], []
+    for _ in T[:500]:
+        strain.append(simulator.sensors.root_strain)
+        acceleration.append(simulator.sensors.tip_acceleration[1])
+        simulator.advance(1)
+    run = timo_sim.simulate(scene, T[500], compare=False)
+    inner = slice(5, 495)  # a spline is less accurate at its ends
+    for name, wanted in ('root_strain', strain), ('tip_acceleration', acceleration):
+        found = OUTPUTS[name].of_run(run)[:500]
+        assert found[inner] == pytest.approx(wanted[inner], abs=2e-3 * np.ptp(wanted)), name
+
+
+def test_sensors_have_gain_bias_delay_and_lag():
+    """A first-order sensor of a sine, in closed form; delays need not be whole steps."""
+    scene = {**ARM, 'motor.shaft': 'driven', 'motor.drive': {
+        'time': [0.0], 'angle': [0.2], 'speed': [0.7], 'acceleration': [0.0]}}
+    values = {'shaft.gain': 1.5, 'shaft.bias': 0.3, 'shaft.delay': 0.0123, 'shaft.lag': 0.05}
+    record = predicted(scene, {}, ['shaft'], values)
+    late = T - 0.0123
+    wanted = np.where(late < 0.0, 0.2, 0.2 + 0.7 * (late - 0.05 * (1.0 - np.exp(-late / 0.05))))
+    assert record.outputs['shaft'].values == pytest.approx(1.5 * wanted + 0.3, abs=2e-5)
+
+
+def test_sensors_are_fitted():
+    values = {'tip_transverse.gain': 1.2, 'tip_transverse.bias': 0.002,
+              'tip_transverse.delay': 0.0073, 'tip_transverse.lag': 0.02, 'voltage.bias': 0.05}
+    scene = {**ARM, **MOTOR}
+    record = predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft', 'tip_transverse'], values)
+    found = timo_sim.fit(scene, record, list(values))
+    assert found.values == pytest.approx(values, rel=1e-3)
+
+
+def test_a_product_that_alone_matters_is_named_and_not_returned():
+    names = ['motor.dc.torque_constant', 'motor.dc.gear_ratio', 'motor.shaft_inertia']
+    scene = {**ARM, **MOTOR}
+    record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-3})
+    with pytest.warns(timo_sim.ModelWarning, match='cannot be identified'):
+        found = timo_sim.fit(scene, record, names)
+    assert list(found.values) == ['motor.shaft_inertia']
+    assert all(np.isnan(found.estimates[name].value) for name in names[:2])
+    parts, = found.unidentified
+    assert abs(parts.pop(names[0])) == pytest.approx(0.5**0.5, abs=1e-3)
+    assert abs(parts.pop(names[1])) == pytest.approx(0.5**0.5, abs=1e-3) and not parts
+    assert 'not identified by this record' in found.report()
+
+
+def test_what_is_held_out_is_not_fitted():
+    scene, free = {**ARM, **MOTOR}, ['motor.viscous_friction', 'arm.young_modulus']
+    guess = timo_sim.load_scene(scene, {'motor.viscous_friction': 0.02})
+    record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-3})
+    late = T > 0.5 * T[-1]
+    channel = record.outputs['shaft']
+    other = timo_sim.Record.of(record.inputs, {
+        'shaft': channel._replace(values=channel.values + late)}, {})
+    one, two = (timo_sim.fit(guess, each, free, hold_out=0.5) for each in (record, other))
+    assert one.values == two.values
+    assert one.errors['shaft'].rms == pytest.approx(1e-3, rel=0.1)
+    assert one.errors['shaft'].hold_out_rms == pytest.approx(1e-3, rel=0.1)
+    assert two.errors['shaft'].hold_out_rms == pytest.approx(1.0, rel=0.01)
+
+
+def test_a_loss_against_outliers():
+    scene, free = {**ARM, **MOTOR}, ['motor.viscous_friction', 'arm.young_modulus']
+    record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-3})
+    channel = record.outputs['shaft']
+    spoiled = np.where(np.arange(len(T)) % 50 == 7, channel.values + 0.2, channel.values)
+    record = timo_sim.Record.of(record.inputs, {'shaft': (T, spoiled)})
+    errors = []
+    for loss in ('linear', 'cauchy'):
+        found = timo_sim.fit(scene, record, free, loss=loss)
+        errors.append(abs(np.log(found.values['motor.viscous_friction'] / 0.01)))
+    assert errors[1] < 0.01 < 3.0 * errors[1] + 0.02 and errors[1] < 0.5 * errors[0]
+
+
+def test_windows_need_no_initial_state():
+    """The record begins in motion, of which the scene knows nothing, and has dry friction."""
+    scene = {**ARM, **MOTOR, 'motor.coulomb_friction': 0.02}
+    moving = {'initial.shaft': 0.3, 'initial.shaft_velocity': 1.5,
+              'initial.modal_coordinates': [0.004, 0.0], 'initial.modal_rates': [0.05, 0.0]}
+    record = noisy(predicted({**scene, **moving}, {'voltage': (T, VOLTAGE)}, [
+        'shaft', 'tip_transverse']), {'shaft': 1e-4, 'tip_transverse': 1e-4})
+    guess = timo_sim.load_scene(scene, {'motor.coulomb_friction': 0.03,
+                                        'arm.young_modulus': 1.8e11})
+    found = timo_sim.fit(guess, record, ['motor.coulomb_friction', 'arm.young_modulus'],
+                         window=1.0)
+    assert found.values == pytest.approx(
+        {'motor.coulomb_friction': 0.02, 'arm.young_modulus': 2e11}, rel=0.01)
+    assert found.errors['shaft'].r_squared > 0.999
+    assert found.scene.values['initial.shaft'] == pytest.approx(0.3, abs=1e-3)
+
+
+def test_the_initial_state_is_fitted():
+    moving = {'initial.shaft': 0.3, 'initial.shaft_velocity': 0.5,
+              'initial.modal_coordinates[0]': 0.004, 'initial.modal_coordinates[1]': 0.0,
+              'initial.modal_rates[0]': 0.05, 'initial.modal_rates[1]': 0.0}
+    record = predicted({**ARM, 'initial.shaft': 0.3, 'initial.shaft_velocity': 0.5,
+                        'initial.modal_coordinates': [0.004, 0.0],
+                        'initial.modal_rates': [0.05, 0.0]}, {}, ['shaft', 'tip_transverse'])
+    found = timo_sim.fit(ARM, record, ['initial', 'motor.viscous_friction'])
+    assert found.values == pytest.approx({**moving, 'motor.viscous_friction': 0.01}, abs=1e-6)
+
+
+def test_a_bound_that_is_met_is_told():
+    scene = {**ARM, **MOTOR}
+    record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-4})
+    guess = timo_sim.load_scene(scene, {'motor.viscous_friction': 0.02})
+    with pytest.warns(timo_sim.ModelWarning, match='motor.viscous_friction is at a bound'):
+        found = timo_sim.fit(guess, record, ['motor.viscous_friction'],
+                             {'motor.viscous_friction': (0.015, 0.1)})
+    assert found.estimates['motor.viscous_friction'].bound == 'low'
+    assert found.values['motor.viscous_friction'] == pytest.approx(0.015, rel=1e-6)
+
+
+def test_coarse_steps_are_told():
+    """A record of a fine run cannot be met with steps and modes that are too coarse."""
+    fine = {**ARM, 'integrator.step': 0.0005, 'model.modes': 4}
+    torque = 0.3 * np.sign(np.sin(2.0 * np.pi * 9.0 * T))
+    record = predicted(fine, {'torque': (T, torque)}, ['tip_acceleration'])
+    with pytest.warns(timo_sim.ModelWarning, match='tip_acceleration differs by .* more '
+                                                   'model.modes or a smaller integrator.step'):
+        timo_sim.fit({**ARM, 'integrator.step': 0.01, 'model.modes': 1}, record,
+                     ['arm.young_modulus'])
+
+
+def test_covariance_of_white_and_of_correlated_residuals():
+    """The mean of n numbers: its variance in closed form, for white noise and for AR(1)."""
+    random, n = np.random.default_rng(5), 4000
+    white = random.standard_normal(n)
+    column = -np.ones((n, 1))
+    found, is_white = covariance([column], [white])
+    assert is_white and found[0, 0] == pytest.approx(1.0 / n)
+    correlated, rho = np.zeros(n), 0.9
+    for k in range(1, n):
+        correlated[k] = rho * correlated[k - 1] + np.sqrt(1.0 - rho**2) * white[k]
+    found, is_white = covariance([column], [correlated])
+    assert not is_white
+    assert found[0, 0] * n == pytest.approx((1.0 + rho) / (1.0 - rho), rel=0.3)
+
+
+def test_whiteness_is_a_probability():
+    random = np.random.default_rng(6)
+    found = [whiteness(random.standard_normal(400)) for _ in range(200)]
+    assert np.mean(np.array(found) < 0.1) == pytest.approx(0.1, abs=0.06)
+    assert whiteness(np.sin(np.arange(400) / 5.0)) < 1e-10
+
+
+def test_unknown_combinations():
+    jacobian = np.column_stack([np.arange(9.0), np.arange(9.0), 5.0 * np.ones(9)])
+    parts, = unknown(jacobian, ['a', 'b', 'c'])
+    assert {name: round(part, 6) for name, part in parts.items()} in (
+        {'a': 0.707107, 'b': -0.707107}, {'a': -0.707107, 'b': 0.707107})
+
+
+def test_loads_of_a_record_add_to_those_of_the_scene():
+    scene = timo_sim.load_scene(ARM, {'load.torque.harmonic': {'amplitude': [1.0],
+                                                               'frequency': [2.0]}})
+    record = timo_sim.Record.of({'torque': ([0.0, 1.0], [0.5, 0.7])}, {'shaft': (T, T)})
+    sensor = {'gain': 2.0, 'bias': 0.1, 'delay': 0.0}
+    own = scene.load.stages(0, 10, scene.step)
+    both = loads_of(record, scene, lambda name, kind: sensor[kind]).stages(0, 10, scene.step)
+    assert (both - own)[..., 4] == pytest.approx(np.full((10, 4), 1.1))
+
+
+SHAFT = {'shaft': (T, T)}
+
+
+@pytest.mark.parametrize('arguments, message', [
+    (dict(free=['arm.lenght']), 'arm.lenght cannot be free: .*did you mean arm.length'),
+    (dict(free=['shaft.gian']), 'shaft.gian cannot be free: .*did you mean shaft.gain'),
+    (dict(free=['model.modes']), 'model.modes cannot be free: it is no number of the physics'),
+    (dict(free=['gravity[2]']), 'gravity has 2 elements'),
+    (dict(free=['arm.length', 'arm.length']), 'arm.length is free twice'),
+    (dict(free=[]), 'at least one free parameter'),
+    (dict(free='arm.length'), 'free must be a list of names'),
+    (dict(free=['motor.coulomb_friction']), 'motor.coulomb_friction must be > 0 N m in the'),
+    (dict(free=['carrier.force_limit']), 'carrier.force_limit cannot be free: it is inf'),
+    (dict(free=['arm.length'], bounds={'arm.length': (1.0, 2.0)}),
+     'arm.length = 0.42 must be within its bounds, 1 to 2'),
+    (dict(free=['arm.length'], bounds={'arm.length': (2.0, 1.0)}), 'two ascending numbers'),
+    (dict(free=['arm.length'], bounds={'arm.width': (1.0, 2.0)}), 'need it to be free'),
+    (dict(free=['arm.length'], hold_out=1.0), 'hold_out must be .*<= 0.95, got 1'),
+    (dict(free=['arm.length'], window=0.001), 'window must be at least ten steps, 0.02 s'),
+    (dict(free=['initial'], window=1.0), 'initial.shaft cannot be free with windows'),
+    (dict(free=['arm.length'], loss='squared'), 'loss must be one of linear, soft_l1'),
+])
+def test_bad_arguments(arguments, message):
+    record = timo_sim.Record.of({}, SHAFT)
+    with pytest.raises(timo_sim.ParameterError, match=message):
+        timo_sim.fit(ARM, record, **arguments)
+
+
+@pytest.mark.parametrize('inputs, outputs, message', [
+    ({'torqe': (T, T)}, SHAFT, 'torqe is no input of a record, .*did you mean torque'),
+    ({}, {'tip': (T, T)}, 'tip is no output of a record'),
+    ({}, {}, 'a record must have an output'),
+    ({}, {'shaft': (T, T[:-1])}, 'shaft must have as many times as values'),
+    ({}, {'shaft': (T[::-1], T)}, 'times of shaft must ascend, got 3 s and then 2.998 s'),
+    ({}, {'shaft': (T[:10], T[:10])}, 'shaft must have at least 20 finite samples, got 10'),
+    ({'torque': Channel(T, T, hold='spline')}, SHAFT, 'hold of torque must be one of zero'),
+])
+def test_bad_records(inputs, outputs, message):
+    with pytest.raises(timo_sim.ParameterError, match=message):
+        timo_sim.Record.of(inputs, outputs)
+
+
+def test_a_voltage_needs_a_motor_and_a_limit_of_rates_is_refused():
+    record = timo_sim.Record.of({'voltage': (T, VOLTAGE)}, SHAFT)
+    with pytest.raises(timo_sim.ParameterError, match='motor.dc.resistance must be > 0 ohm'):
+        timo_sim.fit(ARM, record, ['arm.length'])
+    with pytest.raises(timo_sim.ParameterError, match='torque_rate_limit must be .inf'):
+        timo_sim.fit({**ARM, **MOTOR, 'motor.torque_rate_limit': 1.0}, record, ['arm.length'])
+
+
+def test_a_first_guess_that_cannot_be_run():
+    record = timo_sim.Record.of({'torque': (T, 1e9 * np.ones_like(T))}, SHAFT)
+    with pytest.raises(timo_sim.ParameterError, match='cannot be predicted with the first guess'):
+        timo_sim.fit(ARM, record, ['arm.length'])
