@@ -52,10 +52,9 @@ def fit(record, more, scene, free, bounds, settings, mapping, hold_out, window, 
     from timo_sim.fitting.fit import fit, read
     from timo_sim.scene.scene import load_scene
     from timo_sim.view.plot import write
+    changes, ends = parsed(settings), _bounds(bounds)
     scene, record = read(scene, record, mapping)
-    changes = parsed(settings)
-    found = fit(load_scene(scene, changes), record, [*free, *more],
-                _bounds(bounds), hold_out, window, loss)
+    found = fit(load_scene(scene, changes), record, [*free, *more], ends, hold_out, window, loss)
     click.echo(found.report())
     if output:
         click.echo(f'{found.save(output)} is written')

@@ -22,6 +22,7 @@ LOSSES = 'linear', 'soft_l1', 'huber', 'cauchy'
 _FORWARD, _CENTRAL, _WIDE = 1e-6, 3e-4, 1e-3
 _ROUGH = 0.3         # relative difference of derivatives by steps, from which on they are told
 _FIRST = 0.25        # part of the record that is fitted first, where runs are closer to it
+_LEAST = 1e-8        # least standard deviation, in the first
 _GUESS = 0.1         # first standard deviation, in those of what an output shows
 _LOOSE, _TIGHT = 1e-4, 1e-7      # relative changes of the sum of squares at which a search ends
 _ROUNDS = 6          # most searches with standard deviations from the one before
@@ -39,6 +40,8 @@ class Search:
             name: channel.noise or _GUESS * float(np.std(
                 channel.values[channel.t <= problem.until])) or 1.0
             for name, channel in record.outputs.items()}
+        # Without noise they would fall until squares overflow.
+        self._least = {name: _LEAST * each for name, each in self.deviations.items()}
         free = problem.free
         self.x = np.array([each.coordinate(each.start) for each in free])
         self._low = np.array([each.coordinate(each.low) for each in free])
@@ -164,7 +167,7 @@ class Search:
             size = math.sqrt(np.mean(r**2)) if self.loss == 'linear' else (
                 _MAD * float(np.median(np.abs(r))))
             known = self.problem.record.outputs[name].noise
-            new = max(size * self.deviations[name], known or 0.0, np.finfo(float).tiny)
+            new = max(size * self.deviations[name], known or self._least[name])
             if not known or new > 1.5 * known:
                 change = max(change, abs(new / self.deviations[name] - 1.0))
                 self.deviations[name] = new

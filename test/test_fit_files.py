@@ -1,0 +1,164 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""Records in files and logs, and the command `timo_sim fit`."""
+
+from click.testing import CliRunner
+import numpy as np
+import pytest
+import yaml
+
+import timo_sim
+from timo_sim.cli import main
+from timo_sim.fitting.from_log import read_log
+
+T = 0.01 * np.arange(200)
+ANGLE, TORQUE = np.sin(T), np.cos(3.0 * T)
+MAPPING = {'time': {'column': 'clock', 'unit': 'ms'},
+           'columns': {'hub': {'quantity': 'shaft', 'unit': 'deg', 'noise': 0.5},
+                       'u': {'quantity': 'torque', 'scale': -0.5, 'offset': 0.1}}}
+
+
+def written(folder, kind):
+    """Write the table of a kind, with times in ms that begin at 7 s; return its path."""
+    table = {'clock': 7000.0 + 1e3 * T, 'hub': np.degrees(ANGLE), 'u': (0.1 - TORQUE) / 0.5}
+    path = folder / f'table.{kind}'
+    if kind == 'parquet':
+        pyarrow = pytest.importorskip('pyarrow')
+        import pyarrow.parquet
+        pyarrow.parquet.write_table(pyarrow.table(table), path)
+    elif kind == 'mat':
+        from scipy.io import savemat
+        savemat(path, {name: values[:, np.newaxis] for name, values in table.items()})
+    else:
+        separator = {'csv': ',', 'tsv': '\t', 'txt': ' '}[kind]
+        np.savetxt(path, np.column_stack([*table.values()]), delimiter=separator,
+                   header=separator.join(table), fmt='%.12g')
+    return path
+
+
+@pytest.mark.parametrize('kind', ['csv', 'tsv', 'txt', 'parquet', 'mat'])
+def test_tables_are_read_in_their_units(tmp_path, kind):
+    record = timo_sim.read_record(written(tmp_path, kind), MAPPING)
+    shaft, torque = record.outputs['shaft'], record.inputs['torque']
+    assert shaft.values == pytest.approx(ANGLE, abs=1e-9)
+    assert torque.values == pytest.approx(TORQUE, abs=1e-9)
+    assert shaft.t == pytest.approx(T, abs=1e-9) and record.duration == pytest.approx(1.99)
+    assert shaft.noise == pytest.approx(np.radians(0.5))
+
+
+def test_columns_by_number_and_of_a_matrix(tmp_path):
+    from scipy.io import savemat
+    savemat(tmp_path / 'a.mat', {'data': np.column_stack([T, ANGLE])})
+    savemat(tmp_path / 'b.mat', {'u': TORQUE})
+    record = timo_sim.read_record(tmp_path / 'a.mat', {'time': {'column': 'data:0'}, 'columns': {
+        'data:1': 'shaft', 'u': {'quantity': 'torque', 'file': 'b.mat',
+                                 'time': {'file': 'a.mat'}}}})
+    assert np.array_equal(record.outputs['shaft'].values, ANGLE)
+    assert np.array_equal(record.inputs['torque'].values, TORQUE)
+    np.savetxt(tmp_path / 'c.csv', np.column_stack([ANGLE, TORQUE]), header='made by a rig')
+    record = timo_sim.read_record(tmp_path / 'c.csv', {
+        'time': {'period': 0.01}, 'columns': {0: 'shaft', 1: 'torque'}, 'start': 0.5, 'end': 1.5})
+    assert np.array_equal(record.outputs['shaft'].values, ANGLE[50:151])
+    assert record.outputs['shaft'].t == pytest.approx(T[:101], abs=1e-12)
+
+
+def test_rows_without_a_number_are_left_out(tmp_path):
+    (tmp_path / 'a.csv').write_text('time_s,shaft_rad,torque_N_m\n' + ''.join(
+        f'{t},{"" if k % 3 else angle},{torque}\n'
+        for k, (t, angle, torque) in enumerate(zip(T, ANGLE, TORQUE))))
+    record = timo_sim.read_record(tmp_path / 'a.csv')
+    assert np.array_equal(record.outputs['shaft'].values, ANGLE[::3])
+    assert len(record.inputs['torque'].t) == 200
+
+
+def test_a_table_of_export_needs_no_mapping(tmp_path):
+    run = timo_sim.simulate('paper', 1.0, sample_every=10)
+    run.save(tmp_path / 'run.csv')
+    record = timo_sim.read_record(tmp_path / 'run.csv')
+    assert np.array_equal(record.outputs['shaft'].values, run.shaft)
+    assert record.outputs['tip_transverse'].values == pytest.approx(
+        run.deflection(2.0)[:, 1], abs=1e-12)
+    assert {'carrier_x', 'carrier_y', 'shaft_velocity'} <= record.outputs.keys()
+
+
+@pytest.mark.parametrize('change, message', [
+    ({'columns': {'hub': 'shaf'}}, 'columns: hub: quantity must be one of .*did you mean shaft'),
+    ({'columns': {'hab': 'shaft'}}, 'hab.* is no column of the table; it has clock, hub, u'),
+    ({'columns': {'hub': {'quantity': 'shaft', 'unit': 'm'}}}, 'hub: unit must be one of rad,'),
+    ({'columns': {'hub': {'quantity': 'shaft', 'gain': 2}}}, 'hub: gain is not known'),
+    ({'columns': {'hub': 'shaft', 'u': 'shaft'}}, 'shaft is given twice'),
+    ({'columns': {}}, 'columns must say which columns'),
+    ({'time': {}}, 'time must have a column or a period'),
+    ({'time': {'column': 'clock', 'unit': 'h'}}, 'time: unit must be one of s, ms, us, ns'),
+    ({'colums': {}}, 'colums is not known, .*did you mean columns'),
+])
+def test_bad_mappings(tmp_path, change, message):
+    path = written(tmp_path, 'csv')
+    with pytest.raises(timo_sim.ParameterError, match=message):
+        timo_sim.read_record(path, {**MAPPING, **change})
+
+
+@pytest.mark.parametrize('text, message', [
+    ('', 'has no line of numbers'), ('a,b\n', 'has no line of numbers'),
+    ('1,2\n3\n', 'row 2 of numbers has 1 columns, the first has 2'),
+    ('1,2\n3,x\n', 'must have numbers alone'),
+    ('1,2\n3,4\n', 'without a mapping the table must have time_s'),
+])
+def test_bad_tables(tmp_path, text, message):
+    path = tmp_path / 'table.csv'
+    path.write_text(text)
+    with pytest.raises(timo_sim.ParameterError, match=message):
+        timo_sim.read_record(path)
+
+
+def test_a_log_is_fitted_with_its_own_scene(tmp_path):
+    """The scene's own loads act; the first guess differs in one parameter."""
+    path = timo_sim.simulate('paper', 2.0, sample_every=10).save(tmp_path / 'run.mcap')
+    scene, record = read_log(path)
+    assert not record.inputs and {'shaft', 'tip_transverse', 'carrier_x'} <= record.outputs.keys()
+    found = timo_sim.fit(scene.vary({'end_effector.mass': 2.4}), record, ['end_effector.mass'])
+    assert found.values['end_effector.mass'] == pytest.approx(2.0, rel=1e-6)
+    assert timo_sim.fit(None, path, ['end_effector.mass']).values['end_effector.mass'] == (
+        pytest.approx(2.0, rel=1e-6))
+
+
+def test_the_command_fits_and_writes_a_scene(tmp_path):
+    run = timo_sim.simulate(timo_sim.load_scene('paper'), 2.0, sample_every=10)
+    run.save(tmp_path / 'run.csv')
+    (tmp_path / 'map.yaml').write_text(yaml.safe_dump({
+        'time': {'column': 'time_s'}, 'columns': {
+            'shaft_rad': 'shaft', 'tip_deflection_transverse_m': 'tip_transverse'}}))
+    fitted, picture = tmp_path / 'fitted.yaml', tmp_path / 'fit.png'
+    arguments = ['fit', str(tmp_path / 'run.csv'), '--mapping', str(tmp_path / 'map.yaml'),
+                 '--scene', 'paper', '--set', 'end_effector.mass=2.5', '--free',
+                 'end_effector.mass', 'arm.young_modulus', '--bounds', 'end_effector.mass=1:4',
+                 '--hold-out', '0.4', '-o', str(fitted), '--png', str(picture)]
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 0, done.output
+    assert 'end_effector.mass' in done.output and 'R^2' in done.output
+    scene = timo_sim.load_scene(fitted)
+    assert scene.values['end_effector.mass'] == pytest.approx(2.0, rel=1e-5)
+    assert scene.values['load.torque.harmonic.amplitude'] == (5.0,)
+    assert picture.read_bytes()[:4] == b'\x89PNG'
+    again = CliRunner().invoke(main, arguments)
+    assert again.exit_code == 2 and f'{fitted} exists' in again.output
+
+
+@pytest.mark.parametrize('arguments, message', [
+    (['--free', 'arm.length', '--bounds', 'arm.length=a:b'], '--bounds takes NAME=LOW:HIGH'),
+    (['--free', 'arm.length', '--scene', 'papre'], 'did you mean paper'),
+    (['--free', 'arm.lenght', '--scene', 'paper'], 'did you mean arm.length'),
+    (['--free', 'arm.length'], 'scene must be given with'),
+])
+def test_bad_arguments_of_the_command(tmp_path, arguments, message):
+    timo_sim.simulate('paper', 1.0, sample_every=10).save(tmp_path / 'run.csv')
+    done = CliRunner().invoke(main, ['fit', str(tmp_path / 'run.csv'), *arguments])
+    assert done.exit_code == 2 and message in ' '.join(done.output.split())
+    assert len(done.output.splitlines()) == 1
