@@ -163,8 +163,8 @@ def _of_scene(name, scene, channels):
         return parameter, value[place]
     if place is not None:
         raise ParameterError(f'{name} cannot be free: {base} is one number')
-    if not math.isfinite(value):
-        raise ParameterError(f'{name} cannot be free: it is {value:g} in the scene')
+    if not math.isfinite(value) or parameter.name.endswith('_limit'):
+        raise ParameterError(f'{name} cannot be free: it is a limit')
     return parameter, value
 
 

@@ -9,6 +9,7 @@
 
 """The inputs of a record as loads of a scene."""
 
+from dataclasses import replace
 import functools
 
 import numpy as np
@@ -17,13 +18,15 @@ from scipy.interpolate import make_interp_spline, make_lsq_spline
 from timo_sim.fitting.quantities import DRIVE
 from timo_sim.scene.build import motor_constants
 from timo_sim.scene.loads import Load, Term
+from timo_sim.scene.moments import on_boundaries, parabolas
 from timo_sim.scene.parameter import ParameterError
 
 _DEGREE = 5  # of the spline through a driven angle, whose acceleration is smooth
-# Columns of a load with a limit of commands, which a record cannot pass.
-_LIMITS = {'voltage': 'motor.dc.voltage_limit', 'torque': 'motor.torque_limit',
-           'force_x': 'carrier.force_limit', 'force_y': 'carrier.force_limit'}
-_RATE_LIMITS = 'carrier.force_rate_limit', 'motor.torque_rate_limit'
+# Limits of commands, and of the rates at which they act, by input.
+_LIMITS = {'voltage': ('motor.dc.voltage_limit', None),
+           'torque': ('motor.torque_limit', 'motor.torque_rate_limit'),
+           **{axis: ('carrier.force_limit', 'carrier.force_rate_limit')
+              for axis in ('force_x', 'force_y')}}
 
 
 class Sampled(Term):
@@ -31,7 +34,7 @@ class Sampled(Term):
     A load given by samples.
 
     A step sees the mean of values that hold, so that the impulse is right if they change inside
-    it, and the values at its stages of those that are joined by straight lines.
+    it. Values that are joined by straight lines act as the table of a scene.
 
     Parameters
     ----------
@@ -56,6 +59,12 @@ class Sampled(Term):
         at = 0.5 * step * np.arange(2 * first, 2 * (first + count) + 1)
         values = np.interp(at, self._t, self._values)
         return np.column_stack([values[:-2:2], values[1::2], values[2::2]])
+
+    def parabolas(self, first, count, step):
+        if self._holds:
+            return super().parabolas(first, count, step)
+        return parabolas(lambda at: np.interp(at * step, self._t, self._values),
+                         on_boundaries(self._t / step), 1, first, count)
 
     def _integrate(self, at):
         place = np.clip(np.searchsorted(self._t, at, side='right') - 1, 0, None)
@@ -112,21 +121,38 @@ def loads_of(record, scene, sensors, shift=0.0):
     return Load({name: tuple(found) for name, found in terms.items()}, drive)
 
 
-def clipped(record, values):
-    """Return a record whose inputs are within the limits of the scene's actuators."""
-    for name in _RATE_LIMITS:
-        if np.isfinite(values[name]):
-            raise ParameterError(f'{name} must be .inf for a fit, got {values[name]:g}')
+def limited(record, values):
+    """Return a record whose inputs are what a scene's actuators make of them, by its values."""
     if 'voltage' in record.inputs and not values['motor.dc.resistance']:
         raise ParameterError('the record has a voltage, which needs a DC motor: '
                              'motor.dc.resistance must be > 0 ohm, and motor.dc.torque_constant')
     inputs = dict(record.inputs)
-    for name, limit in _LIMITS.items():
+    for name, (limit, rate) in _LIMITS.items():
         if name in inputs and np.isfinite(values[limit]):
-            channel = inputs[name]
-            inputs[name] = channel._replace(
-                values=np.clip(channel.values, -values[limit], values[limit]))
-    return type(record)(inputs, record.outputs, record.source)
+            goals = np.clip(inputs[name].values, -values[limit], values[limit])
+            inputs[name] = inputs[name]._replace(values=goals)
+        if name in inputs and rate and np.isfinite(values[rate]):
+            inputs[name] = _ramped(inputs[name], values[rate])
+    return replace(record, inputs=inputs)
+
+
+def _ramped(channel, rate):
+    """Return a channel that moves to each of its values on a straight line of this slope."""
+    if channel.hold != 'zero':
+        raise ParameterError('an input with a limited rate must have hold: zero, because its '
+                             'values are goals')
+    t, values, now = [channel.t[0]], [channel.values[0]], channel.values[0]
+    for begin, end, goal in zip(channel.t, [*channel.t[1:], np.inf], channel.values):
+        if goal == now:
+            continue
+        reached = min(begin + abs(goal - now) / rate, end)
+        if begin > t[-1]:
+            t.append(begin)
+            values.append(now)
+        now = goal if reached < end else now + np.sign(goal - now) * rate * (end - begin)
+        t.append(reached)
+        values.append(now)
+    return channel._replace(t=np.array(t), values=np.array(values), hold='linear')
 
 
 @functools.lru_cache(maxsize=4)

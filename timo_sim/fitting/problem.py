@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from timo_sim.fitting.free import free_parameters, initial_names, placed, SENSOR
-from timo_sim.fitting.inputs import clipped, loads_of
+from timo_sim.fitting.inputs import limited, loads_of
 from timo_sim.fitting.quantities import DRIVE, OUTPUTS
 from timo_sim.runs.sampled import sampled_run
 from timo_sim.scene.parameter import ModelWarning, ParameterError
@@ -69,7 +69,7 @@ class Problem:
                 window or not scene.load.drive):
             raise ParameterError('motor.shaft = driven needs a record of the input drive')
         self.scene, self.until = scene, until
-        self.record = clipped(record, scene.values)
+        self.record = limited(record, scene.values)
         self.free = free_parameters(names, bounds, scene, record)
         self.windows = [Window(0.0, until, ())]
         self._own = {name for name in initial_names(scene)} if window else set()
