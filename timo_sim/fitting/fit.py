@@ -46,7 +46,8 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     scene : Scene, or what `load_scene` takes, or None
         Its values of the free parameters are first guesses. None: the scene of a log of the node.
     record : Record, str or Path
-        A Record; a log or bag of the node; or a table, *.csv, *.txt, *.parquet or *.mat.
+        A Record; a log or bag of the node; or a table, *.csv, *.txt, *.parquet, *.mat or, with a
+        mapping, any text.
     free : sequence of str
         Names of parameters of the scene that are numbers, with [k] for an element of a list;
         QUANTITY.gain, .bias or .delay of an input or output of the record, such as shaft.bias; or
@@ -115,12 +116,10 @@ def read(scene, record, mapping=None):
         if scene is None:
             raise ParameterError('scene must be given with a Record')
         return load_scene(scene), record
-    if Path(record).suffix in SUFFIXES:
+    if Path(record).suffix in SUFFIXES or mapping is not None:
         if scene is None:
             raise ParameterError(f'scene must be given with {record}, which has none')
         return load_scene(scene), read_record(record, mapping)
-    if mapping is not None:
-        raise ParameterError('mapping is for tables; a log or bag has topics')
     given = None if scene is None else load_scene(scene)
     found, record = read_log(record, given)
     return given or found, record

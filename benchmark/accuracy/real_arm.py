@@ -1,0 +1,242 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""
+Fit two real arms and predict the rest of their records: `make real-arm` writes doc/real_arm.md.
+
+The records are of others and not part of this repository. `--data` names a folder with copies of
+two public ones: `git clone https://github.com/gleylaz/Optimal_SysID` and
+`git clone https://github.com/BenHagenau/ASEN2003` there. Beside each fit stands that of the
+textbook's lumped model, two inertias and a torsion spring, to the same half of the record.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+import warnings
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import least_squares
+
+from benchmark import ROOT
+from benchmark.command import parser
+from benchmark.report import machine, table
+import timo_sim
+from timo_sim.fitting.statistics import r_squared
+
+FILES = ROOT / 'example' / 'real_arm'
+HOLD_OUT = 0.5
+MOTOR = ['arm.young_modulus', 'motor.shaft_inertia', 'motor.dc.torque_constant',
+         'motor.viscous_friction', 'motor.coulomb_friction']
+
+
+class Case(NamedTuple):
+    """A record, the scene that it is fitted to, and what is free."""
+
+    title: str
+    words: str
+    record: str     # in the folder of the data
+    columns: str
+    scene: str
+    tip: str        # quantity
+    free: list
+    window: float | None = None
+
+
+CASES = [
+    Case('merced', """\
+A Quanser rotary flexible link at the University of California, Merced (G. Leylaz, S. Ma and
+J.-Q. Sun, repository gleylaz/Optimal_SysID): voltage, shaft angle and tip angle at 500 Hz, slews
+of 60 degrees under feedback. The "tip angle" is what a strain gauge at the root shows, so that it
+is fitted as a strain with an unknown gain.""",
+         'Optimal_SysID/Data/data_vm.mat', 'merced_columns.yaml', 'merced.yaml', 'root_strain',
+         [*MOTOR, 'root_strain.gain', 'voltage.bias']),
+    Case('boulder', """\
+A rotary arm with a mass at its tip in a laboratory of the University of Colorado Boulder (course
+ASEN 2003, repository BenHagenau/ASEN2003, Lab 6, unit 6): voltage, shaft angle and tip deflection
+in steps of 1 mm, at 1 kHz. Predicted from the voltage, in windows of 1 s.""",
+         'ASEN2003/Lab 6: Rotary Arm/4PM_Group37_FlexArm_Unit6', 'boulder_voltage.yaml',
+         'boulder.yaml', 'tip_transverse',
+         [*MOTOR, 'voltage.bias', 'voltage.delay', 'tip_transverse.gain', 'tip_transverse.delay',
+          'tip_transverse.lag'], 1.0),
+    Case('boulder_angle', """\
+The same record, predicted from the measured angle of the shaft: the arm without motor and
+friction.""",
+         'ASEN2003/Lab 6: Rotary Arm/4PM_Group37_FlexArm_Unit6', 'boulder_angle.yaml',
+         'boulder.yaml', 'tip_transverse',
+         ['arm.young_modulus', 'arm.damping_ratio', 'initial.modal_coordinates[0]',
+          'initial.modal_rates[0]', 'tip_transverse.gain', 'tip_transverse.delay',
+          'tip_transverse.lag']),
+]
+HEAD = """\
+# Two real arms
+
+Made by `make real-arm DATA=folder` (`benchmark/accuracy/real_arm.py`), which says where the
+records are from. They have no licence, so they are not part of this repository; only figures and
+pictures of the fits are. The first half of each record is fitted, and the whole is predicted by
+one run from its beginning, without feedback from what was measured. The second half is held out.
+[Fits](fit.md) describes the command.
+
+The textbook's model is two inertias, of the shaft and of a rigid arm, with a torsion spring in
+between, a motor and viscous friction. It is fitted to the same half, with the same freedom of
+voltage and tip sensor (gain, bias and delay), by least squares.
+"""
+
+
+TITLES = {'merced': 'A rotary flexible link', 'boulder': 'An arm with a mass at its tip',
+          'boulder_angle': 'The same arm behind its shaft'}
+# Case, what is left out in words, parameters that are not free, and changes of the scene.
+ABLATIONS = [
+    ('merced', 'nothing', [], None),
+    ('merced', 'a bias of the voltage', ['voltage.bias'], None),
+    ('merced', 'dry friction', ['motor.coulomb_friction'], {'motor.coulomb_friction': 0.0}),
+    ('merced', 'a gain of the strain gauge', ['root_strain.gain'], None),
+    ('merced', 'the second and third mode', [], {'model.modes': 1}),
+    ('boulder_angle', 'nothing', [], None),
+    ('boulder_angle', 'delay and lag of the tip sensor',
+     ['tip_transverse.delay', 'tip_transverse.lag'], None),
+]
+FOUND = """\
+"""
+
+
+def lumped(t, inputs, values):
+    """
+    Return shaft and tip angle of the textbook's model, shape (n, 2) [rad].
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Equal steps [s].
+    inputs : ndarray, shape (n,)
+        Torque on the shaft [N m]; each value holds for a step.
+    values : sequence of float
+        Spring [N m/rad], inertias of shaft and arm [kg m2], friction of the shaft [N m s/rad],
+        damping of the spring [N m s/rad], first angle of the shaft [rad].
+
+    """
+    spring, shaft, arm, friction, damping, first = values
+    a = np.zeros((5, 5))
+    a[0, 2] = a[1, 3] = 1.0
+    a[2, 1:5] = spring / shaft, -friction / shaft, damping / shaft, 1.0 / shaft
+    a[3] = -a[2]
+    a[3, 1] -= spring / arm
+    a[3, 3] -= damping / arm
+    step = expm(a * (t[1] - t[0]))
+    state, found = np.array([first, 0.0, 0.0, 0.0, 0.0]), np.empty((len(t), 2))
+    for k, torque in enumerate(inputs):
+        found[k] = state[:2]
+        state[4] = torque
+        state = step @ state
+    return found
+
+
+def textbook(case, record, scene):
+    """Return R^2 of shaft and tip of the lumped model, fitted and held out, shape (2, 2)."""
+    if 'voltage' not in record.inputs:
+        return None
+    t = np.arange(0.0, record.duration, 0.002)
+    channel, half = record.inputs['voltage'], (1.0 - HOLD_OUT) * record.duration
+    outputs = [record.outputs[name] for name in ('shaft', case.tip)]
+    body = scene.manipulator
+    arm = body.end_effector_mass * body.arm.length**2 + (
+        7757.0 * 0.02 * 0.001 if case.scene == 'merced.yaml' else 5249.0 * 0.0254 * 0.001
+    ) * body.arm.length**3 / 3.0
+    start = np.log([1.3, 0.0021, arm, 0.1, 1e-3, 0.1, np.std(outputs[1].values) / 0.05])
+    size = [float(np.std(each.values)) for each in outputs]
+
+    def predicted(x):
+        spring, shaft, inertia, friction, damping, gain, sensor = np.exp(x[:7])
+        bias, late, delay = x[7:10]
+        place = np.searchsorted(channel.t, t - late, side='right') - 1
+        found = lumped(t, gain * (channel.values[np.maximum(place, 0)] + bias),
+                       [spring, shaft, inertia, friction, damping,
+                        scene.values['initial.shaft']])
+        return (np.interp(outputs[0].t, t, found[:, 0]),
+                sensor * np.interp(outputs[1].t - delay, t, found[:, 1]))
+
+    def residuals(x, end):
+        return np.concatenate([
+            (each - channel.values)[channel.t <= end] / scale
+            for each, channel, scale in zip(predicted(x), outputs, size)]).clip(-1e3, 1e3)
+
+    best = None
+    for factor in (0.3, 1.0, 3.0):  # first guesses of the spring, against local minima
+        x = np.concatenate([start, [0.0, 0.0, 0.0]])
+        x[0] += np.log(factor)
+        for end in (0.25 * half, half):
+            found = least_squares(residuals, x, args=(end,), x_scale='jac', max_nfev=60)
+            x = found.x
+        best = found if best is None or found.cost < best.cost else best
+    return [[r_squared(channel.values[part], each[part])
+             for part in (channel.t <= half, channel.t > half)]
+            for each, channel in zip(predicted(best.x), outputs)]
+
+
+def fitted(case, data, without=(), changes=None):
+    """Return scene, record and Fit of a case; `without` are parameters that are not free."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', timo_sim.ModelWarning)
+        scene = timo_sim.load_scene(FILES / case.scene, changes)
+        record = timo_sim.read_record(data / case.record, FILES / case.columns)
+        free = [name for name in case.free if name not in without]
+        return scene, record, timo_sim.fit(scene, record, free, hold_out=HOLD_OUT,
+                                           window=case.window)
+
+
+def what_matters(data):
+    """Return a table of the R^2 that is lost without a part of the model."""
+    rows = []
+    for title, words, without, changes in ABLATIONS:
+        case, = (case for case in CASES if case.title == title)
+        found = fitted(case, data, without, changes)[2]
+        rows.append([TITLES[title], words, ', '.join(
+            f'{name} {each.hold_out_r_squared:.4f}' for name, each in found.errors.items())])
+    return table(['arm', 'without', 'R^2 held out'], rows)
+
+
+def section(case, data):
+    """Fit a case, draw it, and return its part of the page."""
+    scene, record, found = fitted(case, data)
+    picture = ROOT / 'doc' / 'real_arm' / f'{case.title}.png'
+    picture.parent.mkdir(exist_ok=True)
+    found.plot().savefig(picture, dpi=80)
+    rows = [[f'`timo_sim`, {name}', f'{each.r_squared:.4f}', f'{each.hold_out_r_squared:.4f}',
+             'yes' if each.hold_out_r_squared >= 0.95 else 'no']
+            for name, each in found.errors.items()]
+    for name, values in zip(('shaft', case.tip), textbook(case, record, scene) or []):
+        rows.append([f'textbook, {name}', *(f'{value:.4f}' for value in values), ''])
+    command = ' \\\n    '.join([
+        f"timo_sim fit '{case.record}'",
+        f'--scene example/real_arm/{case.scene} --mapping example/real_arm/{case.columns}',
+        f'--hold-out {HOLD_OUT:g}' + (f' --window {case.window:g}' if case.window else '')
+        + ' --free ' + case.free[0], *case.free[1:], '-o fitted.yaml --png fit.png'])
+    return '\n\n'.join([
+        case.words, f'```\n{command}\n```',
+        f'![Measured and predicted]({picture.relative_to(ROOT / "doc").as_posix()})',
+        table(['R^2 of', 'first half, fitted', 'second half, held out', 'at least 0.95'], rows),
+        f'```text\n{found.report().replace(str(data) + "/", "")}\n```'])
+
+
+def main():
+    """Fit all cases and write the page."""
+    options = parser(__spec__, __doc__)
+    options.add_argument('--data', type=Path, required=True,
+                         help='folder with copies of the two repositories')
+    data = options.parse_args().data
+    parts = [f'## {TITLES[case.title]}\n\n{section(case, data)}' for case in CASES]
+    facts = ', '.join(f'{name} {value}' for name, value in machine().items())
+    (ROOT / 'doc' / 'real_arm.md').write_text(
+        '\n\n'.join([HEAD.strip(), *parts, '## What matters', what_matters(data), FOUND.strip(),
+                     f'On: {facts}.']) + '\n',
+        encoding='utf-8')
+
+
+if __name__ == '__main__':
+    main()
