@@ -78,7 +78,8 @@ def result_of(problem, x, initial, deviations, derivatives, seconds):
 
 def _rough(names):
     return [f'the run depends on {", ".join(names)} in jumps, as with dry friction, so the '
-            'intervals may be too small: try window'] if names else []
+            'intervals may be too small: try a shorter window, or friction with a coulomb_speed'
+            ] if names else []
 
 
 def _finer(scene):

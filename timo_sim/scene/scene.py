@@ -27,6 +27,7 @@ from timo_sim.scene.build import (
     check_counts, check_initial, constraints_of, implausible, load_of, manipulator_of, modal_count,
     payloads_of)
 from timo_sim.scene.files import flatten, read_parameter_file
+from timo_sim.scene.friction import check_friction, check_slope, largest, speeds
 from timo_sim.scene.initial import initial_motion, state_of
 from timo_sim.scene.loads import Load
 from timo_sim.scene.parameter import ParameterError, SCENE, short, warn, whole_ratio
@@ -129,9 +130,12 @@ class Scene:
     @property
     def friction(self) -> np.ndarray:
         """Largest Coulomb friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,)."""
-        axis, shaft = (self.values[f'{body}.coulomb_friction'] for body in ('carrier', 'motor'))
-        held = [position is not None for position in self.constraints.carrier]
-        return np.where([*held, self.constraints.driven], 0.0, [axis, axis, shaft])
+        return largest(self.values, self.constraints)
+
+    @property
+    def friction_speed(self) -> np.ndarray:
+        """Speeds over which it builds up [m/s], [m/s], [rad/s]; 0 for joints that stick, (3,)."""
+        return speeds(self.values, self.friction)
 
     def vary(self, overrides: Mapping[str, Any]) -> Scene:
         """
@@ -269,10 +273,7 @@ def scene_from(values):
     for name in DELAYS:
         whole_ratio(name, values[name], 'integrator.step', step)
     scene = Scene(manipulator_of(values), constraints_of(values), load_of(values), step, values)
-    if scene.friction.any() and values['integrator.tolerance']:
-        raise ParameterError('integrator.tolerance must be 0 with coulomb_friction, because steps '
-                             'with friction cannot be split, got '
-                             f'{values["integrator.tolerance"]:g}')
+    check_friction(scene)
     try:
         with np.errstate(over='raise', divide='raise', invalid='raise'):
             formulation, motion = scene.build(), scene.initial_motion()
@@ -289,4 +290,5 @@ def scene_from(values):
     if not finite:
         raise ParameterError('the values of this scene are too large or too small together: its '
                              'equations of motion or its initial energy are not finite')
+    check_slope(scene)
     return scene

@@ -120,12 +120,14 @@ def joints_of_run(scene, model, motions, loads):
         Without friction.
 
     """
-    integration, limit = Steps(model, scene.step), scene.friction
+    integration, limit, slow = Steps(model, scene.step), scene.friction, scene.friction_speed
     accelerations, acting = np.empty((len(motions), motions.shape[1] // 2)), loads.copy()
     speeds = motions[:, motions.shape[1] // 2:][:, :3]
     for k, motion in enumerate(motions):
         accelerate = partial(accelerations_of, integration, integration.model.state(motion))
-        if limit.any():
+        if slow.any():
+            acting[k, _FRICTION] -= limit * np.tanh(speeds[k] / np.where(limit > 0.0, slow, 1.0))
+        elif limit.any():
             acting[k, _FRICTION] += _friction(accelerate, loads[k], speeds[k], limit)
         accelerations[k] = accelerate(acting[k])
     return Joints(integration.model, motions, accelerations, acting)

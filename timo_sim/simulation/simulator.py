@@ -73,7 +73,7 @@ class Simulator(Readings):
     def _take(self, scene, model):
         self.scene, self.model = scene, model
         self.integration = steps_of(self.model, scene.step, scene.values['integrator.tolerance'],
-                                    scene.friction)
+                                    scene.friction, scene.friction_speed)
         self.stretch = StretchError(self.model)
 
     def __repr__(self):

@@ -14,11 +14,12 @@ declared functions and `Formulation`.
 """
 
 from timo_sim.physics.integrate.friction import FrictionSteps
+from timo_sim.physics.integrate.smooth_friction import SmoothFrictionSteps
 from timo_sim.physics.integrate.split import SplitSteps
 from timo_sim.physics.integrate.steps import Steps
 
 
-def steps_of(model, step, tolerance=0.0, friction=None):
+def steps_of(model, step, tolerance=0.0, friction=None, slow=None):
     """
     Return the time steps of a model.
 
@@ -31,6 +32,8 @@ def steps_of(model, step, tolerance=0.0, friction=None):
         Largest estimated error of a step [m]; 0: none is split. Not used with friction.
     friction : ndarray, shape (3,), optional
         Largest Coulomb friction of carrier x, y [N] and shaft [N m].
+    slow : ndarray, shape (3,), optional
+        Speeds over which it builds up [m/s], [m/s], [rad/s]; 0: joints stick.
 
     Returns
     -------
@@ -38,5 +41,7 @@ def steps_of(model, step, tolerance=0.0, friction=None):
 
     """
     if friction is not None and friction.any():
+        if slow is not None and slow.any():
+            return SmoothFrictionSteps(model, step, friction, slow)
         return FrictionSteps(model, step, friction)
     return SplitSteps(model, step, tolerance) if tolerance else Steps(model, step)

@@ -28,7 +28,7 @@ def copy(vector, out):
 
 
 @inner
-def _multiply(matrix, vector, out):
+def product(matrix, vector, out):
     for i in range(matrix.shape[0]):
         total = 0.0
         for j in range(matrix.shape[1]):
@@ -37,7 +37,7 @@ def _multiply(matrix, vector, out):
 
 
 @inner
-def _multiply_add(matrix, vector, out):
+def add_product(matrix, vector, out):
     for i in range(matrix.shape[0]):
         total = 0.0
         for j in range(matrix.shape[1]):
@@ -67,27 +67,27 @@ def one_step(tables, propagator, now, start, middle, end, half, following, combi
              rate_0, rate_a, rate_b, rate_c, stage):
     """Write the state one step after `now` to `stage`, n of the four stages to `rate_*`."""
     rate(tables, now, start, rate_0)
-    _multiply(propagator.half, now, half)
+    product(propagator.half, now, half)
     copy(half, stage)
-    _multiply_add(propagator.half_weight, rate_0, stage)
+    add_product(propagator.half_weight, rate_0, stage)
 
     rate(tables, stage, middle, rate_a)
-    _multiply(propagator.half, stage, following)
+    product(propagator.half, stage, following)
     copy(half, stage)
-    _multiply_add(propagator.half_weight, rate_a, stage)
+    add_product(propagator.half_weight, rate_a, stage)
 
     rate(tables, stage, middle, rate_b)
     for i in range(len(propagator.half)):
         combined[i] = 2.0 * rate_b[i] - rate_0[i]
-    _multiply_add(propagator.half_weight, combined, following)
+    add_product(propagator.half_weight, combined, following)
 
     rate(tables, following, end, rate_c)
     for i in range(len(propagator.half)):
         combined[i] = rate_a[i] + rate_b[i]
-    _multiply(propagator.whole, now, stage)
-    _multiply_add(propagator.first, rate_0, stage)
-    _multiply_add(propagator.middle, combined, stage)
-    _multiply_add(propagator.last, rate_c, stage)
+    product(propagator.whole, now, stage)
+    add_product(propagator.first, rate_0, stage)
+    add_product(propagator.middle, combined, stage)
+    add_product(propagator.last, rate_c, stage)
 
 
 @entry_point
@@ -217,7 +217,7 @@ def advance_within(tables, whole, halves, shift, tolerance, state, load, loads, 
                 copy(stage, begin)
         for i in range(len(size)):
             coarse[i] -= stage[i]
-        _multiply(shift, coarse, difference)
+        product(shift, coarse, difference)
         error = 0.0
         for i in range(len(size)):
             error += abs(difference[i])

@@ -177,13 +177,15 @@ class Steps:
 
     def _step(self, level, state, load, loads, sample_every, sampled, motions, states, rates):
         def integrate(part, first, load):
-            done = first + etdrk4.advance(
-                part.packed, part.propagator(level), state, load, loads[first:], sample_every,
-                sampled + first, motions, states[first:], rates[first:])
+            done = first + self._run(part, level, state, load, loads[first:], sample_every,
+                                     sampled + first, motions, states[first:], rates[first:])
             if part is not self._part:  # n is kept for the linear part of the whole model
                 rates[first:done] += states[first:done] @ (part.linear - self.model.linear).T
             return done
         return self._by_sectors(state, load, loads, 0, integrate)
+
+    def _run(self, part, level, *arguments):
+        return etdrk4.advance(part.packed, part.propagator(level), *arguments)
 
     def _by_sectors(self, state, load, loads, done, integrate):
         """
