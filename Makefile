@@ -26,7 +26,7 @@ METADATA := pyproject.toml setup.py setup.cfg
 
 .PHONY: help sim view test test-lowest test-without-ros graphics gallery picture pages paper benchmark \
 	benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
-	references stability stretch stress stress-quick docs clean
+	references real-arm stability stretch stress stress-quick docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
@@ -105,6 +105,9 @@ benchmark-control: $(VENV)/.plot ## compare the example controllers
 
 benchmark-latency: $(VENV)/.benchmark ## measure the time from a command to its effect
 	@$(BIN)/python -m benchmark.speed.latency
+
+real-arm: $(VENV)/.plot ## make doc/real_arm.md from the records in DATA=folder
+	@$(BIN)/python -m benchmark.accuracy.real_arm --data $(DATA)
 
 stretch: $(VENV)/.benchmark ## compare arms that stretch with finite elements
 	@$(BIN)/python -m benchmark.accuracy.stretch
