@@ -28,14 +28,12 @@ from lock_step import with_the_node
 from lqr import LQR
 from slew import SCENE, score
 import timo_sim
-from timo_sim.fitting.from_log import read_log
 
 TORQUE, BEGIN, RISE = 3.0, 0.2, 1.2  # of the chirp [N m], its frequency at first [Hz], [Hz/s]
 SENSORS = 'shaft', 'root_strain'     # encoder and strain gauge; the log also has the true motion
 FREE = ('arm.young_modulus', 'motor.shaft_inertia', 'motor.viscous_friction', 'end_effector.mass',
         'end_effector.inertia')
-# A friction > 0 to begin with. A fit has no limit of the torque's rate: the chirp stays below it.
-GUESS = {'motor.viscous_friction': 1.0, 'motor.torque_rate_limit': math.inf}
+GUESS = {'motor.viscous_friction': 1.0}  # a friction > 0 to begin with
 
 
 class Chirp:
@@ -48,10 +46,8 @@ class Chirp:
 
 def fit(log):
     """Return the Fit of the first guess to torque, encoder and strain gauge in a log."""
-    _, record = read_log(log)
-    seen = {name: record.outputs[name] for name in SENSORS}
-    return timo_sim.fit(timo_sim.load_scene(SCENE, GUESS),
-                        timo_sim.Record(record.inputs, seen, log), FREE)
+    record = timo_sim.read_record(log).select(*SENSORS)
+    return timo_sim.fit(timo_sim.load_scene(SCENE, GUESS), record, FREE)
 
 
 if __name__ == '__main__':

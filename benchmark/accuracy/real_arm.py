@@ -107,18 +107,20 @@ ABLATIONS = [
      ['tip_transverse.delay', 'tip_transverse.lag'], None),
 ]
 FOUND = """\
-- **Friction that depends on direction** is what the bias of the voltage stands for in the first arm: a constant
-  torque added to Coulomb friction is a larger friction one way. Without it the shaft drifts.
-- **Friction near rest** (presliding) decides how the arm rings after a slew. A shaft that sticks lets the arm ring
-  as if it were clamped, which the record does not show; friction that builds up over a speed
-  (`motor.coulomb_speed`) brakes it. This was added to the scene's parameters for this record.
+- **Friction that depends on direction** is what the bias of the voltage stands for in the first
+  arm: a constant torque added to Coulomb friction is a larger friction one way. Without it the
+  shaft drifts.
+- **Friction near rest** (presliding) decides how the arm rings after a slew. A shaft that sticks
+  lets the arm ring as if it were clamped, which the record does not show; friction that builds
+  up over a speed (`motor.coulomb_speed`) brakes it. This was added to the scene's parameters for
+  this record.
 - **The sensor of the tip** of the second arm is late by about 60 ms, half of its error.
-- **Efficiency of motor and gear** cannot be told from the resistance, the torque constant and viscous friction,
-  which are free already.
-- **What the second arm lacks** from the voltage on: the recorded voltage acts some 20 ms later than it is
-  recorded, and then more steeply than the model's; where the shaft comes to rest is missed. Backlash of the gear
-  (48:1), elasticity between motor and hub, and limits of the amplifier that the record does not show are left to
-  be found; they were not added.
+- **Efficiency of motor and gear** cannot be told from the resistance, the torque constant and
+  viscous friction, which are free already.
+- **What the second arm lacks** from the voltage on: the recorded voltage acts some 20 ms later
+  than it is recorded, and then more steeply than the model's; where the shaft comes to rest is
+  missed. Backlash of the gear (48:1), elasticity between motor and hub, and limits of the
+  amplifier that the record does not show are left to be found; they were not added.
 """
 
 

@@ -9,6 +9,8 @@
 
 """The subcommand `fit`, which fits a scene to a measured record."""
 
+import warnings
+
 import click
 
 from timo_sim.cli.commands import main, parsed
@@ -28,6 +30,7 @@ from timo_sim.cli.commands import main, parsed
               help='A parameter that differs from the scene; several are allowed.')
 @click.option('--mapping', type=click.Path(dir_okay=False), metavar='FILE',
               help='YAML file that says which column of a table is which quantity.')
+@click.option('--outputs', metavar='NAME,NAME', help='Outputs to be fitted; by default all.')
 @click.option('--hold-out', type=float, default=0.0, show_default=True,
               help='Part of RECORD, at its end, that is predicted and not fitted.')
 @click.option('--window', type=float, metavar='SECONDS', help=(
@@ -38,7 +41,8 @@ from timo_sim.cli.commands import main, parsed
               help='Parameter file to write: the fitted scene.')
 @click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
               help='Picture to write: measured and predicted outputs.')
-def fit(record, more, scene, free, bounds, settings, mapping, hold_out, window, loss, output, png):
+def fit(record, more, scene, free, bounds, settings, mapping, outputs,
+        hold_out, window, loss, output, png):
     r"""
     Fit parameters of a scene to RECORD, a log, a bag or a table, and predict the rest of it.
 
@@ -50,11 +54,17 @@ def fit(record, more, scene, free, bounds, settings, mapping, hold_out, window, 
     Exit codes: 0 good; 2 bad input.
     """
     from timo_sim.fitting.fit import fit, read
+    from timo_sim.scene.parameter import ModelWarning
     from timo_sim.scene.scene import load_scene
     from timo_sim.view.plot import write
     changes, ends = parsed(settings), _bounds(bounds)
     scene, record = read(scene, record, mapping)
-    found = fit(load_scene(scene, changes), record, [*free, *more], ends, hold_out, window, loss)
+    if outputs:
+        record = record.select(*outputs.split(','))
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', ModelWarning)  # the report has its text
+        found = fit(load_scene(scene, changes), record, [*free, *more], ends, hold_out, window,
+                    loss)
     click.echo(found.report())
     if output:
         click.echo(f'{found.save(output)} is written')

@@ -21,6 +21,7 @@ from timo_sim.simulation.model_warnings import DivergenceError
 _AT_BOUND = 1e-3     # distance from a bound, in coordinates of the fit, that counts as none
 _FEWEST = 10         # samples of a part whose errors are worth a number
 _FINER = 2           # modes and parts of a step more in the run that tells the numerical error
+_NOISY = 2.0         # residual, in known noise, from which on it is told
 _MOST_NUMERICAL = 0.2    # part of a residual that may be numerical error
 
 
@@ -71,7 +72,8 @@ def result_of(problem, x, initial, deviations, derivatives, seconds):
         doubts.append(f'one run of the whole record diverges: {error}')
     errors = _errors(problem, predicted, residuals, deviations)
     doubts += _doubts(problem, scene, estimates, errors, values, run, predicted)
-    parts = unknown(_without_others(np.concatenate(jacobians), count), names)
+    parts = unknown(_without_others(np.concatenate(jacobians), count), names, {
+        name for name, each in estimates.items() if not each.identified})
     return Fit(scene, problem.record, estimates, spread / np.outer(sigma, sigma), parts, errors,
                run, predicted, problem.until, white, doubts, seconds)
 
@@ -127,6 +129,11 @@ def _doubts(problem, scene, estimates, errors, values, run, predicted):
     if lost:
         yield (f'{", ".join(lost)} cannot be identified from this record: fix some of them, or '
                'record more outputs or another motion')
+    for name, each in errors.items():
+        noise = problem.record.outputs[name].noise
+        if noise and each.residual_rms > _NOISY * noise:
+            yield (f'{name} is off by {each.residual_rms / noise:.1f} times its noise: the model '
+                   'lacks something, or this is not the best minimum: try other first guesses')
     if run is None:
         return
     try:

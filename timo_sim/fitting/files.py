@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from timo_sim.fitting.from_log import read_log
 from timo_sim.fitting.quantities import INPUTS, OUTPUTS, unit_of, UNITS
 from timo_sim.fitting.record import Channel, Record
 from timo_sim.scene.files import read_yaml
@@ -38,12 +39,13 @@ _COMMENT = '%#'
 def read_record(path: str | Path,
                 mapping: str | Path | Mapping[str, Any] | None = None) -> Record:
     """
-    Return the Record in a table.
+    Return the Record in a table, or in a log of the node.
 
     Parameters
     ----------
     path : str or Path
-        CSV or other text with columns, Parquet, or MAT (version 5 to 7).
+        CSV or other text with columns, Parquet, or MAT (version 5 to 7). Anything else is a log
+        without a mapping, and a text with one.
     mapping : str, Path or dict, optional
         A YAML file or its content, see doc/fit.md: which column is which quantity. Without it,
         columns named as `timo_sim export` names them are taken.
@@ -52,6 +54,8 @@ def read_record(path: str | Path,
     ------
     ParameterError
         If something in table or mapping is not understood; the text says what.
+    LogError
+        If the file is not a log.
     OSError
         If a file cannot be read.
 
@@ -67,6 +71,8 @@ def read_record(path: str | Path,
 
     """
     path = Path(path)
+    if mapping is None and path.suffix not in SUFFIXES:
+        return read_log(path)[1]
     if mapping is None:
         mapping, source = _by_names(_table(path)), str(path)
     elif isinstance(mapping, Mapping):

@@ -9,6 +9,8 @@
 
 """The record in a log of the node, or in a bag with its topics."""
 
+import math
+
 import numpy as np
 
 from timo_sim.fitting.record import Channel, Record
@@ -21,7 +23,9 @@ from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.parameters import PARAMETERS
 
 _COLUMNS = {**CHANNELS, 'voltage': VOLTAGE}
-# By output, the topics and columns that show it, the first that a log has.
+# By output, the topics and columns that show it, the first that a log has; sensors have noise.
+_SENSORS = {'~/encoder': 'encoder', '~/root_strain': 'root_strain',
+            '~/tip_imu/data_raw': 'tip_acceleration'}
 _OUTPUTS = {
     'shaft': (('~/encoder', 'shaft_rad'), ('joint_states', 'shaft_rad')),
     'carrier_x': (('joint_states', 'carrier_x_m'),),
@@ -98,5 +102,14 @@ def _outputs(segment, recording, scene):
             values = series.values[series.resets == series.resets.max(), :]
             ns = series.ns[series.resets == series.resets.max()]
             t = 1e-9 * ns - (segment.first * scene.step if recording.facts else 0.0)
-            found[name] = t, values[:, series.columns.index(column)]
+            found[name] = Channel(t, values[:, series.columns.index(column)],
+                                  _noise(recording.scene, _SENSORS.get(topic)))
     return found
+
+
+def _noise(scene, sensor):
+    """Return the standard deviation of a sensor's noise and rounding in a scene, or None."""
+    if scene is None or sensor is None:
+        return None
+    noise, step = (scene.values[f'sensor.{sensor}.{kind}'] for kind in ('noise', 'resolution'))
+    return math.hypot(noise, step / math.sqrt(12.0)) or None

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from timo_sim.fitting.free import free_parameters, initial_names, placed, SENSOR
+from timo_sim.fitting.free import free_parameters, INITIAL, initial_names, placed, SENSOR
 from timo_sim.fitting.inputs import limited, loads_of
 from timo_sim.fitting.quantities import DRIVE, OUTPUTS
 from timo_sim.runs.sampled import sampled_run
@@ -68,6 +68,11 @@ class Problem:
         if DRIVE not in record.inputs and scene.values['motor.shaft'] == 'driven' and (
                 window or not scene.load.drive):
             raise ParameterError('motor.shaft = driven needs a record of the input drive')
+        still = not (scene.load or scene.load.drive or scene.initial_motion()[3:].any()
+                     or scene.build().gravity.any())
+        if still and not record.inputs and not any(name.startswith(INITIAL) for name in names):
+            raise ParameterError('nothing moves the arm: the record has no input, and the scene '
+                                 'no load, no motion at the beginning and no gravity')
         self.scene, self.until = scene, until
         self.record = limited(record, scene.values)
         self.free = free_parameters(names, bounds, scene, record)

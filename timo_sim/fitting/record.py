@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -136,6 +136,14 @@ class Record:
         """The shortest of the median times between samples of a quantity [s]."""
         return float(min(np.median(np.diff(channel.t)) for channel in (
             *self.inputs.values(), *self.outputs.values()) if len(channel.t) > 1))
+
+    def select(self, *outputs: str) -> Record:
+        """Return the record with these outputs alone; ParameterError if it has not got one."""
+        for name in outputs:
+            if name not in self.outputs:
+                raise ParameterError(f'{short(name, str)} is no output of this record, but '
+                                     f'{", ".join(self.outputs)} ({self.source})')
+        return replace(self, outputs={name: self.outputs[name] for name in outputs})
 
     def cut(self, start: float = 0.0, end: float = np.inf) -> Record:
         """Return the part from `start` to `end` [s], whose time begins at 0 again."""

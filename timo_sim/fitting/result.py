@@ -144,6 +144,8 @@ class Fit:
                          .rstrip())
         lines += ['', 'correlation above 0.95: ' + (', '.join(self._close()) or 'none')]
         lines += [f'not identified: {_shown(parts)}' for parts in self.unidentified]
+        if self.scene.load and self.record.inputs:
+            lines += ['the loads of the scene act beside the inputs of the record']
         lines += ['', _RUN_HEAD, self._table()]
         lines += ['', 'residuals of the fit are ' + (
             'white' if self.white else 'not white, so the model lacks something; intervals '

@@ -63,7 +63,7 @@ def covariance(jacobians, residuals):
     """
     whole = np.concatenate(jacobians)
     u, s, vt = np.linalg.svd(whole, full_matrices=False)
-    s = np.maximum(s, _ROUND_OFF * s[0])
+    s = np.maximum(s, max(_ROUND_OFF * s[0], np.finfo(float).tiny**0.25))
     inverse = (vt.T / s**2) @ vt
     white = all(whiteness(each) >= WHITE for each in residuals if len(each) > 4)
     if white:
@@ -85,7 +85,7 @@ def _long_run(scores, residuals):
     return found
 
 
-def unknown(jacobian, names, most=1.0):
+def unknown(jacobian, names, doubtful, most=1.0):
     """
     Return which combinations of parameters the residuals hardly depend on.
 
@@ -94,6 +94,8 @@ def unknown(jacobian, names, most=1.0):
     jacobian : ndarray, shape (n, p)
         Of all residuals in standard deviations, by coordinates of the fit.
     names : list of str, length p
+    doubtful : set of str
+        Those that are not identified; a combination has one of them.
     most : float
         Half of the 95 % interval of a combination from which on it counts as unknown.
 
@@ -111,7 +113,7 @@ def unknown(jacobian, names, most=1.0):
             sign = np.sign(parts[np.argmax(np.abs(parts))])
             found.append({name: float(sign * part)
                           for name, part, kept in zip(names, parts, large) if kept})
-    return found
+    return [parts for parts in found if doubtful & parts.keys()]
 
 
 def r_squared(measured, predicted):

@@ -10,9 +10,9 @@
 """
 Coulomb friction of joints that builds up over a speed: `-limit tanh(v / speed)`.
 
-It is part of n(y, t) at each stage of a step, see doc/theory.md, section 8, so that the step keeps its
-order; no joint sticks. What makes it depend on the state is done here, not in the formulations,
-so that models without it cost and compute what they did.
+It is part of n(y, t) at each stage of a step, see doc/theory.md, section 8, so that the step keeps
+its order; no joint sticks. What makes it depend on the state is done here, not in the
+formulations, so that models without it cost and compute what they did.
 """
 
 import math
