@@ -103,7 +103,7 @@ benchmark-speed-quick: $(VENV)/.benchmark ## do a part of make benchmark-speed
 benchmark-control: $(VENV)/.plot ## compare the example controllers
 	@$(BIN)/python -m benchmark.figures.control
 
-benchmark-fit: $(VENV)/.run ## fit made records for doc/fit.md, ten minutes
+benchmark-fit: $(VENV)/.run ## fit made records for doc/fit.md, a quarter of an hour
 	@$(BIN)/python -m benchmark.accuracy.fits
 
 benchmark-latency: $(VENV)/.benchmark ## measure the time from a command to its effect

@@ -155,8 +155,8 @@ def fit_unidentified():
                      '; '.join(named).replace('+', ', ') or 'none',
                      f'{len({*each["without_number"]} & {*each["expected"]})} of '
                      f'{len(each["expected"])}', _yes(good)))
-    return ('Parameters that only a combination of is seen in the record: whether the fit names '
-            'it (`Fit.unidentified`) and returns no numbers for them.\n\n' + _table(
+    return ('Parameters of which a record shows a combination alone: whether the fit names '
+            'it (`Fit.unidentified`) and gives no numbers for them.\n\n' + _table(
                 ('input; outputs', 'one of these must be fixed', 'named together',
                  'returned without numbers', 'as it should be'), *rows))
 
