@@ -26,7 +26,7 @@ METADATA := pyproject.toml setup.py setup.cfg
 
 .PHONY: help sim view test test-lowest test-without-ros graphics gallery picture pages paper benchmark \
 	benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
-	references real-arm stability stretch stress stress-quick docs clean
+	benchmark-fit references real-arm stability stretch stress stress-quick docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
@@ -102,6 +102,9 @@ benchmark-speed-quick: $(VENV)/.benchmark ## do a part of make benchmark-speed
 
 benchmark-control: $(VENV)/.plot ## compare the example controllers
 	@$(BIN)/python -m benchmark.figures.control
+
+benchmark-fit: $(VENV)/.run ## fit made records for doc/fit.md, a quarter of an hour
+	@$(BIN)/python -m benchmark.accuracy.fits
 
 benchmark-latency: $(VENV)/.benchmark ## measure the time from a command to its effect
 	@$(BIN)/python -m benchmark.speed.latency

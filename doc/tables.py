@@ -13,6 +13,7 @@ Tables of the pages that the code, or another page, knows: `make pages` writes t
 A page has them between `<!-- table: NAME -->` and `<!-- end -->`.
 """
 
+import json
 import math
 from pathlib import Path
 import re
@@ -98,8 +99,110 @@ def benchmark():
     return _table(rows[0], *([name, *found[row]] for row, name in _QUOTED.items()))
 
 
+def _fits(part):
+    """Return figures of doc/benchmark/fits.json, which `make benchmark-fit` writes."""
+    return json.loads((ROOT / 'doc' / 'benchmark' / 'fits.json').read_text())[part]
+
+
+def _yes(good):
+    return 'yes' if good else '**no**'
+
+
+def _factor(value):
+    return '-' if value is None else f'{value:.2f}'
+
+
+def _percent(part):
+    return '-' if part is None else f'{100.0 * part:.0f} %'
+
+
+def fit_machine():
+    """Return the line that says on which machine fits were measured."""
+    shown = ', '.join(f'{name} {value}' for name, value in _fits('machine').items())
+    return (f'Measured by `make benchmark-fit` on: {shown}. '
+            'Every figure is in `benchmark/fits.json`.\n')
+
+
+def fit_coverage():
+    """Return how many 95 % intervals hold the truth, and deviations over the bound."""
+    each, noise = _fits('coverage'), _fits('noise')
+    rows = []
+    for name, found in each['parameters'].items():
+        held, ratio = 100.0 * found['held'] / each['count'], found['deviation'] / found['bound']
+        rows.append((f'`{name}`', f'{found["truth"]:g}', f'{found["guess"]:g}',
+                     f'{found["held"]} of {each["count"]}', f'{ratio:.2f}',
+                     _yes(90.0 <= held <= 99.0 and ratio <= 1.3)))
+    shown = ' and '.join(f'{value:g} {unit} ({name})' for (name, value), unit in zip(
+        noise.items(), ('rad', 'm')))
+    return (f'{each["count"]} records of {each["duration"]:g} s of an arm with dry friction, with '
+            f'noise of {shown}: how many of the 95 % intervals hold the truth, 90 to 99 % being '
+            'the target, and the standard deviation of the estimates over the least that is '
+            'possible, by Cramer and Rao, 1.3 being the target. The records were made with a step '
+            f'{_fits("finer")} times as fine as that of the fits and the same modes.\n\n' + _table(
+                ('parameter', 'truth', 'first guess', 'intervals with the truth',
+                 'deviation over bound', 'target met'), *rows))
+
+
+def fit_unidentified():
+    """Return what fits say of parameters that a record cannot tell apart."""
+    rows = []
+    for each in _fits('unidentifiable'):
+        named = ['+'.join(f'`{name}`' for name in parts) for parts in each['named']]
+        good = (any({*parts} == {*each['expected']} for parts in each['named'])
+                and {*each['without_number']} == {*each['expected']})
+        rows.append((f'{each["input"]}; {", ".join(each["outputs"])}',
+                     ', '.join(f'`{name}`' for name in each['expected']),
+                     '; '.join(named).replace('+', ', ') or 'none',
+                     f'{len({*each["without_number"]} & {*each["expected"]})} of '
+                     f'{len(each["expected"])}', _yes(good)))
+    return ('Parameters of which a record shows a combination alone: whether the fit names '
+            'it (`Fit.unidentified`) and gives no numbers for them.\n\n' + _table(
+                ('input; outputs', 'one of these must be fixed', 'named together',
+                 'returned without numbers', 'as it should be'), *rows))
+
+
+def fit_time():
+    """Return the time of a fit."""
+    each = _fits('time')
+    return (f'A fit of {each["parameters"]} parameters to {each["duration"]:g} s at '
+            f'{1.0 / _fits("period"):g} Hz with 3 modes, the second call in a process: wall time '
+            f'of {len(each["times"])} fits.\n\n' + _table(
+                ('least', 'median', 'runs of the scene', 'one run', 'target', 'target met'),
+                (f'{each["least"]:.1f} s', f'{each["median"]:.1f} s', str(each['runs']),
+                 f'{1e3 * each["run"]:.1f} ms', f'{each["target"]:g} s',
+                 _yes(each['median'] <= each['target']))))
+
+
+def _errors_of(part, names):
+    return _table(('fit', 'estimates that are numbers', 'rms error over bound',
+                   'intervals with the truth'), *(
+        (names[kind], _percent(each['numbers']), _factor(each['error']), _percent(each['held']))
+        for kind, each in _fits(part)['kinds'].items()))
+
+
+def fit_outliers():
+    """Return errors of fits to records with outliers, by loss."""
+    each, (part, size) = _fits('outliers'), _fits('outlier')
+    return (f'{each["count"]} records of which {100.0 * part:g} % of the samples are outliers of '
+            f'{size:g} standard deviations: rms error of all parameters over the bound of '
+            'records without outliers.\n\n' + _errors_of('outliers', {
+                'plain': 'no outliers, `linear`', 'linear': '`linear`', 'soft_l1': '`soft_l1`'}))
+
+
+def fit_windows():
+    """Return errors of fits to records that begin in motion."""
+    each = _fits('windows')
+    return (f'{each["count"]} records that begin {_fits("begun"):g} s after the arm has, so their '
+            'initial state is unknown, with dry friction: rms error of all parameters over the '
+            'bound of records that begin at rest.\n\n' + _errors_of('windows', {
+                'rest': 'taken to be at rest', 'initial': '`initial` is free',
+                'window': f'`window={_fits("window"):g}`'}))
+
+
 TABLES = {'commands': commands, 'outputs': published, 'parameters': parameters,
-          'benchmark': benchmark}
+          'benchmark': benchmark, 'fit_machine': fit_machine, 'fit_coverage': fit_coverage,
+          'fit_unidentified': fit_unidentified, 'fit_time': fit_time,
+          'fit_outliers': fit_outliers, 'fit_windows': fit_windows}
 
 
 def filled(text):

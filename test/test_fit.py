@@ -240,7 +240,7 @@ def test_a_bound_that_is_met_is_told():
     scene = {**ARM, **MOTOR}
     record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-4})
     guess = timo_sim.load_scene(scene, {'motor.viscous_friction': 0.02})
-    with pytest.warns(timo_sim.ModelWarning, match='motor.viscous_friction is at a bound'):
+    with pytest.warns(timo_sim.ModelWarning, match='at a bound, .*: motor.viscous_friction'):
         found = timo_sim.fit(guess, record, ['motor.viscous_friction'],
                              {'motor.viscous_friction': (0.015, 0.1)})
     assert found.estimates['motor.viscous_friction'].bound == 'low'
@@ -282,9 +282,32 @@ def test_whiteness_is_a_probability():
 
 def test_unknown_combinations():
     jacobian = np.column_stack([np.arange(9.0), np.arange(9.0), 5.0 * np.ones(9)])
-    parts, = unknown(jacobian, ['a', 'b', 'c'])
+    parts, = unknown(jacobian, ['a', 'b', 'c'], {'a', 'b'})
     assert {name: round(part, 6) for name, part in parts.items()} in (
         {'a': 0.707107, 'b': -0.707107}, {'a': -0.707107, 'b': 0.707107})
+
+
+def test_correlated_residuals_do_not_tell_what_no_residual_depends_on():
+    ramp, random = np.linspace(-1.0, 1.0, 500), np.random.default_rng(7)
+    residuals = np.cumsum(random.standard_normal(500))
+    found, white = covariance([np.column_stack([ramp, -ramp])], [residuals])
+    assert not white and np.diag(found).min() > 1e6
+    found, _ = covariance([np.zeros((500, 1))], [residuals])
+    assert np.isfinite(found).all() and found[0, 0] > 1e6
+
+
+def test_a_record_of_nothing_is_refused():
+    with pytest.raises(timo_sim.ParameterError, match='nothing moves the arm'):
+        timo_sim.fit(ARM, timo_sim.Record.of({}, SHAFT), ['arm.length'])
+
+
+def test_delays_that_only_add_up_are_named():
+    names = ['voltage.delay', 'shaft.delay']
+    scene = {**ARM, **MOTOR}
+    record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-3})
+    with pytest.warns(timo_sim.ModelWarning, match='cannot be identified'):
+        found = timo_sim.fit(scene, record, names)
+    assert not found.values and found.unidentified[0].keys() == {*names}
 
 
 def test_loads_of_a_record_add_to_those_of_the_scene():

@@ -62,7 +62,7 @@ def result_of(problem, x, initial, deviations, derivatives, seconds):
             deviation * (value if free.log else free.scale) if identified else math.nan,
             free.start, free.unit, identified, bound)
     values = problem.values(x)
-    scene, doubts = problem.scene_of(values, initial), _rough(jumps)
+    scene, doubts = problem.scene_of(values, initial), _rough(jumps, problem.scene)
     run, predicted = None, {}
     try:
         run = problem.run(values, scene=scene)
@@ -78,9 +78,10 @@ def result_of(problem, x, initial, deviations, derivatives, seconds):
                run, predicted, problem.until, white, doubts, seconds)
 
 
-def _rough(names):
-    return [f'the run depends on {", ".join(names)} in jumps, as with dry friction, so the '
-            'intervals may be too small: try a shorter window, or friction with a coulomb_speed'
+def _rough(names, scene):
+    cause = ', as with dry friction' if scene.friction.any() else ''
+    return [f'the run depends on {", ".join(names)} in jumps{cause}, so the intervals '
+            'may be too small: try a shorter window, or friction with a coulomb_speed'
             ] if names else []
 
 
@@ -124,7 +125,7 @@ def _errors(problem, predicted, residuals, deviations):
 def _doubts(problem, scene, estimates, errors, values, run, predicted):
     at_bound = [name for name, each in estimates.items() if each.bound]
     if at_bound:
-        yield f'{", ".join(at_bound)} is at a bound, so the intervals do not hold'
+        yield f'at a bound, so that intervals do not hold: {", ".join(at_bound)}'
     lost = [name for name, each in estimates.items() if not each.identified]
     if lost:
         yield (f'{", ".join(lost)} cannot be identified from this record: fix some of them, or '

@@ -62,7 +62,7 @@ class Free:
 
     def value(self, coordinate):
         """Return the value for a coordinate."""
-        return math.exp(coordinate) if self.log else coordinate * self.scale
+        return math.exp(coordinate) if self.log else float(coordinate * self.scale)
 
 
 def free_parameters(names, bounds, scene, record):

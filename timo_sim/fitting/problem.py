@@ -68,11 +68,6 @@ class Problem:
         if DRIVE not in record.inputs and scene.values['motor.shaft'] == 'driven' and (
                 window or not scene.load.drive):
             raise ParameterError('motor.shaft = driven needs a record of the input drive')
-        still = not (scene.load or scene.load.drive or scene.initial_motion()[3:].any()
-                     or scene.build().gravity.any())
-        if still and not record.inputs and not any(name.startswith(INITIAL) for name in names):
-            raise ParameterError('nothing moves the arm: the record has no input, and the scene '
-                                 'no load, no motion at the beginning and no gravity')
         self.scene, self.until = scene, until
         self.record = limited(record, scene.values)
         self.free = free_parameters(names, bounds, scene, record)
@@ -80,6 +75,11 @@ class Problem:
         self._own = {name for name in initial_names(scene)} if window else set()
         if window:
             self._divide(window)
+        still = not (scene.load or scene.load.drive or scene.initial_motion()[3:].any()
+                     or scene.build().gravity.any())
+        if still and not record.inputs and not any(name.startswith(INITIAL) for name in names):
+            raise ParameterError('nothing moves the arm: the record has no input, and the scene '
+                                 'no load, no motion at the beginning and no gravity')
 
     def _divide(self, window):
         if self.scene.load or self.scene.payloads or self.scene.values['initial.equilibrium']:

@@ -127,7 +127,11 @@ class Search:
         found = np.zeros((len(here), len(x)))
 
         def difference(k, windows):
-            up = step if x[k] + step <= self._high[k] else -step
+            size = step
+            if central and k < count and problem.free[k].name.endswith('.delay'):
+                # Delays by parts of a step would be told by how loads change within it.
+                size = problem.scene.step / problem.free[k].scale * (step / _CENTRAL)
+            up = size if x[k] + size <= self._high[k] else -size
             ends = [(x + up * (np.arange(len(x)) == k), up)]
             down = x - up * (np.arange(len(x)) == k)
             if central and self._low[k] <= down[k] <= self._high[k]:

@@ -16,7 +16,8 @@ NORMAL = 1.959964    # standard deviations of a 95 % interval
 _LAGS = 20           # of the test for whiteness
 _BANDWIDTH = 4       # lags of the covariance, in lags after which residuals are uncorrelated
 _ROUND_OFF = 1e-9    # singular value, relative to the largest, below which it is that of noise
-_PART = 0.25         # of the largest part in a combination, from which on a parameter is named
+# Of the largest part in a combination, from which on a parameter is named: any, or a lost one.
+_PART, _SMALL = 0.25, 0.02
 
 
 def whiteness(residuals):
@@ -69,7 +70,12 @@ def covariance(jacobians, residuals):
     if white:
         return inverse, True
     middle = sum(_long_run(j * r[:, np.newaxis], r) for j, r in zip(jacobians, residuals))
-    return inverse @ middle @ inverse, False
+    found = inverse @ middle @ inverse
+    # Correlated residuals tell nothing of what no residual depends on.
+    lost = vt[s < NORMAL] / s[s < NORMAL, np.newaxis]
+    found += lost.T @ lost
+    found[np.diag_indices(len(found))] = np.maximum(np.diag(found), np.diag(inverse))
+    return found, False
 
 
 def _long_run(scores, residuals):
@@ -109,7 +115,8 @@ def unknown(jacobian, names, doubtful, most=1.0):
     found = []
     for value, parts in zip(s, vt):
         if value * most < NORMAL or value < _ROUND_OFF * s[0]:
-            large = np.abs(parts) > _PART * np.abs(parts).max()
+            share = np.abs(parts) / np.abs(parts).max()
+            large = (share > _PART) | (share > _SMALL) & [name in doubtful for name in names]
             sign = np.sign(parts[np.argmax(np.abs(parts))])
             found.append({name: float(sign * part)
                           for name, part, kept in zip(names, parts, large) if kept})

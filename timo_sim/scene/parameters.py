@@ -112,9 +112,8 @@ _ALL = [
                   'carrier per speed, along world x and y', runtime=True),
     _not_negative('carrier.coulomb_friction', 0.0, 'N', 'largest Coulomb friction force on the '
                   'carrier, the same along world x and y'),
-    _not_negative('carrier.coulomb_speed', 0.0, 'm/s', 'speed v_s over which Coulomb friction '
-                  'builds up, as tanh(v / v_s); 0: it acts in full at any speed, and at rest it '
-                  'holds the carrier'),
+    _not_negative('carrier.coulomb_speed', 0.0, 'm/s', 'speed v_s over which it builds up, as '
+                  'tanh(v / v_s); 0: it acts in full at any speed, and holds the carrier at rest'),
     _limit('carrier.force_limit', 'N', 'largest force along an axis that commands can apply'),
     _limit('carrier.force_rate_limit', 'N/s', 'largest rate at which that force changes'),
     Parameter('carrier.held', 'none', '', 'axes of the world along which the carrier cannot move',
@@ -125,8 +124,7 @@ _ALL = [
                   'shaft per speed', runtime=True),
     _not_negative('motor.coulomb_friction', 0.0, 'N m', 'largest Coulomb friction torque on the '
                   'shaft'),
-    _not_negative('motor.coulomb_speed', 0.0, 'rad/s', 'speed over which Coulomb friction of the '
-                  'shaft builds up, as that of the carrier; 0: it holds the shaft at rest'),
+    _not_negative('motor.coulomb_speed', 0.0, 'rad/s', 'speed over which it builds up'),
     _limit('motor.torque_limit', 'N m', 'largest torque that commands can apply'),
     _limit('motor.torque_rate_limit', 'N m/s', 'largest rate at which that torque changes'),
     _not_negative('motor.dc.resistance', 0.0, 'ohm', 'resistance of a DC motor that is commanded '

@@ -1,0 +1,268 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Fits to made records, whose truth is known: intervals, accuracy, time, outliers and windows.
+
+`make benchmark-fit` writes doc/benchmark/fits.json, from which `make pages` fills the tables of
+doc/fit.md; `--quick` does a few records of each, to run/benchmark.
+
+The arm is that of a laboratory: a steel strip of 0.42 m on a geared DC motor with dry friction,
+driven by voltages at 500 Hz. Records are made by `simulate` with a quarter of the step of the fits
+and the same modes, and with the voltage as a load of the scene, so nothing of `timo_sim.fitting`
+is in them. The Cramer-Rao bound is that of central differences of the record without noise.
+"""
+
+import os
+for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
+    os.environ[threads] = '1'
+
+from concurrent.futures import ProcessPoolExecutor  # noqa: E402
+import json  # noqa: E402
+from multiprocessing import get_context  # noqa: E402
+from statistics import median  # noqa: E402
+import time  # noqa: E402
+import warnings  # noqa: E402
+
+import numpy as np  # noqa: E402
+from scipy.interpolate import CubicSpline  # noqa: E402
+
+from benchmark import ROOT  # noqa: E402
+from benchmark.command import parser  # noqa: E402
+from benchmark.report import machine  # noqa: E402
+import timo_sim  # noqa: E402
+from timo_sim.fitting.problem import Problem  # noqa: E402
+
+PERIOD, STEP, FINER = 0.002, 0.002, 4   # of records, of fits [s]; parts of it in records
+NOISE = {'shaft': 1e-3, 'tip_transverse': 5e-4}     # standard deviations [rad, m]
+DELAY = 'tip_transverse.delay'
+SCENE = {
+    'arm.length': 0.42, 'arm.width': 0.02, 'arm.height': 0.001, 'arm.density': 7800.0,
+    'arm.young_modulus': 200e9, 'arm.shear_modulus': 77e9, 'arm.damping_ratio': [0.01],
+    'carrier.held': 'both', 'initial.shaft': 0.0, 'integrator.step': STEP,
+    'motor.shaft_inertia': 2e-3, 'motor.viscous_friction': 0.02, 'motor.coulomb_friction': 0.03,
+    'motor.dc.resistance': 2.6, 'motor.dc.torque_constant': 0.0077, 'motor.dc.gear_ratio': 70.0,
+    'end_effector.mass': 0.05, 'end_effector.inertia': 1e-5}
+# First guesses, as factors of the truth.
+GUESSES = {'arm.young_modulus': 0.75, 'end_effector.mass': 1.3, 'arm.damping_ratio': 0.6,
+           'motor.viscous_friction': 3.0, 'motor.coulomb_friction': 0.4,
+           'motor.dc.torque_constant': 0.8, 'motor.shaft_inertia': 1.3}
+FREE = [*GUESSES, DELAY]
+TRUTH = {**{name: np.ravel(SCENE[name])[0] for name in GUESSES}, DELAY: 0.0035}
+STEP_OF_BOUND = 1e-3    # of the central differences, in logarithms and in periods of the record
+OUTLIERS, OUTLIER = 0.01, 30.0      # part of the samples, and their size in standard deviations
+BEGUN, WINDOW = 1.0, 1.0    # time at which a record of a moving arm begins, and its windows [s]
+# What records cannot tell apart: their input and outputs, what is free, and what is to be named.
+_MOTOR = ['motor.dc.torque_constant', 'motor.dc.resistance', 'motor.viscous_friction']
+_FACTOR = ['torque.gain', 'arm.young_modulus', 'arm.density', 'end_effector.mass',
+           'motor.shaft_inertia', 'motor.viscous_friction', 'motor.coulomb_friction',
+           'end_effector.inertia']
+UNIDENTIFIABLE = [
+    ('voltage', [*NOISE], ['arm.young_modulus', *_MOTOR], _MOTOR),
+    ('torque', [*NOISE], _FACTOR, _FACTOR),
+    ('voltage', ['shaft'], ['voltage.delay', 'shaft.delay', 'arm.young_modulus'],
+     ['voltage.delay', 'shaft.delay'])]
+
+
+def voltage(duration):
+    """Return times and a voltage: 0.1 s of nothing, then steps and a chirp from 0.5 to 10 Hz."""
+    t = PERIOD * np.arange(round(duration / PERIOD))
+    chirp = np.sin(2.0 * np.pi * (0.5 * t + 0.5 * 9.5 / duration * t**2))
+    return t, (t > 0.1) * (1.8 * np.sign(np.sin(2.0 * np.pi * 0.6 * t + 0.3)) + 1.4 * chirp)
+
+
+def torque(scene, volts):
+    """Return the torque of the motor at rest for a voltage [N m]."""
+    constant, gear, resistance = (scene[f'motor.dc.{name}'] for name in (
+        'torque_constant', 'gear_ratio', 'resistance'))
+    return constant * gear / resistance * volts
+
+
+def outputs(truth, duration):
+    """Return times and, by output, what sensors without noise show."""
+    t, volts = voltage(duration)
+    scene = {**SCENE, **{name: value for name, value in truth.items() if name != DELAY}}
+    scene['arm.damping_ratio'] = np.ravel(scene['arm.damping_ratio'])
+    run = timo_sim.simulate({
+        **scene, 'integrator.step': STEP / FINER, 'load.torque.piecewise.time': t,
+        'load.torque.piecewise.value': torque(scene, volts)}, duration, compare=False)
+    tip = CubicSpline(run.t, run.deflection(scene['arm.length'])[:, 1])
+    return t, {'shaft': CubicSpline(run.t, run.shaft)(t),
+               'tip_transverse': tip(np.maximum(t - truth[DELAY], 0.0))}
+
+
+def record(seed, duration, outliers=0.0, begun=0.0):
+    """Return a Record with noise of a seed, and with outliers; it may begin in the motion."""
+    random = np.random.default_rng(seed)
+    t, clean = outputs(TRUTH, duration + begun)
+    measured = {}
+    for name, values in clean.items():
+        noise = random.standard_normal(len(t))
+        noise += OUTLIER * random.choice([-1.0, 1.0], len(t)) * (random.random(len(t)) < outliers)
+        measured[name] = t, values + NOISE[name] * noise
+    return timo_sim.Record.of({'voltage': voltage(duration + begun)}, measured).cut(begun)
+
+
+def guess(shaft=0.0):
+    """Return the scene with the first guesses, at rest at an angle of the shaft [rad]."""
+    return timo_sim.load_scene(SCENE, {'initial.shaft': shaft, **{
+        name: [factor * TRUTH[name]] if name == 'arm.damping_ratio' else factor * TRUTH[name]
+        for name, factor in GUESSES.items()}})
+
+
+def coordinate(name, value):
+    """Return the logarithm of a value, and of the delay its number of periods."""
+    return value / PERIOD if name == DELAY else np.log(value)
+
+
+def bound(duration):
+    """Return the least standard deviations of coordinates, by Cramer and Rao, shape (p,)."""
+    columns = []
+    for name in FREE:
+        ends = []
+        for step in (STEP_OF_BOUND, -STEP_OF_BOUND):
+            value = (TRUTH[name] + step * PERIOD if name == DELAY
+                     else TRUTH[name] * np.exp(step))
+            shown = outputs({**TRUTH, name: value}, duration)[1]
+            ends.append(np.concatenate([shown[each] / NOISE[each] for each in NOISE]))
+        columns.append((ends[0] - ends[1]) / (2.0 * STEP_OF_BOUND))
+    q, r = np.linalg.qr(np.column_stack(columns))
+    return np.linalg.norm(np.linalg.inv(r), axis=1)
+
+
+def quiet(function, *arguments, **options):
+    """Call without the warnings of a model, which the Fit holds."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', timo_sim.ModelWarning)
+        return function(*arguments, **options)
+
+
+def errors(kind, seed, duration):
+    """Return errors of a fit's coordinates, and whether its intervals hold the truth, (2, p)."""
+    options = {'soft_l1': {'loss': 'soft_l1'}, 'window': {'window': WINDOW}}.get(kind, {})
+    free = [*FREE, 'initial'] if kind == 'initial' else FREE
+    made = record(seed, duration, OUTLIERS * (kind in ('linear', 'soft_l1')),
+                  BEGUN * (kind in ('rest', 'initial', 'window')))
+    first = made.outputs['shaft'].values[0]
+    scene = guess(first if kind in ('rest', 'initial', 'window') else 0.0)
+    found = quiet(timo_sim.fit, scene, made, free, **options).estimates
+    return [[coordinate(name, found[name].value) - coordinate(name, TRUTH[name])
+             for name in FREE],
+            [float(found[name].low <= TRUTH[name] <= found[name].high) for name in FREE]]
+
+
+def many(kind, count, duration):
+    """Return the `errors` of fits to records of seeds 0, 1, ..., shape (count, 2, p)."""
+    begun = time.monotonic()
+    with ProcessPoolExecutor(os.cpu_count(), get_context('spawn')) as pool:
+        found = np.array([*pool.map(errors, [kind] * count, range(count), [duration] * count)])
+    print(f'{count} fits of kind {kind} in {time.monotonic() - begun:.0f} s', flush=True)
+    return found
+
+
+def coverage(count, duration):
+    """Return, by parameter, how many intervals hold the truth, and deviations over the bound."""
+    least, found = bound(duration), many('plain', count, duration)
+    return {'count': count, 'duration': duration, 'parameters': {name: {
+        'truth': TRUTH[name], 'guess': GUESSES.get(name, 0.0) * TRUTH[name],
+        'held': int(found[:, 1, k].sum()), 'bound': least[k], 'deviation': found[:, 0, k].std(),
+        'mean_error': found[:, 0, k].mean()}
+        for k, name in enumerate(FREE)}}
+
+
+def against(kinds, count, duration):
+    """
+    Return, by kind of fit, errors over the bound and intervals that hold the truth.
+
+    Errors are the root mean square over all parameters and fits that give numbers, in standard
+    deviations of the bound; intervals are counted among them.
+    """
+    least, found = bound(duration), {}
+    for kind in kinds:
+        errors_of, held = np.moveaxis(many(kind, count, duration), 1, 0)
+        good = np.isfinite(errors_of)
+        rms = float(np.sqrt(np.mean((errors_of / least)[good]**2))) if good.any() else None
+        found[kind] = {'numbers': float(good.mean()), 'error': rms,
+                       'held': float(held[good].mean()) if good.any() else None}
+    return {'count': count, 'duration': duration, 'kinds': found}
+
+
+def unidentifiable(duration):
+    """Return what fits say of parameters that the record cannot tell apart."""
+    rows, whole = [], record(0, duration)
+    for kind, shown, free, expected in UNIDENTIFIABLE:
+        t, volts = voltage(duration)
+        scene, inputs = timo_sim.load_scene(SCENE), {'voltage': (t, volts)}
+        if kind == 'torque':
+            # The same motion, from the torque that the motor has and the friction of its back-EMF.
+            back = torque(SCENE, 1.0) * SCENE['motor.dc.torque_constant'] * SCENE[
+                'motor.dc.gear_ratio']
+            scene = scene.vary({'motor.dc.resistance': 0.0, 'motor.dc.torque_constant': 0.0,
+                                'motor.viscous_friction': SCENE['motor.viscous_friction'] + back})
+            inputs = {'torque': (t, torque(SCENE, volts))}
+        if 'shaft.delay' not in free:
+            free = [*free, DELAY]
+        fitted = quiet(timo_sim.fit, scene, timo_sim.Record.of(
+            inputs, {name: whole.outputs[name] for name in shown}), free)
+        rows.append({'input': kind, 'outputs': shown, 'free': free, 'expected': expected,
+                     'named': fitted.unidentified, 'values': fitted.values,
+                     'without_number': [name for name, each in fitted.estimates.items()
+                                        if not each.identified]})
+    return rows
+
+
+def seconds(duration, rounds):
+    """Return the times of a fit that is done again and again, its runs, and the time of one."""
+    made, run, calls = record(0, duration), Problem.run, []
+
+    def counting(*arguments, **options):
+        calls.append(None)
+        return run(*arguments, **options)
+
+    Problem.run = counting
+    try:
+        quiet(timo_sim.fit, guess(), made, FREE)  # compiles, and counts
+    finally:
+        Problem.run = run
+    times = [quiet(timo_sim.fit, guess(), made, FREE).seconds for _ in range(rounds)]
+    problem = Problem(guess(), made, FREE, {}, made.duration)
+    values, single = {free.name: free.start for free in problem.free}, []
+    for _ in range(25):
+        begun = time.perf_counter()
+        problem.run(values)
+        single.append(time.perf_counter() - begun)
+    return {'duration': duration, 'parameters': len(FREE), 'times': times, 'least': min(times),
+            'median': median(times), 'runs': len(calls), 'run': median(single), 'target': 3.0}
+
+
+PARTS = {
+    'time': lambda quick: seconds(10.0, 1 if quick else 5),
+    'unidentifiable': lambda quick: unidentifiable(4.0),
+    'coverage': lambda quick: coverage(4 if quick else 100, 4.0),
+    'outliers': lambda quick: against(['plain', 'linear', 'soft_l1'], 2 if quick else 20, 4.0),
+    'windows': lambda quick: against(['rest', 'initial', 'window'], 2 if quick else 6, 4.0)}
+
+
+def main():
+    """Measure, and write the figures."""
+    command = parser(__spec__, __doc__, 'a few records of each')
+    command.add_argument('--part', choices=PARTS, help='measure this alone, and keep the others')
+    arguments = command.parse_args()
+    path = ROOT / ('run' if arguments.quick else 'doc') / 'benchmark' / 'fits.json'
+    path.parent.mkdir(parents=True, exist_ok=True)
+    found = json.loads(path.read_text()) if arguments.part and path.exists() else {}
+    found |= {'machine': machine(), 'noise': NOISE, 'period': PERIOD, 'step': STEP, 'finer': FINER,
+              'outlier': [OUTLIERS, OUTLIER], 'begun': BEGUN, 'window': WINDOW}
+    for name in [arguments.part] if arguments.part else PARTS:
+        found[name] = PARTS[name](arguments.quick)
+        print(json.dumps(found[name], indent=1), flush=True)
+    path.write_text(json.dumps(found, indent=1) + '\n', encoding='utf-8')
+
+
+if __name__ == '__main__':
+    main()
