@@ -170,7 +170,7 @@ def textbook(case, record, scene):
     size = [float(np.std(each.values)) for each in outputs]
 
     def predicted(x):
-        spring, shaft, inertia, friction, damping, gain, sensor = np.exp(x[:7])
+        spring, shaft, inertia, friction, damping, gain, sensor = np.exp(x[:7].clip(-20.0, 10.0))
         bias, late, delay = x[7:10]
         place = np.searchsorted(channel.t, t - late, side='right') - 1
         found = lumped(t, gain * (channel.values[np.maximum(place, 0)] + bias),
