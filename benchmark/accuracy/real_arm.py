@@ -114,13 +114,13 @@ FOUND = """\
   lets the arm ring as if it were clamped, which the record does not show; friction that builds
   up over a speed (`motor.coulomb_speed`) brakes it. This was added to the scene's parameters for
   this record.
-- **The sensor of the tip** of the second arm is late by about 60 ms, half of its error.
+- **The sensor of the tip** of the second arm shows it late: delay and lag together are some 60 ms.
 - **Efficiency of motor and gear** cannot be told from the resistance, the torque constant and
   viscous friction, which are free already.
-- **What the second arm lacks** from the voltage on: the recorded voltage acts some 20 ms later
-  than it is recorded, and then more steeply than the model's; where the shaft comes to rest is
-  missed. Backlash of the gear (48:1), elasticity between motor and hub, and limits of the
-  amplifier that the record does not show are left to be found; they were not added.
+- **What the second arm lacks** from the voltage on is not found. The fit delays the voltage by some
+  20 ms, and misses where the shaft comes to rest. Backlash of the gear (48:1), elasticity between
+  motor and hub, and limits of the amplifier that the record does not show are the suspects; they
+  were not added.
 """
 
 
