@@ -117,10 +117,10 @@ FOUND = """\
 - **The sensor of the tip** of the second arm shows it late: delay and lag together are some 60 ms.
 - **Efficiency of motor and gear** cannot be told from the resistance, the torque constant and
   viscous friction, which are free already.
-- **What the second arm lacks** from the voltage on is not found. The fit delays the voltage by some
-  20 ms, and misses where the shaft comes to rest. Backlash of the gear (48:1), elasticity between
-  motor and hub, and limits of the amplifier that the record does not show are the suspects; they
-  were not added.
+- **What the second arm lacks** from the voltage on is not found. The fit delays the voltage by
+  some 20 ms, and misses where the shaft comes to rest. Backlash of the gear (48:1), elasticity
+  between motor and hub, and limits of the amplifier that the record does not show are the
+  suspects; they were not added.
 """
 
 

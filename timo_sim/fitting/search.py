@@ -15,7 +15,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from timo_sim.fitting.initial import initial_states
+from timo_sim.fitting.problem import Window
 from timo_sim.scene.parameter import ParameterError
+from timo_sim.simulation.model_warnings import DivergenceError
 
 LOSSES = 'linear', 'soft_l1', 'huber', 'cauchy'
 # Steps of differences in coordinates of the fit: of a search, and two for the intervals.
@@ -46,18 +48,18 @@ class Search:
         self.x = np.array([each.coordinate(each.start) for each in free])
         self._low = np.array([each.coordinate(each.low) for each in free])
         self._high = np.array([each.coordinate(each.high) for each in free])
+        self._windows = problem.windows
         self._states = []  # of each window, the Free parameters of its initial state
         self._prior = np.zeros(0)
 
     def do(self):
         """Find x and the standard deviations of the sensors."""
         self._check_start()
-        problem = self.problem
-        if not problem.windows[0].names:
-            whole, = problem.windows
-            problem.windows = [whole.__class__(0.0, _FIRST * problem.until, ())]
+        whole = self.problem.windows
+        if not whole[0].names:
+            self._windows = [Window(0.0, _FIRST * self.problem.until, ())]
             self._solve(_LOOSE)
-            problem.windows = [whole]
+            self._windows = whole
             self._solve(_LOOSE)
         self._begin_windows()
         for _ in range(_ROUNDS):
@@ -72,7 +74,7 @@ class Search:
         values = problem.values(self.x)
         try:
             problem.run(values, 0.0, problem.until)
-        except Exception as error:
+        except (DivergenceError, ParameterError) as error:
             if isinstance(error, ParameterError) or not problem.windows[0].names:
                 raise ParameterError('the record cannot be predicted with the first guess: '
                                      f'{error}') from None
@@ -98,7 +100,7 @@ class Search:
     def _split(self, x):
         """Return the values of free parameters and those of the initial state of each window."""
         first, states = len(self.problem.free), []
-        for every in self._states or [[]] * len(self.problem.windows):
+        for every in self._states or [[]] * len(self._windows):
             states.append({each.name: each.value(part)
                            for each, part in zip(every, x[first:first + len(every)])})
             first += len(every)
@@ -111,7 +113,7 @@ class Search:
     def _residuals(self, x):
         values, states = self._split(x)
         parts = [self.problem.residuals(values, self.deviations, window, state)
-                 for window, state in zip(self.problem.windows, states)]
+                 for window, state in zip(self._windows, states)]
         return np.concatenate([*parts, self._of_prior(x)])
 
     def _of_prior(self, x):
@@ -122,7 +124,7 @@ class Search:
         problem = self.problem
         count, states = len(problem.free), self._split(x)[1]
         here = self._residuals(x)
-        sizes = [sum(map(len, problem.measured(window).values())) for window in problem.windows]
+        sizes = [sum(map(len, problem.measured(window).values())) for window in self._windows]
         edges = np.concatenate([[0], np.cumsum(sizes)])
         found = np.zeros((len(here), len(x)))
 
@@ -141,13 +143,13 @@ class Search:
                 values = []
                 for at, _ in ends:
                     free, own = self._split(at)
-                    values.append(problem.residuals(free, self.deviations, problem.windows[w],
+                    values.append(problem.residuals(free, self.deviations, self._windows[w],
                                                     own[w]))
                 values.append(here[rows])
                 found[rows, k] = (values[0] - values[1]) / (2.0 * up if len(ends) == 2 else up)
 
         for k in range(count):
-            difference(k, range(len(problem.windows)))
+            difference(k, range(len(self._windows)))
         k = count
         for w, every in enumerate(states):
             for _ in every:
@@ -160,7 +162,7 @@ class Search:
         """Estimate the standard deviations of the sensors; return the largest relative change."""
         values, states = self._split(self.x)
         apart = {name: [] for name in self.deviations}
-        for window, state in zip(self.problem.windows, states):
+        for window, state in zip(self._windows, states):
             residuals, first = self.problem.residuals(values, self.deviations, window, state), 0
             for name, measured in self.problem.measured(window).items():
                 apart[name].append(residuals[first:first + len(measured)])
@@ -201,7 +203,7 @@ class Search:
                   'huber': lambda z: np.where(z <= 1.0, 1.0, 1.0 / np.sqrt(np.maximum(z, 1.0))),
                   'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
         root, jacobians, parts, first = np.sqrt(weight), [], [], 0
-        for window in self.problem.windows:
+        for window in self._windows:
             for measured in self.problem.measured(window).values():
                 rows = slice(first, first + len(measured))
                 jacobians.append(jacobian[rows] * root[rows, np.newaxis])
