@@ -23,7 +23,7 @@ ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.height': 0.001, 'arm.wid
        'arm.density': 7800.0, 'arm.young_modulus': 2e11, 'arm.shear_modulus': 7.7e10,
        'arm.damping_ratio': [0.01], 'motor.shaft_inertia': 0.002, 'end_effector.mass': 0.03,
        'end_effector.inertia': 1e-5, 'motor.viscous_friction': 0.01, 'initial.shaft': 0.0,
-       'integrator.step': 0.002, 'model.modes': 2}
+       'integrator.step': 0.002}
 MOTOR = {'motor.dc': {'resistance': 2.6, 'torque_constant': 0.0077, 'gear_ratio': 70.0}}
 T = 0.002 * np.arange(1501)
 VOLTAGE = np.sign(np.sin(2.0 * np.pi * 0.7 * T)) * 2.0 + np.sin(2.0 * np.pi * 3.1 * T)
@@ -132,7 +132,7 @@ def test_a_driven_shaft_follows_the_samples():
      'load.tip_torque.harmonic': {'amplitude': [0.02], 'frequency': [2.0]}}])
 def test_strain_and_acceleration_are_those_of_the_sensors(more):
     scene = timo_sim.load_scene(ARM, {
-        'initial.modal_coordinates': [0.003, 0.0], **more,
+        'initial.modal_coordinates': [0.003, 0.0, 0.0], **more,
         'load.torque.harmonic': {'amplitude': [0.05], 'frequency': [3.0]}})
     simulator, strain, acceleration = timo_sim.Simulator(scene), [], []
     for _ in T[:500]:
@@ -212,7 +212,8 @@ def test_windows_need_no_initial_state():
     """The record begins in motion, of which the scene knows nothing, and has dry friction."""
     scene = {**ARM, **MOTOR, 'motor.coulomb_friction': 0.02}
     moving = {'initial.shaft': 0.3, 'initial.shaft_velocity': 1.5,
-              'initial.modal_coordinates': [0.004, 0.0], 'initial.modal_rates': [0.05, 0.0]}
+              'initial.modal_coordinates': [0.004, 0.0, 0.0],
+              'initial.modal_rates': [0.05, 0.0, 0.0]}
     record = noisy(predicted({**scene, **moving}, {'voltage': (T, VOLTAGE)}, [
         'shaft', 'tip_transverse']), {'shaft': 1e-4, 'tip_transverse': 1e-4})
     guess = timo_sim.load_scene(scene, {'motor.coulomb_friction': 0.03,
@@ -227,11 +228,12 @@ def test_windows_need_no_initial_state():
 
 def test_the_initial_state_is_fitted():
     moving = {'initial.shaft': 0.3, 'initial.shaft_velocity': 0.5,
-              'initial.modal_coordinates[0]': 0.004, 'initial.modal_coordinates[1]': 0.0,
-              'initial.modal_rates[0]': 0.05, 'initial.modal_rates[1]': 0.0}
+              'initial.modal_coordinates[0]': 0.004, 'initial.modal_rates[0]': 0.05,
+              **{f'initial.modal_{kind}[{n}]': 0.0
+                 for kind in ('coordinates', 'rates') for n in (1, 2)}}
     record = predicted({**ARM, 'initial.shaft': 0.3, 'initial.shaft_velocity': 0.5,
-                        'initial.modal_coordinates': [0.004, 0.0],
-                        'initial.modal_rates': [0.05, 0.0]}, {}, ['shaft', 'tip_transverse'])
+                        'initial.modal_coordinates': [0.004, 0.0, 0.0],
+                        'initial.modal_rates': [0.05, 0.0, 0.0]}, {}, ['shaft', 'tip_transverse'])
     found = timo_sim.fit(ARM, record, ['initial', 'motor.viscous_friction'])
     assert found.values == pytest.approx({**moving, 'motor.viscous_friction': 0.01}, abs=1e-6)
 
@@ -249,7 +251,7 @@ def test_a_bound_that_is_met_is_told():
 
 def test_coarse_steps_are_told():
     """A record of a fine run cannot be met with steps and modes that are too coarse."""
-    fine = {**ARM, 'integrator.step': 0.0005, 'model.modes': 4}
+    fine = {**ARM, 'integrator.step': 0.0005}
     torque = 0.3 * np.sign(np.sin(2.0 * np.pi * 9.0 * T))
     record = predicted(fine, {'torque': (T, torque)}, ['tip_acceleration'])
     with pytest.warns(timo_sim.ModelWarning, match='tip_acceleration differs by .* more '
