@@ -46,8 +46,8 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     scene : Scene, or what `load_scene` takes, or None
         Its values of the free parameters are first guesses. None: the scene of a log of the node.
     record : Record, str or Path
-        A Record; a log or bag of the node; or a table, *.csv, *.txt, *.parquet, *.mat or, with a
-        mapping, any text.
+        A Record; a log or bag of the node; or a table: CSV or other text, Parquet, MAT.
+        A text whose name ends otherwise needs a mapping.
     free : sequence of str
         Names of parameters of the scene that are numbers, with [k] for an element of a list;
         QUANTITY.gain, .bias or .delay of an input or output of the record, such as shaft.bias; or
