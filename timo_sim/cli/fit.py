@@ -23,8 +23,8 @@ from timo_sim.cli.commands import main, parsed
     'Parameter file or name of an installed scene, whose values are first guesses; by default '
     'that of RECORD, if it is a log of the node.'))
 @click.option('--free', multiple=True, required=True, metavar='NAME [NAME]...', help=(
-    'Parameters to be fitted: of the scene, or QUANTITY.gain, .bias or .delay of an input or '
-    'output, or initial for the whole initial state.'))
+    'Parameters to be fitted: of the scene; QUANTITY.gain, .bias or .delay of an input or output, '
+    '.lag of an output; or initial for the whole initial state.'))
 @click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH', help='Bounds of one of them.')
 @click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
               help='A parameter that differs from the scene; several are allowed.')

@@ -50,8 +50,8 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
         A text whose name ends otherwise needs a mapping.
     free : sequence of str
         Names of parameters of the scene that are numbers, with [k] for an element of a list;
-        QUANTITY.gain, .bias or .delay of an input or output of the record, such as shaft.bias; or
-        `initial` for the whole initial state.
+        QUANTITY.gain, .bias or .delay of an input or output of the record, such as shaft.bias, and
+        .lag of an output; or `initial` for the whole initial state.
     bounds : dict, optional
         (low, high) by name, within the parameter's own rule.
     hold_out : float
