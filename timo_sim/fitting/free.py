@@ -17,6 +17,7 @@ import re
 
 import numpy as np
 
+from timo_sim.fitting.quantities import unit_of
 from timo_sim.scene.parameter import did_you_mean, ParameterError, SCENE, short
 from timo_sim.scene.parameters import PARAMETERS
 
@@ -107,7 +108,7 @@ def _free(name, bounds, scene, record):
         start = 2.0 * record.period if kind == 'lag' else SENSOR[kind]
         low, high, scale, log, unit = {
             'gain': (0.0, math.inf, 1.0, True, ''),
-            'bias': (-math.inf, math.inf, float(np.std(values)) or 1.0, False, 'of the quantity'),
+            'bias': (-math.inf, math.inf, float(np.std(values)) or 1.0, False, unit_of(quantity)),
             'delay': (-0.1 * record.duration, 0.1 * record.duration, 10.0 * record.period, False,
                       's'),
             'lag': (0.0, 0.1 * record.duration, 10.0 * record.period, False, 's'),
