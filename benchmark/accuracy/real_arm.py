@@ -125,9 +125,9 @@ FOUND = """\
   elasticity between motor and hub, and limits of the amplifier that the record does not show are
   the suspects; they were not added.
 - **Not quite blind**: what is free, the first guesses and the weights of the second arm were
-  chosen among a dozen fits with the figures of the second half in view; others, with a shaft
-  that sticks or other first guesses, had 0.70 to 0.98 for its shaft and 0.82 to 0.96 for its
-  tip. The figures of the first arm depend little on such choices, as the table shows.
+  chosen among a dozen fits with the figures of the second half in view; most of the others, with
+  a shaft that sticks or other first guesses, predicted it worse. The figures of the first arm
+  depend little on such choices, as the table shows.
 """
 
 

@@ -67,13 +67,18 @@ def read_log(path, scene=None, node=None):
         step, changes = segment.changes[0]
         raise ParameterError(f'{", ".join(changes)} was set at {step * own.step:g} s: a record '
                              'must be of one scene')
-    record = Record.of(_inputs(segment, own), _outputs(segment, recording, own), source=str(path))
+    outputs = _outputs(segment, recording, own)
+    # A log begins at its start or reset. A bag may have any clock, and begins with its first
+    # message; until its first command nothing is known to act.
+    begin = segment.first if recording.facts else min([
+        *(round(channel.t[0] / own.step) for channel in outputs.values()),
+        *(step for step, *_ in segment.commands[:1])], default=0)
     # Sensors send late what they measured; their delay is part of the scene, not of the stamps.
-    return recording.scene, record
+    return recording.scene, Record.of(_inputs(segment, own, begin), outputs, source=str(path))
 
 
-def _inputs(segment, scene):
-    commanded, rows, steps = np.zeros(COMMANDED), [np.zeros(COMMANDED)], [0]
+def _inputs(segment, scene, begin):
+    commanded, rows, steps = np.zeros(COMMANDED), [np.zeros(COMMANDED)], [begin]
     for step, index, values, _ in segment.commands:
         COMMANDS[index].apply(values, commanded)
         if step == steps[-1]:
@@ -101,8 +106,7 @@ def _outputs(segment, recording, scene):
                 continue
             values = series.values[series.resets == series.resets.max(), :]
             ns = series.ns[series.resets == series.resets.max()]
-            t = 1e-9 * ns - (segment.first * scene.step if recording.facts else 0.0)
-            found[name] = Channel(t, values[:, series.columns.index(column)],
+            found[name] = Channel(1e-9 * ns, values[:, series.columns.index(column)],
                                   _noise(recording.scene, _SENSORS.get(topic)))
     return found
 
