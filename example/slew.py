@@ -82,7 +82,7 @@ class Score(NamedTuple):
                    if self.settled < math.inf else
                    f'not settled within {1e3 * NEAR:g} mm of its goal when the run ended')
         return (f'tip {settled}, bent by up to {1e3 * self.peak:.1f} mm, '
-                f'by {1e3 * self.residual:.3f} mm after {DURATION:g} s')
+                f'by {1e3 * self.residual:.1f} mm after {DURATION:g} s')
 
 
 def distance(record, goal=GOAL):

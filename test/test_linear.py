@@ -137,8 +137,8 @@ def test_root_strain_needs_few_modes(name, values, cause):
             assert lost == pytest.approx(SERIES[cause], rel=0.05)
         errors.append(np.abs([strain / beam.response(cause, frequency)['root_strain'] - 1.0
                               for frequency, strain in zip((0.1, 15.0), found)]))
-    # Round-off of stiffness against inertia at 0.1 Hz is 1e-7 of a strain, 1.4e-6 with SciPy 1.11.
-    assert errors[0][0] < 2e-6 and errors[1][1] < 2e-4 and errors[1][1] < errors[0][1] / 2.0**4
+    # Round-off of stiffness against inertia at 0.1 Hz: 1e-7 to 4e-6 of a strain, by processor.
+    assert errors[0][0] < 1e-5 and errors[1][1] < 2e-4 and errors[1][1] < errors[0][1] / 2.0**4
 
 
 @pytest.mark.parametrize('cause, static, at_15_hz', [
