@@ -60,13 +60,19 @@ class LQR:
 
     def effort(self, t, seen):
         """Return the torque on the shaft [N m] that answers what is seen."""
-        place = min(round(t / PERIOD), len(self.path) - 1)
-        x = self.expected + self.correction @ (
-            [seen.encoder, seen.root_strain] - self.c @ self.expected - self.d @ self.acting)
+        place, x = min(round(t / PERIOD), len(self.path) - 1), self.observe(seen)
         wanted = self.torque[place] - self.gain @ (x - self.path[place])
-        self.acting = np.clip(wanted, -self.limit, self.limit)
-        self.expected = self.a @ x + self.b @ self.acting
+        self.expect(x, np.clip(wanted, -self.limit, self.limit))
         return {'shaft': float(self.acting[0])}
+
+    def observe(self, seen):
+        """Return the state, as the Kalman filter estimates it from encoder and strain gauge."""
+        return self.expected + self.correction @ (
+            [seen.encoder, seen.root_strain] - self.c @ self.expected - self.d @ self.acting)
+
+    def expect(self, x, torque):
+        """Predict the state after a period, from one with a torque, shape (1,) [N m]."""
+        self.acting, self.expected = torque, self.a @ x + self.b @ torque
 
 
 if __name__ == '__main__':

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from timo_sim.scene.parameter import ModelWarning, ParameterError
     from timo_sim.scene.projection import project_on_modes
     from timo_sim.scene.scene import load_scene, Scene
+    from timo_sim.simulation.batch import Batch
     from timo_sim.simulation.linear import linearize
     from timo_sim.simulation.linear_model import LinearModel
     from timo_sim.simulation.model_warnings import DivergenceError
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 # Modules are imported when first used, so that `sim_node` installs its signal handlers before
 # NumPy, SciPy and numba are loaded.
 _MODULES = {
+    'Batch': 'simulation.batch',
     'DivergenceError': 'simulation.model_warnings',
     'Fit': 'fitting.result',
     'LinearModel': 'simulation.linear_model',
@@ -55,9 +57,9 @@ _MODULES = {
 }
 
 __all__ = [
-    'DivergenceError', 'Fit', 'LinearModel', 'ModelWarning', 'ParameterError', 'Record', 'Run',
-    'Scene', 'Simulator', '__version__', 'choose_resolution', 'fit', 'linearize', 'load_scene',
-    'open_log', 'project_on_modes', 'read_record', 'simulate', 'simulate_many']
+    'Batch', 'DivergenceError', 'Fit', 'LinearModel', 'ModelWarning', 'ParameterError', 'Record',
+    'Run', 'Scene', 'Simulator', '__version__', 'choose_resolution', 'fit', 'linearize',
+    'load_scene', 'open_log', 'project_on_modes', 'read_record', 'simulate', 'simulate_many']
 
 
 def __getattr__(name):

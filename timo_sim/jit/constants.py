@@ -17,6 +17,10 @@ from numba.extending import intrinsic
 from numba.np.arrayobj import _empty_nd_impl
 import numpy as np
 
+from timo_sim.jit.lanes import LANES, SHARED, WIDTH
+
+_WHOLE = 64  # alignment of lanes in memory [B], a line of the cache
+
 
 @functools.cache
 def _layout(fields):
@@ -42,6 +46,46 @@ def pack(fields):
     return packed[()]
 
 
+def pack_lanes(fields):
+    """
+    Return NamedTuples of numbers and arrays, one for each lane, as records with known shapes.
+
+    Parameters
+    ----------
+    fields : list of NamedTuple
+        A multiple of WIDTH; their arrays of whole numbers must be the same in all.
+
+    Returns
+    -------
+    ndarray, shape (len(fields) // WIDTH,)
+        Records; numbers have the lanes as last axis.
+
+    """
+    count, values = len(fields) // WIDTH, {}
+    for name in fields[0]._fields:
+        stack = np.array([getattr(each, name) for each in fields])
+        if stack.dtype == float:
+            stack = np.moveaxis(stack.reshape(count, WIDTH, *stack.shape[1:]), 1, -1)
+        else:
+            stack = stack[:count]
+        values[name] = stack
+    sizes = [_WHOLE * math.ceil(stack[0].nbytes / _WHOLE) for stack in values.values()]
+    layout = np.dtype({'names': list(values), 'itemsize': sum(sizes),
+                       'formats': [(stack.dtype, stack.shape[1:]) for stack in values.values()],
+                       'offsets': np.cumsum([0, *sizes[:-1]]).tolist()})
+    memory = np.zeros(count * layout.itemsize + _WHOLE, dtype=np.uint8)
+    begin = -memory.ctypes.data % _WHOLE
+    packed = memory[begin:begin + count * layout.itemsize].view(_kept(layout))
+    for name, stack in values.items():
+        packed[name] = stack
+    return packed
+
+
+@functools.cache
+def _kept(layout):
+    return layout  # as in `_layout`
+
+
 def of_any_size(fields):
     """Return a NamedTuple of numbers and arrays for which all sizes share one machine code."""
     values = (np.array(value, order='C') for value in fields)
@@ -60,7 +104,10 @@ def local(_, like):
         first axis. If the constants are packed, the array is on the stack, else on the heap.
 
     """
-    kind = types.Array(types.float64, len(like), 'C')
+    # Its numbers are of the kind of the constants: floats, or lanes.
+    lanes = any(array.dtype in (LANES, SHARED) for array in like)
+    dtype = LANES if lanes else types.float64
+    kind, width = types.Array(dtype, len(like), 'C', aligned=not lanes), dtype.bitwidth // 8
     packed = all(isinstance(array, types.NestedArray) for array in like)
     shape = tuple(array.shape[0] for array in like) if packed else ()
 
@@ -72,14 +119,14 @@ def local(_, like):
 
     def generate(context, builder, signature, arguments):
         size = ir.Constant(ir.IntType(64), max(1, math.prod(shape)))
-        data = cgutils.alloca_once(builder, ir.DoubleType(), size=size)
-        data.align = 32  # [B], the width of 256-bit vector registers
+        data = cgutils.alloca_once(builder, context.get_data_type(dtype), size=size)
+        data.align = max(32, width)  # [B], the width of 256-bit vector registers, or of lanes
         array = context.make_array(kind)(context, builder)
         number = functools.partial(context.get_constant, types.intp)
         context.populate_array(
             array, data=data, shape=[number(length) for length in shape],
-            strides=[number(8 * math.prod(shape[axis + 1:])) for axis in range(len(shape))],
-            itemsize=number(8), meminfo=None)
+            strides=[number(width * math.prod(shape[axis + 1:])) for axis in range(len(shape))],
+            itemsize=number(width), meminfo=None)
         return array._getvalue()
 
     return kind(like), generate if packed else allocate

@@ -219,6 +219,12 @@ class Load:
         return found if self.drive is None else [
             *found, (slice(ANGLE, ACCELERATION + 1), (self.drive,))]
 
+    @property
+    def columns(self):
+        """The columns of loads that are not zero, see `physics.layout`, a list of int."""
+        return [column for columns, _ in self._columns
+                for column in (range(LOADS)[columns] if isinstance(columns, slice) else [columns])]
+
     def fastest(self):
         """Return the highest frequency of a harmonic term [Hz] and its channel, or (0, '')."""
         return max(((term.frequency, channel) for channel, terms in self.terms.items()

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 import os
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,16 @@ from timo_sim.scene.summary import html_table
 # The argument `static` of a Formulation, by `model.static_modes`.
 _STATIC = {'none': (), 'force': ('force',), 'torque': ('torque',), 'both': ('force', 'torque'),
            'weight': ('weight',)}
+
+
+def _new_model(name, body, modes, damping, constraints, static, axial, gravity, basis):
+    return formulation_class(name)(body, modes, damping if len(damping) > 1 else damping[0],
+                                   constraints, static=static, axial=axial, gravity=gravity,
+                                   basis=basis)
+
+
+# Scenes that differ in loads, limits or initial motion share their equations of motion.
+_shared_model = lru_cache(maxsize=16)(_new_model)
 
 
 @dataclass(frozen=True, repr=False)
@@ -103,10 +113,12 @@ class Scene:
 
     def _model(self, damping, body, basis=None):
         values = self.values
-        return formulation_class(values['model.formulation'])(
-            body, values['model.modes'], damping, self.constraints,
-            static=_STATIC[values['model.static_modes']], axial=values['model.axial_modes'],
-            gravity=values['gravity'], basis=basis)
+        # An equilibrium becomes part of its model, which then serves no other scene.
+        make = _new_model if values['initial.equilibrium'] else _shared_model
+        return make(values['model.formulation'], body, values['model.modes'],
+                    tuple(np.ravel(damping).tolist()), self.constraints,
+                    _STATIC[values['model.static_modes']], values['model.axial_modes'],
+                    tuple(values['gravity']), basis or body)
 
     @cached_property
     def _formulation(self):
@@ -147,10 +159,7 @@ class Scene:
 
     def with_load(self, load: Load) -> Scene:
         """Return the scene under another load, which its `values` do not describe."""
-        scene = replace(self, load=load)
-        if not self.values['initial.equilibrium']:  # on which tables of the equations depend
-            scene.__dict__['_formulation'] = self._formulation
-        return scene
+        return replace(self, load=load)
 
     def at(self, run: Any, t: float) -> Scene:
         """

@@ -31,20 +31,22 @@ _COMMANDS: dict[str, Any] = {
     'tip_torque': TIP_TORQUE, 'voltage': VOLTAGE}
 
 
-def commanded_load(values, **commands):
+def commanded_load(values, many=(), **commands):
     """
-    Return commands as a load.
+    Return commands as a load, or as many loads.
 
     Parameters
     ----------
     values : dict
         The scene's parameters.
+    many : tuple of int
+        Shape of the array of loads; the same shape precedes that of commands of their own.
     **commands : float or sequence of float
         See `Simulator.step`.
 
     Returns
     -------
-    ndarray, shape (14,)
+    ndarray, shape (*many, 14)
 
     Raises
     ------
@@ -52,19 +54,21 @@ def commanded_load(values, **commands):
         If a command has not the right number of finite values, or a voltage has no DC motor.
 
     """
-    load = np.zeros(LOADS)
+    load = np.zeros((*many, LOADS))
     for name, columns in _COMMANDS.items():
+        shape = np.shape(columns)
         try:
             numbers = np.asarray(commands[name], dtype=float)
-            good = numbers.shape == np.shape(columns) and np.isfinite(numbers).all()
+            good = numbers.shape in (shape, (*many, *shape)) and np.isfinite(numbers).all()
         except (TypeError, ValueError):
             good = False
         if not good:
-            kind = 'two finite numbers' if np.ndim(columns) else 'a finite number'
+            kind = 'two finite numbers' if shape else 'a finite number'
+            kind += f', or an array of them of shape {(*many, *shape)}' if many else ''
             raise ParameterError(f'{name} must be {kind}, got {short(commands[name])}')
-        load[columns] = numbers
-    if load[VOLTAGE] and not values['motor.dc.resistance']:
-        raise ParameterError(f'voltage = {load[VOLTAGE]:g} V needs a DC motor: '
+        load[..., columns] = numbers
+    if load[..., VOLTAGE].any() and not values['motor.dc.resistance']:
+        raise ParameterError(f'voltage = {np.abs(load[..., VOLTAGE]).max():g} V needs a DC motor: '
                              'motor.dc.resistance must be > 0 ohm')
     return load
 
@@ -86,18 +90,27 @@ class Actuators:
     reached : ndarray, shape (14,), optional
         Load that has acted until then, see `physics.layout`; by default none.
 
+    Attributes
+    ----------
+    limit : ndarray, shape (14,)
+        Limits of commands.
+    slow : ndarray of int
+        Columns of a load with a limit of their rate.
+    gain : float
+        Torque per voltage [N m/V].
+
     """
 
     def __init__(self, values, first=0, reached=None):
         self._period = values['integrator.step']
-        self._limit, self._rate = np.full(LOADS, np.inf), np.full(LOADS, np.inf)
+        self.limit, self._rate = np.full(LOADS, np.inf), np.full(LOADS, np.inf)
         for columns, names in _LIMITED.items():
-            for bounds, name in zip((self._limit, self._rate), names):
+            for bounds, name in zip((self.limit, self._rate), names):
                 if name:
                     bounds[list(columns)] = values[name]
-        self._slow = np.flatnonzero(np.isfinite(self._rate))
-        self._gain, _ = motor_constants(values)
-        self._ideal = np.isinf([self._limit, self._rate]).all() and not self._gain
+        self.slow = np.flatnonzero(np.isfinite(self._rate))
+        self.gain, _ = motor_constants(values)
+        self._ideal = np.isinf([self.limit, self._rate]).all() and not self.gain
         self._since, self._start = first, np.zeros(LOADS) if reached is None else reached
         self._given, self._goal = b'', self._start
 
@@ -106,20 +119,20 @@ class Actuators:
         given = commanded.tobytes()
         if given == self._given:
             return False
-        goal = np.clip(commanded, -self._limit, self._limit)
-        if len(self._slow) and not np.array_equal(goal, self._goal):
+        goal = np.clip(commanded, -self.limit, self.limit)
+        if len(self.slow) and not np.array_equal(goal, self._goal):
             self._start, self._since = self.reached(first), first
         self._given, self._goal = given, goal
         return True
 
     def breaks(self, first, count):
         """Return the boundaries of some steps at or next to which a goal is reached."""
-        return around(self._since + self._ends(1), first, count) if len(self._slow) else []
+        return around(self._since + self._ends(1), first, count) if len(self.slow) else []
 
     def _ends(self, parts):
         # When lines reach their goals, counted in parts of steps since they began.
-        way = np.abs(self._goal - self._start)[self._slow]
-        return on_boundaries(way / (self._rate[self._slow] * self._period / parts))
+        way = np.abs(self._goal - self._start)[self.slow]
+        return on_boundaries(way / (self._rate[self.slow] * self._period / parts))
 
     def reached(self, step):
         """Return what acts of the commands at a step, (14,); a voltage is not yet a torque."""
@@ -137,14 +150,14 @@ class Actuators:
         steps, seen = parabolas(lambda at: self._at(at * period), self._ends(parts), 1, begin,
                                 number)
         acting[steps, :STAGES] = seen
-        acting[..., TORQUE] += self._gain * acting[..., VOLTAGE]
+        acting[..., TORQUE] += self.gain * acting[..., VOLTAGE]
         return acting
 
     def _at(self, elapsed):
         # The straight lines towards the goal, at times since they began.
         acting = np.empty((*elapsed.shape, LOADS))
         acting[...] = self._goal
-        slow, start = self._slow, self._start[self._slow]
+        slow, start = self.slow, self._start[self.slow]
         way, most = self._goal[slow] - start, elapsed[..., np.newaxis] * self._rate[slow]
         # Exactly the goal once it is reached.
         acting[..., slow] = np.where(np.abs(way) <= most, self._goal[slow],

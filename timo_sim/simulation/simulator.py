@@ -27,7 +27,7 @@ from timo_sim.simulation.tip_load import TipLoad
 
 COMPILING = 'compiling once for a model of this size, this takes some seconds'
 # Deflection beyond which the run counts as diverged, in arm lengths.
-_MOST_BENT = 10.0
+MOST_BENT = 10.0
 
 
 class Simulator(Readings):
@@ -236,7 +236,7 @@ class Simulator(Readings):
                 motions[done // sample_every] = sample  # that before the load changes
             done += reached
             if reached < part or not (
-                    self._bend() <= _MOST_BENT * self.model.manipulator.arm.length):
+                    self._bend() <= MOST_BENT * self.model.manipulator.arm.length):
                 self._give_up(before, count, commanded)
             self.stretch.add(self._angle - angle, part * self.scene.step,
                              self.integration.errors.modes.stretch)

@@ -12,6 +12,7 @@ Compiled functions of the `exact` formulation.
 Numbers (T..) are those of doc/theory.md, section 6; the text of `exact` has the equations.
 """
 
+from timo_sim.jit.choices import some
 from timo_sim.jit.constants import local
 from timo_sim.jit.decorators import inlined, inner
 from timo_sim.physics.equations import functions
@@ -126,11 +127,11 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
     for k in range(len(axes)):
         if axes[k] == 0:
             push_x = load[FORCE_X] + turned_x * load[FORCE_I] - turned_y * load[FORCE_II] + tip_x
-            if tables.drag != 0.0:
+            if some(tables.drag != 0.0):
                 push_x -= tables.drag * _carrier_rate(tables, state, k, c1, speed)
         else:
             push_y = load[FORCE_Y] + turned_y * load[FORCE_I] + turned_x * load[FORCE_II] + tip_y
-            if tables.drag != 0.0:
+            if some(tables.drag != 0.0):
                 push_y -= tables.drag * _carrier_rate(tables, state, k, c2, speed)
         out[k] = 0.0  # X' = P / m_t is in the linear part
         out[half + k] = push_x + weight[0] if axes[k] == 0 else push_y + weight[1]

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from timo_sim.jit.choices import some
 from timo_sim.jit.constants import local
 from timo_sim.jit.decorators import inlined, inner
 from timo_sim.physics.equations import functions
@@ -183,7 +184,7 @@ def _rate(tables, state, load, out):
     beta -= tables.in_linear * linear_shear
     for i in range(first, rows):
         out[half + modal - 1 + i] = z[i] - tables.response[i] * beta
-    if tables.gravity[0] != 0.0 or tables.gravity[1] != 0.0:
+    if some((tables.gravity[0] != 0.0) | (tables.gravity[1] != 0.0)):
         _fall(tables, cosine, sine, tilt, out)
 
 

@@ -15,6 +15,7 @@ the compiler turns into vector code. Errors are below 1 unit in the last place u
 
 import numpy as np
 
+from timo_sim.jit.choices import floor, where
 from timo_sim.jit.decorators import strict
 
 # pi / 2 in two parts, the first with 33 bits: its whole multiples up to 2^20 are exact.
@@ -29,7 +30,7 @@ def sincos(angle):
     The angle is reduced to [-pi/4, pi/4]. Source of the polynomials there: fdlibm by Sun
     Microsystems, k_sin.c and k_cos.c.
     """
-    quarters = np.floor(angle * (2.0 / np.pi) + 0.5)
+    quarters = floor(angle * (2.0 / np.pi) + 0.5)
     x = (angle - quarters * _HIGH) - quarters * _LOW
     z = x * x
     sine = x + x * z * (
@@ -40,8 +41,8 @@ def sincos(angle):
         4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * (
             2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * (
                 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11))))))
-    quadrant = quarters - 4.0 * np.floor(0.25 * quarters)
-    odd = quadrant == 1.0 or quadrant == 3.0
-    first, second = (cosine, sine) if odd else (sine, cosine)
-    return (-first if quadrant >= 2.0 else first,
-            -second if quadrant == 1.0 or quadrant == 2.0 else second)
+    quadrant = quarters - 4.0 * floor(0.25 * quarters)
+    odd = (quadrant == 1.0) | (quadrant == 3.0)
+    first, second = where(odd, cosine, sine), where(odd, sine, cosine)
+    return (where(quadrant >= 2.0, -first, first),
+            where((quadrant == 1.0) | (quadrant == 2.0), -second, second))

@@ -1,0 +1,204 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Many manipulators at once do what each does alone, whatever the others do."""
+
+import numpy as np
+import pytest
+
+import timo_sim
+from timo_sim.physics.layout import FORCE_Y, TIP_X, TORQUE, VOLTAGE
+
+HELD = {'carrier.held': 'both'}
+MOTOR = {'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5, 'motor.dc.gear_ratio': 3.0,
+         'motor.dc.voltage_limit': 20.0}
+SWING = {'load.torque.harmonic.amplitude': [40.0], 'load.torque.harmonic.frequency': [1.3]}
+SCENES = {
+    'free': {**SWING, 'arm.damping_ratio': [0.01], 'motor.viscous_friction': 2.0,
+             'carrier.viscous_friction': 5.0},
+    'held': {**HELD, **SWING, 'arm.damping_ratio': [0.02], 'gravity': [0.0, -9.81],
+             'initial.equilibrium': True, 'load.tip_torque.piecewise.time': [0.2, 0.3],
+             'load.tip_torque.piecewise.value': [15.0, 0.0]},
+    'held along x, locked': {'carrier.held': 'x', 'motor.shaft': 'locked', 'initial.shaft': 0.5,
+                             'load.force_y.harmonic.amplitude': [50.0],
+                             'load.force_y.harmonic.frequency': [2.0]},
+    'driven, held': {**HELD, 'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.3, 0.8],
+                     'motor.drive.angle': [0.0, 0.4, 0.1], 'motor.drive.speed': [0.0, 0.5, 0.0],
+                     'motor.drive.acceleration': [0.0, 2.0, 0.0]},
+    'stretches': {**SWING, 'model.axial_modes': 1, 'initial.shaft_velocity': 6.0},
+    'rigid': {**SWING, 'model.modes': 0},
+    'limits': {'motor.torque_limit': 12.0, 'carrier.force_limit': 30.0},
+    'limits of rates': {'motor.torque_limit': 12.0, 'motor.torque_rate_limit': 170.0,
+                        'carrier.force_rate_limit': 3e3},
+    'DC motor': MOTOR,
+    'a kink inside a step': {'load.torque.table.time': [0.0, 0.1234, 0.3],
+                             'load.torque.table.value': [0.0, 60.0, -20.0]},
+    'static mode': {'model.static_modes': 'torque', 'load.tip_torque.harmonic.amplitude': [9.0],
+                    'load.tip_torque.harmonic.frequency': [3.0]},
+}
+
+
+def scene_of(name, formulation, **more):
+    """Return a scene of `SCENES` at a step of 2 ms."""
+    return timo_sim.load_scene({'integrator.step': 0.002, 'model.formulation': formulation,
+                                'initial.shaft': 0.2, **SCENES[name], **more})
+
+
+def commands(scene, lanes, random):
+    """Return commands of some lanes that suit a scene, (lanes, 14)."""
+    load = np.zeros((lanes, 14))
+    load[:, TORQUE], load[:, FORCE_Y], load[:, TIP_X] = random.normal(
+        0.0, [[20.0], [40.0], [5.0]], (3, lanes))
+    if scene.values['motor.dc.resistance']:
+        load[:, VOLTAGE] = random.normal(0.0, 15.0, lanes)
+    return load
+
+
+def size_of(motions):
+    """Return the size of each number of a motion, to compare others with."""
+    return np.abs(motions).max(axis=tuple(range(motions.ndim - 1))) + 1e-3
+
+
+@pytest.mark.parametrize('formulation, name', [
+    *(('exact', name) for name in SCENES),
+    *(('newton', name) for name in SCENES if name not in ('stretches', 'held', 'rigid')),
+    ('newton_root_stress', 'free'), ('newton_rigid_axial', 'free')])
+def test_agrees_with_simulator(formulation, name):
+    """Eleven manipulators, of two masses of the tip, under three commands in turn."""
+    one = scene_of(name, formulation)
+    other = scene_of(name, formulation, **{'end_effector.mass': 3.0, 'arm.young_modulus': 5e10})
+    scenes, random = [one, *5 * [other], *5 * [one]], np.random.default_rng(1)
+    batch = timo_sim.Batch(scenes)
+    simulators = [timo_sim.Simulator(scene) for scene in scenes]
+    for count in (60, 1, 90):
+        commanded = commands(one, len(scenes), random)
+        together = batch.advance(count, commanded, sample_every=10)
+        for lane, simulator in enumerate(simulators):
+            alone, _ = simulator.advance(count, commanded[lane], sample_every=10)
+            assert np.abs((together[lane] - alone) / size_of(together)).max() < 1e-11
+    for lane, simulator in enumerate(simulators):
+        now = simulator.motion.values
+        assert np.abs((batch.motion.values[lane] - now) / size_of(together)).max() < 1e-11
+        assert batch.tip[lane] == pytest.approx(simulator.model.tip(now), abs=1e-11)
+    assert not batch.failed.any() and batch.t == pytest.approx(0.302)
+
+
+@pytest.mark.parametrize('formulation', ['exact', 'newton'])
+def test_bits_are_a_lanes_own(formulation):
+    """Number of lanes, place, neighbours, their bodies and the steps per call change no bit."""
+    scene, random = scene_of('free', formulation), np.random.default_rng(2)
+    others = [scene_of('free', formulation, **{'arm.length': 1.0 + 0.1 * k}) for k in range(5)]
+    commanded = commands(scene, 1, random)
+    alone = timo_sim.Batch(scene).advance(100, commanded, sample_every=1)[0]
+    alike, several = timo_sim.Batch(scene, n=21), timo_sim.Batch([*others, scene, *others])
+    around = commands(scene, 21, random)
+    around[17] = commanded[0]
+    assert (alike.advance(100, around, sample_every=1)[17] == alone).all()
+    around[5], parts = commanded[0], []
+    for count in (1, 37, 62):
+        parts.append(several.advance(count, around[:11], sample_every=1)[5])
+    assert (np.concatenate([parts[0], parts[1][1:], parts[2][1:]]) == alone).all()
+    assert not (several.motion.values[6] == alone[-1]).any()
+
+
+def test_one_fails_and_the_others_go_on():
+    """A torque that breaks any arm stops one lane at its last good state, until a reset."""
+    scene = timo_sim.load_scene({'integrator.step': 0.01, 'arm.length': 2.0})
+    calm, batch = timo_sim.Batch(scene, n=3), timo_sim.Batch(scene, n=3)
+    calm.step(torque=5.0, duration=2.0)
+    batch.step(torque=[5.0, 1e6, 5.0], duration=2.0)
+    assert batch.failed.tolist() == [False, True, False]
+    same = batch.motion.values == calm.motion.values
+    assert same[[0, 2]].all() and not same[1].any() and np.isfinite(batch.motion.values).all()
+    assert 0.0 <= batch.t[1] < 2.0 and batch.t[0] == 2.0
+    simulator = timo_sim.Simulator(scene)
+    with pytest.raises(timo_sim.DivergenceError) as error:
+        simulator.step(torque=1e6, duration=2.0)
+    at = f't = {batch.t[1]:g} s'
+    assert at in batch.reason(1) and at in str(error.value) and not batch.reason(0)
+    stopped = batch.motion.values[1]
+    batch.step(torque=5.0, duration=0.1)
+    assert (batch.motion.values[1] == stopped).all()
+    batch.reset(batch.failed)
+    assert not batch.failed.any() and batch.t.tolist() == pytest.approx([2.1, 0.0, 2.1])
+    calm.reset()
+    batch.step(torque=5.0, duration=2.0)
+    calm.step(torque=5.0, duration=2.0)
+    assert (batch.motion.values[1] == calm.motion.values[1]).all()
+
+
+def test_reset_starts_loads_again():
+    """A lane that begins later does what it did at first, and one may begin elsewhere."""
+    scene = scene_of('a kink inside a step', 'exact')
+    batch = timo_sim.Batch(scene, n=10)
+    first = batch.advance(100, sample_every=1)
+    mask = np.arange(10) % 3 == 0
+    batch.reset(mask)
+    again = batch.advance(100, sample_every=1)
+    assert (again[mask] == first[mask]).all()
+    assert not (again[~mask, 1:] == first[~mask, 1:]).all(axis=(1, 2)).any()
+    batch.reset(motion=first[0, 50])
+    assert (batch.motion.values == first[0, 50]).all()
+    simulator = timo_sim.Simulator(scene)
+    assert batch.tip[3] == pytest.approx(simulator.model.tip(first[0, 50]), abs=1e-14)
+    batch.reset(mask, first[:, 20])
+    assert (batch.motion.values == np.where(mask[:, np.newaxis], first[:, 20], first[0, 50])).all()
+
+
+def test_momentum_is_constant():
+    """Free manipulators keep momentum and spin to the last bit of their states (T27)."""
+    random = np.random.default_rng(3)
+    scenes = [timo_sim.load_scene({
+        'initial.shaft_velocity': random.normal(), 'initial.carrier_x_velocity': random.normal(),
+        'initial.modal_coordinates': random.normal(0.0, [0.05, 0.01, 0.001]).tolist(),
+        'end_effector.mass': random.uniform(0.0, 5.0), 'integrator.step': 0.005})
+        for _ in range(12)]
+    batch = timo_sim.Batch(scenes)
+    before, half = batch._lanes.state.copy(), batch._lanes.state.shape[1] // 2
+    batch.step(duration=10.0)
+    assert (batch._lanes.state[:, half:half + 3] == before[:, half:half + 3]).all()
+    assert np.abs(batch.motion.q).max() > 1e-3
+
+
+@pytest.mark.parametrize('scenes, text', [
+    ([{}, {'model.modes': 4}], 'scene 1 has 4 modes'),
+    ([{}, {'integrator.step': 0.005}], 'integrator.step must be the same'),
+    ([{}, HELD], 'carrier.held must be the same'),
+    ([{'carrier.held': 'x'}], 'carrier.held = x with motor.shaft = free is not possible'),
+    ([{'motor.coulomb_friction': 1.0}], 'Coulomb friction is not possible'),
+    ([{'integrator.tolerance': 1e-6}], 'integrator.tolerance = 1e-06 is not possible'),
+    ([], 'at least one')])
+def test_what_a_batch_cannot_do(scenes, text):
+    """The error names the parameter."""
+    with pytest.raises(timo_sim.ParameterError, match=text):
+        timo_sim.Batch(scenes)
+
+
+@pytest.mark.parametrize('given, text', [
+    ({'torque': [1.0, 2.0]}, r'torque must be a finite number, or an array of them of shape \(3,'),
+    ({'force': np.ones((2, 3))}, r'of shape \(3, 2\)'),
+    ({'torque': [0.0, np.nan, 0.0]}, 'torque must be'),
+    ({'voltage': [0.0, 5.0, 0.0]}, 'voltage = 5 V needs a DC motor')])
+def test_bad_commands_change_nothing(given, text):
+    """After the error the batch is where it was."""
+    batch = timo_sim.Batch('paper', n=3)
+    with pytest.raises(timo_sim.ParameterError, match=text):
+        batch.step(**given)
+    assert batch.steps == 0
+    assert (batch.motion.values == timo_sim.Batch('paper').motion.values).all()
+
+
+def test_bad_resets():
+    """Masks and motions are checked."""
+    batch = timo_sim.Batch('paper', n=3)
+    with pytest.raises(timo_sim.ParameterError, match='mask must be 3 times true or false'):
+        batch.reset([0, 1, 1])
+    with pytest.raises(timo_sim.ParameterError, match='motion must be finite'):
+        batch.reset(motion=np.zeros(5))
+    with pytest.raises(timo_sim.ParameterError, match='n must be the number of scenes'):
+        timo_sim.Batch([{}, {}], n=3)

@@ -1,0 +1,220 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Equal time steps of many models of one size, as lanes (see `jit.lanes`)."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from timo_sim.jit.choices import magnitude, where
+from timo_sim.jit.constants import local, pack, pack_lanes
+from timo_sim.jit.decorators import entry_point, inlined, inner
+from timo_sim.jit.lanes import as_lanes, as_shared, WIDTH
+from timo_sim.physics.equations.functions import observe, tip
+from timo_sim.physics.integrate.etdrk4 import copy, one_step
+from timo_sim.physics.integrate.propagator import propagator
+from timo_sim.physics.layout import AFTER, END, LOADS, MIDDLE, START
+
+
+class Own(NamedTuple):
+    """What each lane has of its own besides the constants of its model and step."""
+
+    load: np.ndarray    # the part of its load that does not vary within a call, (14,)
+    reach: np.ndarray   # travel of the tip per modal coordinate, (N,)
+    bent: np.ndarray    # deflection beyond which it diverges [m], (1,)
+    motion: np.ndarray  # room for a motion, (2 (3 + N),)
+    tip: np.ndarray     # room for what `tip` returns, (3,)
+
+
+@inner
+def _vary(own, columns, varying, load):
+    for j in range(len(columns)):
+        load[columns[j]] = own.load[columns[j]] + varying[j]
+
+
+@inlined
+def _advance(tables, propagator, own, columns, varying, state, progress, end_motion, end_tip,
+             sample_every, done, samples, tips, states, rates):
+    """Integrate some lanes over equal steps, see `advance_each`."""
+    sizes, loads = (propagator.whole,), (own.load,)
+    now, half, stage, following = local(sizes), local(sizes), local(sizes), local(sizes)
+    combined = local(sizes)
+    rate_0, rate_a, rate_b, rate_c = local(sizes), local(sizes), local(sizes), local(sizes)
+    start, middle, end, shown = local(loads), local(loads), local(loads), local(loads)
+    motion, place = local((own.motion,)), local((own.tip,))
+    for load in (start, middle, end, shown):
+        copy(own.load, load)
+    modal, steps = len(state) // 2 - len(own.reach), len(varying) - 1
+    alive, count = progress[0], progress[1]
+    copy(state, now)
+    for k in range(steps + 1):
+        _vary(own, columns, varying[k, AFTER], shown)
+        sampled = sample_every > 0 and (done + k) % sample_every == 0
+        if sampled or k == steps:
+            observe(tables, now, shown, motion)
+            if sampled:
+                copy(motion, samples[(done + k) // sample_every])
+        if k == steps or len(tips):
+            for i in range(len(own.reach)):
+                motion[3 + i] = now[modal + i]
+            tip(tables, motion, place)
+            if len(tips):
+                copy(place, tips[k])
+        if k == steps:
+            break
+        _vary(own, columns, varying[k + 1, START], start)
+        _vary(own, columns, varying[k + 1, MIDDLE], middle)
+        _vary(own, columns, varying[k + 1, END], end)
+        one_step(tables, propagator, now, start, middle, end, half, following, combined, rate_0,
+                 rate_a, rate_b, rate_c, stage)
+        spoilt = 0.0
+        bend = 0.0
+        for i in range(len(now)):
+            spoilt += 0.0 * stage[i]
+        for i in range(len(own.reach)):
+            bend += own.reach[i] * magnitude(stage[modal + i])
+        alive = where((spoilt == 0.0) & (bend <= own.bent[0]), alive, 0.0)
+        count += alive
+        if len(states):
+            copy(now, states[k])
+            copy(rate_0, rates[k])
+        for i in range(len(now)):
+            now[i] = where(alive > 0.0, stage[i], now[i])
+    copy(now, state)
+    copy(motion, end_motion)
+    copy(place, end_tip)
+    progress[0], progress[1] = alive, count
+
+
+@entry_point
+def advance_alike(tables, propagator, own, columns, varying, state, progress, motion, place,
+                  sample_every, done, samples, tips, states, rates):
+    """Do what `advance_each` does for lanes with the same packed constants."""
+    for g in range(len(own)):
+        _advance(as_shared(tables), as_shared(propagator), as_lanes(own[g]), columns,
+                 as_lanes(varying[g]), as_lanes(state[g]), as_lanes(progress[g]),
+                 as_lanes(motion[g]), as_lanes(place[g]), sample_every, done,
+                 as_lanes(samples[g]), as_lanes(tips[g]), as_lanes(states[g]), as_lanes(rates[g]))
+
+
+@entry_point
+def advance_each(tables, propagator, own, columns, varying, state, progress, motion, place,
+                 sample_every, done, samples, tips, states, rates):
+    """
+    Integrate groups of lanes over equal steps.
+
+    A lane that diverges stays at its last good state, while the others go on.
+
+    Parameters
+    ----------
+    tables, propagator, own : ndarray, shape (groups,)
+        Packed constants of the models, the matrices of their steps, and an `Own`.
+    columns : ndarray, shape (c,)
+        Columns of the load that vary, see `physics.layout`.
+    varying : ndarray, shape (groups, 1 + steps, 4, c, WIDTH)
+        What varies, as in `etdrk4.advance`; row 0 has only the load at the beginning.
+    state : ndarray, shape (groups, m, WIDTH)
+        Advanced in place.
+    progress : ndarray, shape (groups, 2, WIDTH)
+        Whether a lane is alive, 1 or 0, and how many steps it has done; updated.
+    motion, place : ndarray, shapes (groups, 2 (3 + N), WIDTH), (groups, 3, WIDTH)
+        Receive the motion at the end, and what `tip` returns for it.
+    sample_every, done : int
+        See `etdrk4.advance`.
+    samples : ndarray, shape (groups, n, 2 (3 + N), WIDTH)
+        Receives motions.
+    tips : ndarray, shape (groups, 1 + steps, 3, WIDTH) or (groups, 0, 3, WIDTH)
+        Receives what `tip` returns, at the beginning and after each step.
+    states, rates : ndarray, shape (groups, steps, m, WIDTH) or (groups, 0, m, WIDTH)
+        Receive the state at the start of each step, and n there.
+
+    """
+    for g in range(len(own)):
+        _advance(as_lanes(tables[g]), as_lanes(propagator[g]), as_lanes(own[g]), columns,
+                 as_lanes(varying[g]), as_lanes(state[g]), as_lanes(progress[g]),
+                 as_lanes(motion[g]), as_lanes(place[g]), sample_every, done,
+                 as_lanes(samples[g]), as_lanes(tips[g]), as_lanes(states[g]), as_lanes(rates[g]))
+
+
+def to_lanes(values):
+    """Return rows, (n, ...), as lanes, (groups, ..., WIDTH); the last row fills the rest."""
+    count = -(-len(values) // WIDTH)
+    rows = np.minimum(np.arange(count * WIDTH), len(values) - 1)
+    return np.ascontiguousarray(np.moveaxis(
+        values[rows].reshape(count, WIDTH, *values.shape[1:]), 1, -1))
+
+
+def from_lanes(values, count):
+    """Return lanes as rows of an array, shape (count, ...)."""
+    rows = np.moveaxis(values, -1, 1)
+    return rows.reshape(len(values) * WIDTH, *rows.shape[2:])[:count]
+
+
+class LaneSteps:
+    """
+    Equal steps of n models of one size.
+
+    Parameters
+    ----------
+    models : list of Formulation
+        Of one class, with tables of the same shapes and the same free coordinates.
+    step : float
+        [s]
+    bent : float
+        Deflection beyond which a run counts as diverged, in arm lengths.
+
+    Attributes
+    ----------
+    state : ndarray, shape (groups, m, WIDTH)
+    progress : ndarray, shape (groups, 2, WIDTH)
+    own : ndarray, shape (groups,)
+    motion, tip : ndarray, shapes (groups, 2 (3 + N), WIDTH), (groups, 3, WIDTH)
+        See `advance_each`; the motion and tip at the end of the last call.
+
+    """
+
+    def __init__(self, models, step, bent):
+        self.count, self._models = len(models), models
+        groups = -(-len(models) // WIDTH)
+        padded = [models[min(row, len(models) - 1)] for row in range(groups * WIDTH)]
+        if all(model is models[0] for model in models):
+            self._advance = advance_alike
+            self._constants = models[0].packed, pack(propagator(models[0].linear, step))
+        else:
+            matrices = {id(model): propagator(model.linear, step) for model in models}
+            self._advance = advance_each
+            self._constants = (pack_lanes([model.tables for model in padded]),
+                               pack_lanes([matrices[id(model)] for model in padded]))
+        size = models[0].size
+        self.own = pack_lanes([
+            Own(np.zeros(LOADS), model.reach[3:],
+                np.array([bent * model.manipulator.arm.length]), np.zeros(size), np.zeros(3))
+            for model in padded])
+        self.state = np.zeros((groups, len(models[0].linear), WIDTH))
+        self.progress, self.motion = np.ones((groups, 2, WIDTH)), np.zeros((groups, size, WIDTH))
+        self.tip, self.progress[:, 1] = np.zeros((groups, 3, WIDTH)), 0.0
+
+    @property
+    def constants(self):
+        """The packed constants for whose sizes machine code is needed, a list."""
+        return [*self._constants, self.own]
+
+    def room(self, number, length):
+        """Return an array for so many vectors of a length in each lane."""
+        return np.empty((len(self.own), number, length, WIDTH))
+
+    def advance(self, columns, varying, sample_every=0, done=0, samples=None, tips=None,
+                states=None, rates=None):
+        """Advance all lanes, see `advance_each`; arrays that are not given are not filled."""
+        nothing = (self.room(0, length) for length in (
+            self.motion.shape[1], 3, self.state.shape[1], self.state.shape[1]))
+        self._advance(*self._constants, self.own, columns, varying, self.state, self.progress,
+                      self.motion, self.tip, sample_every, done,
+                      *(empty if given is None else given for given, empty in zip(
+                          (samples, tips, states, rates), nothing)))

@@ -1,0 +1,285 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The class Batch: many manipulators of one size, advanced together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from timo_sim.jit.code_store import compiling
+from timo_sim.physics.integrate.lane_steps import from_lanes, LaneSteps, to_lanes
+from timo_sim.physics.integrate.run_error import CHUNK
+from timo_sim.physics.layout import LOADS, Motion
+from timo_sim.scene.parameter import ParameterError
+from timo_sim.scene.parameters import steps_in
+from timo_sim.scene.scene import load_scene, Scene, SceneLike
+from timo_sim.simulation.actuators import commanded_load
+from timo_sim.simulation.lane_loads import LaneLoads
+from timo_sim.simulation.model_warnings import divergence
+from timo_sim.simulation.simulator import MOST_BENT
+
+_ROOM = 2**22  # most numbers that the loads of a call to compiled code take
+
+
+class Batch:
+    """
+    Many manipulators of one size, each with its own loads, commands and state, advanced together.
+
+    They are as many runs of `Simulator`, several times faster: the numbers of eight manipulators
+    are one vector of the processor, see `jit.lanes`. Formulation, numbers of modes, constraints
+    and time step are the same for all; masses, stiffness, damping, limits, loads and initial state
+    may differ. What one manipulator does depends on its own scene and commands alone, to the last
+    bit; a `Simulator` does the same to about 1e-11. There is no estimate of the error: try some of
+    the scenes with `simulate`, which has one.
+
+    Parameters
+    ----------
+    scenes : list of Scene, or a Scene, or what `load_scene` takes
+    n : int, optional
+        Number of manipulators, if one scene is given.
+
+    Attributes
+    ----------
+    n : int
+    scenes : list of Scene
+        One for each manipulator.
+    steps : int
+        Steps done since the batch was made.
+
+    Raises
+    ------
+    ParameterError
+        If the scenes differ in size, or have what a batch cannot do: Coulomb friction, a carrier
+        that is held along one axis beside a free or driven shaft, `integrator.tolerance`,
+        `model.accuracy`, payloads that change.
+
+    Examples
+    --------
+    >>> import numpy as np, timo_sim
+    >>> batch = timo_sim.Batch('paper', n=100)
+    >>> motion = batch.step(torque=np.linspace(-1.0, 1.0, 100), duration=0.1)
+    >>> motion.shaft.shape, batch.tip.shape, batch.failed.any()
+    ((100,), (100, 3), np.False_)
+
+    """
+
+    def __init__(self, scenes: SceneLike | Sequence[Scene], n: int | None = None) -> None:
+        if isinstance(scenes, Sequence) and not isinstance(scenes, str):
+            self.scenes = [load_scene(scene) for scene in scenes]
+            if n not in (None, len(scenes)):
+                raise ParameterError(f'n must be the number of scenes, {len(scenes)}, got {n}')
+        else:
+            self.scenes = [load_scene(scenes)] * (1 if n is None else n)
+        if not self.scenes:
+            raise ParameterError('scenes must have at least one element, got none')
+        self.n = len(self.scenes)
+        _check(self.scenes)
+        self._models = [scene.build() for scene in self.scenes]
+        motions = {id(scene): scene.initial_motion() for scene in self.scenes}
+        states = {id(scene): model.state(motions[id(scene)])
+                  for scene, model in zip(self.scenes, self._models)}
+        self._initial = np.array([motions[id(scene)] for scene in self.scenes])
+        self._initial_state = np.array([states[id(scene)] for scene in self.scenes])
+        self._loads = LaneLoads(self.scenes)
+        self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT)
+        self.steps, self._origin, self._warm = 0, np.zeros(self.n, dtype=int), False
+        self.reset()
+
+    def __repr__(self) -> str:
+        return f'<Batch of {self.n}, {self.failed.sum()} failed, of {self.scenes[0]!r}>'
+
+    @property
+    def t(self) -> np.ndarray:
+        """Sim time of each since its start or reset, shape (n,) [s]; of one that failed, until."""
+        return from_lanes(self._lanes.progress, self.n)[:, 1] * self.scenes[0].step
+
+    @property
+    def failed(self) -> np.ndarray:
+        """Which have diverged, shape (n,); they stay at their last good state until a reset."""
+        return from_lanes(self._lanes.progress, self.n)[:, 0] == 0.0
+
+    @property
+    def motion(self) -> Motion:
+        """The motions now, whose parts have the shapes (n, ...), see `Motion`."""
+        return Motion(from_lanes(self._lanes.motion, self.n))
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Tip along axes I and II of the shaft [m], rotation from the shaft [rad], (n, 3)."""
+        return from_lanes(self._lanes.tip, self.n)
+
+    def reason(self, number: int) -> str:
+        """Return why a manipulator has failed, as the text of a DivergenceError, or ''."""
+        if not self.failed[number]:
+            return ''
+        scene, model = self.scenes[number], self._models[number]
+        motion = self.motion.values[number]
+        bend = np.abs(motion[3:model.size // 2]) @ model.reach[3:]
+        return divergence(scene, round(self.t[number] / scene.step), motion, model.reach, bend,
+                          None)
+
+    def reset(self, mask=None, motion=None) -> None:
+        """
+        Return to the initial motion and the start of the loads, all or some.
+
+        Parameters
+        ----------
+        mask : array_like of bool, shape (n,), optional
+            Which; by default all.
+        motion : array_like, shape (2 (3 + N),) or (n, 2 (3 + N)), optional
+            Where to start instead, see `physics.layout`.
+
+        """
+        chosen = np.ones(self.n, dtype=bool) if mask is None else np.asarray(mask)
+        if chosen.shape != (self.n,) or chosen.dtype != bool:
+            raise ParameterError(f'mask must be {self.n} times true or false, got an array of '
+                                 f'{chosen.dtype} of shape {chosen.shape}')
+        motions, states = self._initial, self._initial_state
+        if motion is not None:
+            motions, states = self._begin(motion, chosen)
+        lanes = self._lanes
+        for kept, new in ((lanes.state, states), (lanes.motion, motions),
+                          (lanes.progress, np.array([[1.0, 0.0]] * self.n)),
+                          (lanes.tip, self._tips(motions, chosen))):
+            rows = from_lanes(kept, self.n).copy()
+            rows[chosen] = new[chosen]
+            kept[:] = to_lanes(rows)
+        self._origin[chosen] = self.steps
+        self._loads.reset(np.flatnonzero(chosen), self.steps)
+
+    def _begin(self, motion, chosen):
+        motions = np.asarray(motion, dtype=float)
+        if motions.shape not in (self._initial.shape, self._initial.shape[1:]) or not (
+                np.isfinite(motions).all()):
+            raise ParameterError(
+                f'motion must be finite and of the shape {self._initial.shape} or '
+                f'{self._initial.shape[1:]}, got {motions.shape}')
+        if motions.ndim == 1 and all(model is self._models[0] for model in self._models):
+            state = self._models[0].state(motions)
+            return np.tile(motions, (self.n, 1)), np.tile(state, (self.n, 1))
+        motions, states = np.broadcast_to(motions, self._initial.shape), self._initial_state.copy()
+        for lane in np.flatnonzero(chosen):
+            states[lane] = self._models[lane].state(motions[lane])
+        return motions, states
+
+    def _tips(self, motions, chosen):
+        tips, found = np.zeros((self.n, 3)), {}
+        for lane in np.flatnonzero(chosen):
+            key = id(self._models[lane]), motions[lane].tobytes()
+            if key not in found:
+                found[key] = self._models[lane].tip(motions[lane])
+            tips[lane] = found[key]
+        return tips
+
+    def step(self, torque=0.0, force=(0.0, 0.0), tip_force=(0.0, 0.0), tip_torque=0.0, voltage=0.0,
+             duration: float | None = None) -> Motion:
+        """
+        Advance under constant commands; the scenes' own loads act as well.
+
+        Parameters
+        ----------
+        torque, tip_torque, voltage : float or array_like, shape (n,)
+            On the shaft and the end effector [N m]; at a DC motor [V].
+        force, tip_force : array_like, shape (2,) or (n, 2)
+            On carrier and tip, world x and y [N].
+        duration : float, optional
+            [s], a whole multiple of the time step; by default one step.
+
+        Returns
+        -------
+        Motion
+            At the end.
+
+        Raises
+        ------
+        ParameterError
+            If a command is not finite or has another shape, or the duration does not fit the step.
+
+        """
+        commanded = commanded_load(self.scenes[0].values, (self.n,), torque=torque, force=force,
+                                   tip_force=tip_force, tip_torque=tip_torque, voltage=voltage)
+        self.advance(1 if duration is None else steps_in(duration, self.scenes[0].step), commanded)
+        return self.motion
+
+    def advance(self, count: int, commanded: np.ndarray | None = None,
+                sample_every: int = 0) -> np.ndarray:
+        """
+        Advance by some steps.
+
+        Parameters
+        ----------
+        count : int
+            Number of steps.
+        commanded : ndarray, shape (n, 14), optional
+            Commands during all of them, see `physics.layout`.
+        sample_every : int
+            Steps between samples; 0: none are taken.
+
+        Returns
+        -------
+        ndarray, shape (n, 1 + count // sample_every, 2 (3 + N))
+            Motions at the start and after each `sample_every` steps; with sample_every = 0 empty.
+
+        """
+        lanes, loads = self._lanes, self._loads
+        acting = loads.command(np.zeros((self.n, LOADS)) if commanded is None else commanded,
+                               self.steps)
+        lanes.own['load'] = to_lanes(acting)
+        samples = lanes.room(1 + count // sample_every if sample_every else 0,
+                             lanes.motion.shape[1])
+        most = max(1, min(CHUNK, _ROOM // (4 * self.n * max(1, len(loads.columns)))))
+        if not self._warm:
+            with compiling(*lanes.constants):
+                self._lanes.advance(loads.columns, loads.varying(self.steps, 0, self._origin))
+            self._warm = True
+        for first in range(0, count, most):
+            part = min(most, count - first)
+            varying = loads.varying(self.steps + first, part, self._origin)
+            lanes.advance(loads.columns, varying, sample_every, first, samples)
+        self.steps += count
+        return from_lanes(samples, self.n)
+
+
+def _check(scenes):
+    """Raise ParameterError for scenes that a batch cannot do."""
+    first = scenes[0]
+    model = first.build()
+    for number, scene in enumerate(scenes):
+        if scene is first and number:
+            continue
+        refused = _refused(scene)
+        if refused:
+            raise ParameterError(f'{refused} is not possible in a Batch')
+        other = scene.build()
+        for name in ('model.formulation', 'integrator.step', 'carrier.held', 'motor.shaft'):
+            if scene.values[name] != first.values[name]:
+                raise ParameterError(f'{name} must be the same in all scenes of a Batch, got '
+                                     f'{first.values[name]} and {scene.values[name]} (scene '
+                                     f'{number})')
+        if [np.shape(part) for part in other.tables] != [np.shape(part) for part in model.tables]:
+            raise ParameterError('the models of all scenes of a Batch must have the same size: '
+                                 f'scene {number} has {scene.modal_count} modes and '
+                                 f'{len(other.quadrature.nodes)} nodes, scene 0 '
+                                 f'{first.modal_count} and {len(model.quadrature.nodes)}')
+
+
+def _refused(scene):
+    # The first parameter that lanes do not know, as text, or ''.
+    values = scene.values
+    if scene.build().sectors:
+        return ' with '.join(f'{name} = {values[name]}' for name in (
+            'carrier.held', 'motor.shaft'))
+    if scene.friction.any():
+        return 'Coulomb friction'
+    for name in ('integrator.tolerance', 'model.accuracy', 'payload.time'):
+        if values[name]:
+            return f'{name} = {values[name]}'
+    return ''

@@ -1,0 +1,105 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The loads of many scenes at once: their own, and those that actuators make of commands."""
+
+import numpy as np
+
+from timo_sim.physics.integrate.lane_steps import to_lanes
+from timo_sim.physics.layout import AFTER, START, STEP_LOADS, TORQUE, VOLTAGE
+from timo_sim.simulation.actuators import Actuators
+
+
+class LaneLoads:
+    """
+    Loads of n scenes with the same time step.
+
+    Parameters
+    ----------
+    scenes : list of Scene
+        Equal ones should be the same object.
+
+    """
+
+    def __init__(self, scenes):
+        self._step, self._scenes = scenes[0].step, scenes
+        loads = list({id(scene.load): scene.load for scene in scenes}.values())
+        place = {id(load): number for number, load in enumerate(loads)}
+        self._loads, self._which = loads, np.array([place[id(scene.load)] for scene in scenes])
+        actuators = {id(scene): Actuators(scene.values) for scene in scenes}
+        self._limit, self._gain = (np.array([
+            getattr(actuators[id(scene)], name) for scene in scenes])
+            for name in ('limit', 'gain'))
+        self._slow, slow = {}, set()
+        for lane, scene in enumerate(scenes):
+            if len(actuators[id(scene)].slow):
+                slow.update(actuators[id(scene)].slow)
+                self._slow[lane] = None
+        own = (load.columns for load in loads)
+        self.columns = np.array(sorted(slow.union(*own)), dtype=np.int64)
+        self.reset(range(len(scenes)), 0)
+
+    def reset(self, lanes, first):
+        """Let no command act in some lanes from step `first` on."""
+        for lane in self._slow.keys() & set(lanes):
+            self._slow[lane] = Actuators(self._scenes[lane].values, first)
+
+    def command(self, commanded, first):
+        """
+        Take the commands from step `first` on.
+
+        Parameters
+        ----------
+        commanded : ndarray, shape (n, 14)
+            See `physics.layout`.
+        first : int
+
+        Returns
+        -------
+        ndarray, shape (n, 14)
+            What acts of them and does not vary with time.
+
+        """
+        acting = np.clip(commanded, -self._limit, self._limit)
+        acting[:, TORQUE] += self._gain * acting[:, VOLTAGE]
+        for lane, actuators in self._slow.items():
+            actuators.command(commanded[lane], first)
+            acting[lane, actuators.slow] = 0.0
+        return acting
+
+    def varying(self, first, count, origin):
+        """
+        Return what varies with time of the loads of some steps.
+
+        Parameters
+        ----------
+        first, count : int
+            Number of the first step, and number of steps.
+        origin : ndarray, shape (n,)
+            Number of the step at which the scene's own loads begin, in each lane.
+
+        Returns
+        -------
+        ndarray, shape (groups, 1 + count, 4, len(columns), WIDTH)
+            See `lane_steps.advance_each`.
+
+        """
+        kinds, kind = np.unique(np.stack([self._which, first - origin]), axis=1,
+                                return_inverse=True)
+        found = np.zeros((kinds.shape[1], 1 + count, STEP_LOADS, len(self.columns)))
+        for (number, begin), loads in zip(kinds.T, found):
+            earlier = min(1, begin)  # the step before, whose end is the beginning of these
+            own = self._loads[number].stages(begin - earlier, max(1, count) + earlier, self._step)
+            loads[0, AFTER] = own[0, AFTER if earlier else START, self.columns]
+            loads[1:] = own[earlier:earlier + count, :, self.columns]
+        found = found[kind.ravel()]
+        for lane, actuators in self._slow.items():
+            among = np.isin(self.columns, actuators.slow)
+            found[lane, 1:, :, among] += np.moveaxis(
+                actuators.loads(first, count)[..., actuators.slow], -1, 0)
+        return to_lanes(found)
