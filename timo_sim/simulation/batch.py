@@ -232,7 +232,7 @@ class Batch:
         lanes, loads = self._lanes, self._loads
         acting = loads.command(np.zeros((self.n, LOADS)) if commanded is None else commanded,
                                self.steps)
-        lanes.own['load'] = to_lanes(acting)
+        lanes.own['base'] = to_lanes(acting)
         samples = lanes.room(1 + count // sample_every if sample_every else 0,
                              lanes.motion.shape[1])
         most = max(1, min(CHUNK, _ROOM // (4 * self.n * max(1, len(loads.columns)))))

@@ -19,13 +19,14 @@ from timo_sim.jit.lanes import as_lanes, as_shared, WIDTH
 from timo_sim.physics.equations.functions import observe, tip
 from timo_sim.physics.integrate.etdrk4 import copy, one_step
 from timo_sim.physics.integrate.propagator import propagator
-from timo_sim.physics.layout import AFTER, END, LOADS, MIDDLE, START
+from timo_sim.physics.layout import AFTER, END, LOADS, MIDDLE, STAGES, START, STEP_LOADS
 
 
 class Own(NamedTuple):
     """What each lane has of its own besides the constants of its model and step."""
 
-    load: np.ndarray    # the part of its load that does not vary within a call, (14,)
+    base: np.ndarray    # the part of its load that does not vary within a call, (14,)
+    load: np.ndarray    # room for the loads of a step, (4, 14)
     reach: np.ndarray   # travel of the tip per modal coordinate, (N,)
     bent: np.ndarray    # deflection beyond which it diverges [m], (1,)
     motion: np.ndarray  # room for a motion, (2 (3 + N),)
@@ -33,31 +34,30 @@ class Own(NamedTuple):
 
 
 @inner
-def _vary(own, columns, varying, load):
+def _vary(own, columns, varying, row):
     for j in range(len(columns)):
-        load[columns[j]] = own.load[columns[j]] + varying[j]
+        own.load[row, columns[j]] = own.base[columns[j]] + varying[row, j]
 
 
 @inlined
 def _advance(tables, propagator, own, columns, varying, state, progress, end_motion, end_tip,
              sample_every, done, samples, tips, states, rates):
     """Integrate some lanes over equal steps, see `advance_each`."""
-    sizes, loads = (propagator.whole,), (own.load,)
-    now, half, stage, following = local(sizes), local(sizes), local(sizes), local(sizes)
-    combined = local(sizes)
-    rate_0, rate_a, rate_b, rate_c = local(sizes), local(sizes), local(sizes), local(sizes)
-    start, middle, end, shown = local(loads), local(loads), local(loads), local(loads)
-    motion, place = local((own.motion,)), local((own.tip,))
-    for load in (start, middle, end, shown):
-        copy(own.load, load)
+    size = propagator.whole
+    now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
+    combined = local((size,))
+    rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
+    motion, place, load = local((own.motion,)), local((own.tip,)), own.load
+    for row in range(STEP_LOADS):
+        copy(own.base, load[row])
     modal, steps = len(state) // 2 - len(own.reach), len(varying) - 1
     alive, count = progress[0], progress[1]
     copy(state, now)
     for k in range(steps + 1):
-        _vary(own, columns, varying[k, AFTER], shown)
+        _vary(own, columns, varying[k], AFTER)
         sampled = sample_every > 0 and (done + k) % sample_every == 0
         if sampled or k == steps:
-            observe(tables, now, shown, motion)
+            observe(tables, now, load[AFTER], motion)
             if sampled:
                 copy(motion, samples[(done + k) // sample_every])
         if k == steps or len(tips):
@@ -68,11 +68,10 @@ def _advance(tables, propagator, own, columns, varying, state, progress, end_mot
                 copy(place, tips[k])
         if k == steps:
             break
-        _vary(own, columns, varying[k + 1, START], start)
-        _vary(own, columns, varying[k + 1, MIDDLE], middle)
-        _vary(own, columns, varying[k + 1, END], end)
-        one_step(tables, propagator, now, start, middle, end, half, following, combined, rate_0,
-                 rate_a, rate_b, rate_c, stage)
+        for row in range(STAGES):
+            _vary(own, columns, varying[k + 1], row)
+        one_step(tables, propagator, now, load[START], load[MIDDLE], load[END], half, following,
+                 combined, rate_0, rate_a, rate_b, rate_c, stage)
         spoilt = 0.0
         bend = 0.0
         for i in range(len(now)):
@@ -193,7 +192,7 @@ class LaneSteps:
                                pack_lanes([matrices[id(model)] for model in padded]))
         size = models[0].size
         self.own = pack_lanes([
-            Own(np.zeros(LOADS), model.reach[3:],
+            Own(np.zeros(LOADS), np.zeros((STEP_LOADS, LOADS)), model.reach[3:],
                 np.array([bent * model.manipulator.arm.length]), np.zeros(size), np.zeros(3))
             for model in padded])
         self.state = np.zeros((groups, len(models[0].linear), WIDTH))
