@@ -40,6 +40,7 @@ from timo_sim.jit.corrections import compile_powers
 
 _CHECKSUM = 32  # length of a SHA-256 checksum [B]
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+_FOUND = set()  # folders and marks that this process has found
 # Folders with the sources of compiled functions.
 _SOURCES = [Path(__file__).parents[1] / folder for folder in ('jit', 'physics')]
 
@@ -126,15 +127,28 @@ def _file(name, mode):
 def size_mark(*constants):
     """Return the name of the file that exists if code for these sizes of constants is on disk."""
     # Packed constants differ by dtype; those of any size share a type.
-    layouts = tuple(str(getattr(entry, 'dtype', type(entry))) for entry in constants)
-    return f'{hashlib.sha256(repr(layouts).encode()).hexdigest()[:16]}.compiled'
+    return _mark(tuple(getattr(entry, 'dtype', type(entry)) for entry in constants))
+
+
+@functools.cache
+def _mark(layouts):
+    text = repr(tuple(str(layout) for layout in layouts))
+    return f'{hashlib.sha256(text.encode()).hexdigest()[:16]}.compiled'
+
+
+def place_of(*constants):
+    """Return the folder and the name of the file of `size_mark`."""
+    return store_directory(), size_mark(*constants)
 
 
 def is_compiled(*constants):
     """Return whether machine code for constants of these sizes is on disk."""
-    with suppress(OSError), _file(size_mark(*constants), 'rb'):
-        return True
-    return False
+    place = place_of(*constants)
+    with suppress(OSError):
+        if place not in _FOUND:
+            with _file(place[1], 'rb'):
+                _FOUND.add(place)
+    return place in _FOUND
 
 
 @contextmanager

@@ -46,7 +46,7 @@ def _new_model(name, body, modes, damping, constraints, static, axial, gravity, 
 
 
 # Scenes that differ in loads, limits or initial motion share their equations of motion.
-_shared_model = lru_cache(maxsize=16)(_new_model)
+_shared_model = lru_cache(maxsize=4)(_new_model)
 
 
 @dataclass(frozen=True, repr=False)

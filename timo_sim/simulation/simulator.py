@@ -10,7 +10,7 @@
 
 import numpy as np
 
-from timo_sim.jit.code_store import compiling, is_compiled
+from timo_sim.jit.code_store import compiling, is_compiled, place_of
 from timo_sim.physics.integrate import steps_of
 from timo_sim.physics.integrate.run_error import CHUNK
 from timo_sim.physics.layout import ANGLE
@@ -28,6 +28,7 @@ from timo_sim.simulation.tip_load import TipLoad
 COMPILING = 'compiling once for a model of this size, this takes some seconds'
 # Deflection beyond which the run counts as diverged, in arm lengths.
 MOST_BENT = 10.0
+_WARM = set()  # sizes whose functions this process has, with or without those of messages
 
 
 class Simulator(Readings):
@@ -137,6 +138,9 @@ class Simulator(Readings):
         called before a compilation, which takes some seconds.
         """
         constants, self._warm = self.integration.constants, True
+        done = place_of(*constants), messages
+        if done in _WARM:
+            return
         compiled = is_compiled(*constants)
         if tell is not None and not compiled:
             tell(COMPILING)
@@ -150,6 +154,7 @@ class Simulator(Readings):
             if messages:
                 self.integration.errors.modes.look(self._state, self.load, rate, 0)
                 self.integration.errors.modes.reset()
+        _WARM.add(done)
 
     def step(self, torque=0.0, force=(0.0, 0.0), tip_force=(0.0, 0.0), tip_torque=0.0,
              voltage=0.0, duration=None):

@@ -107,7 +107,11 @@ class Formulation(Observables):
         self.mass = manipulator.base_mass + self.arm_mass
         self.tables, self.linear = self.build()
         self.pack, self.packed = pack, pack(self.tables)
-        self._of_any_size = of_any_size(self.tables)
+        self._of_any_size, self._kept = of_any_size(self.tables), {}
+
+    def kept(self, step):
+        """Return what integrators keep of this model for all runs with a time step [s], a dict."""
+        return self._kept.setdefault(step, {})
 
     @staticmethod
     def node_count(count):
@@ -163,7 +167,7 @@ class Formulation(Observables):
 
     def about(self, rest):
         """See travels of the tip from an equilibrium, shape (2 (3 + N),), not a straight arm."""
-        self.rest = rest
+        self.rest, self._kept = rest, {}
         self.__dict__.pop('reach', None)
 
     @cached_property

@@ -18,11 +18,12 @@ In the integral n is the polynomial of degree 5 through its values at the six ne
 steps. The integrator has computed these, so n is not evaluated again.
 """
 
-from functools import cached_property, lru_cache
+from functools import lru_cache
 import math
 
 import numpy as np
 
+from timo_sim.physics.integrate.kept import kept
 from timo_sim.physics.integrate.propagator import phi_functions
 
 _POINTS = 6  # number of points of the polynomial
@@ -55,6 +56,8 @@ class GlobalError:
         L of the model.
     step : float
         h [s].
+    kept : dict
+        Takes the matrices that depend on these alone, for further errors.
 
     Attributes
     ----------
@@ -63,15 +66,15 @@ class GlobalError:
 
     """
 
-    def __init__(self, linear, step):
-        self._linear, self._step = linear, step
-        self.error, self._squares = np.zeros(len(linear)), {}
+    def __init__(self, linear, step, kept):
+        self._linear, self._step, self.kept = linear, step, kept
+        self.error = np.zeros(len(linear))
 
-    @cached_property
+    @kept
     def _phi(self):
         return phi_functions(self._linear, self._step, _POINTS)
 
-    @cached_property
+    @kept
     def _powers(self):
         """exp(k h L), k = 0..2 _BLOCK - 1, shape (2 _BLOCK, m, m)."""  # noqa: D403
         powers, square = np.eye(len(self._linear))[np.newaxis], self._phi[0]
@@ -163,6 +166,10 @@ class GlobalError:
             distance *= 2
         self.error = defects[-1].copy()
 
+    @kept
+    def _squares(self):
+        return {}
+
     def _over_blocks(self, count):
         # exp(k h L) over `count` blocks, a power of two.
         if count == 1:
@@ -172,12 +179,12 @@ class GlobalError:
             self._squares[count] = root @ root
         return self._squares[count]
 
-    @cached_property
+    @kept
     def _of_step(self):
         """Return the weights of n in the integral of a step, (steps, points, m, m)."""
         return self._step * np.tensordot(_coefficients(), self._phi[1:], axes=(1, 0))
 
-    @cached_property
+    @kept
     def _sums(self):
         """Return the weights of n in the sum of integrals over a block, ((_BLOCK + 1) m, m)."""
         size, inner = len(self._linear), _BLOCK - 2 * _MIDDLE

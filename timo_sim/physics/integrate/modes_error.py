@@ -8,12 +8,12 @@
 
 """Estimated tip error by the modes that a model lacks, see doc/theory.md (T39), (T40)."""
 
-from functools import cached_property
 import math
 
 import numpy as np
 from scipy.linalg import eig
 
+from timo_sim.physics.integrate.kept import kept
 from timo_sim.physics.layout import tip_force, TIP_TORQUE
 
 _GROWTH = 1.25  # factor by which the strain of the last modes must grow for new `shifts`
@@ -44,7 +44,7 @@ class ModesError:
     """
 
     def __init__(self, steps):
-        self._steps, self._model = steps, steps.model
+        self._steps, self._model, self.kept = steps, steps.model, steps.kept
         self.reset()
 
     def reset(self):
@@ -152,11 +152,11 @@ class ModesError:
                  ) / self._model.modes.omega**2
         return curved - share @ curvature, sheared - share @ shear
 
-    @cached_property
+    @kept
     def _weights(self):
         return self._model.quadrature.weights
 
-    @cached_property
+    @kept
     def _fields(self):
         """Rotation, curvature, shear of the modes at the nodes; bending and shear stiffness."""
         model = self._model
@@ -167,31 +167,31 @@ class ModesError:
                 *(np.broadcast_to(stiffness, nodes.shape)
                   for stiffness in (section.bending_stiffness, section.shear_stiffness)))
 
-    @cached_property
+    @kept
     def _softness(self):
         # Axial strain per axial force; 0 if the model stretches.
         model = self._model
         return (not model.axial) / model.manipulator.arm.at(model.quadrature.nodes).axial_stiffness
 
-    @cached_property
+    @kept
     def _inboard(self):
         return self._model.quadrature.integrate_to(self._model.quadrature.nodes)
 
-    @cached_property
+    @kept
     def _whole(self):
         return self._model.tip_point.integral[:, 0]
 
-    @cached_property
+    @kept
     def _rest(self):
         # From nodal values to their integrals from each node to the tip.
         return self._whole - self._inboard
 
-    @cached_property
+    @kept
     def _outboard(self):
         # From values at the points of mass to their sums outboard of each node.
         return self._model.points.integral / self._weights[:, np.newaxis]
 
-    @cached_property
+    @kept
     def _vibrations(self):
         """
         Return the left eigenvectors of the straight arm's natural vibrations (T40).

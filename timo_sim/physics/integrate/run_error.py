@@ -8,12 +8,12 @@
 
 """Estimated error of a run at the tip, by its steps and by its modes."""
 
-from functools import cached_property
 import math
 
 import numpy as np
 
 from timo_sim.physics.integrate.global_error import GlobalError
+from timo_sim.physics.integrate.kept import kept
 from timo_sim.physics.integrate.modes_error import ModesError
 from timo_sim.physics.layout import ANGLE, LOADS, rotate, START
 
@@ -51,7 +51,8 @@ class RunError:
     """
 
     def __init__(self, steps):
-        self._steps, self._error = steps, GlobalError(steps.model.linear, steps.step)
+        self._steps, self.kept = steps, steps.kept
+        self._error = GlobalError(steps.model.linear, steps.step, steps.kept)
         self.tip, self.unseen, self.modes, self._unlooked = 0.0, 0, ModesError(steps), 0
         self.by_load = False
         # Number of steps since the last cut, and y and n of (T38) at their starts.
@@ -177,12 +178,12 @@ class RunError:
         largest = math.sqrt(((shift[0] + x)**2 + (shift[1] + y)**2).max())
         self.tip = max(self.tip, largest if math.isfinite(largest) else math.inf)
 
-    @cached_property
+    @property
     def motions(self):
         """Coordinates of the motion per coordinate of the state, (3 + N, m / 2)."""
         return self._linearised[0]
 
-    @cached_property
+    @property
     def tip_shift(self):
         """
         Shift of the tip of the straight arm, or of one in equilibrium, per coordinate, (4, m / 2).
@@ -191,7 +192,7 @@ class RunError:
         """
         return self._linearised[1]
 
-    @cached_property
+    @kept
     def _linearised(self):
         model, size = self._steps.model, self._states.shape[1]
         half, carrier, count = size // 2, len(model.axes), len(model.modes)

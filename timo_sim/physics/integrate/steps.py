@@ -12,6 +12,7 @@ import numpy as np
 
 from timo_sim.physics.integrate import etdrk4
 from timo_sim.physics.integrate.global_error import LEAST
+from timo_sim.physics.integrate.kept import kept
 from timo_sim.physics.integrate.propagator import propagators
 from timo_sim.physics.integrate.run_error import RunError
 from timo_sim.physics.layout import (
@@ -54,6 +55,8 @@ class Steps:
         What is kept from step to step besides the state; a caller may copy it and put it back.
     errors : RunError
         Estimated error of the steps so far.
+    kept : dict
+        What depends on model and step alone, see `kept`.
     splits : int
         Number of steps that were split.
     unresolved : int
@@ -69,8 +72,7 @@ class Steps:
         self.model, self.step = model, step
         self.memory = np.zeros(0)
         self.splits, self.unresolved = 0, 0
-        self._part = LinearPart(model.pack, model.packed, model.linear, step)
-        self._sectors = {}
+        self.kept = model.kept(step)
         self._no_samples = np.empty((0, model.size)), np.zeros(0)
         self.errors, self._constant = RunError(self), np.empty((1, STEP_LOADS, LOADS))
 
@@ -186,6 +188,14 @@ class Steps:
 
     def _run(self, part, level, *arguments):
         return etdrk4.advance(part.packed, part.propagator(level), *arguments)
+
+    @kept
+    def _part(self):
+        return LinearPart(self.model.pack, self.model.packed, self.model.linear, self.step)
+
+    @kept
+    def _sectors(self):
+        return {}
 
     def _by_sectors(self, state, load, loads, done, integrate):
         """
