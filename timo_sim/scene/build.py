@@ -14,6 +14,7 @@ Build bodies, constraints and loads of a scene, and find implausible values.
 
 from bisect import bisect_left
 from dataclasses import fields
+import functools
 import math
 
 import numpy as np
@@ -24,6 +25,10 @@ from timo_sim.scene.parameter import ParameterError, short, whole_ratio
 
 # Ranges of real solids; `load_scene` warns of values outside.
 _PLAUSIBLE = {'young_modulus': (1e5, 2e12, 'Pa'), 'density': (10.0, 25000.0, 'kg/m3')}
+# Parameters of a load's terms.
+_OF_TERMS = ('integrator.step', *(f'load.{channel}.{name}' for channel in CHANNELS for name in (
+    'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
+    'piecewise.value', 'table.time', 'table.value')))
 _LEAST_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
 
 
@@ -38,9 +43,15 @@ def manipulator_of(values):
 
 def load_of(values):
     """Return the Load that the values describe, with the drive of the shaft."""
-    step = values['integrator.step']
-    return Load({channel: tuple(_terms(f'load.{channel}', values, step)) for channel in CHANNELS},
-                _drive(values))
+    return Load(_terms_of(tuple((name, values[name]) for name in _OF_TERMS)), _drive(values))
+
+
+@functools.lru_cache(maxsize=4)
+def _terms_of(items):
+    # One object for equal terms, so that many scenes under the same load can share what it does.
+    values = dict(items)
+    return {channel: tuple(_terms(f'load.{channel}', values, values['integrator.step']))
+            for channel in CHANNELS}
 
 
 def motor_constants(values):

@@ -22,15 +22,15 @@ class LaneLoads:
     Parameters
     ----------
     scenes : list of Scene
-        Equal ones should be the same object.
 
     """
 
     def __init__(self, scenes):
         self._step, self._scenes = scenes[0].step, scenes
-        loads = list({id(scene.load): scene.load for scene in scenes}.values())
-        place = {id(load): number for number, load in enumerate(loads)}
-        self._loads, self._which = loads, np.array([place[id(scene.load)] for scene in scenes])
+        kinds = [(id(scene.load.terms), scene.load.drive) for scene in scenes]
+        loads = {kind: scene.load for kind, scene in zip(kinds, scenes)}
+        self._loads, place = list(loads.values()), {kind: k for k, kind in enumerate(loads)}
+        self._which = np.array([place[kind] for kind in kinds])
         actuators = {id(scene): Actuators(scene.values) for scene in scenes}
         self._limit, self._gain = (np.array([
             getattr(actuators[id(scene)], name) for scene in scenes])
@@ -40,7 +40,7 @@ class LaneLoads:
             if len(actuators[id(scene)].slow):
                 slow.update(actuators[id(scene)].slow)
                 self._slow[lane] = None
-        own = (load.columns for load in loads)
+        own = (load.columns for load in self._loads)
         self.columns = np.array(sorted(slow.union(*own)), dtype=np.int64)
         self.reset(range(len(scenes)), 0)
 
