@@ -19,7 +19,7 @@ the nonlinear one, with noise and with limits on the torque.
 from loop import PERIOD
 import numpy as np
 from scipy.linalg import solve_discrete_are
-from slew import GOAL, main, rest_to_rest, SCENE
+from slew import DURATION, GOAL, main, rest_to_rest, SCENE
 import timo_sim
 
 # Deviations that cost as much as a torque of 1 N m.
@@ -35,10 +35,12 @@ class LQR:
     ----------
     scene : timo_sim.Scene
         Has the noise of encoder and strain gauge, and the limit of the torque.
+    duration : float
+        Duration of the plan [s].
 
     """
 
-    def __init__(self, scene):
+    def __init__(self, scene, duration=DURATION):
         model = timo_sim.linearize(scene).select(['torque_N_m'])
         weighed = model.select(outputs=list(SCALES)).C / [[scale] for scale in SCALES.values()]
         model = model.select(outputs=['shaft_rad', 'root_strain']).to_discrete(PERIOD)
@@ -46,7 +48,7 @@ class LQR:
         self.d = model.D  # the torque strains the root at once, by the shaft's acceleration
         self.limit = scene.values['motor.torque_limit']
 
-        self.path, self.torque = rest_to_rest(model, {'shaft_rad': GOAL[2]})
+        self.path, self.torque = rest_to_rest(model, {'shaft_rad': GOAL[2]}, duration)
         p = solve_discrete_are(a, b, weighed.T @ weighed, np.eye(1))
         self.gain = np.linalg.solve(1.0 + b.T @ p @ b, b.T @ p @ a)
 

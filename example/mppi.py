@@ -26,10 +26,11 @@ from slew import GOAL, LENGTH, main, SCENE
 import timo_sim
 
 LIMIT = 8.0                       # of the motor [N m]
-ROLLOUTS, HORIZON, HOLD = 512, 20, 0.02  # number of rollouts and of their torques; duration [s]
-SHARE = 0.75                      # of the limit that slows the arm down again
-COSTS = {'speed': 0.02, 'bend': 0.01, 'change': 4.0}  # what costs 1: [rad/s], [m/s], [N m]
-TEMPERATURE = 3.0
+ROLLOUTS, HORIZON, HOLD = 512, 20, 0.02  # rollouts, their torques, duration of each [s]
+SHARE, GAIN = 0.85, 5.0           # of the limit, to slow the arm down; [1/s] near the goal
+SPEED, SWAY, CHANGE = 0.02, 0.02, 4.0    # what costs 1: [rad/s], [m/s], [N m]
+SPREAD, LEAST = 4.0, 0.5          # of the torques: [N m/rad] of the way left, and at least [N m]
+TEMPERATURE = 0.1                 # in differences of the median cost from the least
 
 
 class MPPI:
@@ -49,7 +50,7 @@ class MPPI:
             'model.modes': 2, 'integrator.step': 0.005, 'motor.torque_rate_limit': np.inf}),
             n=ROLLOUTS)
         model = timo_sim.linearize(scene.vary({'model.modes': 0}))
-        self.most = SHARE * self.limit * model.B[1, 0]  # angular acceleration [rad/s2]
+        self.slowing = SHARE * self.limit * model.B[1, 0]  # angular acceleration [rad/s2]
         self.plan, self.random = np.zeros(HORIZON), np.random.default_rng(1)
 
     def effort(self, t, seen):
@@ -65,23 +66,26 @@ class MPPI:
         half = len(x) // 2
         self.batch.reset(motion=[0.0, 0.0, *x[:3], 0.0, 0.0, *x[half:half + 3]])
         self.plan = np.append(self.plan[1:], self.plan[-1])
-        spread = np.clip(8.0 * abs(GOAL[2] - x[0]), 0.3, 3.0)
-        torque = np.clip(self.plan + spread * self.random.normal(size=(ROLLOUTS, HORIZON)),
-                         -self.limit, self.limit)
+        # A constant and a ramp, because slow torques move the arm most, and independent changes.
+        random = self.random.normal(size=(ROLLOUTS, 2 + HORIZON))
+        random = random[:, :1] + random[:, 1:2] * np.linspace(-1.0, 1.0, HORIZON) + (
+            0.3 * random[:, 2:])
+        size = LEAST + SPREAD * abs(GOAL[2] - x[0])
+        torque = np.clip(self.plan + size * random, -self.limit, self.limit)
         torque[0] = self.plan
-        cost = np.sum(np.diff(torque, axis=1)**2, axis=1) / COSTS['change']**2
+        cost = np.sum(np.diff(torque, axis=1)**2, axis=1) / CHANGE**2
         before = self.batch.tip[:, 1]
         for k in range(HORIZON):
             motion = self.batch.step(torque=torque[:, k], duration=HOLD)
             bend = self.batch.tip[:, 1]
-            left = GOAL[2] - motion.shaft - bend / LENGTH
-            wanted = np.sign(left) * np.minimum(np.sqrt(2.0 * self.most * np.abs(left)),
-                                                4.0 * np.abs(left))
             sway = (bend - before) / HOLD
-            cost += ((motion.shaft_velocity + sway / LENGTH - wanted) / COSTS['speed'])**2
-            cost += (sway / COSTS['bend'])**2
+            left = GOAL[2] - motion.shaft - bend / LENGTH
+            wanted = np.sign(left) * np.minimum(np.sqrt(2.0 * self.slowing * np.abs(left)),
+                                                GAIN * np.abs(left))
+            cost += ((motion.shaft_velocity + sway / LENGTH - wanted) / SPEED)**2
+            cost += (sway / SWAY)**2
             before = bend
-        weight = np.exp((cost.min() - cost) / TEMPERATURE)
+        weight = np.exp((cost.min() - cost) / (TEMPERATURE * (np.median(cost) - cost.min())))
         self.plan = weight @ torque / weight.sum()
 
 

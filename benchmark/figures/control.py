@@ -15,6 +15,7 @@ example/slew.yaml.
 
 from pathlib import Path
 import sys
+import time
 
 import matplotlib
 matplotlib.use('Agg')
@@ -30,6 +31,7 @@ sys.path.append(str(ROOT / 'example'))
 import carrier  # noqa: E402
 from loop import in_a_loop, PERIOD  # noqa: E402
 from lqr import LQR  # noqa: E402
+import mppi  # noqa: E402
 from pd import PD, turn  # noqa: E402
 from shaping import shaped  # noqa: E402
 import slew  # noqa: E402
@@ -63,6 +65,9 @@ class Planned(PD):
 SLEWS = {'PD': lambda scene: PD(turn), 'ZV': lambda scene: shaped(scene, 'ZV'),
          'ZVD': lambda scene: shaped(scene, 'ZVD'), 'LQR': LQR,
          "PD on the LQR's plan": Planned}
+# With a motor that is too weak for the plan of 2 s.
+WEAK = {'ZV': SLEWS['ZV'], 'LQR': LQR, 'LQR, plan of 3 s': lambda scene: LQR(scene, 3.0),
+        'MPPI': mppi.MPPI}
 SEEDS = range(10)
 PAYLOAD = 2.0  # [kg]
 COLOURS = {'PD': '#d55e00', 'ZV': '#e69f00', 'ZVD': '#009e73', 'LQR': '#0072b2'}
@@ -70,7 +75,12 @@ COLOURS = {'PD': '#d55e00', 'ZV': '#e69f00', 'ZVD': '#009e73', 'LQR': '#0072b2'}
 
 def told(score):
     """Return settling time and residual vibration as text."""
-    return f'{score.settled:.2f} s, {1e3 * score.residual:.2f} mm'
+    return f'{settling(score)}, {1e3 * score.residual:.2f} mm'
+
+
+def settling(score):
+    """Return the settling time as text."""
+    return f'{score.settled:.2f} s' if np.isfinite(score.settled) else 'not within 5 s'
 
 
 def slews(scene):
@@ -84,6 +94,24 @@ def slews(scene):
             cells.append(told(slew.score(record)))
         rows.append([name, *cells, f'{np.abs(records[name][:, 9]).max():.1f} N m'])
     return rows, records
+
+
+def weak(scene):
+    """Return the rows of slews with a weak motor, and the median time of a plan of MPPI [s]."""
+    scene, times = scene.vary({'motor.torque_limit': mppi.LIMIT}), []
+
+    class Timed(mppi.MPPI):
+        def replan(self, x):
+            start = time.perf_counter()
+            super().replan(x)
+            times.append(time.perf_counter() - start)
+
+    rows = []
+    for name, make in {**WEAK, 'MPPI': Timed}.items():
+        records = [in_a_loop(scene.vary(values), make(scene), slew.DURATION + 3.0)
+                   for values in PLANTS.values()]
+        rows.append((name, *map(settling, map(slew.score, records))))
+    return rows, float(np.median(times))
 
 
 def ratios(scene, values):
@@ -146,6 +174,9 @@ def main():
           f'{ratios(scene, PLANTS["1 N s stroke on the tip"])}.\n')
     print(table([f'with {PAYLOAD:g} kg more at the tip', 'payload not known', 'payload known'],
                 carries(scene)) + '\n')
+    rows, span = weak(scene)
+    print(table([f'motor of {mppi.LIMIT:g} N m', *PLANTS], rows))
+    print(f'\na plan of MPPI: {1e3 * span:.0f} ms, for {1e3 * mppi.HOLD:g} ms\n')
     print(table(['carrier by 0.5 m', 'settled', 'residual'], moves(scene)))
     path = Path(ROOT / 'doc' / 'control.png')
     draw(records, path)

@@ -56,17 +56,19 @@ def hinder(node, process):
             time.sleep(0.01)
 
 
-@pytest.mark.parametrize('name, busy', [('pd', False), ('lqr', True)])
+@pytest.mark.parametrize('name, busy', [('pd', False), ('lqr', True), ('mppi', False)])
 def test_a_controlled_run_has_the_bits_of_a_loop_also_on_a_busy_machine(start, name, busy):
     """The loop runs the same controller without ROS, with a stroke of 1 N s on the tip."""
     from loop import in_a_loop
     from lqr import LQR
+    from mppi import LIMIT, MPPI
     from pd import PD, turn
     stroke = {'load.tip_force_y.piecewise.time': [0.1, 0.15],
               'load.tip_force_y.piecewise.value': [20.0, 0.0]}
-    scene = timo_sim.load_scene(SCENE, stroke)
+    limit = {'motor.torque_limit': LIMIT} if name == 'mppi' else {}
+    known = timo_sim.load_scene(SCENE, limit)
     node = start('--params-file', str(SCENE), duration=DURATION, real_time_factor=0.0,
-                 sync_timeout=60.0, **stroke)
+                 sync_timeout=60.0, **stroke, **limit)
     with controller(name) as process:
         if busy:
             hinder(node, process)
@@ -75,7 +77,8 @@ def test_a_controlled_run_has_the_bits_of_a_loop_also_on_a_busy_machine(start, n
     assert np.array_equal(recording.topics['~/joint_command'].step, np.arange(0, 500, 2))
     assert recording.summary['missed_commands'] == '0'
     assert replay(node.log, show=lines.append), lines
-    record = in_a_loop(scene, LQR(scene) if name == 'lqr' else PD(turn), DURATION)
+    make = {'pd': lambda scene: PD(turn), 'lqr': LQR, 'mppi': MPPI}[name]
+    record = in_a_loop(known.vary(stroke), make(known), DURATION)
     assert np.array_equal(recording.topics['joint_states'].values, record[:, 1:10])
     assert np.array_equal(recording.topics['~/tip_deflection'].values, record[:, 10:])
 

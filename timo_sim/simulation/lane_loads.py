@@ -10,6 +10,7 @@
 
 import numpy as np
 
+from timo_sim.jit.lanes import WIDTH
 from timo_sim.physics.integrate.lane_steps import to_lanes
 from timo_sim.physics.layout import AFTER, START, STEP_LOADS, TORQUE, VOLTAGE
 from timo_sim.simulation.actuators import Actuators
@@ -89,15 +90,18 @@ class LaneLoads:
             See `lane_steps.advance_each`.
 
         """
-        kinds, kind = np.unique(np.stack([self._which, first - origin]), axis=1,
-                                return_inverse=True)
-        found = np.zeros((kinds.shape[1], 1 + count, STEP_LOADS, len(self.columns)))
-        for (number, begin), loads in zip(kinds.T, found):
+        shape = 1 + count, STEP_LOADS, len(self.columns)
+        if not len(self.columns):
+            return np.empty((-(-len(origin) // WIDTH), *shape, WIDTH))
+        # Lanes with the same load that began at the same step.
+        kinds, kind = np.unique(self._which + 1j * (first - origin), return_inverse=True)
+        found = np.zeros((len(kinds), *shape))
+        for number, begin, loads in zip(kinds.real.astype(int), kinds.imag.astype(int), found):
             earlier = min(1, begin)  # the step before, whose end is the beginning of these
             own = self._loads[number].stages(begin - earlier, max(1, count) + earlier, self._step)
             loads[0, AFTER] = own[0, AFTER if earlier else START, self.columns]
             loads[1:] = own[earlier:earlier + count, :, self.columns]
-        found = found[kind.ravel()]
+        found = found[kind]
         for lane, actuators in self._slow.items():
             among = np.isin(self.columns, actuators.slow)
             found[lane, 1:, :, among] += np.moveaxis(
