@@ -40,6 +40,7 @@ from timo_sim.jit.corrections import compile_powers
 
 _CHECKSUM = 32  # length of a SHA-256 checksum [B]
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+_TEXTS: dict = {}  # dtypes and their texts by identity
 _FOUND = set()  # folders and marks that this process has found
 # Folders with the sources of compiled functions.
 _SOURCES = [Path(__file__).parents[1] / folder for folder in ('jit', 'physics')]
@@ -127,13 +128,17 @@ def _file(name, mode):
 def size_mark(*constants):
     """Return the name of the file that exists if code for these sizes of constants is on disk."""
     # Packed constants differ by dtype; those of any size share a type.
-    return _mark(tuple(getattr(entry, 'dtype', type(entry)) for entry in constants))
+    layouts = tuple(_text(getattr(entry, 'dtype', type(entry))) for entry in constants)
+    return f'{hashlib.sha256(repr(layouts).encode()).hexdigest()[:16]}.compiled'
 
 
-@functools.cache
-def _mark(layouts):
-    text = repr(tuple(str(layout) for layout in layouts))
-    return f'{hashlib.sha256(text.encode()).hexdigest()[:16]}.compiled'
+def _text(layout):
+    # A dtype is found by its identity, because its hash takes as long as its text.
+    kept, text = _TEXTS.get(id(layout), (None, ''))
+    if kept is not layout:
+        text = str(layout)
+        _TEXTS[id(layout)] = layout, text
+    return text
 
 
 def place_of(*constants):

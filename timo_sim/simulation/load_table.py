@@ -31,7 +31,7 @@ class LoadTable:
     def __init__(self, scene):
         self._load, self._step = scene.load, scene.step
         self._begin, self._block, self._breaks = 0, NO_LOADS, []
-        self._room = np.zeros((CHUNK, STEP_LOADS, LOADS))
+        self._room = NO_LOADS
 
     def at_start(self):
         """Return the scene's own load at its beginning, shape (14,)."""
@@ -68,6 +68,8 @@ class LoadTable:
         if not begin <= first <= first + count <= begin + len(block):
             # A node asks for a few steps at a time, so more are tabulated ahead.
             ahead = count if count >= _FEW else CHUNK
+            if len(self._room) < ahead:
+                self._room = np.zeros((ahead, STEP_LOADS, LOADS))
             begin, block = first, self._load.stages(first, ahead, self._step, self._room)
             self._begin, self._block = begin, block
             self._breaks = self._load.breaks(first, ahead, self._step)
