@@ -193,6 +193,16 @@ def test_bad_commands_change_nothing(given, text):
     assert (batch.motion.values == timo_sim.Batch('paper').motion.values).all()
 
 
+def test_voltage_is_for_those_with_a_motor():
+    """One without a motor may stand beside them, but takes no voltage."""
+    batch = timo_sim.Batch([scene_of('free', 'exact'), scene_of('DC motor', 'exact')])
+    with pytest.raises(timo_sim.ParameterError, match='voltage = -3 V needs a DC motor'):
+        batch.step(voltage=-3.0)
+    simulator = timo_sim.Simulator(scene_of('DC motor', 'exact'))
+    alone, together = simulator.step(voltage=9.0), batch.step(voltage=[0.0, 9.0])
+    assert together.values[1] == pytest.approx(alone.values, abs=1e-13)
+
+
 def test_bad_resets():
     """Masks and motions are checked."""
     batch = timo_sim.Batch('paper', n=3)

@@ -31,14 +31,14 @@ _COMMANDS: dict[str, Any] = {
     'tip_torque': TIP_TORQUE, 'voltage': VOLTAGE}
 
 
-def commanded_load(values, many=(), **commands):
+def commanded_load(motor, many=(), **commands):
     """
     Return commands as a load, or as many loads.
 
     Parameters
     ----------
-    values : dict
-        The scene's parameters.
+    motor : bool or ndarray of bool, shape `many`
+        Whether there is a DC motor.
     many : tuple of int
         Shape of the array of loads; the same shape precedes that of commands of their own.
     **commands : float or sequence of float
@@ -67,8 +67,9 @@ def commanded_load(values, many=(), **commands):
             kind += f', or an array of them of shape {(*many, *shape)}' if many else ''
             raise ParameterError(f'{name} must be {kind}, got {short(commands[name])}')
         load[..., columns] = numbers
-    if load[..., VOLTAGE].any() and not values['motor.dc.resistance']:
-        raise ParameterError(f'voltage = {np.abs(load[..., VOLTAGE]).max():g} V needs a DC motor: '
+    lacking = load[..., VOLTAGE][(load[..., VOLTAGE] != 0.0) & ~np.asarray(motor)]
+    if lacking.size:
+        raise ParameterError(f'voltage = {lacking.flat[0]:g} V needs a DC motor: '
                              'motor.dc.resistance must be > 0 ohm')
     return load
 

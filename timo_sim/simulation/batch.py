@@ -88,6 +88,8 @@ class Batch:
                   for scene, model in zip(self.scenes, self._models)}
         self._initial = np.array([motions[id(scene)] for scene in self.scenes])
         self._initial_state = np.array([states[id(scene)] for scene in self.scenes])
+        self._motors = np.array([scene.values['motor.dc.resistance'] > 0.0
+                                 for scene in self.scenes])
         self._loads = LaneLoads(self.scenes)
         self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT)
         self.steps, self._origin, self._warm = 0, np.zeros(self.n, dtype=int), False
@@ -204,7 +206,7 @@ class Batch:
             If a command is not finite or has another shape, or the duration does not fit the step.
 
         """
-        commanded = commanded_load(self.scenes[0].values, (self.n,), torque=torque, force=force,
+        commanded = commanded_load(self._motors, (self.n,), torque=torque, force=force,
                                    tip_force=tip_force, tip_torque=tip_torque, voltage=voltage)
         self.advance(1 if duration is None else steps_in(duration, self.scenes[0].step), commanded)
         return self.motion

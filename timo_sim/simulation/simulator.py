@@ -187,8 +187,9 @@ class Simulator(Readings):
             As `advance` does.
 
         """
-        commanded = commanded_load(self.scene.values, torque=torque, force=force,
-                                   tip_force=tip_force, tip_torque=tip_torque, voltage=voltage)
+        commanded = commanded_load(
+            self.scene.values['motor.dc.resistance'] > 0.0, torque=torque, force=force,
+            tip_force=tip_force, tip_torque=tip_torque, voltage=voltage)
         if not self._warm:
             self.warm_up()
         self.advance(1 if duration is None else steps_in(duration, self.scene.step), commanded)
