@@ -289,7 +289,7 @@ def test_a_reset_and_a_run_that_diverges_leave_the_right_heat(monkeypatch):
     assert simulator.integration.heat > 0.0 and simulator.integration.friction.any()
     simulator.reset()
     assert simulator.integration.heat == 0.0 and not simulator.integration.friction.any()
-    monkeypatch.setattr('timo_sim.simulation.simulator._MOST_BENT', 0.06)
+    monkeypatch.setattr('timo_sim.simulation.simulator.MOST_BENT', 0.06)
     with pytest.raises(DivergenceError):
         simulator.advance(1000, loaded([0.0, 0.0, 200.0]))
     monkeypatch.undo()

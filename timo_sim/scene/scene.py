@@ -40,7 +40,7 @@ _STATIC = {'none': (), 'force': ('force',), 'torque': ('torque',), 'both': ('for
 
 
 def _new_model(name, body, modes, damping, constraints, static, axial, gravity, basis):
-    return formulation_class(name)(body, modes, damping if len(damping) > 1 else damping[0],
+    return formulation_class(name)(body, modes, damping[0] if len(damping) == 1 else damping,
                                    constraints, static=static, axial=axial, gravity=gravity,
                                    basis=basis)
 
