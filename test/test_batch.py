@@ -21,12 +21,9 @@ SWING = {'load.torque.harmonic.amplitude': [40.0], 'load.torque.harmonic.frequen
 SCENES = {
     'free': {**SWING, 'arm.damping_ratio': [0.01], 'motor.viscous_friction': 2.0,
              'carrier.viscous_friction': 5.0},
-    'held': {**HELD, **SWING, 'arm.damping_ratio': [0.02], 'gravity': [0.0, -9.81],
-             'initial.equilibrium': True, 'load.tip_torque.piecewise.time': [0.2, 0.3],
-             'load.tip_torque.piecewise.value': [15.0, 0.0]},
     'driven, held': {**HELD, 'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.3, 0.8],
                      'motor.drive.angle': [0.0, 0.4, 0.1], 'motor.drive.speed': [0.0, 0.5, 0.0],
-                     'motor.drive.acceleration': [0.0, 2.0, 0.0]},
+                     'motor.drive.acceleration': [0.0, 2.0, 0.0], 'gravity': [0.0, -9.81]},
     'stretches': {**SWING, 'model.axial_modes': 1, 'initial.shaft_velocity': 6.0},
     'limits': {'motor.torque_limit': 12.0, 'carrier.force_limit': 30.0},
     'limits of rates': {'motor.torque_limit': 12.0, 'motor.torque_rate_limit': 170.0,
@@ -62,7 +59,7 @@ def size_of(motions):
 
 @pytest.mark.parametrize('formulation, name', [
     *(('exact', name) for name in SCENES),
-    *(('newton', name) for name in SCENES if name not in ('stretches', 'held')),
+    *(('newton', name) for name in SCENES if name not in ('stretches', 'driven, held')),
     ('newton_root_stress', 'free'), ('newton_rigid_axial', 'free')])
 def test_agrees_with_simulator(formulation, name):
     """Eleven manipulators, of two masses of the tip, under three commands in turn."""
@@ -107,17 +104,18 @@ def test_one_fails_and_the_others_go_on():
     scene = timo_sim.load_scene({'integrator.step': 0.01, 'arm.length': 2.0})
     calm, batch = timo_sim.Batch(scene, n=3), timo_sim.Batch(scene, n=3)
     calm.step(torque=5.0, duration=2.0)
-    batch.step(torque=[5.0, 1e6, 5.0], duration=2.0)
+    batch.step(torque=[5.0, 2000.0, 5.0], duration=2.0)
     assert batch.failed.tolist() == [False, True, False]
     same = batch.motion.values == calm.motion.values
     assert same[[0, 2]].all() and not same[1].any() and np.isfinite(batch.motion.values).all()
-    assert 0.0 <= batch.t[1] < 2.0 and batch.t[0] == 2.0
+    assert 0.0 < batch.t[1] < 2.0 and batch.t[0] == 2.0
     simulator = timo_sim.Simulator(scene)
     with pytest.raises(timo_sim.DivergenceError) as error:
-        simulator.step(torque=1e6, duration=2.0)
+        simulator.step(torque=2000.0, duration=2.0)
     at = f't = {batch.t[1]:g} s'
     assert at in batch.reason(1) and at in str(error.value) and not batch.reason(0)
     stopped = batch.motion.values[1]
+    assert stopped == pytest.approx(simulator.motion.values, rel=1e-6)
     batch.step(torque=5.0, duration=0.1)
     assert (batch.motion.values[1] == stopped).all()
     batch.reset(batch.failed)
