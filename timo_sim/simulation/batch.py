@@ -240,7 +240,8 @@ class Batch:
         most = max(1, min(CHUNK, _ROOM // (4 * self.n * max(1, len(loads.columns)))))
         if not self._warm:
             with compiling(*lanes.constants):
-                self._lanes.advance(loads.columns, loads.varying(self.steps, 0, self._origin))
+                lanes.advance(loads.columns, loads.varying(self.steps, 0, self._origin), 0, 0,
+                              samples)
             self._warm = True
         for first in range(0, count, most):
             part = min(most, count - first)

@@ -30,7 +30,6 @@ class Own(NamedTuple):
     reach: np.ndarray   # travel of the tip per modal coordinate, (N,)
     bent: np.ndarray    # deflection beyond which it diverges [m], (1,)
     motion: np.ndarray  # room for a motion, (2 (3 + N),)
-    tip: np.ndarray     # room for what `tip` returns, (3,)
 
 
 @inner
@@ -41,13 +40,13 @@ def _vary(own, columns, varying, row):
 
 @inlined
 def _advance(tables, propagator, own, columns, varying, state, progress, end_motion, end_tip,
-             sample_every, done, samples, tips, states, rates):
+             sample_every, done, samples):
     """Integrate some lanes over equal steps, see `advance_each`."""
     size = propagator.whole
     now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
     combined = local((size,))
     rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
-    motion, place, load = local((own.motion,)), local((own.tip,)), own.load
+    motion, load = local((own.motion,)), own.load
     for row in range(STEP_LOADS):
         copy(own.base, load[row])
     modal, steps = len(state) // 2 - len(own.reach), len(varying) - 1
@@ -60,12 +59,6 @@ def _advance(tables, propagator, own, columns, varying, state, progress, end_mot
             observe(tables, now, load[AFTER], motion)
             if sampled:
                 copy(motion, samples[(done + k) // sample_every])
-        if k == steps or len(tips):
-            for i in range(len(own.reach)):
-                motion[3 + i] = now[modal + i]
-            tip(tables, motion, place)
-            if len(tips):
-                copy(place, tips[k])
         if k == steps:
             break
         for row in range(STAGES):
@@ -80,31 +73,28 @@ def _advance(tables, propagator, own, columns, varying, state, progress, end_mot
             bend += own.reach[i] * magnitude(stage[modal + i])
         alive = where((spoilt == 0.0) & (bend <= own.bent[0]), alive, 0.0)
         count += alive
-        if len(states):
-            copy(now, states[k])
-            copy(rate_0, rates[k])
         for i in range(len(now)):
             now[i] = where(alive > 0.0, stage[i], now[i])
     copy(now, state)
     copy(motion, end_motion)
-    copy(place, end_tip)
+    tip(tables, motion, end_tip)
     progress[0], progress[1] = alive, count
 
 
 @entry_point
 def advance_alike(tables, propagator, own, columns, varying, state, progress, motion, place,
-                  sample_every, done, samples, tips, states, rates):
+                  sample_every, done, samples):
     """Do what `advance_each` does for lanes with the same packed constants."""
     for g in range(len(own)):
         _advance(as_shared(tables), as_shared(propagator), as_lanes(own[g]), columns,
                  as_lanes(varying[g]), as_lanes(state[g]), as_lanes(progress[g]),
                  as_lanes(motion[g]), as_lanes(place[g]), sample_every, done,
-                 as_lanes(samples[g]), as_lanes(tips[g]), as_lanes(states[g]), as_lanes(rates[g]))
+                 as_lanes(samples[g]))
 
 
 @entry_point
 def advance_each(tables, propagator, own, columns, varying, state, progress, motion, place,
-                 sample_every, done, samples, tips, states, rates):
+                 sample_every, done, samples):
     """
     Integrate groups of lanes over equal steps.
 
@@ -128,17 +118,13 @@ def advance_each(tables, propagator, own, columns, varying, state, progress, mot
         See `etdrk4.advance`.
     samples : ndarray, shape (groups, n, 2 (3 + N), WIDTH)
         Receives motions.
-    tips : ndarray, shape (groups, 1 + steps, 3, WIDTH) or (groups, 0, 3, WIDTH)
-        Receives what `tip` returns, at the beginning and after each step.
-    states, rates : ndarray, shape (groups, steps, m, WIDTH) or (groups, 0, m, WIDTH)
-        Receive the state at the start of each step, and n there.
 
     """
     for g in range(len(own)):
         _advance(as_lanes(tables[g]), as_lanes(propagator[g]), as_lanes(own[g]), columns,
                  as_lanes(varying[g]), as_lanes(state[g]), as_lanes(progress[g]),
                  as_lanes(motion[g]), as_lanes(place[g]), sample_every, done,
-                 as_lanes(samples[g]), as_lanes(tips[g]), as_lanes(states[g]), as_lanes(rates[g]))
+                 as_lanes(samples[g]))
 
 
 def to_lanes(values):
@@ -193,7 +179,7 @@ class LaneSteps:
         size = models[0].size
         self.own = pack_lanes([
             Own(np.zeros(LOADS), np.zeros((STEP_LOADS, LOADS)), model.reach[3:],
-                np.array([bent * model.manipulator.arm.length]), np.zeros(size), np.zeros(3))
+                np.array([bent * model.manipulator.arm.length]), np.zeros(size))
             for model in padded])
         self.state = np.zeros((groups, len(models[0].linear), WIDTH))
         self.progress, self.motion = np.ones((groups, 2, WIDTH)), np.zeros((groups, size, WIDTH))
@@ -208,12 +194,7 @@ class LaneSteps:
         """Return an array for so many vectors of a length in each lane."""
         return np.empty((len(self.own), number, length, WIDTH))
 
-    def advance(self, columns, varying, sample_every=0, done=0, samples=None, tips=None,
-                states=None, rates=None):
-        """Advance all lanes, see `advance_each`; arrays that are not given are not filled."""
-        nothing = (self.room(0, length) for length in (
-            self.motion.shape[1], 3, self.state.shape[1], self.state.shape[1]))
+    def advance(self, columns, varying, sample_every, done, samples):
+        """Advance all lanes, see `advance_each`."""
         self._advance(*self._constants, self.own, columns, varying, self.state, self.progress,
-                      self.motion, self.tip, sample_every, done,
-                      *(empty if given is None else given for given, empty in zip(
-                          (samples, tips, states, rates), nothing)))
+                      self.motion, self.tip, sample_every, done, samples)
