@@ -188,10 +188,14 @@ class Batch:
 
         Parameters
         ----------
-        torque, tip_torque, voltage : float or array_like, shape (n,)
-            On the shaft and the end effector [N m]; at a DC motor [V].
+        torque : float or array_like, shape (n,)
+            On the shaft [N m].
         force, tip_force : array_like, shape (2,) or (n, 2)
             On carrier and tip, world x and y [N].
+        tip_torque : float or array_like, shape (n,)
+            On the end effector [N m].
+        voltage : float or array_like, shape (n,)
+            At a DC motor [V].
         duration : float, optional
             [s], a whole multiple of the time step; by default one step.
 
