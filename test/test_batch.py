@@ -115,7 +115,8 @@ def test_one_fails_and_the_others_go_on():
     at = f't = {batch.t[1]:g} s'
     assert at in batch.reason(1) and at in str(error.value) and not batch.reason(0)
     stopped = batch.motion.values[1]
-    assert stopped == pytest.approx(simulator.motion.values, rel=1e-6)
+    # Round-off grows while the arm breaks: 5e-12 measured.
+    assert stopped == pytest.approx(simulator.motion.values, rel=1e-9)
     batch.step(torque=5.0, duration=0.1)
     assert (batch.motion.values[1] == stopped).all()
     batch.reset(batch.failed)
@@ -161,6 +162,7 @@ def test_momentum_is_constant():
 
 @pytest.mark.parametrize('scenes, text', [
     ([{}, {'model.modes': 4}], 'scene 1 has 4 modes'),
+    ([{'model.modes': 4}, {'model.axial_modes': 1}], 'model.axial_modes must be the same'),
     ([{}, {'integrator.step': 0.005}], 'integrator.step must be the same'),
     ([{}, HELD], 'carrier.held must be the same'),
     ([{'carrier.held': 'x'}], 'carrier.held = x with motor.shaft = free is not possible'),
@@ -204,5 +206,9 @@ def test_bad_resets():
         batch.reset([0, 1, 1])
     with pytest.raises(timo_sim.ParameterError, match='motion must be finite'):
         batch.reset(motion=np.zeros(5))
+    with pytest.raises(timo_sim.ParameterError, match='n must be .*, got 0'):
+        timo_sim.Batch('paper', n=0)
+    with pytest.raises(ValueError, match='shape'):
+        batch.advance(1, np.zeros((3, 13)))
     with pytest.raises(timo_sim.ParameterError, match='n must be the number of scenes'):
         timo_sim.Batch([{}, {}], n=3)

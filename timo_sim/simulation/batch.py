@@ -18,7 +18,7 @@ from timo_sim.jit.code_store import compiling
 from timo_sim.physics.integrate.lane_steps import from_lanes, LaneSteps, to_lanes
 from timo_sim.physics.integrate.run_error import CHUNK
 from timo_sim.physics.layout import LOADS, Motion
-from timo_sim.scene.parameter import ParameterError
+from timo_sim.scene.parameter import Parameter, ParameterError
 from timo_sim.scene.parameters import steps_in
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.actuators import commanded_load
@@ -26,6 +26,7 @@ from timo_sim.simulation.lane_loads import LaneLoads
 from timo_sim.simulation.model_warnings import divergence
 from timo_sim.simulation.simulator import MOST_BENT
 
+_COUNT = Parameter('n', 1, '', 'number of manipulators', low=1)
 _ROOM = 2**22  # most numbers that the loads of a call to compiled code take
 
 
@@ -77,7 +78,7 @@ class Batch:
             if n not in (None, len(scenes)):
                 raise ParameterError(f'n must be the number of scenes, {len(scenes)}, got {n}')
         else:
-            self.scenes = [load_scene(scenes)] * (1 if n is None else n)
+            self.scenes = [load_scene(scenes)] * (1 if n is None else _COUNT.check(n))
         if not self.scenes:
             raise ParameterError('scenes must have at least one element, got none')
         self.n = len(self.scenes)
@@ -224,7 +225,7 @@ class Batch:
         ----------
         count : int
             Number of steps.
-        commanded : ndarray, shape (n, 14), optional
+        commanded : ndarray, shape (n, 14) or (14,), optional
             Commands during all of them, see `physics.layout`.
         sample_every : int
             Steps between samples; 0: none are taken.
@@ -236,8 +237,8 @@ class Batch:
 
         """
         lanes, loads = self._lanes, self._loads
-        acting = loads.command(np.zeros((self.n, LOADS)) if commanded is None else commanded,
-                               self.steps)
+        commanded = np.broadcast_to(0.0 if commanded is None else commanded, (self.n, LOADS))
+        acting = loads.command(commanded, self.steps)
         lanes.own['base'] = to_lanes(acting)
         samples = lanes.room(1 + count // sample_every if sample_every else 0,
                              lanes.motion.shape[1])
@@ -266,7 +267,8 @@ def _check(scenes):
         if refused:
             raise ParameterError(f'{refused} is not possible in a Batch')
         other = scene.build()
-        for name in ('model.formulation', 'integrator.step', 'carrier.held', 'motor.shaft'):
+        for name in ('model.formulation', 'model.axial_modes', 'integrator.step', 'carrier.held',
+                     'motor.shaft'):
             if scene.values[name] != first.values[name]:
                 raise ParameterError(f'{name} must be the same in all scenes of a Batch, got '
                                      f'{first.values[name]} and {scene.values[name]} (scene '

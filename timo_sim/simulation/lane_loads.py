@@ -93,7 +93,7 @@ class LaneLoads:
         shape = 1 + count, STEP_LOADS, len(self.columns)
         if not len(self.columns):
             return np.empty((-(-len(origin) // WIDTH), *shape, WIDTH))
-        # Lanes with the same load that began at the same step.
+        # Lanes with the same load that began at the same step; complex numbers are sorted fast.
         kinds, kind = np.unique(self._which + 1j * (first - origin), return_inverse=True)
         found = np.zeros((len(kinds), *shape))
         for number, begin, loads in zip(kinds.real.astype(int), kinds.imag.astype(int), found):
