@@ -140,14 +140,14 @@ $(VENV)/.plot: EXTRAS := ros,plot
 $(VENV)/.gallery: EXTRAS := ros,plot,view
 $(VENV)/.benchmark: EXTRAS := ros,benchmark
 $(VENV)/.test: EXTRAS := ros,all,test
-$(VENV)/.docs: EXTRAS := docs
+$(VENV)/.docs: EXTRAS := docs,rl
 $(VENV)/.run $(VENV)/.plot $(VENV)/.gallery $(VENV)/.benchmark $(VENV)/.test $(VENV)/.docs: \
 		constraints.txt $(METADATA) | $(VENV)/.made
 	@$(BIN)/$(PIP) --constraint constraints.txt --editable '.[$(EXTRAS)]' && touch $@
 
 .venv-lowest/.test: constraints-lowest.txt $(METADATA) | .venv-lowest/.made
 	@.venv-lowest/bin/$(PIP) --constraint constraints-lowest.txt \
-		--editable '.[ros,cluster,control,pandas,plot,sweep,test]' && touch $@
+		--editable '.[ros,cluster,control,pandas,plot,rl,sweep,test]' && touch $@
 
 .venv-without-ros/.test: constraints.txt $(METADATA) | .venv-without-ros/.made
 	@.venv-without-ros/bin/$(PIP) --constraint constraints.txt --editable '.[all,test]' && touch $@

@@ -246,3 +246,13 @@ def test_score():
     record[-1, 11] = 2e-3
     assert score(record).settled == np.inf
     assert 'not settled within 1 mm of its goal when the run ended' in str(score(record))
+
+
+def test_a_network_learns_to_point_the_arm():
+    """After 40 of 500 generations the tip is within centimetres of goals that it has not seen."""
+    told = subprocess.run([sys.executable, EXAMPLE / 'learn.py', '--generations', '40'],
+                          capture_output=True, text=True, check=True).stdout
+    untrained, trained = told.splitlines()[-2:]
+    numbers = [[float(number) for number in re.findall(r'return (\S+);.* most (\S+) mm', line)[0]]
+               for line in (untrained, trained)]
+    assert numbers[1][0] > 0.5 * numbers[0][0] and numbers[1][1] < 0.1 * numbers[0][1], told

@@ -127,7 +127,7 @@ def test_the_page_on_ros2_control_installs_what_package_xml_says():
 
 
 def test_every_version_that_is_asked_for_is_pinned_and_allowed():
-    optional = [line for extra in ('cluster', 'control', 'pandas', 'plot', 'sweep')
+    optional = [line for extra in ('cluster', 'control', 'pandas', 'plot', 'rl', 'sweep')
                 for line in EXTRAS[extra]]
     lowest = requirements(listed('constraints-lowest.txt'))
     pinned = requirements(listed('constraints.txt'))

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from timo_sim.simulation.linear_model import LinearModel
     from timo_sim.simulation.model_warnings import DivergenceError
     from timo_sim.simulation.resolution import choose_resolution
+    from timo_sim.simulation.sensitivities import sensitivities, Sensitivities
     from timo_sim.simulation.simulator import Simulator
     from timo_sim.sweep.many import simulate_many
 
@@ -44,6 +45,7 @@ _MODULES = {
     'Record': 'fitting.record',
     'Run': 'runs.run',
     'Scene': 'scene.scene',
+    'Sensitivities': 'simulation.sensitivities',
     'Simulator': 'simulation.simulator',
     'choose_resolution': 'simulation.resolution',
     'fit': 'fitting.fit',
@@ -52,14 +54,16 @@ _MODULES = {
     'open_log': 'runs.open_log',
     'project_on_modes': 'scene.projection',
     'read_record': 'fitting.files',
+    'sensitivities': 'simulation.sensitivities',
     'simulate': 'runs.simulate',
     'simulate_many': 'sweep.many',
 }
 
 __all__ = [
     'Batch', 'DivergenceError', 'Fit', 'LinearModel', 'ModelWarning', 'ParameterError', 'Record',
-    'Run', 'Scene', 'Simulator', '__version__', 'choose_resolution', 'fit', 'linearize',
-    'load_scene', 'open_log', 'project_on_modes', 'read_record', 'simulate', 'simulate_many']
+    'Run', 'Scene', 'Sensitivities', 'Simulator', '__version__', 'choose_resolution', 'fit',
+    'linearize', 'load_scene', 'open_log', 'project_on_modes', 'read_record', 'sensitivities',
+    'simulate', 'simulate_many']
 
 
 def __getattr__(name):

@@ -9,6 +9,7 @@
 """What `work_precision.py` measures: scenes with a reference, and methods with their settings."""
 
 from dataclasses import dataclass, field
+import math
 import statistics
 import time
 from typing import Callable
@@ -17,6 +18,7 @@ import exudyn
 import numpy as np
 
 from benchmark import ROOT
+from benchmark.accuracy import rivals
 from oracles import finite_elements, floating_frame, peers
 from oracles.references import read, spin_up, TORQUE, world
 import timo_sim
@@ -25,6 +27,7 @@ from timo_sim.simulation.simulator import Simulator
 
 OWN = tuple(FORMULATIONS)
 ENGINE, REDUCED = 'exudyn, geometrically exact', 'exudyn, reduced floating frame'
+CHAIN, ROD = 'MuJoCo, hinged links', 'PyElastica'
 
 
 @dataclass
@@ -103,12 +106,13 @@ def of_reference(scene):
 
 
 def errors_of(columns, truth, stride):
-    """Return the largest differences from every stride-th sample of the reference."""
+    """Return the largest and root mean square differences from each stride-th reference sample."""
     result = {}
     for name, values in columns.items():
         difference = values - truth[name][stride::stride][:len(values)]
         size = np.abs(difference) if difference.ndim == 1 else np.hypot(*difference.T)
         result[name] = float(size.max())
+        result[f'{name}_rms'] = float(np.sqrt(np.mean(size**2)))
     return result
 
 
@@ -200,6 +204,18 @@ def reduced_case(scene, modes, step):
     return Case(REDUCED, f'{modes} modes, h = {1e3 * step:g} ms', run, (modes, step))
 
 
+def rival_case(scene, method, parts, step):
+    """Return a case of an engine of `rivals`."""
+    simulate, unit = {CHAIN: (rivals.chain, 'links'), ROD: (rivals.rod, 'elements')}[method]
+    checked = scene.load({'initial.shaft': 0.0} if scene.drive else None)
+
+    def run():
+        seconds, *found = simulate(checked, parts, step, scene.duration,
+                                   round(scene.period / step), scene.drive)
+        return seconds, lambda: tip_columns(*found)
+    return Case(method, f'{parts} {unit}, h = {1e3 * step:.3g} ms', run, (parts, step))
+
+
 def cases_of(scene, quick):
     """Return the cases of a scene."""
     steps = [0.02, 0.01, 0.005, 0.002, 0.001]
@@ -222,4 +238,10 @@ def cases_of(scene, quick):
     if not scene.drive:
         cases += [reduced_case(scene, modes, step) for modes in ((5,) if quick else (3, 5, 8))
                   for step in ([0.001] if quick else [0.005, 0.002, 0.001, 0.0005])]
+    for method, counts in ((CHAIN, (5, 10, 20, 40, 80)), (ROD, (10, 40))):
+        for parts in counts[:(2 if method == CHAIN else 0) if quick else None]:
+            # In their longest stable steps both have errors of the mesh alone.
+            longest = rivals.longest_step(scene.load(), method == CHAIN, parts)
+            cases.append(rival_case(scene, method, parts,
+                                    scene.period / math.ceil(scene.period / longest)))
     return cases

@@ -20,7 +20,7 @@ for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
 from benchmark import ROOT  # noqa: E402
 from benchmark.command import parser  # noqa: E402
 from benchmark.report import machine, table  # noqa: E402
-from benchmark.speed import lanes, memory, node, skipping, step, sweep  # noqa: E402
+from benchmark.speed import lanes, learning, memory, node, skipping, step, sweep  # noqa: E402
 from benchmark.speed.timing import product  # noqa: E402
 
 INTRODUCTION = """# Speed
@@ -34,8 +34,8 @@ a step (see the exponent below). In a sweep half of a run's time is its steps; m
 and summary, made for each run, are the rest. A cold start is type inference and optimisation by
 numba for one size.
 """
-SECTIONS = [('Step and run', step), ('Many at once', lanes), ('Memory', memory), ('Node', node),
-            ('Sweep', sweep)]
+SECTIONS = [('Step and run', step), ('Many at once', lanes), ('Learning', learning),
+            ('Memory', memory), ('Node', node), ('Sweep', sweep)]
 
 
 def main():

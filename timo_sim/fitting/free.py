@@ -7,25 +7,21 @@
 # language governing permissions and limitations under the License.
 
 
-"""The free parameters of a fit: their names, scales and bounds, and where their values go."""
+"""The free parameters of a fit: their names, scales and bounds."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 import math
-import re
 
 import numpy as np
 
 from timo_sim.fitting.quantities import unit_of
-from timo_sim.scene.parameter import did_you_mean, ParameterError, SCENE, short
-from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.scene.numbers import INITIAL, initial_names, initial_scale, number_of
+from timo_sim.scene.parameter import did_you_mean, ParameterError, short
 
-INITIAL = 'initial'  # stands for the whole initial state
 # Of a quantity of the record, by default; an input has no lag.
 SENSOR = {'gain': 1.0, 'bias': 0.0, 'delay': 0.0, 'lag': 0.0}
-_FIXED = 'model.', 'integrator.', 'sensor.', 'payload.time', 'motor.drive'
-_INDEXED = re.compile(r'(.+)\[(\d+)\]')
 _FURTHEST = 1e3  # factor by which a positive parameter may differ from its start
 
 
@@ -114,10 +110,13 @@ def _free(name, bounds, scene, record):
             'lag': (0.0, 0.1 * record.duration, 10.0 * record.period, False, 's'),
         }[kind]
     else:
-        parameter, start = _of_scene(name, scene, channels)
+        parameter, start = number_of(
+            name, scene, ' nor QUANTITY.gain, .bias, .delay or .lag of ' + ', '.join(channels),
+            [f'{channel}.{kind}' for channel in channels for kind in SENSOR])
         low, high, unit = parameter.low, parameter.high, parameter.unit
         log = low == 0.0
-        scale = 1.0 if log else _scale(name, scene) or max(abs(start), 1.0)
+        scale = initial_scale(name, scene) if name.startswith(INITIAL) else max(abs(start), 1.0)
+        scale = 1.0 if log else scale
         if log and start == 0.0:
             raise ParameterError(f'{name} must be > 0 {unit} in the scene to be fitted, since its '
                                  'first value is a guess to begin with; got 0')
@@ -137,72 +136,3 @@ def _free(name, bounds, scene, record):
         raise ParameterError(f'{name} = {start:g} must be within its bounds, {low:g} to {high:g}, '
                              'where the fit begins')
     return Free(name, start, low, high, scale, log, unit)
-
-
-def _of_scene(name, scene, channels):
-    """Return the Parameter of a name, and its value in a scene."""
-    match = _INDEXED.fullmatch(name)
-    base, place = (match.group(1), int(match.group(2))) if match else (name, None)
-    known = [*PARAMETERS, *(f'{channel}.{kind}' for channel in channels for kind in SENSOR)]
-    parameter = PARAMETERS.get(base)
-    if parameter is None:
-        raise ParameterError(f'{short(name, str)} cannot be free: it is neither a parameter of '
-                             f'the scene nor QUANTITY.gain, .bias, .delay or '
-                             f'.lag of {", ".join(channels)}{did_you_mean(base, known)}')
-    value = scene.values.get(base)
-    if base.startswith('initial.modal') and value == ():
-        value = (0.0,) * scene.modal_count
-    if (parameter.scope != SCENE or base.startswith(_FIXED)
-            or not isinstance(value, (float, tuple)) or value is True):
-        raise ParameterError(f'{name} cannot be free: it is no number of the physics')
-    if isinstance(value, tuple):
-        if place is None and len(value) == 1:
-            place = 0
-        if place is None or place >= len(value):
-            raise ParameterError(f'{name} cannot be free: {base} has {len(value)} elements, of '
-                                 f'which one is named {base}[0]')
-        return parameter, value[place]
-    if place is not None:
-        raise ParameterError(f'{name} cannot be free: {base} is one number')
-    if not math.isfinite(value) or parameter.name.endswith('_limit'):
-        raise ParameterError(f'{name} cannot be free: it is a limit')
-    return parameter, value
-
-
-def initial_names(scene):
-    """Return the names of all numbers of the initial state that are not prescribed."""
-    still = scene.build().constrained
-    joints = [joint for joint, held in zip(('carrier_x', 'carrier_y', 'shaft'), still) if not held]
-    modes = range(scene.modal_count)
-    return [*(f'initial.{joint}' for joint in joints),
-            *(f'initial.{joint}_velocity' for joint in joints),
-            *(f'initial.modal_coordinates[{n}]' for n in modes),
-            *(f'initial.modal_rates[{n}]' for n in modes)]
-
-
-def _scale(name, scene):
-    # Of the initial state: what moves the tip by a tenth of the arm's length, or turns it by 0.1.
-    match = _INDEXED.fullmatch(name)
-    if not name.startswith('initial.'):
-        return None
-    model, length = scene.build(), scene.manipulator.arm.length
-    if match and match.group(1) == 'initial.modal_coordinates':
-        return 0.1 * length / model.reach[3 + int(match.group(2))]
-    if match:
-        n = int(match.group(2))
-        return 0.1 * length / model.reach[3 + n] * model.modes.omega[n]
-    return 0.1 if 'shaft' in name else 0.1 * length
-
-
-def placed(values, scene):
-    """Return free values of the scene, by name with [k], as overrides of whole parameters."""
-    found = {}
-    for name, value in values.items():
-        match = _INDEXED.fullmatch(name)
-        base, place = (match.group(1), int(match.group(2))) if match else (name, 0)
-        if isinstance(scene.values[base], tuple):
-            whole = found.get(base) or scene.values[base] or (0.0,) * scene.modal_count
-            found[base] = (*whole[:place], value, *whole[place + 1:])
-        else:
-            found[base] = value
-    return found

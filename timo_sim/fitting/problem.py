@@ -19,10 +19,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from timo_sim.fitting.free import free_parameters, INITIAL, initial_names, placed, SENSOR
+from timo_sim.fitting.free import free_parameters, SENSOR
 from timo_sim.fitting.inputs import limited, loads_of
 from timo_sim.fitting.quantities import DRIVE, OUTPUTS
 from timo_sim.runs.sampled import sampled_run
+from timo_sim.scene.numbers import INITIAL, initial_names, placed
 from timo_sim.scene.parameter import ModelWarning, ParameterError
 from timo_sim.simulation.model_warnings import DivergenceError
 

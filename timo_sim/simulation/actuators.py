@@ -26,7 +26,7 @@ _LIMITED = {
     (VOLTAGE,): ('motor.dc.voltage_limit', None),
 }
 # Columns of a load that the commands of `Simulator.step` set.
-_COMMANDS: dict[str, Any] = {
+COMMANDS: dict[str, Any] = {
     'torque': TORQUE, 'force': [FORCE_X, FORCE_Y], 'tip_force': [TIP_X, TIP_Y],
     'tip_torque': TIP_TORQUE, 'voltage': VOLTAGE}
 
@@ -55,7 +55,7 @@ def commanded_load(motor, many=(), **commands):
 
     """
     load = np.zeros((*many, LOADS))
-    for name, columns in _COMMANDS.items():
+    for name, columns in COMMANDS.items():
         shape = np.shape(columns)
         try:
             numbers = np.asarray(commands[name], dtype=float)

@@ -17,7 +17,7 @@ import numpy as np
 from timo_sim.jit.code_store import compiling
 from timo_sim.physics.integrate.lane_steps import from_lanes, LaneSteps, to_lanes
 from timo_sim.physics.integrate.run_error import CHUNK
-from timo_sim.physics.layout import LOADS, Motion
+from timo_sim.physics.layout import LOADS, Motion, rotate
 from timo_sim.scene.parameter import Parameter, ParameterError
 from timo_sim.scene.parameters import steps_in
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
@@ -118,6 +118,12 @@ class Batch:
     def tip(self) -> np.ndarray:
         """Tip along axes I and II of the shaft [m], rotation from the shaft [rad], (n, 3)."""
         return from_lanes(self._lanes.tip, self.n)
+
+    @property
+    def tip_position(self) -> np.ndarray:
+        """Positions of the tips in world axes, shape (n, 2) [m]."""
+        motion = self.motion
+        return motion.carrier + np.column_stack(rotate(motion.shaft, *self.tip[:, :2].T))
 
     def reason(self, number: int) -> str:
         """Return why a manipulator has failed, as the text of a DivergenceError, or ''."""

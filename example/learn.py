@@ -1,0 +1,111 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Train a small neural network to point the arm to a goal and to stop it there.
+
+    python example/learn.py --plot learn.png
+
+Augmented random search: the weights of the network are changed along random directions, forth and
+back; each change is tried by manipulators of a `ReachVectorEnv`, and the weights move towards the
+better ones. Source: Mania, Guy and Recht, Advances in Neural Information Processing Systems 31
+(2018). Needs the extra `rl`.
+"""
+
+from argparse import ArgumentParser
+import math
+
+import numpy as np
+from timo_sim.gym import ReachVectorEnv
+
+NEURONS = 16                    # of the only layer
+SCALE = 0.2, 1.0, 0.01, 0.1     # of the observations
+DIRECTIONS, BEST = 32, 16       # tried in a generation, and those of them that count
+GOALS = 4                       # episodes for each change
+CHANGE, RATE = 0.05, 0.1        # sizes of changes and of moves
+UNSEEN, REST = 128, 1.0         # goals of the test; time at the end to be at rest [s]
+LENGTH = 2.0                    # of the arm [m]
+
+
+def network(weights, observations):
+    """
+    Return actions, (n, 1), for observations, (n, 4), and weights, (n, 5, NEURONS).
+
+    Without biases a mirrored observation gives the opposite action.
+    """
+    inputs = np.einsum('nik,ni->nk', weights[:, :4], observations / SCALE)
+    return np.tanh(np.sum(weights[:, 4] * np.tanh(inputs), axis=1))[:, np.newaxis]
+
+
+def episodes(envs, weights, goals):
+    """Return the return of an episode for each set of weights, and its observations."""
+    observations, _ = envs.reset(options={'goal': goals})
+    total, seen, over = np.zeros(envs.num_envs), [observations], np.zeros(envs.num_envs, bool)
+    while not over.all():
+        observations, rewards, failed, ended, _ = envs.step(network(weights, observations))
+        total += np.where(over, 0.0, rewards)  # an episode that is over begins anew
+        over |= failed | ended
+        seen.append(observations)
+    return total, np.array(seen)
+
+
+def train(generations, random):
+    """Return weights, (5, NEURONS), and the mean return of each generation."""
+    envs = ReachVectorEnv(2 * DIRECTIONS * GOALS)
+    weights, history = np.zeros((5, NEURONS)), []
+    weights[:4] = random.normal(size=(4, NEURONS)) / 2.0
+    for _ in range(generations):
+        change = random.normal(size=(DIRECTIONS, *weights.shape))
+        tried = np.concatenate([weights + CHANGE * change, weights - CHANGE * change])
+        goals = np.tile((np.arange(GOALS) + random.uniform()) / GOALS, 2 * DIRECTIONS)
+        total, _ = episodes(envs, np.repeat(tried, GOALS, axis=0), goals)
+        forth, back = total.reshape(2, DIRECTIONS, GOALS).mean(axis=2)
+        best = np.argsort(np.maximum(forth, back))[-BEST:]
+        spread = np.std([forth[best], back[best]])
+        weights += RATE / (BEST * spread) * np.tensordot((forth - back)[best], change[best], 1)
+        history.append(total.mean())
+        if len(history) % 100 == 0:
+            print(f'{len(history)} generations, mean return {history[-1]:.3f}', flush=True)
+    return weights, history
+
+
+def main():
+    """Train, test on unseen goals, and draw."""
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument('--generations', type=int, default=500)
+    parser.add_argument('--plot', help='write a picture to this file')
+    options, random = parser.parse_args(), np.random.default_rng(1)
+    weights, history = train(options.generations, random)
+    envs, goals = ReachVectorEnv(UNSEEN), np.random.default_rng(2).uniform(-1.0, 1.0, UNSEEN)
+    periods = round(REST / envs.period)
+    for name, tried in (('untrained', np.zeros_like(weights)), ('trained', weights)):
+        total, seen = episodes(envs, np.tile(tried, (UNSEEN, 1, 1)), goals)
+        far = 2.0 * LENGTH * np.abs(np.sin(0.5 * seen[-periods:, :, 0])).max(axis=0)
+        print(f'{name}: mean return {total.mean():.3f}; in the last {REST:g} s the tip is at most '
+              f'{1e3 * np.median(far):.1f} mm from its goal in half of {UNSEEN} unseen episodes, '
+              f'{1e3 * far.max():.1f} mm in all')
+    if options.plot:
+        draw(options.plot, history, envs.period, goals, seen)
+
+
+def draw(path, history, period, goals, seen):
+    """Draw the returns while it learns, and directions of the tip in some episodes."""
+    import matplotlib.pyplot as plt
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.5), layout='constrained')
+    left.semilogx(1 + np.arange(len(history)), history)
+    left.set(xlabel='generation', ylabel='mean return')
+    times = period * np.arange(len(seen))
+    for k in np.argsort(goals)[::len(goals) // 8]:
+        line, = right.plot(times, np.degrees(goals[k] - seen[:, k, 0]))
+        right.axhline(math.degrees(goals[k]), color=line.get_color(), linewidth=0.5)
+    right.set(xlabel='t [s]', ylabel='direction of the tip, and its goal [deg]')
+    figure.savefig(path, dpi=150)
+
+
+if __name__ == '__main__':
+    main()
