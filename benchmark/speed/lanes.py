@@ -8,11 +8,19 @@
 
 """Time of a step and run of a `Batch`, beside that of the scalar step in the same process."""
 
+from collections import Counter
+import math
+import os
+import re
 from statistics import median
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
 import time
 
 import numpy as np
 
+from benchmark import ROOT
 from benchmark.command import parser
 from benchmark.speed.step import paper, Prepared, STEPS
 import timo_sim
@@ -21,6 +29,7 @@ LANES = 64
 TARGETS = ((3, 0.35e-6), (5, 0.7e-6), (10, 3e-6))
 RATIO = 3.5  # least speed beside the scalar step
 COUNTS = (1, 8, 64, 512)
+HORIZONS = (100, 1000, 10000)
 
 
 class Together:
@@ -33,10 +42,16 @@ class Together:
                       for scene, mass in zip(scenes, np.linspace(1.0, 3.0, count))]
         self.batch, self.count = timo_sim.Batch(scenes), count
 
-    def run(self):
-        """Do the steps of the paper's 10 s."""
+    def run(self, steps=STEPS):
+        """Do the steps of the paper's 10 s, or as many as given."""
         self.batch.reset()
-        self.batch.advance(STEPS)
+        self.batch.advance(steps)
+
+    def assembly(self):
+        """Return the machine code of the steps as text, if this process has compiled it."""
+        self.run(1)
+        function = self.batch._lanes._advance
+        return function.inspect_asm(function.signatures[0])
 
 
 def in_turns(scalar, together, rounds=15):
@@ -55,13 +70,41 @@ def in_turns(scalar, together, rounds=15):
     return min(times), median(times), median(ratios)
 
 
+def instructions():
+    """Return the numbers of floating-point instructions for N = 3 by bits of their registers."""
+    with TemporaryDirectory() as folder:  # the code of stored functions cannot be read
+        text = subprocess.run(
+            [sys.executable, '-c', 'from benchmark.speed.lanes import Together; '
+             'print(Together(3, 8).assembly())'], env={**os.environ, 'NUMBA_CACHE_DIR': folder},
+            cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    found = Counter()
+    for name, register in re.findall(r'^\s+(v?\w+[ps]d)\s.*%([xyz])mm', text, re.MULTILINE):
+        scalar = name.endswith('sd') and register == 'x'
+        found['one' if scalar else 128 * 2**'xyz'.index(register)] += 1
+    return found
+
+
+def by_horizon():
+    """Return the least time of a step and run [s] by the number of steps of a call."""
+    together, found = Together(3, LANES), {}
+    for steps in HORIZONS:
+        spans = []
+        for _ in range(15):
+            start = time.perf_counter()
+            together.run(steps)
+            spans.append(time.perf_counter() - start)
+        found[steps] = min(spans) / (steps * LANES)
+    return found
+
+
 def rows(quick=False):
     """Return rows of the table, (line, target, measured, met, remark)."""
-    table = []
+    table, times = [], {}
     for modes, target in TARGETS:
         scalar = Prepared(paper(modes=modes))
         for alike in (True, False):
             least, middle, ratio = in_turns(scalar, Together(modes, LANES, alike))
+            times[modes, alike] = least
             table.append((
                 f'a step and run of a batch, N = {modes}' + ', masses differ' * (not alike),
                 f'{1e6 * target:g} us, {RATIO:g} times the speed of the scalar step',
@@ -72,6 +115,20 @@ def rows(quick=False):
     table.append(('the same, N = 3, by number of runs', '', ', '.join(
         f'{count}: {1e6 * least:.2g} us' for count, least in counts.items()), None,
         'a group of lanes has 8; a last group that is not full takes as long'))
+    table.append(('the same, by number of steps of a call', '', ', '.join(
+        f'{steps}: {1e6 * least:.2g} us' for steps, least in by_horizon().items()), None,
+        'a reset and the table of loads included'))
+    (least, *_, most), names = (modes for modes, _ in TARGETS), (True, False)
+    growth = [math.log(times[most, alike] / times[least, alike]) / math.log(most / least)
+              for alike in names]
+    table.append((f'growth from N = {least} to {most}', '',
+                  f'N^{growth[0]:.1f}; if masses differ N^{growth[1]:.1f}', None,
+                  'matrices of 2 (3 + N) rows; constants of lanes that differ leave the first '
+                  'cache'))
+    counts = instructions()
+    table.append(('floating-point instructions of the compiled step, N = 3, by bits of their '
+                  'registers', '', ', '.join(f'{bits}: {counts[bits]}' for bits in (
+                      512, 256, 128, 'one')), None, '"one": a single number'))
     return table
 
 

@@ -150,7 +150,7 @@ class Simulator(Readings):
             if messages:
                 self.model.tip(motion)
             # Estimates, warnings and efforts need these; a node has no time to compile them later.
-            rate = self.model.rate(self._state, self.load)
+            rate = self.integration.rate(self._state, self.integration.acting(self.load))
             if messages:
                 self.integration.errors.modes.look(self._state, self.load, rate, 0)
                 self.integration.errors.modes.reset()

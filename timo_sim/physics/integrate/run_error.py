@@ -159,7 +159,7 @@ class RunError:
         if self._unlooked >= least:
             model, last, load = self._steps.model, self._open - 1, self._steps.acting(load)
             rate = (model.linear @ self._states[last] + self._rates[last]
-                    if self._open and self._steps.keeps_states else model.rate(state, load))
+                    if self._open and self._steps.keeps_states else self._steps.rate(state, load))
             self.modes.look(state, load, rate, self._unlooked)
             self._unlooked = 0
 

@@ -204,18 +204,21 @@ class Steps:
         `integrate`, a function(LinearPart, int, ndarray) -> int, takes the number of steps done
         and the load there, and returns the new number; a call that does no step is the last.
         """
-        if not self.model.sectors:
-            return integrate(self._part, done, load)
         while True:
-            number = self.model.sector(state, load)
-            if number not in self._sectors:
-                tables, linear = self.model.in_sector(number)
-                self._sectors[number] = LinearPart(
-                    self.model.pack, self.model.pack(tables), linear, self.step)
-            begun, done = done, integrate(self._sectors[number], done, load)
-            if done in (begun, len(loads)):
+            begun, done = done, integrate(self._part_for(state, load), done, load)
+            if not self.model.sectors or done in (begun, len(loads)):
                 return done
             load = loads[done - 1, AFTER]
+
+    def _part_for(self, state, load):
+        if not self.model.sectors:
+            return self._part
+        number = self.model.sector(state, load)
+        if number not in self._sectors:
+            tables, linear = self.model.in_sector(number)
+            self._sectors[number] = LinearPart(
+                self.model.pack, self.model.pack(tables), linear, self.step)
+        return self._sectors[number]
 
     def follow_errors(self, error, states, rates, load, weight):
         """
@@ -250,6 +253,15 @@ class Steps:
             states, rates = np.empty((2, len(loads), len(state)))
         self._step(level, state, loads[0, START], loads, 0, 0, self._no_samples[0], states, rates)
 
+    def rate(self, state, load):
+        """Return the rate of a state under a load that acts, linear part included, shape (m,)."""
+        part, (states, rates) = self._part_for(state, load), np.empty((2, 1, len(state)))
+        self._constant[:] = load
+        done = etdrk4.advance(part.packed, part.propagator(), state.copy(), load, self._constant,
+                              0, 0, self._no_samples[0], states, rates)
+        # n is a by-product of a step, so that nothing else is compiled unless the step diverges.
+        return part.linear @ state + rates[0] if done else self.model.rate(state, load)
+
     def motion(self, state, load):
         """Return the motion of a state under a load, shape (2 (3 + N),)."""
         motions, heat = self.samples(0, 1)
@@ -274,7 +286,7 @@ class Steps:
         """
         model, drift = self.model, np.zeros(LOADS)
         drift[ANGLE], drift[SPEED] = load[SPEED], load[ACCELERATION]
-        rate, half = model.rate(state, load), model.size // 2
+        rate, half = self.rate(state, load), model.size // 2
         speed = self._observe(state, load)[half + 2:]
         turning = np.abs(speed[0] + speed[1:] @ model.points.rotation).max()
         shift = _TURN / (_TURN + turning)
