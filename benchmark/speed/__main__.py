@@ -30,9 +30,12 @@ calibrating loop, a compiled product of a 16 x 16 matrix and a vector timed in b
 machines change their speed. Measured on: {}.
 """
 LIMITS = """What limits the speed. At N = 10 the kernel, the mass matrix and its factor are most of
-a step (see the exponent below). In a sweep half of a run's time is its steps; modes, tables, loads
-and summary, made for each run, are the rest. A cold start is type inference and optimisation by
-numba for one size.
+a step (see the exponent below). The step of a batch is vector code throughout, see the count of
+its instructions: it is limited by their number, about 5700 products and sums at N = 3. If bodies
+differ, constants differ from lane to lane, too, and loading them takes longer. In a sweep whose
+runs differ in their bodies about a fifth of the time is their steps, a quarter checks and models,
+two fifths the estimate of their errors (profile of a job); these are made run by run. A cold start
+is type inference and optimisation by numba for one size.
 """
 SECTIONS = [('Step and run', step), ('Many at once', lanes), ('Learning', learning),
             ('Memory', memory), ('Node', node), ('Sweep', sweep)]

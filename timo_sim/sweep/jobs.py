@@ -66,7 +66,7 @@ def jobs_of(scene, duration, count, variations, names):
 
 def _summary(run):
     # The numbers of `SUMMARY`.
-    tip = run.model.at([run.scene.manipulator.arm.length])
+    tip = run.model.tip_point
     deflection = run.model.centre_line(run.q, tip)[:, 0, 1]
     rotation = run.model.section_rotation(run.q, tip)[:, 0]
     size = np.abs(deflection)
