@@ -40,7 +40,8 @@ def chain(scene, links, step, duration, every, drive=None):
     Simulate a scene by MuJoCo, as a chain of rigid links whose hinges have springs.
 
     A spring has the bending stiffness over the length of a link, at root and tip over half of it;
-    hinges know no shear and no stretch. Runge-Kutta steps, because the implicit integrators of
+    hinges know no shear and no stretch. (The cable of MuJoCo 3, a chain of ball joints, is no
+    longer in MuJoCo 4.) Runge-Kutta steps, because the implicit integrators of
     MuJoCo are of first order and damp. Calls of `rollout` do many steps each.
 
     Parameters

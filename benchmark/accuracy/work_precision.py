@@ -43,7 +43,7 @@ from oracles import elastica  # noqa: E402
 import timo_sim  # noqa: E402
 
 GOALS = (1e-3, 1e-4, 1e-5)  # errors in the tip deflection of the headline [m]
-RIVALS = ('exudyn', 'mujoco', 'pyelastica')
+RIVALS = ('exudyn', 'mujoco-core', 'pyelastica')
 # What a new process does for 0.1 s of the paper's scene.
 PAPER = "import timo_sim; paper = timo_sim.load_scene('config/paper.yaml'); "
 COLD = {
