@@ -27,7 +27,8 @@ INTRODUCTION = """# Speed
 
 Made by `make benchmark-speed`. A time is a median; in brackets its least value and its ratio to a
 calibrating loop, a compiled product of a 16 x 16 matrix and a vector timed in between, since
-machines change their speed. Measured on: {}.
+machines change their speed. `python -m benchmark.speed --sections Learning` measures some sections
+anew.
 """
 LIMITS = """What limits the speed. At N = 10 the kernel, the mass matrix and its factor are most of
 a step (see the exponent below). The step of a batch is vector code throughout, see the count of
@@ -41,27 +42,39 @@ SECTIONS = [('Step and run', step), ('Many at once', lanes), ('Learning', learni
             ('Memory', memory), ('Node', node), ('Sweep', sweep)]
 
 
+def sections_of(page):
+    """Return the sections of an earlier page by title, with their text."""
+    text = page.read_text(encoding='utf-8') if page.exists() else ''
+    return dict(part.split('\n', 1) for part in text.split('\n## ')[1:])
+
+
 def main():
-    """Measure, and write the page."""
-    quick = parser(__spec__, __doc__, 'a few minutes').parse_args().quick
-    folder = ROOT / 'run' / 'speed' if quick else ROOT / 'doc'
+    """Measure, and write the page; sections that are left out stay as they are."""
+    makers = {title: lambda folder, quick, module=module: table(
+        ['', 'target', 'measured', 'met', 'remark'],
+        [(line, target, measured, {True: 'yes', False: 'no', None: ''}[met], remark)
+         for line, target, measured, met, remark in module.rows(quick)])
+        for title, module in SECTIONS}
+    makers['What the cost grows with'] = lambda folder, quick: (
+        '![Cost](speed/cost.png)\n\n' + table(
+            ['', 'exponent', 'why'], step.curves(folder / 'speed' / 'cost.png', quick)))
+    makers["What a scene doesn't need"] = lambda folder, quick: table(
+        ['left out', 'how', 'time', 'saved'], skipping.rows())
+    options = parser(__spec__, __doc__, 'a few minutes')
+    options.add_argument('--sections', nargs='+', choices=makers, default=list(makers))
+    given = options.parse_args()
+    folder = ROOT / 'run' / 'speed' if given.quick else ROOT / 'doc'
     (folder / 'speed').mkdir(parents=True, exist_ok=True)
-    facts = {**machine(), 'calibrating product': f'{1e9 * product():.0f} ns'}
-    parts = [INTRODUCTION.format(', '.join(f'{name} {value}' for name, value in facts.items()))]
-    parts.append(LIMITS)
-    for title, module in SECTIONS:
-        rows = [(line, target, measured, {True: 'yes', False: 'no', None: ''}[met], remark)
-                for line, target, measured, met, remark in module.rows(quick)]
-        parts.append(f'## {title}\n\n' + table(
-            ['', 'target', 'measured', 'met', 'remark'], rows) + '\n')
-        print(parts[-1], flush=True)
-    exponents = step.curves(folder / 'speed' / 'cost.png', quick)
-    parts.append('## What the cost grows with\n\n![Cost](speed/cost.png)\n\n' + table(
-        ['', 'exponent', 'why'], exponents) + '\n')
-    parts.append("## What a scene doesn't need\n\n" + table(
-        ['left out', 'how', 'time', 'saved'], skipping.rows()) + '\n')
-    print(*parts[-2:], sep='\n')
-    (folder / 'speed.md').write_text('\n'.join(parts), encoding='utf-8')
+    page = folder / 'speed.md'
+    kept = sections_of(page)
+    for title in given.sections:
+        facts = {**machine(), 'calibrating product': f'{1e9 * product():.0f} ns'}
+        text = makers[title](folder, given.quick)
+        measured = ', '.join(f'{name} {value}' for name, value in facts.items())
+        kept[title] = f'\n{text}\n\nMeasured on: {measured}.\n'
+        print(f'## {title}\n{kept[title]}', flush=True)
+        page.write_text('\n'.join([INTRODUCTION, LIMITS, *(
+            f'## {each}\n{kept[each]}' for each in makers if each in kept)]), encoding='utf-8')
 
 
 if __name__ == '__main__':
