@@ -206,6 +206,14 @@ def test_flipped_bits_are_detected(log, intact, no_sync):
     assert 'complete' not in seen and 'recovered' in seen
 
 
+def test_a_record_that_becomes_one_of_another_kind_is_detected(log, intact, no_sync):
+    """Also the one that ends the data, whose checksum nobody would compare then."""
+    for place, opcode, _ in places(intact):
+        for bit in range(8):
+            log.write_bytes(intact[:place] + bytes([opcode ^ 1 << bit]) + intact[place + 1:])
+            assert outcome(log) != 'complete', (place, opcode, bit)
+
+
 def test_a_flipped_bit_loses_one_chunk(log, intact):
     place, _, length = [entry for entry in places(intact) if entry[1] == Opcode.CHUNK][2]
     damaged = bytearray(intact)

@@ -113,7 +113,7 @@ class Reader:
         self._crc = zlib.crc32(MCAP0_MAGIC)
         self._known = {Schema: {}, Channel: {}}
         self._held = 0
-        self._ended = False
+        self._ended = self._data_ended = False
 
     def records(self):
         """
@@ -186,8 +186,10 @@ class Reader:
             yield from self._keep(_attachment(content))
         elif opcode == Opcode.HEADER:
             self.profile = parsed(Header, content).profile
-        elif opcode == Opcode.DATA_END and content not in (bytes(4), crc.to_bytes(4, 'little')):
-            self._complain('the checksum of all data is wrong')
+        elif opcode == Opcode.DATA_END:
+            self._data_ended = True
+            if content not in (bytes(4), crc.to_bytes(4, 'little')):
+                self._complain('the checksum of all data is wrong')
         elif opcode == Opcode.FOOTER:
             self._ended = True
         elif opcode not in _MADE_AGAIN:
@@ -260,6 +262,8 @@ class Reader:
             raise _End('there is something else after its end'
                        if self._place + len(MCAP0_MAGIC) < self.size else 'it ends early')
         self.kept += len(MCAP0_MAGIC)
+        if not self._data_ended:
+            self._complain('the record that ends its data, with their checksum, is missing')
         try:
             statistics = read_summary(self._stream)[Statistics][-1]
             if Counter(statistics.channel_message_counts) != self.counts:
