@@ -27,7 +27,7 @@ from timo_sim.simulation.simulator import Simulator
 
 OWN = tuple(FORMULATIONS)
 ENGINE, REDUCED = 'exudyn, geometrically exact', 'exudyn, reduced floating frame'
-CHAIN, ROD = 'MuJoCo, hinged links', 'PyElastica'
+CHAIN = 'MuJoCo, hinged links'
 
 
 @dataclass
@@ -204,16 +204,15 @@ def reduced_case(scene, modes, step):
     return Case(REDUCED, f'{modes} modes, h = {1e3 * step:g} ms', run, (modes, step))
 
 
-def rival_case(scene, method, parts, step):
-    """Return a case of an engine of `rivals`."""
-    simulate, unit = {CHAIN: (rivals.chain, 'links'), ROD: (rivals.rod, 'elements')}[method]
+def chain_case(scene, links, step):
+    """Return a case of MuJoCo."""
     checked = scene.load({'initial.shaft': 0.0} if scene.drive else None)
 
     def run():
-        seconds, *found = simulate(checked, parts, step, scene.duration,
-                                   round(scene.period / step), scene.drive)
+        seconds, *found = rivals.chain(checked, links, step, scene.duration,
+                                       round(scene.period / step), scene.drive)
         return seconds, lambda: tip_columns(*found)
-    return Case(method, f'{parts} {unit}, h = {1e3 * step:.3g} ms', run, (parts, step))
+    return Case(CHAIN, f'{links} links, h = {1e3 * step:.3g} ms', run, (links, step))
 
 
 def cases_of(scene, quick):
@@ -238,11 +237,8 @@ def cases_of(scene, quick):
     if not scene.drive:
         cases += [reduced_case(scene, modes, step) for modes in ((5,) if quick else (3, 5, 8))
                   for step in ([0.001] if quick else [0.005, 0.002, 0.001, 0.0005])]
-    for method, counts in ((CHAIN, (5, 10, 20, 40)), (ROD, (40,))):
-        for parts in counts[:(2 if method == CHAIN else 0) if quick else None]:
-            # In their longest stable steps both have errors of the mesh alone. A rod's time hardly
-            # grows with its elements.
-            longest = rivals.longest_step(scene.load(), method == CHAIN, parts)
-            cases.append(rival_case(scene, method, parts,
-                                    scene.period / math.ceil(scene.period / longest)))
+    for links in (5, 10) if quick else (5, 10, 20, 40):
+        # In its longest stable step it has errors of the mesh alone.
+        longest = rivals.longest_step(scene.load(), links)
+        cases.append(chain_case(scene, links, scene.period / math.ceil(scene.period / longest)))
     return cases

@@ -36,14 +36,14 @@ import numpy as np  # noqa: E402
 
 from benchmark import ROOT  # noqa: E402
 from benchmark.accuracy.cases import (  # noqa: E402
-    cases_of, CHAIN, ENGINE, errors_of, of_reference, OWN, REDUCED, ROD, SCENES)
+    cases_of, CHAIN, ENGINE, errors_of, of_reference, OWN, REDUCED, SCENES)
 from benchmark.command import parser  # noqa: E402
 from benchmark.report import machine  # noqa: E402
 from oracles import elastica  # noqa: E402
 import timo_sim  # noqa: E402
 
 GOALS = (1e-3, 1e-4, 1e-5)  # errors in the tip deflection of the headline [m]
-RIVALS = ('exudyn', 'mujoco-core', 'pyelastica')
+RIVALS = ('exudyn', 'mujoco-core')
 # What a new process does for 0.1 s of the paper's scene.
 PAPER = "import timo_sim; paper = timo_sim.load_scene('config/paper.yaml'); "
 COLD = {
@@ -52,8 +52,7 @@ COLD = {
     ENGINE: PAPER + 'from oracles import finite_elements; '
                     'finite_elements.simulate(paper, 20, 1e-3, 0.1, 10)',
     CHAIN: PAPER + 'from benchmark.accuracy import rivals; '
-                   'rivals.chain(paper, 10, 4e-4, 0.1, 25)',
-    ROD: PAPER + 'from benchmark.accuracy import rivals; rivals.rod(paper, 10, 2e-6, 0.1, 5000)'}
+                   'rivals.chain(paper, 10, 4e-4, 0.1, 25)'}
 
 
 def measure(scene, quick):
@@ -171,8 +170,8 @@ def plot(scene, cases, path):
     colours = {'exact': '#0072B2', 'newton': '#E69F00', 'newton_root_stress': '#009E73',
                'RK4': '#56B4E9', 'implicit midpoint': '#CC79A7', 'generalized-alpha': '#999999',
                'DOP853': '#000000', 'Radau': '#B8860B', ENGINE: '#D55E00', REDUCED: '#8B2500',
-               CHAIN: '#4B0082', ROD: '#228B22'}
-    markers = dict(zip(colours, 'os^Dvp*hXP<>'))
+               CHAIN: '#4B0082'}
+    markers = dict(zip(colours, 'os^Dvp*hXP<'))
     figure, axis = plt.subplots(figsize=(10.5, 5.5), layout='constrained')
     for method, colour in colours.items():
         good = [case for case in cases if case.method == method and case.errors]
@@ -251,11 +250,11 @@ A new process reads the paper's scene and does 0.1 s of it: imports, assembly an
         'integrate the equations of `exact`; the first three are compiled as this package is, '
         'the last two call the compiled rate from SciPy. exudyn runs with the settings that were '
         'fastest in `test/oracles/engine.py`; its times exclude the assembly of the '
-        'model, those of this package the tables of a scene. MuJoCo and PyElastica are what a '
-        'user might take instead (`benchmark/accuracy/rivals.py`): a chain of rigid links with '
-        'springs in Runge-Kutta steps, and an explicit Cosserat rod, each in its longest stable '
-        'steps, whose length does not change the errors. Errors of the mesh and of the step '
-        'have opposite signs and can cancel: "robust" is the cheapest case that no refinement '
+        'model, those of this package the tables of a scene. MuJoCo is what a user might '
+        'take instead (`benchmark/accuracy/rivals.py`): a chain of rigid links with springs in '
+        'its longest stable Runge-Kutta step, whose length does not change the errors. Errors of '
+        'the mesh and of the step have opposite signs and can cancel: "robust" is the '
+        'cheapest case that no refinement '
         'makes worse than the goal.\n\n' + '\n'.join(sections), encoding='utf-8')
 
 

@@ -30,6 +30,7 @@ PERIOD, DURATION = 0.02, 2.0
 TORQUE = {'load.torque.piecewise.time': [0.0, 0.5, 1.0],
           'load.torque.piecewise.value': [8.0, -8.0, 0.0]}
 COUNTS, QUICK_COUNTS = (1, 64, 512), (64,)
+LINKS = 5  # of MuJoCo's chain
 
 
 def environment_rate(count):
@@ -56,22 +57,15 @@ def tip(scene, **overrides):
 
 def others(scene):
     """Yield name, seconds for the run, and tip each 20 ms of other engines."""
-    for name, simulate in (('MuJoCo, 5 hinged links', rivals.chain),
-                           ('PyElastica, 10 elements', rivals.rod)):
-        parts = int(name.split()[1])
-        longest = rivals.longest_step(scene, simulate is rivals.chain, parts)
-        step = PERIOD / math.ceil(PERIOD / longest)
-        yield f'{name}, h = {1e3 * step:.2g} ms', *_of_rival(simulate, scene, parts, step)
+    step = PERIOD / math.ceil(PERIOD / rivals.longest_step(scene, LINKS))
+    seconds, theta, _, along, across = rivals.chain(scene, LINKS, step, DURATION,
+                                                    round(PERIOD / step))
+    yield (f'MuJoCo, {LINKS} hinged links, h = {1e3 * step:.2g} ms', seconds,
+           _world(theta, along, across))
     found = finite_elements.simulate(scene, 20, 0.005, DURATION, round(PERIOD / 0.005))
     place = _world(found['theta_rad'], scene.manipulator.arm.length + found['u_l_m'],
                    found['w_l_m'])
     yield 'exudyn, 20 elements, h = 5 ms', found['solver_seconds'], place[1:]
-
-
-def _of_rival(simulate, scene, parts, step):
-    seconds, theta, _, along, across = simulate(scene, parts, step, DURATION,
-                                                round(PERIOD / step))
-    return seconds, _world(theta, along, across)
 
 
 def _world(theta, along, across):
