@@ -144,8 +144,9 @@ def test_jobs_hold_every_run_once_and_are_short_and_many(scene):
             first += len(job.variations)
             sizes.append(len(job.variations))
         assert first == count and len(sizes) >= min(count, 16) and max(sizes) <= 100
-    long = next(jobs_of(scene, 10_000.0, 1000, [{}] * 1000, []))
-    assert len(long.variations) == 1
+    for count, length in ((1000, 8), (32, 1)):  # the lanes of a vector, or a run
+        long = next(jobs_of(scene, 10_000.0, count, [{}] * count, []))
+        assert len(long.variations) == length
 
 
 def test_no_more_jobs_are_made_than_keep_all_busy(scene):

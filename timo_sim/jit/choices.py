@@ -98,3 +98,15 @@ def _some(condition):
     if condition == MASK:
         return lambda condition: _any_of(condition)
     return lambda condition: condition
+
+
+def is_lanes(vector):
+    """Return whether the numbers of an array are lanes; known to the compiler."""
+    return False
+
+
+@overload(is_lanes, jit_options=_PLAIN)
+def _is_lanes(vector):
+    if getattr(vector, 'dtype', None) in (LANES, SHARED):
+        return lambda vector: True
+    return lambda vector: False

@@ -109,9 +109,9 @@ def rotate(theta, x, y):
 
 
 def tip_force(loads, theta):
-    """Return x, y of the tip force in world axes [N], for loads (n, 14) and shaft angles (n,)."""
-    x, y = rotate(theta, loads[:, TIP_I], loads[:, TIP_II])
-    return x + loads[:, TIP_X], y + loads[:, TIP_Y]
+    """Return x, y of the tip force in world axes [N], for loads (..., 14), shaft angles (...)."""
+    x, y = rotate(theta, loads[..., TIP_I], loads[..., TIP_II])
+    return x + loads[..., TIP_X], y + loads[..., TIP_Y]
 
 
 def place(origin_x, origin_y, theta, x, y):

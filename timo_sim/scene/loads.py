@@ -40,6 +40,12 @@ def _instants(first, count, step):
     return times
 
 
+@functools.lru_cache(maxsize=16)
+def _wave(frequency, phase, first, count, step):
+    # Runs often differ in the amplitude alone.
+    return _of_stages(np.sin(2.0 * np.pi * frequency * _instants(first, count, step) + phase))
+
+
 def _of_stages(values):
     """Return values at `_instants` as start, middle and end of each step, shape (count, 3)."""
     found = np.empty((len(values) // 2, STAGES))
@@ -80,8 +86,7 @@ class Harmonic(Term):
     phase: float
 
     def stages(self, first, count, step):
-        angle = 2.0 * np.pi * self.frequency * _instants(first, count, step) + self.phase
-        return _of_stages(self.amplitude * np.sin(angle))
+        return self.amplitude * _wave(self.frequency, self.phase, first, count, step)
 
 
 @dataclass(frozen=True)
@@ -243,12 +248,32 @@ class Load:
         is returned. Its entries must be zeros, or earlier results of this load.
         """
         loads = np.zeros((count, STEP_LOADS, LOADS)) if room is None else room[:count]
+        self.fill(loads, range(LOADS), first, count, step)
+        return loads
+
+    def fill(self, loads, places, first, count, step):
+        """
+        Write the columns of loads that are not zero.
+
+        Parameters
+        ----------
+        loads : ndarray, shape (count, 4, c)
+            Receives them.
+        places : sequence of int
+            Where the column k of `physics.layout` stands in it: `places[k]`; those of a drive
+            stand together.
+        first, count, step
+            See `stages`.
+
+        """
         for columns, terms in self._columns:
+            place = places[columns]
+            if isinstance(columns, slice):
+                place = slice(place[0], place[-1] + 1)
             samples = [term.stages(first, count, step) for term in terms]
-            loads[:, :STAGES, columns] = total = sum(samples)
-            loads[:, AFTER, columns] = total[:, -1]
+            loads[:, :STAGES, place] = total = sum(samples)
+            loads[:, AFTER, place] = total[:, -1]
             for term, values in zip(terms, samples):
                 steps, seen = term.parabolas(first, count, step)
                 if len(steps):
-                    loads[steps, :STAGES, columns] += seen - values[steps]
-        return loads
+                    loads[steps, :STAGES, place] += seen - values[steps]

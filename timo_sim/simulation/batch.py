@@ -251,8 +251,7 @@ class Batch:
         most = max(1, min(CHUNK, _ROOM // (4 * self.n * max(1, len(loads.columns)))))
         if not self._warm:
             with compiling(*lanes.constants):
-                lanes.advance(loads.columns, loads.varying(self.steps, 0, self._origin), 0, 0,
-                              samples)
+                lanes.advance(loads.columns, loads.varying(self.steps, 0, self._origin))
             self._warm = True
         for first in range(0, count, most):
             part = min(most, count - first)
@@ -269,7 +268,7 @@ def _check(scenes):
     for number, scene in enumerate(scenes):
         if scene is first and number:
             continue
-        refused = _refused(scene)
+        refused = refusal(scene)
         if refused:
             raise ParameterError(f'{refused} is not possible in a Batch')
         other = scene.build()
@@ -286,8 +285,8 @@ def _check(scenes):
                                  f'{first.modal_count} and {len(model.quadrature.nodes)}')
 
 
-def _refused(scene):
-    # The first parameter that lanes do not know, as text, or ''.
+def refusal(scene):
+    """Return the first parameter that lanes do not know, as text, or ''."""
     values = scene.values
     if scene.build().sectors:
         return ' with '.join(f'{name} = {values[name]}' for name in (

@@ -93,9 +93,8 @@ def root_strain(model):
 
 def accelerations_of(integration, state, load):
     """Return the accelerations of the coordinates of a state under a load, shape (3 + N,)."""
-    motions, shift = integration.flow(state, load)
-    half = motions.shape[1] // 2
-    return (motions[1, half:] - motions[0, half:]) / (2.0 * shift)
+    before, after, half_time = integration.flow(state, load)
+    return (after - before)[0, before.shape[1] // 2:] / (2.0 * half_time[0])
 
 
 def joints_of_state(integration, motion, state, load):

@@ -12,7 +12,7 @@ import numpy as np
 
 from timo_sim.jit.lanes import WIDTH
 from timo_sim.physics.integrate.lane_steps import to_lanes
-from timo_sim.physics.layout import AFTER, START, STEP_LOADS, TORQUE, VOLTAGE
+from timo_sim.physics.layout import AFTER, LOADS, START, STEP_LOADS, TORQUE, VOLTAGE
 from timo_sim.simulation.actuators import Actuators
 
 
@@ -43,6 +43,7 @@ class LaneLoads:
                 self._slow[lane] = None
         own = (load.columns for load in self._loads)
         self.columns = np.array(sorted(slow.union(*own)), dtype=np.int64)
+        self._places = np.searchsorted(self.columns, np.arange(LOADS))
         self.reset(range(len(scenes)), 0)
 
     def reset(self, lanes, first):
@@ -97,13 +98,17 @@ class LaneLoads:
         kinds, kind = np.unique(self._which + 1j * (first - origin), return_inverse=True)
         found = np.zeros((len(kinds), *shape))
         for number, begin, loads in zip(kinds.real.astype(int), kinds.imag.astype(int), found):
-            earlier = min(1, begin)  # the step before, whose end is the beginning of these
-            own = self._loads[number].stages(begin - earlier, max(1, count) + earlier, self._step)
-            loads[0, AFTER] = own[0, AFTER if earlier else START, self.columns]
-            loads[1:] = own[earlier:earlier + count, :, self.columns]
-        found = found[kind]
+            load = self._loads[number]
+            if begin:  # from the step before, whose end is the beginning of these
+                load.fill(loads, self._places, begin - 1, count + 1, self._step)
+            else:
+                load.fill(loads[1:], self._places, 0, count, self._step)
+                loads[0, AFTER] = loads[1, START] if count else load.stages(
+                    0, 1, self._step)[0, START, self.columns]
+        if self._slow:
+            found, kind = found[kind], np.arange(len(kind))
         for lane, actuators in self._slow.items():
             among = np.isin(self.columns, actuators.slow)
             found[lane, 1:, :, among] += np.moveaxis(
                 actuators.loads(first, count)[..., actuators.slow], -1, 0)
-        return to_lanes(found)
+        return to_lanes(found, kind)

@@ -80,15 +80,33 @@ def after_steps(scene, steps, stretch, time, state, load, motions, warning):
             scene, steps.model, time, steps.model.axial_share(state, steps.acting(load)), motions)
     if warning and warning != stretch.told:  # an error by steps matters more than by stretch
         return warning
-    if not steps.errors.tip <= _MOST_ERROR * scene.manipulator.arm.length:
-        return _inaccurate_steps(scene, steps, time)
+    errors, length = steps.errors, scene.manipulator.arm.length
+    if not errors.tip <= _MOST_ERROR * length:
+        return _inaccurate_steps(scene, errors.tip, errors.by_load, time)
     if steps.unresolved:
         return _unresolved_steps(steps, time)
     # Steps are too long to resolve events, or to hold a joint still: doc/theory.md, (T44).
-    if steps.friction_drift > _MOST_DRIFT * scene.manipulator.arm.length:
+    if steps.friction_drift > _MOST_DRIFT * length:
         return _friction_drift(steps, time)
-    if not steps.errors.modes.tip <= _MOST_ERROR * scene.manipulator.arm.length:
-        return _few_modes(scene, steps, time)
+    return _of_model(scene, errors.modes.tip, stretch, time)
+
+
+def in_lanes(scene, step_error, modes_error, stretch, time, warning):
+    """
+    Return the warning of a run in lanes after some steps, or None, see `after_steps`.
+
+    `step_error` and `modes_error` are distances of the tip [m].
+    """
+    if warning and warning != stretch.told:
+        return warning
+    if not step_error <= _MOST_ERROR * scene.manipulator.arm.length:
+        return _inaccurate_steps(scene, step_error, False, time)
+    return _of_model(scene, modes_error, stretch, time)
+
+
+def _of_model(scene, modes_error, stretch, time):
+    if not modes_error <= _MOST_ERROR * scene.manipulator.arm.length:
+        return _few_modes(scene, modes_error, time)
     if not stretch.told and stretch.tip > _MOST_LEFT_OUT * scene.manipulator.arm.length:
         stretch.told = _stretching(scene, stretch, time)
     return stretch.told
@@ -120,19 +138,19 @@ def after_second_run(scene, finer, error, parts, warning):
     return warning or f'the tip is {error:.1g} m from that of a finer run: take {remedy}'
 
 
-def _inaccurate_steps(scene, steps, time):
+def _inaccurate_steps(scene, error, by_load, time):
     remedy = '' if scene.friction.any() else ', or let them be split by an integrator.tolerance'
     cause = ''
-    if steps.errors.by_load:
+    if by_load:
         cause = ', or vibrations beyond the modes when the load at the tip changed,'
         remedy = ' or more model.modes'
     return (f'by t = {time:.6g} s the steps{cause} have put the tip about '
-            f'{steps.errors.tip:.1g} m off: take a smaller integrator.step{remedy}')
+            f'{error:.1g} m off: take a smaller integrator.step{remedy}')
 
 
-def _few_modes(scene, steps, time):
+def _few_modes(scene, error, time):
     return (f'by t = {time:.6g} s what {scene.values["model.modes"]} modes leave out has put the '
-            f'tip about {steps.errors.modes.tip:.1g} m off: take more model.modes')
+            f'tip about {error:.1g} m off: take more model.modes')
 
 
 def _stretching(scene, stretch, time):

@@ -6,23 +6,27 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A job of a sweep: some runs, done one after another, and their rows of the result table."""
+"""A job of a sweep: some runs, and their rows of the result table."""
 
+from contextlib import contextmanager
 import itertools
 import math
 from typing import NamedTuple
 
 import numpy as np
 
+from timo_sim.jit.lanes import WIDTH
 from timo_sim.runs.sampled import sampled_run
 from timo_sim.scene.files import flatten
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.parameters import PARAMETERS, steps_in
 from timo_sim.simulation.resolution import resolved
+from timo_sim.sweep.together import kind_of, Together
 
 # Most steps and runs of a job, and about the fewest jobs of a sweep. A job takes well below a
 # second, so that little is lost if a worker dies, and all workers end at about the same time.
-_STEPS, _RUNS, _FEWEST_JOBS = 100_000, 100, 32
+_STEPS, _RUNS, _FEWEST_JOBS = 100_000, 96, 32
+_MANY = 64  # least number of runs of a sweep for which the machine code of lanes pays
 
 
 class Column(NamedTuple):
@@ -53,15 +57,19 @@ class Job(NamedTuple):
     duration: float    # [s]
     variations: tuple  # of dictionaries of overrides
     names: tuple       # of the parameters that have a column
+    together: bool = False  # whether runs that can be lanes are
 
 
 def jobs_of(scene, duration, count, variations, names):
     """Yield the jobs of a sweep of `count` runs, which do not depend on the number of workers."""
-    steps = max(1, steps_in(duration, scene.step))
+    steps, together = max(1, steps_in(duration, scene.step)), count >= _MANY
     length = max(1, min(_RUNS, _STEPS // steps, math.ceil(count / _FEWEST_JOBS)))
+    if together:
+        length = WIDTH * math.ceil(length / WIDTH)
     rest = iter(variations)
     for first in range(0, count, length):
-        yield Job(first, scene, duration, tuple(itertools.islice(rest, length)), tuple(names))
+        yield Job(first, scene, duration, tuple(itertools.islice(rest, length)), tuple(names),
+                  together)
 
 
 def _summary(run):
@@ -73,6 +81,13 @@ def _summary(run):
     peak = np.argmax(size)
     return (size[peak], run.t[peak], np.sqrt(np.mean(deflection**2)), deflection[-1],
             np.abs(rotation).max(), *run.carrier[-1], run.shaft[-1])
+
+
+def _summaries(runs, steps):
+    # The numbers of `SUMMARY` for each of some runs that were done together.
+    return np.column_stack([
+        runs.peak, runs.peak_time, np.sqrt(runs.squares / (steps + 1)),
+        runs.deflection, runs.rotation, runs.motion[:, :3]])
 
 
 def run_job(job):
@@ -94,15 +109,37 @@ def run_job(job):
                                                 for values in flat])
     table.update((column.name, numbers[:, k]) for k, column in enumerate(SUMMARY))
     table['warning'], table['reason'] = np.full((2, len(flat)), '', dtype=object)
-    for row, variation in enumerate(job.variations):
-        try:
-            with np.errstate(all='ignore'):
-                run = sampled_run(*resolved(job.scene.vary(variation), job.duration))
-                table['warning'][row] = run.warning or ''
-                numbers[row] = _summary(run)
-        except (ArithmeticError, ValueError, MemoryError) as error:
-            table['reason'][row] = ' '.join(str(error).split()) or type(error).__name__
+    found = {}
+    with np.errstate(all='ignore'):
+        for row, variation in enumerate(job.variations):
+            with _reasons(table['reason'], [row]):
+                scene, steps = resolved(job.scene.vary(variation), job.duration)
+                kind = kind_of(scene, steps) if job.together else None
+                found.setdefault((kind, None if kind else row), []).append((row, scene))
+        for (kind, _), runs in found.items():
+            rows, scenes = (list(part) for part in zip(*runs))
+            with _reasons(table['reason'], rows):
+                if kind:
+                    runs = Together(scenes, kind)
+                    table['reason'][rows], table['warning'][rows] = runs.reasons, runs.warnings
+                    numbers[rows] = _summaries(runs, kind.edges[-1])
+                else:
+                    run = sampled_run(scenes[0], steps_in(job.duration, scenes[0].step))
+                    table['warning'][rows] = run.warning
+                    numbers[rows] = _summary(run)
+        failed = table['reason'] != ''
+        numbers[failed] = np.nan
+        table['warning'][failed | (table['warning'] == None)] = ''  # noqa: E711: of elements
     return table
+
+
+@contextmanager
+def _reasons(reasons, rows):
+    """Keep the text of an error as the reason why the runs of some rows failed."""
+    try:
+        yield
+    except (ArithmeticError, ValueError, MemoryError) as error:
+        reasons[rows] = ' '.join(str(error).split()) or type(error).__name__
 
 
 def _cells(parameter, values):

@@ -78,6 +78,7 @@ class Formulation(Observables):
     """
 
     sectors, speed_limit, rest = 0, math.inf, None
+    arrays: tuple[str, ...] = ()  # names of arrays that `centre_line` needs besides `tables`
 
     def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
                  static=(), axial=0, gravity=(0.0, 0.0), basis=None):

@@ -57,6 +57,8 @@ from timo_sim.physics.layout import ANGLE, tip_force, TIP_TORQUE
 class Exact(Formulation):
     """The `exact` formulation, see the module's text."""
 
+    arrays = ('_stretch',)
+
     def build(self):
         """Return the tables and the linear part, that of the straight arm."""
         modes, nodes = self.modes, self.quadrature.nodes
@@ -206,7 +208,7 @@ class Exact(Formulation):
     @staticmethod
     def _relative(q):
         # Coordinates relative to the shaft, with q_0 = 0.
-        return np.column_stack([np.zeros(len(q)), q])
+        return np.concatenate([np.zeros((*q.shape[:-1], 1)), q], axis=-1)
 
     def _slopes(self, coordinates):
         # Cosine and sine of phi, and a, b, at the nodes, shape (..., n_g) each.

@@ -59,8 +59,8 @@ class Observables(ABC):
     def world(self, motions, points):
         """Return the world positions of points of the centre line, shape (n, p, 2) [m]."""
         along, across = np.moveaxis(self.centre_line(self._split(motions)[0], points), -1, 0)
-        turned = np.stack(rotate(motions[:, 2, np.newaxis], along, across), axis=-1)
-        return motions[:, np.newaxis, 0:2] + turned
+        turned = np.stack(rotate(motions[..., 2, np.newaxis], along, across), axis=-1)
+        return motions[..., np.newaxis, 0:2] + turned
 
     def energy(self, motions):
         """
@@ -147,7 +147,7 @@ class Observables(ABC):
 
     def _split(self, motions):
         half = self.size // 2
-        return motions[:, 3:half], motions[:, half + 3:]
+        return motions[..., 3:half], motions[..., half + 3:]
 
     def velocities(self, motions, points):
         """
@@ -159,10 +159,10 @@ class Observables(ABC):
         """
         half = self.size // 2
         q, qdot = self._split(motions)
-        omega = motions[:, half + 2, np.newaxis]
+        omega = motions[..., half + 2, np.newaxis]
         along, across = np.moveaxis(self.centre_line(q, points), -1, 0)
         rate_1, rate_2 = np.moveaxis(self.centre_line_rate(q, qdot, points), -1, 0)
         first, second = rate_1 - omega * across, rate_2 + omega * along
-        turned = np.stack(rotate(motions[:, 2, np.newaxis], first, second), axis=-1)
-        return (motions[:, np.newaxis, half:half + 2] + turned,
+        turned = np.stack(rotate(motions[..., 2, np.newaxis], first, second), axis=-1)
+        return (motions[..., np.newaxis, half:half + 2] + turned,
                 omega + self.section_rotation(qdot, points))

@@ -15,6 +15,7 @@ Matthews, J. Comput. Phys. 176 (2002) 430-455, eqs. (26)-(29); doc/theory.md (T3
 
 import numpy as np
 
+from timo_sim.jit.choices import is_lanes
 from timo_sim.jit.constants import local
 from timo_sim.jit.decorators import entry_point, inlined, inner, strict
 from timo_sim.physics.equations.functions import holds, observe, rate
@@ -29,20 +30,38 @@ def copy(vector, out):
 
 @inner
 def product(matrix, vector, out):
-    for i in range(matrix.shape[0]):
-        total = 0.0
-        for j in range(matrix.shape[1]):
-            total += matrix[i, j] * vector[j]
-        out[i] = total
+    """Write the product of a matrix, which for lanes is given transposed, and a vector."""
+    if is_lanes(out):
+        for i in range(len(out)):
+            out[i] = 0.0
+        _add_columns(matrix, vector, out)
+    else:
+        for i in range(matrix.shape[0]):
+            total = 0.0
+            for j in range(matrix.shape[1]):
+                total += matrix[i, j] * vector[j]
+            out[i] = total
 
 
 @inner
 def add_product(matrix, vector, out):
-    for i in range(matrix.shape[0]):
-        total = 0.0
-        for j in range(matrix.shape[1]):
-            total += matrix[i, j] * vector[j]
-        out[i] += total
+    """Add what `product` writes."""
+    if is_lanes(out):
+        _add_columns(matrix, vector, out)
+    else:
+        for i in range(matrix.shape[0]):
+            total = 0.0
+            for j in range(matrix.shape[1]):
+                total += matrix[i, j] * vector[j]
+            out[i] += total
+
+
+@inner
+def _add_columns(turned, vector, out):
+    # The sums of lanes stay in registers, and each number of the vector is loaded once.
+    for j in range(turned.shape[0]):
+        for i in range(turned.shape[1]):
+            out[i] += turned[j, i] * vector[j]
 
 
 @strict

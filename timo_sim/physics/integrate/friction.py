@@ -218,7 +218,8 @@ class FrictionSteps(Steps):
 
     def warm_up(self, state, load):
         """Compile, or load from disk, the functions that `motion` does not call."""
-        self._observe(state, load)  # steps without friction, which estimates of the error use
+        # Steps without friction, which estimates of the error use.
+        self._observe(state[np.newaxis], load[np.newaxis])
 
     def _integrate(self, state, load, loads, sample_every, sampled, motions, heat):
         return self._by_sectors(state, load, loads, 0, lambda part, first, load: advance(

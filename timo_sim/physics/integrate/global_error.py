@@ -26,8 +26,8 @@ import numpy as np
 from timo_sim.physics.integrate.kept import kept
 from timo_sim.physics.integrate.propagator import phi_functions
 
-_POINTS = 6  # number of points of the polynomial
-_MIDDLE = _POINTS // 2 - 1  # the step between them for which it is most accurate
+POINTS = 6  # number of points of the polynomial
+_MIDDLE = POINTS // 2 - 1  # the step between them for which it is most accurate
 LEAST = 8  # least number of steps for an estimate
 _BLOCK, _FEW = 64, 256  # steps summed up by one matrix; least number of steps for which that pays
 _PRODUCTS = 2**18  # most products of numbers in a call of BLAS before it starts threads
@@ -41,9 +41,9 @@ def _coefficients():
     Entry (o, i, j) is the i-th derivative at the start of the o-th step between the points, per
     value at the j-th point; the unit of time is the step.
     """
-    offsets = np.arange(_POINTS) - np.arange(_POINTS - 1)[:, np.newaxis]
-    inverse = np.linalg.inv(offsets[:, :, np.newaxis] ** np.arange(_POINTS, dtype=float))
-    return inverse * np.array([math.factorial(i) for i in range(_POINTS)])[:, np.newaxis]
+    offsets = np.arange(POINTS) - np.arange(POINTS - 1)[:, np.newaxis]
+    inverse = np.linalg.inv(offsets[:, :, np.newaxis] ** np.arange(POINTS, dtype=float))
+    return inverse * np.array([math.factorial(i) for i in range(POINTS)])[:, np.newaxis]
 
 
 class GlobalError:
@@ -72,7 +72,12 @@ class GlobalError:
 
     @kept
     def _phi(self):
-        return phi_functions(self._linear, self._step, _POINTS)
+        return phi_functions(self._linear, self._step, POINTS)
+
+    @property
+    def power(self):
+        """exp(h L), shape (m, m)."""  # noqa: D403
+        return self._phi[0]
 
     @kept
     def _powers(self):
@@ -146,13 +151,13 @@ class GlobalError:
         """Return the defect of each step, shape (steps, m)."""
         steps, size = len(states) - 1, states.shape[1]
         defects = states[1:] - states[:-1] @ self._powers[1].T
-        for offset, weights in enumerate(self._of_step):
+        for offset, weights in enumerate(self.of_step):
             first, count = offset, 1
             if offset == _MIDDLE:
                 count = steps - 2 * _MIDDLE
             elif offset > _MIDDLE:
-                first = steps - (_POINTS - 1) + offset
-            windows = _windows(rates[first - offset:], 1, _POINTS, count)
+                first = steps - (POINTS - 1) + offset
+            windows = _windows(rates[first - offset:], 1, POINTS, count)
             defects[first:first + count] -= windows @ weights.transpose(0, 2, 1).reshape(-1, size)
         return defects
 
@@ -180,7 +185,7 @@ class GlobalError:
         return self._squares[count]
 
     @kept
-    def _of_step(self):
+    def of_step(self):
         """Return the weights of n in the integral of a step, (steps, points, m, m)."""
         return self._step * np.tensordot(_coefficients(), self._phi[1:], axes=(1, 0))
 
@@ -190,12 +195,12 @@ class GlobalError:
         size, inner = len(self._linear), _BLOCK - 2 * _MIDDLE
         sums = np.zeros((_BLOCK + 1, size, size))
         later = self._powers[_BLOCK - 1 - _MIDDLE - np.arange(inner)]
-        for point, weight in enumerate(self._of_step[_MIDDLE]):
+        for point, weight in enumerate(self.of_step[_MIDDLE]):
             sums[point:point + inner] += later @ weight
-        for offset in (*range(_MIDDLE), *range(_MIDDLE + 1, _POINTS - 1)):
-            step = offset if offset < _MIDDLE else _BLOCK - (_POINTS - 1) + offset
+        for offset in (*range(_MIDDLE), *range(_MIDDLE + 1, POINTS - 1)):
+            step = offset if offset < _MIDDLE else _BLOCK - (POINTS - 1) + offset
             first = step - offset
-            sums[first:first + _POINTS] += self._powers[_BLOCK - 1 - step] @ self._of_step[offset]
+            sums[first:first + POINTS] += self._powers[_BLOCK - 1 - step] @ self.of_step[offset]
         return np.ascontiguousarray(sums.transpose(0, 2, 1).reshape(-1, size))
 
 

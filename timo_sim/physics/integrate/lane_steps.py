@@ -18,8 +18,11 @@ from timo_sim.jit.decorators import entry_point, inlined, inner
 from timo_sim.jit.lanes import as_lanes, as_shared, WIDTH
 from timo_sim.physics.equations.functions import observe, tip
 from timo_sim.physics.integrate.etdrk4 import copy, one_step
-from timo_sim.physics.integrate.propagator import propagator
+from timo_sim.physics.integrate.propagator import Propagator, propagator
 from timo_sim.physics.layout import AFTER, END, LOADS, MIDDLE, STAGES, START, STEP_LOADS
+
+
+_ALL = np.arange(LOADS)
 
 
 class Own(NamedTuple):
@@ -40,7 +43,7 @@ def _vary(own, columns, varying, row):
 
 @inlined
 def _advance(tables, propagator, own, columns, varying, state, progress, end_motion, end_tip,
-             sample_every, done, samples):
+             sample_every, done, samples, history):
     """Integrate some lanes over equal steps, see `advance_each`."""
     size = propagator.whole
     now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
@@ -65,6 +68,15 @@ def _advance(tables, propagator, own, columns, varying, state, progress, end_mot
             _vary(own, columns, varying[k + 1], row)
         one_step(tables, propagator, now, load[START], load[MIDDLE], load[END], half, following,
                  combined, rate_0, rate_a, rate_b, rate_c, stage)
+        if k < len(history):
+            for i in range(len(now)):
+                history[k, i] = now[i]
+                history[k, len(now) + i] = rate_0[i]
+            for i in range(len(own.reach)):
+                motion[3 + i] = now[modal + i]
+            tip(tables, motion, end_tip)
+            for i in range(len(end_tip)):
+                history[k, 2 * len(now) + i] = end_tip[i]
         spoilt = 0.0
         bend = 0.0
         for i in range(len(now)):
@@ -83,18 +95,18 @@ def _advance(tables, propagator, own, columns, varying, state, progress, end_mot
 
 @entry_point
 def advance_alike(tables, propagator, own, columns, varying, state, progress, motion, place,
-                  sample_every, done, samples):
+                  sample_every, done, samples, history):
     """Do what `advance_each` does for lanes with the same packed constants."""
     for g in range(len(own)):
         _advance(as_shared(tables), as_shared(propagator), as_lanes(own[g]), columns,
                  as_lanes(varying[g]), as_lanes(state[g]), as_lanes(progress[g]),
                  as_lanes(motion[g]), as_lanes(place[g]), sample_every, done,
-                 as_lanes(samples[g]))
+                 as_lanes(samples[g]), as_lanes(history[g]))
 
 
 @entry_point
 def advance_each(tables, propagator, own, columns, varying, state, progress, motion, place,
-                 sample_every, done, samples):
+                 sample_every, done, samples, history):
     """
     Integrate groups of lanes over equal steps.
 
@@ -118,27 +130,47 @@ def advance_each(tables, propagator, own, columns, varying, state, progress, mot
         See `etdrk4.advance`.
     samples : ndarray, shape (groups, n, 2 (3 + N), WIDTH)
         Receives motions.
+    history : ndarray, shape (groups, rows, 2 m + 3, WIDTH)
+        Receives the state at the start of each step, n there, and what `tip` returns; of as many
+        steps as it has rows for.
 
     """
     for g in range(len(own)):
         _advance(as_lanes(tables[g]), as_lanes(propagator[g]), as_lanes(own[g]), columns,
                  as_lanes(varying[g]), as_lanes(state[g]), as_lanes(progress[g]),
                  as_lanes(motion[g]), as_lanes(place[g]), sample_every, done,
-                 as_lanes(samples[g]))
+                 as_lanes(samples[g]), as_lanes(history[g]))
 
 
-def to_lanes(values):
-    """Return rows, (n, ...), as lanes, (groups, ..., WIDTH); the last row fills the rest."""
-    count = -(-len(values) // WIDTH)
-    rows = np.minimum(np.arange(count * WIDTH), len(values) - 1)
+def to_lanes(values, numbers=None):
+    """
+    Return rows as lanes, (groups, ..., WIDTH); the last row fills the rest.
+
+    Parameters
+    ----------
+    values : ndarray, shape (rows, ...)
+    numbers : ndarray of int, shape (n,), optional
+        Numbers of the rows, by default all in order.
+
+    """
+    numbers = np.arange(len(values)) if numbers is None else numbers
+    count = -(-len(numbers) // WIDTH)
+    rows = numbers[np.minimum(np.arange(count * WIDTH), len(numbers) - 1)]
+    if len(rows) != len(values) or np.any(rows != np.arange(len(rows))):
+        values = values[rows]
     return np.ascontiguousarray(np.moveaxis(
-        values[rows].reshape(count, WIDTH, *values.shape[1:]), 1, -1))
+        values.reshape(count, WIDTH, *values.shape[1:]), 1, -1))
 
 
 def from_lanes(values, count):
     """Return lanes as rows of an array, shape (count, ...)."""
     rows = np.moveaxis(values, -1, 1)
     return rows.reshape(len(values) * WIDTH, *rows.shape[2:])[:count]
+
+
+def _turned(model, step):
+    # The matrices of a step, transposed: see `etdrk4.product`.
+    return Propagator._make(matrix.T for matrix in propagator(model.linear, step))
 
 
 class LaneSteps:
@@ -165,14 +197,14 @@ class LaneSteps:
     """
 
     def __init__(self, models, step, bent):
-        self.count, self._models = len(models), models
+        self.count, self.models, self.step = len(models), models, step
         groups = -(-len(models) // WIDTH)
         padded = [models[min(row, len(models) - 1)] for row in range(groups * WIDTH)]
         if all(model is models[0] for model in models):
             self._advance = advance_alike
-            self._constants = models[0].packed, pack(propagator(models[0].linear, step))
+            self._constants = models[0].packed, pack(_turned(models[0], step))
         else:
-            matrices = {id(model): propagator(model.linear, step) for model in models}
+            matrices = {id(model): _turned(model, step) for model in models}
             self._advance = advance_each
             self._constants = (pack_lanes([model.tables for model in padded]),
                                pack_lanes([matrices[id(model)] for model in padded]))
@@ -194,7 +226,41 @@ class LaneSteps:
         """Return an array for so many vectors of a length in each lane."""
         return np.empty((len(self.own), number, length, WIDTH))
 
-    def advance(self, columns, varying, sample_every, done, samples):
+    def advance(self, columns, varying, sample_every=0, done=0, samples=None, history=None):
         """Advance all lanes, see `advance_each`."""
-        self._advance(*self._constants, self.own, columns, varying, self.state, self.progress,
-                      self.motion, self.tip, sample_every, done, samples)
+        self._do(self.state, self.progress, self.motion, self.tip, columns, varying, sample_every,
+                 done, samples, history)
+
+    def _do(self, state, progress, motion, place, columns, varying, sample_every=0, done=0,
+            samples=None, history=None):
+        none = self.room(0, 1)
+        self._advance(*self._constants, self.own, columns, varying, state, progress, motion, place,
+                      sample_every, done, none if samples is None else samples,
+                      none if history is None else history)
+
+    def rates(self, columns, load):
+        """
+        Return n of the state under a load that does not vary, shape (groups, m, WIDTH).
+
+        Parameters
+        ----------
+        columns : ndarray, shape (c,)
+        load : ndarray, shape (groups, c, WIDTH)
+            What acts besides `own['base']`.
+
+        """
+        size = self.state.shape[1]
+        history = self.room(1, 2 * size + 3)
+        varying = np.repeat(np.repeat(load[:, np.newaxis, np.newaxis], 2, 1), STEP_LOADS, 2)
+        # A by-product of a step, so that nothing else is compiled.
+        self._do(self.state.copy(), self.progress.copy(), self.motion.copy(), self.tip.copy(),
+                 columns, varying, history=history)
+        return history[:, 0, size:2 * size]
+
+    def motions(self, states, loads):
+        """Return the motions of other states, (n, m), under loads, (n, 14): (n, 2 (3 + N))."""
+        varying = np.zeros((len(self.own), 1, STEP_LOADS, LOADS, WIDTH))
+        varying[:, 0, AFTER] = to_lanes(loads - from_lanes(self.own['base'], self.count))
+        motion = np.empty_like(self.motion)
+        self._do(to_lanes(states), self.progress.copy(), motion, self.tip.copy(), _ALL, varying)
+        return from_lanes(motion, self.count)

@@ -11,13 +11,11 @@
 import math
 
 import numpy as np
-from scipy.linalg import eig
 
 from timo_sim.physics.integrate.kept import kept
-from timo_sim.physics.layout import tip_force, TIP_TORQUE
+from timo_sim.physics.integrate.left_out import LeftOut
 
 _GROWTH = 1.25  # factor by which the strain of the last modes must grow for new `shifts`
-_LAST = 2  # number of last bending modes whose strain is watched
 _PAUSE = 8192  # steps after which `shifts` are computed without such growth
 
 
@@ -25,9 +23,7 @@ class ModesError:
     """
     Estimate of what the modes of a model lack, by forces and moments along the arm.
 
-    Inertia and loads outboard of a section determine its bending moment and shear force, and so
-    the strains that the arm would have. The part of them that is not in the modes shifts the tip.
-    It also makes natural frequencies too high, so that vibrations run ahead.
+    Strains that are not in the modes shift the tip, and vibrations run ahead, see `LeftOut`.
 
     Parameters
     ----------
@@ -45,6 +41,7 @@ class ModesError:
 
     def __init__(self, steps):
         self._steps, self._model, self.kept = steps, steps.model, steps.kept
+        self._left_out = LeftOut([steps.model], steps.kept)
         self.reset()
 
     def reset(self):
@@ -74,7 +71,7 @@ class ModesError:
         if not len(self._model.modes):
             return  # without modes the arm is rigid on purpose
         self._pause += count
-        self._look_at_shape(self._strains(state[np.newaxis])[0], state, load)
+        self._look_at_shape(self._strains(state), state, load)
         # Amplitudes follow from the rate, to which a constant deflection does not contribute.
         left, ahead = self._vibrations
         self._ahead += count * float(np.abs(left @ rate) @ ahead)
@@ -88,19 +85,16 @@ class ModesError:
             peak = np.argmax(strains)
             self._look_at_shape(strains[peak], states[peak], loads[peak])
 
+    def _strains(self, states):
+        half = states.shape[-1] // 2
+        return self._left_out.strains(states[..., half - len(self._model.modes):half])
+
     def _look_at_shape(self, strain, state, load):
         if strain > _GROWTH * self._strain or self._pause > _PAUSE:
             self._strain, self._pause = max(strain, self._strain), 0
             bent, stretched = self.shifts(state, load)
             self._shift = max(self._shift, math.hypot(*bent))
             self.stretch = max(self.stretch, math.hypot(*stretched))
-
-    def _strains(self, states):
-        # Strain of the last bending modes: those left out vary at least as fast along the arm.
-        omega, axial = self._model.modes.omega, self._model.axial
-        last = slice(max(0, len(omega) - axial - _LAST), len(omega) - axial)
-        q = states[:, states.shape[1] // 2 - len(omega):]
-        return np.abs(q[:, last]) @ omega[last]
 
     def shifts(self, state, load):
         """
@@ -109,115 +103,10 @@ class ModesError:
         The first is that by the strains of bending and shear that are not in the modes; the second
         that by the axial force, if the model does not stretch.
         """
-        model = self._model
-        motions, half_time = self._steps.flow(state, load)
-        motion = motions.mean(axis=0)
-        velocity, turning = model.velocities(motions, model.points)
-        force = -model.point_mass[:, np.newaxis] * (velocity[1] - velocity[0]) / (2.0 * half_time)
-        moment = -model.point_inertia * (turning[1] - turning[0]) / (2.0 * half_time)
-        force += model.point_mass[:, np.newaxis] * model.gravity
-        force[-1] += np.ravel(tip_force(load[np.newaxis], motion[2:3]))
-        moment[-1] += load[TIP_TORQUE]
-        # Forces in axes of the shaft.
-        cosine, sine = math.cos(motion[2]), math.sin(motion[2])
-        force = force @ np.array([[cosine, -sine], [sine, cosine]])
-        q, (rotation, _, shear, *_) = motion[3:len(motion) // 2], self._fields
-        phi, gamma = q @ rotation, q @ shear
-        cosine, sine = np.cos(phi), np.sin(phi)
-        slope = cosine - gamma * sine, sine + gamma * cosine
-        curvature, shear = self._left_out(q, force, moment, slope, (cosine, sine))
-        turn = self._inboard @ curvature
-        strain = (self._outboard @ force @ np.stack([cosine, sine])).diagonal() * self._softness
-        return np.array([
-            self._whole @ np.column_stack([-slope[1] * turn - sine * shear,
-                                           slope[0] * turn + cosine * shear]),
-            self._whole @ np.column_stack([strain * cosine, strain * sine])])
-
-    def _left_out(self, q, force, moment, slope, normal):
-        """
-        Return the curvature and shear strain at the nodes that are not in the modes (T39).
-
-        For q, (..., N); forces and moments at the points of mass, (..., p, 2), (..., p); slopes
-        a, b of the centre line; cosine and sine of the sections' rotation.
-        """
-        nodal = self._outboard @ force
-        bending = (slope[0] * nodal[..., 1] - slope[1] * nodal[..., 0]) @ self._rest.T + (
-            moment @ self._outboard.T)
-        _, curvature, shear, stiffness, shear_stiffness = self._fields
-        curved = bending / stiffness - q @ curvature
-        sheared = (normal[0] * nodal[..., 1] - normal[1] * nodal[..., 0]) / shear_stiffness - (
-            q @ shear)
-        share = ((curved * self._weights * stiffness) @ curvature.T
-                 + (sheared * self._weights * shear_stiffness) @ shear.T
-                 ) / self._model.modes.omega**2
-        return curved - share @ curvature, sheared - share @ shear
-
-    @kept
-    def _weights(self):
-        return self._model.quadrature.weights
-
-    @kept
-    def _fields(self):
-        """Rotation, curvature, shear of the modes at the nodes; bending and shear stiffness."""
-        model = self._model
-        nodes = model.quadrature.nodes
-        section = model.manipulator.arm.at(nodes)
-        return (model.modes.rotation(nodes).T, model.modes.curvature(nodes).T,
-                model.modes.shear(nodes).T,
-                *(np.broadcast_to(stiffness, nodes.shape)
-                  for stiffness in (section.bending_stiffness, section.shear_stiffness)))
-
-    @kept
-    def _softness(self):
-        # Axial strain per axial force; 0 if the model stretches.
-        model = self._model
-        return (not model.axial) / model.manipulator.arm.at(model.quadrature.nodes).axial_stiffness
-
-    @kept
-    def _inboard(self):
-        return self._model.quadrature.integrate_to(self._model.quadrature.nodes)
-
-    @kept
-    def _whole(self):
-        return self._model.tip_point.integral[:, 0]
-
-    @kept
-    def _rest(self):
-        # From nodal values to their integrals from each node to the tip.
-        return self._whole - self._inboard
-
-    @kept
-    def _outboard(self):
-        # From values at the points of mass to their sums outboard of each node.
-        return self._model.points.integral / self._weights[:, np.newaxis]
+        before, after, half_time = self._steps.flow(state, load)
+        return np.concatenate(self._left_out.shifts(before, after, half_time, load[np.newaxis]))
 
     @kept
     def _vibrations(self):
-        """
-        Return the left eigenvectors of the straight arm's natural vibrations (T40).
-
-        With them, how far the tip runs ahead in a step, per modal component of the state's rate.
-        """
-        model, step, tip_shift = self._model, self._steps.step, self._steps.errors.tip_shift
-        values, left, right = eig(model.linear, left=True)
-        kept = values.imag > 1e-6 * np.abs(values).max()
-        values, left, right = values[kept], left[:, kept].conj().T, right[:, kept]
-        left = left / np.sum(left * right.T, axis=1)[:, np.newaxis]
-        half = len(right) // 2
-        # As motions: carrier along y, shaft, modes.
-        shapes = (self._steps.errors.motions @ right[:half]).T
-        y, theta, q = shapes[:, 1:2], shapes[:, 2:3], shapes[:, 3:]
-        omega = values.imag[:, np.newaxis]
-        points = model.points
-        force = omega**2 * model.point_mass * (y + theta * points.xi + q @ points.deflection)
-        moment = omega**2 * model.point_inertia * (theta + q @ points.rotation)
-        straight = np.ones(1), np.zeros(1)
-        curvature, shear = self._left_out(q, np.stack([0.0 * force, force], axis=-1), moment,
-                                          straight, straight)
-        _, _, _, stiffness, shear_stiffness = self._fields
-        energy = (np.abs(curvature)**2 * stiffness + np.abs(shear)**2 * shear_stiffness
-                  ) @ self._weights
-        share = 0.5 * energy / (np.abs(q)**2 @ model.modes.omega**2)
-        reach = np.linalg.norm(tip_shift @ right[:half], axis=0)
-        # What vibrates is twice the real part of an eigenvector.
-        return left, 2.0 * share * step * reach * values.imag / np.abs(values)
+        errors = self._steps.errors
+        return self._left_out.vibrations(self._steps.step, errors.motions, errors.tip_shift)

@@ -170,13 +170,10 @@ class RunError:
         return enough
 
     def _note(self, errors, states, load):
-        model, shift = self._steps.model, self.tip_shift @ errors[..., :errors.shape[-1] // 2].T
-        x, y = shift[2:]
-        if shift[:2].any():
-            x, y = rotate(np.asarray(load[ANGLE] if model.first else states[..., len(model.axes)]),
-                          x, y)
-        largest = math.sqrt(((shift[0] + x)**2 + (shift[1] + y)**2).max())
-        self.tip = max(self.tip, largest if math.isfinite(largest) else math.inf)
+        model = self._steps.model
+        theta = load[ANGLE] if model.first else states[..., len(model.axes)]
+        largest = tip_distances(self.tip_shift, np.atleast_2d(errors), np.asarray(theta)).max()
+        self.tip = max(self.tip, float(largest) if math.isfinite(largest) else math.inf)
 
     @property
     def motions(self):
@@ -185,28 +182,83 @@ class RunError:
 
     @property
     def tip_shift(self):
-        """
-        Shift of the tip of the straight arm, or of one in equilibrium, per coordinate, (4, m / 2).
-
-        Rows: x and y in world axes by the carrier; along and across the shaft by all others.
-        """
+        """Shift of the tip per coordinate of the state, (4, m / 2), see `linearised`."""
         return self._linearised[1]
 
     @kept
     def _linearised(self):
-        model, size = self._steps.model, self._states.shape[1]
-        half, carrier, count = size // 2, len(model.axes), len(model.modes)
-        turn = np.abs(model.points.rotation).max(axis=1, initial=0.0)
-        bent = _BENT / np.concatenate([np.ones(half - count), np.where(turn > 0.0, turn, 1.0)])
-        states, load = np.zeros((1 + half, size)), np.zeros(LOADS)
-        np.fill_diagonal(states[1:], bent)
-        if model.rest is not None:
-            rest = model.rest.copy()
-            rest[:3] = 0.0  # as seen from the shaft
-            states += model.state(rest)
-        motions = np.array([self._steps.motion(state, load) for state in states])
-        tips = model.world(motions, model.tip_point)[:, 0]
-        change = ((tips[1:] - tips[0]) / bent[:, np.newaxis]).T
-        shift = np.zeros((4, half))
-        shift[:2, :carrier], shift[2:, carrier:] = change[:, :carrier], change[:, carrier:]
-        return ((motions[1:] - motions[0])[:, :model.size // 2] / bent[:, np.newaxis]).T, shift
+        model, load = self._steps.model, np.zeros(LOADS)
+        return linearised([model], model, lambda states: np.array(
+            [self._steps.motion(state, load) for state in states]))
+
+
+def linearised(models, stack, observe):
+    """
+    Linearise motion and tip of the straight arm, or of one in equilibrium.
+
+    Parameters
+    ----------
+    models : list of Formulation
+    stack : Formulation
+        What `stacked` makes of them.
+    observe : function(ndarray) -> ndarray
+        Takes states, (..., k, m), and returns their motions without loads, (..., k, 2 (3 + N)).
+
+    Returns
+    -------
+    motions : ndarray, shape (..., 3 + N, m / 2)
+        Coordinates of the motion per coordinate of the state.
+    tip_shift : ndarray, shape (..., 4, m / 2)
+        Shift of the tip: x and y in world axes by the carrier; along and across the shaft by all
+        others [m].
+
+    """
+    model, size = models[0], len(models[0].linear)
+    half, carrier, count = size // 2, len(model.axes), len(model.modes)
+    turn = np.abs(stack.points.rotation).max(axis=-1, initial=0.0)
+    bent = np.full((*turn.shape[:-1], half), _BENT)
+    bent[..., half - count:] /= np.where(turn > 0.0, turn, 1.0)
+    states = np.zeros((*turn.shape[:-1], 1 + half, size))
+    states[..., range(1, 1 + half), range(half)] = bent
+    if any(each.rest is not None for each in models):
+        rests = [np.zeros(size) if each.rest is None else _at_rest(each) for each in models]
+        states += rests[0] if states.ndim == 2 else np.array(rests)[:, np.newaxis]
+    motions = observe(states)
+    tips = stack.world(motions, stack.tip_point)[..., 0, :]
+    change = np.swapaxes((tips[..., 1:, :] - tips[..., :1, :]) / bent[..., np.newaxis], -1, -2)
+    shift = np.zeros((*change.shape[:-2], 4, half))
+    shift[..., :2, :carrier] = change[..., :carrier]
+    shift[..., 2:, carrier:] = change[..., carrier:]
+    moved = (motions[..., 1:, :] - motions[..., :1, :])[..., :model.size // 2]
+    return np.swapaxes(moved / bent[..., np.newaxis], -1, -2), shift
+
+
+def _at_rest(model):
+    rest = model.rest.copy()
+    rest[:3] = 0.0  # as seen from the shaft
+    return model.state(rest)
+
+
+def tip_distances(tip_shift, errors, theta):
+    """
+    Return how far errors of states shift the tip [m].
+
+    Parameters
+    ----------
+    tip_shift : ndarray, shape (..., 4, m / 2)
+        See `linearised`.
+    errors : ndarray, shape (..., k, m)
+    theta : ndarray, shape (..., k) or (...,)
+        Shaft angles [rad].
+
+    Returns
+    -------
+    ndarray, shape (..., k)
+
+    """
+    half = tip_shift.shape[-1]
+    shift = np.moveaxis(errors[..., :half] @ np.swapaxes(tip_shift, -1, -2), -1, 0)
+    x, y = shift[2:]
+    if tip_shift[..., :2, :].any():
+        x, y = rotate(theta, x, y)
+    return np.sqrt((shift[0] + x)**2 + (shift[1] + y)**2)

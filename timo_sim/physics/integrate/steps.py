@@ -11,15 +11,14 @@
 import numpy as np
 
 from timo_sim.physics.integrate import etdrk4
+from timo_sim.physics.integrate.flow import flow
 from timo_sim.physics.integrate.global_error import LEAST
 from timo_sim.physics.integrate.kept import kept
 from timo_sim.physics.integrate.propagator import propagators
 from timo_sim.physics.integrate.run_error import RunError
-from timo_sim.physics.layout import (
-    ACCELERATION, AFTER, ANGLE, LOADS, SPEED, START, STEP_LOADS)
+from timo_sim.physics.layout import AFTER, LOADS, START, STEP_LOADS
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
-_TURN = 1e-5  # largest turn of a section between a motion and those of `flow` [rad]
 _LONG = 64  # least number of steps at once whose most strained state is worth a look
 
 
@@ -274,26 +273,17 @@ class Steps:
 
         It is a central difference of the velocity along `flow`, to 1e-9 in ordinary motion.
         """
-        motions, shift = self.flow(state, load)
-        before, after = self.model.velocities(motions, self.model.tip_point)[0][:, 0]
-        return (after - before) / (2.0 * shift)
+        before, after, shift = self.flow(state, load)
+        model = self.model
+        speeds = (model.velocities(side, model.tip_point)[0][0, 0] for side in (after, before))
+        return np.subtract(*speeds) / (2.0 * shift[0])
 
     def flow(self, state, load):
-        """
-        Return motions just before and after a state, shape (2, 2 (3 + N)), and half the time.
-
-        State and drive are extrapolated linearly over that half [s].
-        """
-        model, drift = self.model, np.zeros(LOADS)
-        drift[ANGLE], drift[SPEED] = load[SPEED], load[ACCELERATION]
-        rate, half = self.rate(state, load), model.size // 2
-        speed = self._observe(state, load)[half + 2:]
-        turning = np.abs(speed[0] + speed[1:] @ model.points.rotation).max()
-        shift = _TURN / (_TURN + turning)
-        return np.array([self._observe(state + side * rate, load + side * drift)
-                         for side in (-shift, shift)]), shift
+        """Return what `flow` returns of a single state, with k = 1."""
+        return flow(self.model, state[np.newaxis], self.rate(state, load)[np.newaxis],
+                    load[np.newaxis], self._observe)
 
     def _observe(self, state, load):
         motions = np.empty((1, self.model.size))
-        self._step(0, state, load, NO_LOADS, 1, 0, motions, *self.errors.rest)
-        return motions[0]
+        self._step(0, state[0], load[0], NO_LOADS, 1, 0, motions, *self.errors.rest)
+        return motions
