@@ -33,9 +33,9 @@ anew.
 LIMITS = """What limits the speed. At N = 10 the kernel, the mass matrix and its factor are most of
 a step (see the exponent below). The step of a batch is vector code throughout, see the count of
 its instructions: it is limited by their number, about 5700 products and sums at N = 3. If bodies
-differ, constants differ from lane to lane, too, and loading them takes longer. In a sweep whose
-runs differ in their bodies about a fifth of the time is their steps, a quarter checks and models,
-two fifths the estimate of their errors (profile of a job); these are made run by run. A cold start
+differ, constants differ from lane to lane, too, and loading them takes longer. In a sweep the
+steps take half of a run's time if loads and states differ. If bodies differ they take a fifth, and
+two fifths go to checks, modes and tables, which are made run by run. A cold start
 is type inference and optimisation by numba for one size.
 """
 SECTIONS = [('Step and run', step), ('Many at once', lanes), ('Learning', learning),

@@ -7,11 +7,11 @@
 # language governing permissions and limitations under the License.
 
 """
-Times a sweep: 10 000 runs of the paper's 10 s scene, N = 3, h = 10 ms, summary of the tip.
+Times sweeps: 10 000 runs of the paper's 10 s scene, N = 3, h = 10 ms, summary of the tip.
 
-Mass at the tip, amplitude of the torque and initial shaft speed all differ from run to run, so
-nothing is shared but the arm. The time is that of the whole call, start of the processes
-included. A compiled product of a 16 x 16 matrix and a vector, timed on as many cores at once right
+Amplitude of the torque and initial shaft speed differ from run to run, and in half of the sweeps
+the mass at the tip, too, so that nothing is shared but the arm. The time is that of the whole
+call, start of the processes included. A compiled product of a 16 x 16 matrix and a vector, timed on as many cores at once right
 before and after, measures the speed of the machine. The sweep's peer is a loop over `simulate`.
 """
 
@@ -30,17 +30,22 @@ import timo_sim
 from timo_sim.sweep.workers import LocalExecutor
 
 PAPER = ROOT / 'config' / 'paper.yaml'
-DURATION, STEP, TARGET = 10.0, 0.01, 20.0
-COUNTS, QUICK_COUNTS = (1000, 2000, 5000, 10000), (200, 400)
+DURATION, STEP = 10.0, 0.01
+TARGETS = {'bodies differ': 6.0, 'loads and states differ': 3.0}  # of 10 000 runs [s]
+COUNTS, QUICK_COUNTS, LONG = (1000, 2000, 5000, 10000), (200, 400), 100_000
 PRODUCTS = 25
 
 
-def variations(count):
-    """Return overrides that differ in all three parameters from run to run."""
+def variations(count, bodies=True):
+    """Return overrides that differ in all their parameters from run to run."""
     random = np.random.default_rng(1)
-    return [{'end_effector.mass': random.uniform(0.5, 5.0),
-             'load.torque.harmonic.amplitude': [random.uniform(1.0, 8.0)],
-             'initial.shaft_velocity': random.uniform(-1.0, 1.0)} for _ in range(count)]
+    found = [{'end_effector.mass': random.uniform(0.5, 5.0),
+              'load.torque.harmonic.amplitude': [random.uniform(1.0, 8.0)],
+              'initial.shaft_velocity': random.uniform(-1.0, 1.0)} for _ in range(count)]
+    for each in found:
+        if not bodies:
+            del each['end_effector.mass']
+    return found
 
 
 def products(executor):
@@ -94,49 +99,56 @@ def rows(quick=False):
     scene = timo_sim.load_scene(PAPER, {'model.modes': 3, 'integrator.step': STEP})
     counts = QUICK_COUNTS if quick else COUNTS
     cores = len(os.sched_getaffinity(0))
-    timo_sim.simulate_many(scene, variations(4), DURATION)  # machine code
-
-    few = variations(100)
+    few = variations(96)
+    table = timo_sim.simulate_many(scene, few, DURATION)  # and machine code of lanes
+    timo_sim.simulate(scene, DURATION, compare=False)
     start = time.perf_counter()
     # Runs of a sweep are not compared with finer ones either.
     runs = [timo_sim.simulate(timo_sim.load_scene(scene.values, values), DURATION, compare=False)
             for values in few]
     loop = (time.perf_counter() - start) / len(few)
-    table = timo_sim.simulate_many(scene, few, DURATION)
-    assert all(table['final_shaft'][k] == run.shaft[-1] and table['peak_deflection'][k]
-               == np.abs(run.deflection(2.0)[:, 1]).max() for k, run in enumerate(runs))
-
-    seconds, memories = [], []
+    assert all(np.isclose(table['final_shaft'][k], run.shaft[-1], rtol=1e-10)
+               and np.isclose(table['peak_deflection'][k],
+                              np.abs(run.deflection(2.0)[:, 1]).max(), rtol=1e-10)
+               for k, run in enumerate(runs))
+    del runs
+    timo_sim.simulate_many(scene, variations(96, bodies=False), DURATION)
     with LocalExecutor() as executor:
         unit = [products(executor)]
-    for count in counts:
-        with Memory() as memory:
-            start = time.perf_counter()
-            table = timo_sim.simulate_many(scene, variations(count), DURATION)
-            seconds.append(time.perf_counter() - start)
-        memories.append(memory)
-        assert len(table['run']) == count and not any(table['reason'])
+    seconds, memories = {}, {}
+    for kind in TARGETS:
+        for count in counts if quick or kind == 'bodies differ' else (*counts, LONG):
+            with Memory() as memory:
+                start = time.perf_counter()
+                table = timo_sim.simulate_many(
+                    scene, variations(count, kind == 'bodies differ'), DURATION)
+                seconds[kind, count] = time.perf_counter() - start
+            memories[kind, count] = memory
+            assert len(table['run']) == count and not any(table['reason'])
     with LocalExecutor() as executor:
         unit.append(products(executor))
-
-    slope, offset = np.polyfit(counts, seconds, 1)
-    most, last = counts[-1], seconds[-1]
-    shown = ', '.join(f'{count}: {span:.1f} s' for count, span in zip(counts, seconds))
-    per_run = last / most * cores / statistics.mean(unit)
-    return [
-        (f'{most} runs of 10 s, N = 3, h = 10 ms', '' if quick else f'{TARGET:g} s',
-         f'{last:.1f} s', None if quick else last <= TARGET,
-         f'{cores} cores; mass, torque and shaft speed differ in all runs'),
-        ('time of a core for a run, in 16 x 16 products', '', f'{per_run:.0f}', None,
-         f'a product: {1e9 * statistics.mean(unit):.0f} ns with all cores busy'),
-        ('linear in runs', '', f'{1e3 * slope:.2f} ms a run and {offset:.1f} s', None,
-         shown),
-        ('memory of this process and of a worker', '',
-         f'{memories[-1].own:.0f} MB, {memories[-1].children:.0f} MB', None,
-         f'{counts[0]} runs: {memories[0].own:.0f} MB, {memories[0].children:.0f} MB'),
-        ('loop over `simulate` for as many runs', '', f'{loop * most:.0f} s', None,
-         f'{loop * most / last:.1f} times as long; {1e3 * loop:.1f} ms a run'),
-    ]
+    unit, most, found = statistics.mean(unit), counts[-1], []
+    for kind, target in TARGETS.items():
+        last = seconds[kind, most]
+        found.append((
+            f'{most} runs of 10 s, N = 3, h = 10 ms, {kind}', '' if quick else f'{target:g} s',
+            f'{last:.1f} s', None if quick else last <= target,
+            f'{cores} cores; {last / most * cores / unit:.0f} products of a core for a run, a '
+            f'product takes {1e9 * unit:.0f} ns with all cores busy'))
+        slope, offset = np.polyfit(counts, [seconds[kind, count] for count in counts], 1)
+        found.append((
+            f'linear in runs, {kind}', '', f'{1e3 * slope:.2f} ms a run and {offset:.1f} s', None,
+            ', '.join(f'{count}: {span:.1f} s' for (each, count), span in seconds.items()
+                      if each == kind)))
+    for (kind, count), memory in memories.items():
+        if count in (counts[0], LONG) and kind != 'bodies differ':
+            found.append((f'memory of this process and of a worker, {count} runs', '',
+                          f'{memory.own:.0f} MB, {memory.children:.0f} MB', None,
+                          'the table and the list of variations are kept here'))
+    last = seconds['bodies differ', most]
+    return [*found, (
+        'loop over `simulate` for as many runs, bodies differ', '', f'{loop * most:.0f} s', None,
+        f'{loop * most / last:.1f} times as long; {1e3 * loop:.1f} ms a run')]
 
 
 if __name__ == '__main__':

@@ -48,27 +48,26 @@ def pack(fields):
 
 def pack_lanes(fields):
     """
-    Return NamedTuples of numbers and arrays, one for each lane, as records with known shapes.
+    Return a NamedTuple of arrays whose first axis is that of lanes as records with known shapes.
 
     Parameters
     ----------
-    fields : list of NamedTuple
-        A multiple of WIDTH; their arrays of whole numbers must be the same in all.
+    fields : NamedTuple
+        Of arrays for a multiple of WIDTH lanes; whole numbers must be the same in all.
 
     Returns
     -------
-    ndarray, shape (len(fields) // WIDTH,)
+    ndarray, shape (lanes // WIDTH,)
         Records; numbers have the lanes as last axis.
 
     """
-    count, values = len(fields) // WIDTH, {}
-    for name in fields[0]._fields:
-        stack = np.array([getattr(each, name) for each in fields])
+    values = {name: np.asarray(value) for name, value in fields._asdict().items()}
+    count = len(next(iter(values.values()))) // WIDTH
+    for name, stack in values.items():
         if stack.dtype == float:
-            stack = np.moveaxis(stack.reshape(count, WIDTH, *stack.shape[1:]), 1, -1)
+            values[name] = np.moveaxis(stack.reshape(count, WIDTH, *stack.shape[1:]), 1, -1)
         else:
-            stack = stack[:count]
-        values[name] = stack
+            values[name] = stack[:count]
     sizes = [_WHOLE * math.ceil(stack[0].nbytes / _WHOLE) for stack in values.values()]
     layout = np.dtype({'names': list(values), 'itemsize': sum(sizes),
                        'formats': [(stack.dtype, stack.shape[1:]) for stack in values.values()],

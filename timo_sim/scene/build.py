@@ -26,9 +26,10 @@ from timo_sim.scene.parameter import ParameterError, short, whole_ratio
 # Ranges of real solids; `load_scene` warns of values outside.
 _PLAUSIBLE = {'young_modulus': (1e5, 2e12, 'Pa'), 'density': (10.0, 25000.0, 'kg/m3')}
 # Parameters of a load's terms.
-_OF_TERMS = ('integrator.step', *(f'load.{channel}.{name}' for channel in CHANNELS for name in (
+_OF_CHANNELS = {channel: tuple(f'load.{channel}.{name}' for name in (
     'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
-    'piecewise.value', 'table.time', 'table.value')))
+    'piecewise.value', 'table.time', 'table.value')) for channel in CHANNELS}
+_OF_TERMS = ('integrator.step', *(name for names in _OF_CHANNELS.values() for name in names))
 _LEAST_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
 
 
@@ -51,7 +52,8 @@ def _terms_of(items):
     # One object for equal terms, so that many scenes under the same load can share what it does.
     values = dict(items)
     return {channel: tuple(_terms(f'load.{channel}', values, values['integrator.step']))
-            for channel in CHANNELS}
+            if any(values[name] for name in names) else () for channel, names in
+            _OF_CHANNELS.items()}
 
 
 def motor_constants(values):

@@ -45,6 +45,9 @@ def _new_model(name, body, modes, damping, constraints, static, axial, gravity, 
                                    basis=basis)
 
 
+_OF_SCENE = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
+_ORDINARY = 1e20  # numbers below this do not overflow in an energy
+
 # Scenes that differ in loads, limits or initial motion share their equations of motion.
 _shared_model = lru_cache(maxsize=4)(_new_model)
 
@@ -273,8 +276,7 @@ def scene_from(values):
     if os.environ.get('NUMBA_DISABLE_JIT', '0') not in ('', '0'):
         raise ParameterError('NUMBA_DISABLE_JIT must be 0 or not set, because the equations need '
                              f'to be compiled, got {short(os.environ["NUMBA_DISABLE_JIT"])}')
-    values = {name: values[name] for name, parameter in PARAMETERS.items()
-              if parameter.scope == SCENE}
+    values = {name: values[name] for name in _OF_SCENE}
     check_counts(values)
     check_initial(values)
     payloads_of(values)
@@ -287,7 +289,8 @@ def scene_from(values):
         with np.errstate(over='raise', divide='raise', invalid='raise'):
             formulation, motion = scene.build(), scene.initial_motion()
             finite = np.isfinite(formulation.linear).all() and (
-                not motion[3:].any() or np.isfinite(formulation.energy(motion[np.newaxis])[0]))
+                formulation.largest < _ORDINARY > np.abs(motion).max()
+                or np.isfinite(formulation.energy(motion[np.newaxis])[0]))
     except ArithmeticError:
         finite = False
     except ParameterError:

@@ -25,19 +25,29 @@ def _operators(breaks, terms):
             fine.integrate_to(fine.points))
 
 
-def _strain_modes(manipulator, terms, vectors=True):
-    # Returns the singular value decomposition of G, see `GalerkinModes`, and the factors from
-    # scaled to nodal strains of bending and shear.
-    arm = manipulator.arm
-    nodes, fine, integrate, interpolate, integrate_fine = _operators(
+@functools.lru_cache(maxsize=8)
+def _of_arm(arm, terms):
+    # Factors from scaled to nodal strains of bending and shear, and the matrices from scaled
+    # strains to deflections and rotations of the points of mass; cached, since manipulators often
+    # differ in the end effector alone.
+    nodes, _, integrate, interpolate, integrate_fine = _operators(
         tuple(arm.breaks.tolist()), terms)
     section = arm.at(nodes.nodes)
     bend = 1.0 / np.sqrt(nodes.weights * section.bending_stiffness)
     shear = 1.0 / np.sqrt(nodes.weights * section.shear_stiffness)
-    mass, inertia = (np.sqrt(values)[:, np.newaxis] for values in manipulator.inertia(fine))
     slope = np.hstack([integrate[:-1] * bend, interpolate * shear])
-    matrix = np.vstack([mass * (integrate_fine @ slope),
-                        inertia * np.hstack([integrate * bend, np.zeros_like(integrate)])])
+    return bend, shear, integrate_fine @ slope, np.hstack(
+        [integrate * bend, np.zeros_like(integrate)])
+
+
+def _strain_modes(manipulator, terms, vectors=True):
+    # Returns the singular value decomposition of G, see `GalerkinModes`, and the factors from
+    # scaled to nodal strains of bending and shear.
+    arm = manipulator.arm
+    fine = _operators(tuple(arm.breaks.tolist()), terms)[1]
+    bend, shear, deflection, rotation = _of_arm(arm, terms)
+    mass, inertia = (np.sqrt(values)[:, np.newaxis] for values in manipulator.inertia(fine))
+    matrix = np.vstack([mass * deflection, inertia * rotation])
     return np.linalg.svd(matrix, full_matrices=False, compute_uv=vectors), bend, shear
 
 

@@ -65,6 +65,22 @@ def _integrals(spans, xi):
     return matrix
 
 
+@functools.lru_cache(maxsize=64)
+def _spanned(ends, count, extra):
+    # Spans, nodes, weights and points of a Quadrature; cached as `_integrals` are.
+    shares = np.diff(ends) / ends[-1]
+    # 1e-9: round-off must not raise a share that is a whole number.
+    counts = np.maximum(np.ceil(count * shares - 1e-9).astype(int), _FEWEST) + extra
+    spans = tuple(zip(ends, ends[1:], counts.tolist()))
+    nodes = np.concatenate([start + 0.5 * (stop - start) * (_rule(n)[0] + 1.0)
+                            for start, stop, n in spans])
+    weights = np.concatenate([0.5 * (stop - start) * _rule(n)[1] for start, stop, n in spans])
+    points = np.append(nodes, ends[-1])
+    for constant in (nodes, weights, points):
+        constant.flags.writeable = False
+    return spans, nodes, weights, points
+
+
 class Quadrature:
     """
     Gauss-Legendre quadrature on the spans of an arm.
@@ -90,16 +106,8 @@ class Quadrature:
     """
 
     def __init__(self, breaks, count, extra=0):
-        shares = np.diff(breaks) / breaks[-1]
-        # 1e-9: round-off must not raise a share that is a whole number.
-        counts = np.maximum(np.ceil(count * shares - 1e-9).astype(int), _FEWEST) + extra
-        ends = np.asarray(breaks, dtype=float).tolist()
-        self._spans = tuple(zip(ends, ends[1:], counts.tolist()))
-        self.nodes = np.concatenate([start + 0.5 * (stop - start) * (_rule(n)[0] + 1.0)
-                                     for start, stop, n in self._spans])
-        self.weights = np.concatenate([0.5 * (stop - start) * _rule(n)[1]
-                                       for start, stop, n in self._spans])
-        self.points = np.append(self.nodes, breaks[-1])
+        self._spans, self.nodes, self.weights, self.points = _spanned(
+            tuple(np.asarray(breaks, dtype=float).tolist()), count, extra)
 
     def integrate_to(self, xi):
         """

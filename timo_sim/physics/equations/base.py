@@ -172,6 +172,15 @@ class Formulation(Observables):
         self.__dict__.pop('reach', None)
 
     @cached_property
+    def largest(self):
+        """Largest of the numbers from which an energy is computed."""
+        body, points = self.manipulator, self.points
+        arrays = (points.deflection, points.rotation, self.point_mass, self.point_inertia,
+                  self.modes.omega**2, self.gravity, self.modes.shear(points.xi))
+        return max(body.base_mass, body.shaft_inertia, body.arm.length,
+                   *(np.abs(array).max(initial=0.0) for array in arrays))
+
+    @cached_property
     def section_turn(self):
         """Largest turn, shear and stretch of a section by each modal coordinate, (N,)."""
         xi, modes = self.points.xi, self.modes

@@ -34,11 +34,11 @@ def stacked(models):
     for name in (*stack.arrays, *_ARRAYS):
         setattr(stack, name, np.array([getattr(model, name) for model in models]))
     for name in 'points', 'tip_point':
-        setattr(stack, name, _of_all([getattr(model, name) for model in models]))
-    stack.tables = _of_all([model.tables for model in models])
+        setattr(stack, name, of_all([getattr(model, name) for model in models]))
+    stack.tables = of_all([model.tables for model in models])
     return stack
 
 
-def _of_all(tuples):
-    # One NamedTuple of arrays for those of all models.
+def of_all(tuples):
+    """Return NamedTuples as one, whose arrays have another first axis."""
     return tuples[0]._make(np.array(arrays) for arrays in zip(*tuples))

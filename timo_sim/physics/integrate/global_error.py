@@ -46,6 +46,21 @@ def _coefficients():
     return inverse * np.array([math.factorial(i) for i in range(POINTS)])[:, np.newaxis]
 
 
+def weights_of(phi, step):
+    """
+    Return the weights of n in the integral of a step, shape (steps, points, ..., m, m).
+
+    Parameters
+    ----------
+    phi : ndarray, shape (1 + POINTS, ..., m, m)
+        See `phi_functions`.
+    step : float
+        [s]
+
+    """
+    return step * np.tensordot(_coefficients(), phi[1:], axes=(1, 0))
+
+
 class GlobalError:
     """
     The estimated error of a model's state.
@@ -73,11 +88,6 @@ class GlobalError:
     @kept
     def _phi(self):
         return phi_functions(self._linear, self._step, POINTS)
-
-    @property
-    def power(self):
-        """exp(h L), shape (m, m)."""  # noqa: D403
-        return self._phi[0]
 
     @kept
     def _powers(self):
@@ -151,7 +161,7 @@ class GlobalError:
         """Return the defect of each step, shape (steps, m)."""
         steps, size = len(states) - 1, states.shape[1]
         defects = states[1:] - states[:-1] @ self._powers[1].T
-        for offset, weights in enumerate(self.of_step):
+        for offset, weights in enumerate(self._of_step):
             first, count = offset, 1
             if offset == _MIDDLE:
                 count = steps - 2 * _MIDDLE
@@ -185,9 +195,9 @@ class GlobalError:
         return self._squares[count]
 
     @kept
-    def of_step(self):
+    def _of_step(self):
         """Return the weights of n in the integral of a step, (steps, points, m, m)."""
-        return self._step * np.tensordot(_coefficients(), self._phi[1:], axes=(1, 0))
+        return weights_of(self._phi, self._step)
 
     @kept
     def _sums(self):
@@ -195,12 +205,12 @@ class GlobalError:
         size, inner = len(self._linear), _BLOCK - 2 * _MIDDLE
         sums = np.zeros((_BLOCK + 1, size, size))
         later = self._powers[_BLOCK - 1 - _MIDDLE - np.arange(inner)]
-        for point, weight in enumerate(self.of_step[_MIDDLE]):
+        for point, weight in enumerate(self._of_step[_MIDDLE]):
             sums[point:point + inner] += later @ weight
         for offset in (*range(_MIDDLE), *range(_MIDDLE + 1, POINTS - 1)):
             step = offset if offset < _MIDDLE else _BLOCK - (POINTS - 1) + offset
             first = step - offset
-            sums[first:first + POINTS] += self._powers[_BLOCK - 1 - step] @ self.of_step[offset]
+            sums[first:first + POINTS] += self._powers[_BLOCK - 1 - step] @ self._of_step[offset]
         return np.ascontiguousarray(sums.transpose(0, 2, 1).reshape(-1, size))
 
 

@@ -18,10 +18,11 @@ from timo_sim.jit.lanes import as_lanes, as_shared, WIDTH
 from timo_sim.physics.equations.stack import stacked
 from timo_sim.physics.integrate.etdrk4 import copy
 from timo_sim.physics.integrate.flow import flow
-from timo_sim.physics.integrate.global_error import GlobalError, POINTS
+from timo_sim.physics.integrate.global_error import POINTS, weights_of
 from timo_sim.physics.integrate.kept import kept
-from timo_sim.physics.integrate.lane_steps import from_lanes
+from timo_sim.physics.integrate.lane_steps import from_lanes, to_lanes
 from timo_sim.physics.integrate.left_out import LeftOut
+from timo_sim.physics.integrate.propagator import phi_functions
 from timo_sim.physics.integrate.run_error import linearised, tip_distances
 from timo_sim.physics.layout import AFTER, LOADS, START
 
@@ -121,14 +122,11 @@ class LaneErrors:
 
     @kept
     def _matrices(self):
-        def matrices(model):
-            error = GlobalError(model.linear, self._lanes.step, model.kept(self._lanes.step))
-            return Matrices(error.power.T, np.swapaxes(error.of_step, -1, -2))
-        models = self._lanes.models
+        lanes = self._lanes
         if self._alike:
-            return pack(matrices(models[0]))
-        found = [matrices(model) for model in models]
-        return pack_lanes(found + found[-1:] * (-len(found) % WIDTH))
+            return pack(_matrices(self._model.linear, lanes.step))
+        linear = from_lanes(to_lanes(self._linear), WIDTH * len(lanes.own))
+        return pack_lanes(_matrices(linear, lanes.step))
 
     def follow(self, columns, varying, history):
         """
@@ -217,6 +215,12 @@ class LaneErrors:
             motions = np.stack([lanes.motions(row, none) for row in rows], axis=1)
             return motions[0] if self._alike else motions
         return linearised(lanes.models, self._model, observe)
+
+
+def _matrices(linear, step):
+    phi = phi_functions(linear, step, POINTS)
+    return Matrices(np.swapaxes(phi[0], -1, -2), np.swapaxes(
+        np.moveaxis(weights_of(phi, step), (0, 1), (-4, -3)), -1, -2))
 
 
 def _finite(distances):

@@ -17,6 +17,7 @@ from timo_sim.jit.constants import local, pack, pack_lanes
 from timo_sim.jit.decorators import entry_point, inlined, inner
 from timo_sim.jit.lanes import as_lanes, as_shared, WIDTH
 from timo_sim.physics.equations.functions import observe, tip
+from timo_sim.physics.equations.stack import of_all
 from timo_sim.physics.integrate.etdrk4 import copy, one_step
 from timo_sim.physics.integrate.propagator import Propagator, propagator
 from timo_sim.physics.layout import AFTER, END, LOADS, MIDDLE, STAGES, START, STEP_LOADS
@@ -168,9 +169,9 @@ def from_lanes(values, count):
     return rows.reshape(len(values) * WIDTH, *rows.shape[2:])[:count]
 
 
-def _turned(model, step):
+def _turned(linear, step):
     # The matrices of a step, transposed: see `etdrk4.product`.
-    return Propagator._make(matrix.T for matrix in propagator(model.linear, step))
+    return Propagator._make(np.swapaxes(matrix, -1, -2) for matrix in propagator(linear, step))
 
 
 class LaneSteps:
@@ -200,19 +201,20 @@ class LaneSteps:
         self.count, self.models, self.step = len(models), models, step
         groups = -(-len(models) // WIDTH)
         padded = [models[min(row, len(models) - 1)] for row in range(groups * WIDTH)]
+        lanes, size = len(padded), models[0].size
         if all(model is models[0] for model in models):
             self._advance = advance_alike
-            self._constants = models[0].packed, pack(_turned(models[0], step))
+            self._constants = models[0].packed, pack(_turned(models[0].linear, step))
         else:
-            matrices = {id(model): _turned(model, step) for model in models}
             self._advance = advance_each
-            self._constants = (pack_lanes([model.tables for model in padded]),
-                               pack_lanes([matrices[id(model)] for model in padded]))
-        size = models[0].size
-        self.own = pack_lanes([
-            Own(np.zeros(LOADS), np.zeros((STEP_LOADS, LOADS)), model.reach[3:],
-                np.array([bent * model.manipulator.arm.length]), np.zeros(size))
-            for model in padded])
+            linear = np.array([model.linear for model in padded])
+            self._constants = (pack_lanes(of_all([model.tables for model in padded])),
+                               pack_lanes(_turned(linear, step)))
+        self.own = pack_lanes(Own(
+            np.zeros((lanes, LOADS)), np.zeros((lanes, STEP_LOADS, LOADS)),
+            np.array([model.reach[3:] for model in padded]),
+            np.array([[bent * model.manipulator.arm.length] for model in padded]),
+            np.zeros((lanes, size))))
         self.state = np.zeros((groups, len(models[0].linear), WIDTH))
         self.progress, self.motion = np.ones((groups, 2, WIDTH)), np.zeros((groups, size, WIDTH))
         self.tip, self.progress[:, 1] = np.zeros((groups, 3, WIDTH)), 0.0

@@ -14,7 +14,7 @@ as first axis; arrays of many models have the models before it, (models, states,
 """
 
 import numpy as np
-from scipy.linalg import eig
+from scipy.linalg.lapack import dgeev
 
 from timo_sim.physics.equations.stack import stacked
 from timo_sim.physics.integrate.kept import kept
@@ -249,7 +249,10 @@ def _along(model, stiffness):
 
 
 def _vibrations(linear):
-    values, left, right = eig(linear, left=True)
-    kept = values.imag > 1e-6 * np.abs(values).max()
-    values, left, right = values[kept], left[:, kept].conj().T, right[:, kept]
+    # LAPACK gives an eigenvector as two columns, those of its real and of its imaginary part.
+    real, imaginary, left, right, _ = dgeev(linear)
+    first = np.flatnonzero(imaginary > 1e-6 * np.hypot(real, imaginary).max())
+    values = real[first] + 1j * imaginary[first]
+    left, right = (part[:, first] + 1j * part[:, first + 1] for part in (left, right))
+    left = left.conj().T
     return values, left / np.sum(left * right.T, axis=1)[:, np.newaxis], right

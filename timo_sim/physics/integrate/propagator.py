@@ -16,7 +16,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import matrix_balance
+from scipy.linalg.lapack import dgebal
 
 _NORM, _TERMS = 2.0, 22  # the series of phi_3 is truncated at a relative 2^23 3! / 26! = 1e-19
 
@@ -25,7 +25,8 @@ class Propagator(NamedTuple):
     """
     The matrices of one step, for one linear part L and one step size h.
 
-    With `phi_0(z) = exp(z)`, `phi_k(z) = (phi_{k-1}(z) - 1/(k-1)!) / z`; each has shape (m, m).
+    With `phi_0(z) = exp(z)`, `phi_k(z) = (phi_{k-1}(z) - 1/(k-1)!) / z`; each has shape (m, m),
+    or those of many linear parts (n, m, m).
     """
 
     whole: np.ndarray        # phi_0(h L)
@@ -47,7 +48,7 @@ def propagators(linear, step):
 
     Parameters
     ----------
-    linear : ndarray, shape (m, m)
+    linear : ndarray, shape (..., m, m)
         L, per second.
     step : float
         h [s].
@@ -57,30 +58,60 @@ def propagators(linear, step):
     list of Propagator
 
     """
-    # Stiffnesses and compliances differ by many decades. Balancing, exact by powers of two, brings
-    # the norm of h L to about that of the fastest wave, so that the exponential keeps its digits.
-    balanced, (scale, _) = matrix_balance(linear, permute=False, separate=True)
-    whole, half, quarter = (scale[:, np.newaxis] * phi / scale for phi in _phi(step * balanced))
+    whole, half, quarter = _of_balanced(_phi, step, linear)
     return [_combined(step, whole, half), _combined(0.5 * step, half, quarter)]
 
 
 def phi_functions(linear, step, order):
-    """Return phi_0 to phi_order of h L, see `Propagator`, shape (1 + order, m, m)."""
-    balanced, (scale, _) = matrix_balance(linear, permute=False, separate=True)
-    z, doublings = _scaled(step * balanced)
-    series = np.eye(len(z)) / float(math.factorial(_TERMS + order))
+    """Return phi_0 to phi_order of h L, (..., m, m), see `Propagator`: (1 + order, ..., m, m)."""
+    return _of_balanced(lambda z, doublings: _phi_to(order, z, doublings), step, linear)
+
+
+def _of_balanced(function, step, linear):
+    """
+    Return a function of h L, an array with axes before those of L.
+
+    `function` takes some matrices that are small enough for a series, (n, m, m), and how often
+    they have to be doubled. Stiffnesses and compliances differ by many decades. Balancing, exact
+    by powers of two, brings the norm of h L to about that of the fastest wave, so that the
+    exponential keeps its digits.
+    """
+    every = linear.reshape(-1, *linear.shape[-2:])
+    found = [dgebal(each, scale=1, permute=0) for each in every]
+    # In the order of memory that LAPACK returns, on which the last bits of products depend.
+    balanced = np.array([each[0].T for each in found]).swapaxes(1, 2)
+    z, scale = step * balanced, np.array([each[3] for each in found])
+    norms = np.abs(z).sum(axis=1).max(axis=1)
+    doublings = np.array([max(2, math.ceil(math.log2(norm / _NORM))) if norm > 0.0 else 2
+                          for norm in norms])
+    results = None
+    for number in np.unique(doublings):
+        those = doublings == number
+        some = function((z.swapaxes(1, 2)[those] / 2.0**number).swapaxes(1, 2), number)
+        if results is None:
+            results = np.empty((*some.shape[:-3], *z.shape))
+        results[..., those, :, :] = some
+    results *= scale[:, :, np.newaxis]
+    results /= scale[:, np.newaxis, :]
+    return results.reshape(*results.shape[:-3], *linear.shape)
+
+
+def _phi_to(order, z, doublings):
+    """Return phi_0 to phi_order of z, doubled so often, shape (1 + order, n, m, m)."""
+    place = np.arange(z.shape[-1])
+    series = np.broadcast_to(np.eye(len(place)) / float(math.factorial(_TERMS + order)), z.shape)
     phi = np.empty((1 + order, *z.shape))
     for k in reversed(range(_TERMS + order)):
         series = z @ series
-        series.flat[::len(z) + 1] += 1.0 / math.factorial(k)
+        series[:, place, place] += 1.0 / math.factorial(k)
         phi[min(k, order)] = series
     # share[k, j]: weight of phi_j(z) in 2^k phi_k(2 z), besides phi_0(z) phi_k(z), see `_phi`.
     share = np.array([[1.0 / math.factorial(k - j) if 0 < j <= k else 0.0
                        for j in range(1 + order)] for k in range(1 + order)])
-    half = 0.5 ** np.arange(1 + order)[:, np.newaxis, np.newaxis]
+    half = 0.5 ** np.arange(1 + order)[:, np.newaxis, np.newaxis, np.newaxis]
     for _ in range(doublings):
         phi = half * (phi[0] @ phi + np.tensordot(share, phi, axes=1))
-    return scale[:, np.newaxis] * phi / scale
+    return phi
 
 
 def _combined(step, whole, half):
@@ -90,20 +121,20 @@ def _combined(step, whole, half):
                       step * (2.0 * phi_2 - 4.0 * phi_3), step * (4.0 * phi_3 - phi_2))
 
 
-def _phi(z):
+def _phi(z, doublings):
     """
-    Return phi_0 to phi_3 of a matrix, of its half and of its quarter, each of shape (4, m, m).
+    Return phi_0 to phi_3 of matrices that are doubled, of their halves and of their quarters.
 
-    The matrix is divided by a power of two for the series of phi_3; then the argument is doubled:
+    First the series of phi_3 is summed up; then the argument is doubled:
     `2^k phi_k(2 z) = phi_0(z) phi_k(z) + sum_j phi_j(z) / (k - j)!`, j = 1..k. Source: Skaflestad
-    and Wright, Appl. Numer. Math. 59 (2009) 783-799.
+    and Wright, Appl. Numer. Math. 59 (2009) 783-799. Shape (3, 4, n, m, m).
     """
-    z, doublings = _scaled(z)
-    one = np.eye(len(z))
-    phi_3 = one / float(math.factorial(_TERMS + 3))
+    one = np.eye(z.shape[-1])
+    place = np.arange(len(one))
+    phi_3 = np.broadcast_to(one / float(math.factorial(_TERMS + 3)), z.shape)
     for k in reversed(range(_TERMS)):
         phi_3 = z @ phi_3
-        phi_3.flat[::len(z) + 1] += 1.0 / math.factorial(k + 3)
+        phi_3[:, place, place] += 1.0 / math.factorial(k + 3)
     phi_2 = z @ phi_3 + 0.5 * one
     phi_1 = z @ phi_2 + one
     found = [np.array([z @ phi_1 + one, phi_1, phi_2, phi_3])]
@@ -112,11 +143,4 @@ def _phi(z):
         found.insert(0, np.array([
             phi_0 @ phi_0, 0.5 * (phi_0 @ phi_1 + phi_1), 0.25 * (phi_0 @ phi_2 + phi_1 + phi_2),
             0.125 * (phi_0 @ phi_3 + 0.5 * phi_1 + phi_2 + phi_3)]))
-    return found[:3]
-
-
-def _scaled(z):
-    """Return a matrix divided by 2^k to be small enough for the series, and k >= 2."""
-    norm = np.linalg.norm(z, 1)
-    doublings = max(2, math.ceil(math.log2(norm / _NORM))) if norm > 0.0 else 2
-    return z / 2.0**doublings, doublings
+    return np.array(found[:3])
