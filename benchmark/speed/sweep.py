@@ -11,8 +11,9 @@ Times sweeps: 10 000 runs of the paper's 10 s scene, N = 3, h = 10 ms, summary o
 
 Amplitude of the torque and initial shaft speed differ from run to run, and in half of the sweeps
 the mass at the tip, too, so that nothing is shared but the arm. The time is that of the whole
-call, start of the processes included. A compiled product of a 16 x 16 matrix and a vector, timed on as many cores at once right
-before and after, measures the speed of the machine. The sweep's peer is a loop over `simulate`.
+call, start of the processes included. A compiled product of a 16 x 16 matrix and a vector, timed
+on as many cores at once right before and after, measures the speed of the machine. The sweep's
+peer is a loop over `simulate`.
 """
 
 import os
