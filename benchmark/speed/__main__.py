@@ -20,7 +20,8 @@ for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
 from benchmark import ROOT  # noqa: E402
 from benchmark.command import parser  # noqa: E402
 from benchmark.report import machine, table  # noqa: E402
-from benchmark.speed import lanes, learning, memory, node, skipping, step, sweep  # noqa: E402
+from benchmark.speed import (  # noqa: E402
+    around, lanes, learning, memory, node, skipping, step, sweep)
 from benchmark.speed.timing import product  # noqa: E402
 
 INTRODUCTION = """# Speed
@@ -38,8 +39,8 @@ steps take half of a run's time if loads and states differ. If bodies differ the
 two fifths go to checks, modes and tables, which are made run by run. A cold start
 is type inference and optimisation by numba for one size.
 """
-SECTIONS = [('Step and run', step), ('Many at once', lanes), ('Learning', learning),
-            ('Memory', memory), ('Node', node), ('Sweep', sweep)]
+SECTIONS = [('Step and run', step), ('Around a run', around), ('Many at once', lanes),
+            ('Learning', learning), ('Memory', memory), ('Node', node), ('Sweep', sweep)]
 
 
 def sections_of(page):

@@ -88,16 +88,10 @@ def run_rows():
     scene = paper()
     prepared = Prepared(scene)
     compiled = timed(lambda: prepared.run(every=1), 1)
-    whole = timed(lambda: timo_sim.simulate(scene, 10.0, compare=False), 1)
     compared = timed(lambda: timo_sim.simulate(scene, 10.0, compare=True), 1)
-    check = timed(lambda: timo_sim.load_scene(scene.values), 1)
-    own = whole.middle - compiled.middle + check.middle
     return [
         ('10 s of the paper, 10 ms, every step sampled', '2 ms', compiled.shown(1e-3, 'ms'),
          compiled.middle <= 2e-3, 'the compiled part'),
-        ("`simulate`'s own: check, tables, result", '20 ms', f'{1e3 * own:.1f} ms', own <= 20e-3,
-         f'check of the scene {1e3 * check.middle:.1f} ms, the modes being known; '
-         f'`simulate` as a whole {whole.shown(1e-3, "ms")}'),
         ('the same, compared with a second, finer run', '', compared.shown(1e-3, 'ms'), None,
          'what `simulate` does by itself with short runs that are in doubt')]
 

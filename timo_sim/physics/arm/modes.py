@@ -113,7 +113,8 @@ class UniformModes:
 
     def _fields(self, xi):
         values = np.empty((4, len(xi), len(self)))
-        fields(self._arm, self.omega, self._shape, np.asarray(xi, dtype=float), values)
+        # A copy, because read-only points would need machine code of their own.
+        fields(self._arm, self.omega, self._shape, np.array(xi, dtype=float), values)
         return values
 
     def _roots(self, manipulator, count):

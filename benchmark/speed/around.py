@@ -1,0 +1,81 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Times what surrounds the steps of a run: set-up, estimates, result and the first compilation."""
+
+import os
+import subprocess
+import sys
+import tempfile
+
+import numpy as np
+
+from benchmark.command import parser
+from benchmark.speed.step import paper, Prepared
+from benchmark.speed.timing import timed
+import timo_sim
+
+# A run of the paper's scene, then one of another size, with no machine code at the start.
+FIRST = """
+import time
+import timo_sim
+
+for modes in (3, 4):
+    begun = time.perf_counter()
+    timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': modes}), 0.01, compare=False)
+    print(time.perf_counter() - begun)
+"""
+TARGETS = {'loads': 0.1e-3, 'masses': 0.5e-3, 'simulate': 0.3e-3, 'compilation': 5.0}  # [s]
+
+
+def varied(scene, values):
+    """Return a function without arguments that varies a scene, differently each time."""
+    rest = iter(values)
+    return lambda: scene.vary(next(rest))
+
+
+def first_runs():
+    """Return the times of the first runs of two sizes, in a process without machine code [s]."""
+    with tempfile.TemporaryDirectory() as folder:
+        output = subprocess.run(
+            [sys.executable, '-c', FIRST], check=True, text=True, stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL, env={**os.environ, 'NUMBA_CACHE_DIR': folder}).stdout
+    return [float(line) for line in output.split()]
+
+
+def rows(quick=False):
+    """Return rows of the table, (line, target, measured, met, remark)."""
+    scene, random = paper(), np.random.default_rng(1)
+    number = 200 if quick else 1000
+    loads = timed(varied(scene, [{'load.torque.harmonic.amplitude': [value],
+                                  'initial.shaft_velocity': value}
+                                 for value in random.uniform(1.0, 8.0, number + 100)]), 1, number)
+    masses = timed(varied(scene, [{'end_effector.mass': value} for value in
+                                  random.uniform(0.5, 5.0, number + 100)]), 1, number)
+    prepared = Prepared(scene)
+    steps = timed(lambda: prepared.run(every=1), 1)
+    whole = timed(lambda: timo_sim.simulate(scene, 10.0, compare=False), 1)
+    own = whole.middle - steps.middle
+    everything, further = first_runs()
+    return [
+        ('set-up of a run that differs in loads and initial motion', '0.1 ms',
+         loads.shown(1e-3, 'ms'), loads.middle <= TARGETS['loads'], '`Scene.vary`'),
+        ('set-up of a run that differs in masses', '0.5 ms', masses.shown(1e-3, 'ms'),
+         masses.middle <= TARGETS['masses'], '`Scene.vary`: modes and tables are made anew'),
+        ('`simulate` of a checked scene, beside its steps', '0.3 ms', f'{1e3 * own:.2f} ms',
+         own <= TARGETS['simulate'],
+         '10 s at 10 ms, every step sampled; most of it is the estimate of its error'),
+        ('first run of a size', '5 s', f'{further:.1f} s', further <= TARGETS['compilation'],
+         f'N = 4, with no machine code of that size; the very first run, N = 3, '
+         f'{everything:.1f} s')]
+
+
+if __name__ == '__main__':
+    quick = parser(__spec__, __doc__, 'fewer repetitions').parse_args().quick
+    for row in rows(quick):
+        print(*row, sep=' | ')
