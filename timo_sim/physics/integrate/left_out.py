@@ -74,13 +74,14 @@ class LeftOut:
         """
         model, motion = self._model, 0.5 * (before + after)
         theta, rate = motion[..., 2], 0.5 / half_time[..., np.newaxis]
-        (speed_0, turning_0), (speed_1, turning_1) = (
-            model.velocities(side, model.points) for side in (before, after))
-        pull = self._gravity - (speed_1 - speed_0) * rate[..., np.newaxis]
+        count = before.shape[-2]
+        speed, turning = model.velocities(np.concatenate([before, after], axis=-2), model.points)
+        pull = self._gravity - (
+            speed[..., count:, :, :] - speed[..., :count, :, :]) * rate[..., np.newaxis]
         forces = [self._mass * pull[..., axis] for axis in range(2)]
         for force, at_tip in zip(forces, tip_force(load, theta)):
             force[..., -1] += at_tip
-        moment = self._inertia * (turning_0 - turning_1) * rate
+        moment = self._inertia * (turning[..., :count, :] - turning[..., count:, :]) * rate
         moment[..., -1] += load[..., TIP_TORQUE]
         q, (rotation, _, shear, *_) = motion[..., 3:motion.shape[-1] // 2], self._fields
         phi, gamma = q @ rotation, q @ shear
