@@ -111,6 +111,7 @@ def test_estimates_are_those_of_simulate(paper, base, variation):
         length = scene.values['arm.length']
         error = np.linalg.norm(run.position(length) - fine.position(length), axis=1).max()
         assert found.motion[k] == pytest.approx(run.motion[-1], rel=1e-10, abs=1e-11)
+        # Measured: 1 to 4.8 times, 10 % more, 1 to 4.1 times.
         assert error / 5.0 < found.step_error[k] < 6.0 * error
         assert found.modes_error[k] == pytest.approx(run.stats['modes_error_m'], rel=0.25)
         assert found.stretch_error[k] > 0.99 * run.stats['stretch_error_m']

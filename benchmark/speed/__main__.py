@@ -33,11 +33,10 @@ anew.
 """
 LIMITS = """What limits the speed. At N = 10 the kernel, the mass matrix and its factor are most of
 a step (see the exponent below). The step of a batch is vector code throughout, see the count of
-its instructions: it is limited by their number, about 5700 products and sums at N = 3. If bodies
-differ, constants differ from lane to lane, too, and loading them takes longer. In a sweep the
-steps take half of a run's time if loads and states differ. If bodies differ they take a fifth, and
-two fifths go to checks, modes and tables, which are made run by run. A cold start
-is type inference and optimisation by numba for one size.
+its instructions: it is limited by their number. If bodies differ, constants differ from lane to
+lane, too, and loading them takes longer. In a sweep whose bodies differ, checks, modes and tables,
+which are made run by run (see their set-up), take longer than the steps. A cold start is type
+inference and optimisation by numba for one size.
 """
 SECTIONS = [('Step and run', step), ('Around a run', around), ('Many at once', lanes),
             ('Learning', learning), ('Memory', memory), ('Node', node), ('Sweep', sweep)]

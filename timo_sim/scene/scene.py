@@ -289,7 +289,7 @@ def scene_from(values):
         with np.errstate(over='raise', divide='raise', invalid='raise'):
             formulation, motion = scene.build(), scene.initial_motion()
             finite = np.isfinite(formulation.linear).all() and (
-                formulation.largest < _ORDINARY > np.abs(motion).max()
+                formulation.largest < _ORDINARY and np.abs(motion).max() < _ORDINARY
                 or np.isfinite(formulation.energy(motion[np.newaxis])[0]))
     except ArithmeticError:
         finite = False

@@ -121,15 +121,15 @@ def run_job(job):
             with _reasons(table['reason'], rows):
                 if kind:
                     runs = Together(scenes, kind)
-                    table['reason'][rows], table['warning'][rows] = runs.reasons, runs.warnings
+                    table['reason'][rows] = runs.reasons
+                    table['warning'][rows] = [text or '' for text in runs.warnings]
                     numbers[rows] = _summaries(runs, kind.edges[-1])
                 else:
                     run = sampled_run(scenes[0], steps_in(job.duration, scenes[0].step))
-                    table['warning'][rows] = run.warning
+                    table['warning'][rows] = run.warning or ''
                     numbers[rows] = _summary(run)
         failed = table['reason'] != ''
-        numbers[failed] = np.nan
-        table['warning'][failed | (table['warning'] == None)] = ''  # noqa: E711: of elements
+        numbers[failed], table['warning'][failed] = np.nan, ''
     return table
 
 

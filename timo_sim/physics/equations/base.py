@@ -177,8 +177,8 @@ class Formulation(Observables):
         body, points = self.manipulator, self.points
         arrays = (points.deflection, points.rotation, self.point_mass, self.point_inertia,
                   self.modes.omega**2, self.gravity, self.modes.shear(points.xi))
-        return max(body.base_mass, body.shaft_inertia, body.arm.length,
-                   *(np.abs(array).max(initial=0.0) for array in arrays))
+        return np.max([body.base_mass, body.shaft_inertia, body.arm.length,
+                       *(np.abs(array).max(initial=0.0) for array in arrays)])
 
     @cached_property
     def section_turn(self):

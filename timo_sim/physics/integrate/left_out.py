@@ -41,9 +41,8 @@ class LeftOut:
     """
 
     def __init__(self, models, kept):
-        self._models, self._alike, self.kept = models, all(
-            model is models[0] for model in models), kept
-        self._model = stacked(models)
+        self._models, self._model, self.kept = models, stacked(models), kept
+        self._alike = self._model is models[0]
 
     def strains(self, q):
         """Return the strain of the last bending modes for q, (..., k, N); shape (..., k)."""
@@ -59,7 +58,7 @@ class LeftOut:
         Parameters
         ----------
         before, after : ndarray, shape (..., k, 2 (3 + N))
-            Motions just before and after a state, see `Steps.flow`.
+            Motions just before and after a state, see `flow.flow`.
         half_time : ndarray, shape (..., k)
             Half the time between them [s].
         load : ndarray, shape (..., k, 14)
@@ -148,7 +147,7 @@ class LeftOut:
         energy = np.sum((np.abs(curvature)**2 * stiffness + np.abs(shear)**2 * shear_stiffness)
                         * self._weights, axis=-1)
         own = np.sum(np.abs(q)**2 * self._omega**2, axis=-1)
-        share = np.divide(0.5 * energy, own, out=np.zeros_like(energy), where=own > 0.0)
+        share = np.divide(0.5 * energy, own, out=np.zeros_like(energy), where=energy != 0.0)
         reach = np.linalg.norm(tip_shift @ right[..., :half, :], axis=-2)
         # What vibrates is twice the real part of an eigenvector.
         return left, 2.0 * share * step * reach * values.imag / np.abs(values)
