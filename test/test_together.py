@@ -138,3 +138,23 @@ def test_runs_whose_errors_are_estimated_otherwise_are_done_alone(paper):
         assert kind_of(scene_of(paper, **more), 200) is None
     assert kind_of(scene_of(paper), 5) is None
     assert kind_of(scene_of(paper, **PULSES), 200).edges == (0, 50, 100, 200)
+
+
+def test_an_error_of_one_run_is_not_that_of_the_others(paper, monkeypatch):
+    """The others have the same numbers, to the last bit, as if none had failed."""
+    class Failing(Together):
+        def __init__(self, scenes, kind):
+            if any(scene.values['initial.shaft'] == 1.0 for scene in scenes):
+                raise FloatingPointError('a singular matrix')
+            super().__init__(scenes, kind)
+
+    angles = np.linspace(0.0, 1.0, 9)
+    job = Job(0, scene_of(paper), DURATION,
+              tuple({'initial.shaft': angle} for angle in angles), ('initial.shaft',), True)
+    usual = run_job(job)
+    monkeypatch.setattr('timo_sim.sweep.jobs.Together', Failing)
+    found = run_job(job)
+    assert [*found['reason']] == 8 * [''] + ['a singular matrix']
+    for name in NUMBERS:
+        np.testing.assert_array_equal(found[name][:8], usual[name][:8])
+        assert np.isnan(found[name][8])

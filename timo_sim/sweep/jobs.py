@@ -26,6 +26,7 @@ from timo_sim.sweep.together import kind_of, Together
 # Most steps and runs of a job, and about the fewest jobs of a sweep. A job takes well below a
 # second, so that little is lost if a worker dies, and all workers end at about the same time.
 _STEPS, _RUNS, _FEWEST_JOBS = 100_000, 96, 32
+_FAILURES = ArithmeticError, ValueError, MemoryError  # of a run, not of the program
 _MANY = 64  # least number of runs of a sweep for which the machine code of lanes pays
 
 
@@ -117,20 +118,29 @@ def run_job(job):
                 kind = kind_of(scene, steps) if job.together else None
                 found.setdefault((kind, None if kind else row), []).append((row, scene))
         for (kind, _), runs in found.items():
-            rows, scenes = (list(part) for part in zip(*runs))
-            with _reasons(table['reason'], rows):
-                if kind:
-                    runs = Together(scenes, kind)
-                    table['reason'][rows] = runs.reasons
-                    table['warning'][rows] = [text or '' for text in runs.warnings]
-                    numbers[rows] = _summaries(runs, kind.edges[-1])
-                else:
-                    run = sampled_run(scenes[0], steps_in(job.duration, scenes[0].step))
-                    table['warning'][rows] = run.warning or ''
-                    numbers[rows] = _summary(run)
+            try:
+                _fill(table, numbers, kind, runs, job.duration)
+            except _FAILURES:  # of one of them: each gets a reason of its own, alone
+                for run in runs:
+                    with _reasons(table['reason'], [run[0]]):
+                        _fill(table, numbers, kind, [run], job.duration)
         failed = table['reason'] != ''
         numbers[failed], table['warning'][failed] = np.nan, ''
     return table
+
+
+def _fill(table, numbers, kind, runs, duration):
+    """Do runs, of (row, Scene), together if they are of a Kind; fill in their rows."""
+    rows, scenes = (list(part) for part in zip(*runs))
+    if kind:
+        done = Together(scenes, kind)
+        table['reason'][rows] = done.reasons
+        table['warning'][rows] = [text or '' for text in done.warnings]
+        numbers[rows] = _summaries(done, kind.edges[-1])
+    else:
+        run = sampled_run(scenes[0], steps_in(duration, scenes[0].step))
+        table['warning'][rows] = run.warning or ''
+        numbers[rows] = _summary(run)
 
 
 @contextmanager
@@ -138,7 +148,7 @@ def _reasons(reasons, rows):
     """Keep the text of an error as the reason why the runs of some rows failed."""
     try:
         yield
-    except (ArithmeticError, ValueError, MemoryError) as error:
+    except _FAILURES as error:
         reasons[rows] = ' '.join(str(error).split()) or type(error).__name__
 
 
