@@ -21,7 +21,7 @@ import numpy as np
 from benchmark import ROOT
 from benchmark.command import parser
 from oracles import finite_elements
-from oracles.references import PENDULUM, spin_up, TORQUE
+from oracles.references import CANTILEVER, PENDULUM, spin_up, TORQUE
 from timo_sim import load_scene
 
 RIGID, TIP = ('x_c_m', 'y_c_m', 'theta_rad'), ('w_l_m', 'phi_l_rad', 'u_l_m')
@@ -136,7 +136,7 @@ def main():
     command = parser(__spec__, __doc__)
     command.add_argument('folder', nargs='?', type=Path, default=ROOT / 'test' / 'data')
     command.add_argument('only', nargs='*', metavar='name',
-                         help='modes, spin_up, torque, pendulum, paper')
+                         help='modes, spin_up, torque, pendulum, cantilever, paper')
     given = command.parse_args()
     paper = load_scene(ROOT / 'config' / 'paper.yaml')
     spin_up_scene = load_scene(ROOT / 'config' / 'spin_up.yaml', {'initial.shaft': 0.0})
@@ -146,6 +146,8 @@ def main():
         'spin_up': lambda: inextensible(spin_up_scene, 20.0, 0.02, ('t', *TIP)),
         'torque': lambda: reference(load_scene(TORQUE), 5.0, 0.01, tip, 104, 0.00025),
         'pendulum': lambda: reference(load_scene(PENDULUM), 5.0, 0.01, tip, 104, 0.00025),
+        'cantilever': lambda: reference(load_scene(CANTILEVER), 3.0, 0.02, ('t', *TIP), 416,
+                                        0.00025),
         'paper': lambda: reference(paper, 10.0, 0.01, whole, 52, 0.0005),
     }
     for name in given.only or files:

@@ -41,7 +41,7 @@ def chain(scene, links, step, duration, every, drive=None):
     Parameters
     ----------
     scene : Scene
-        At rest and straight at first.
+        At rest and straight at first, with a carrier and shaft both free, or the carrier held.
     links : int
     step, duration : float
         [s]
@@ -58,10 +58,13 @@ def chain(scene, links, step, duration, every, drive=None):
         At the samples after the start; the tip in axes of the shaft.
 
     """
-    model = mujoco.MjModel.from_xml_string(_chain_xml(scene, links, step, drive is not None))
+    locked = scene.values['motor.shaft'] == 'locked'
+    model = mujoco.MjModel.from_xml_string(_chain_xml(scene, links, step, bool(drive or locked)))
     data, count = mujoco.MjData(model), round(duration / step)
     loads = _mean_loads(scene, count, step)
-    if drive:
+    if locked:
+        loads = np.zeros((count, 1))
+    elif drive:
         middle = (np.arange(count) + 0.5) * step
         loads = _DRIVEN * np.array([[drive[2](t)] for t in middle])
     elif len(scene.constraints.free_axes) == 0:
@@ -114,9 +117,10 @@ def _chain_xml(scene, links, step, driven):
     slides = [f'<joint name="{name}" type="slide" axis="{axis}"/>' for name, axis in zip(
         'xy', ('1 0 0', '0 1 0'))] if len(scene.constraints.free_axes) else []
     armature = _DRIVEN if driven else 0.0
+    gravity = ' '.join(map(repr, map(float, scene.values['gravity'])))
     motors = ''.join(f'<motor joint="{name}"/>' for name in [*'xy'[:len(slides)], 'shaft'])
     return f"""<mujoco><compiler angle="radian"/>
-<option timestep="{step!r}" integrator="RK4" gravity="0 0 0">
+<option timestep="{step!r}" integrator="RK4" gravity="{gravity} 0">
 <flag contact="disable" autoreset="disable" energy="disable"/></option>
 <worldbody><body>{''.join(slides)}{_inertial(body.base_mass, 1.0)}
 <body><joint name="shaft" type="hinge" axis="0 0 1" armature="{armature!r}"/>

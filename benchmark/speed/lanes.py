@@ -128,7 +128,8 @@ def rows(quick=False):
     counts = instructions()
     table.append(('floating-point instructions of the compiled step, N = 3, by bits of their '
                   'registers', '', ', '.join(f'{bits}: {counts[bits]}' for bits in (
-                      512, 256, 128, 'one')), None, '"one": a single number'))
+                      512, 256, 128, 'one')), None, '"one": a single number; '
+                  f'{sum(counts.values()) / (8e9 * times[3, True]):.1f} of them a nanosecond'))
     return table
 
 

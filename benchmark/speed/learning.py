@@ -68,6 +68,56 @@ def others(scene):
     yield 'exudyn, 20 elements, h = 5 ms', found['solver_seconds'], place[1:]
 
 
+def soft_rods(count=64, order=2, points=6, steps=10):
+    """
+    Return rate, compile time [s], whether it stays finite, and settings of rods of soromox.
+
+    A batch by vmap, one compiled call for each control period, each in `steps` steps of Tsit5. A
+    torque turns each shaft, a joint of its own; the tip carries nothing, unlike ours.
+    """
+    from benchmark.accuracy import soft_rods as soromox
+    import diffrax
+    import jax
+    import jax.numpy as jnp
+    from soromox.systems.components import JointSpec
+    scene = timo_sim.load_scene({**SCENE, 'end_effector.mass': 0.0, 'end_effector.inertia': 0.0})
+    joint = JointSpec('revolute', axis='z')
+    model = soromox.rod(scene, 1, order, points=points, joint=joint)
+    rate = soromox.rate_with_shaft(model, scene.values['motor.shaft_inertia'])
+
+    def advance(y, torque):
+        term = diffrax.ODETerm(lambda t, y, torque: rate(y, torque))
+        return diffrax.diffeqsolve(term, diffrax.Tsit5(), 0.0, PERIOD, PERIOD / steps, y,
+                                   torque).ys[-1]
+
+    step = jax.jit(jax.vmap(advance))
+    torques = jnp.array(8.0 * np.random.default_rng(1).uniform(-1.0, 1.0, (100, count)))
+    states = jnp.zeros((count, 2 * model.num_velocities))
+    start = time.perf_counter()
+    step(states, torques[0]).block_until_ready()
+    compilation, rates = time.perf_counter() - start, []
+    for _ in range(5):
+        found, start = states, time.perf_counter()
+        for each in torques:
+            found = step(found, each)
+        found.block_until_ready()
+        rates.append(count * len(torques) / (time.perf_counter() - start))
+    return (max(rates), compilation, bool(jnp.isfinite(found).all()),
+            f'order {order}, h = {1e3 * PERIOD / steps:.2g} ms')
+
+
+def soft_row(best):
+    """Return the row of `soft_rods`, or one that says that soromox is not installed."""
+    name = 'rods without a load by soromox (JAX), 64 at once'
+    try:
+        rate, compilation, finite, settings = soft_rods()
+    except ImportError as error:
+        return name, '', 'not measured', None, f'{error.name} is not installed'
+    return (name, '', f'{rate:,.0f}', None,
+            f'{best / rate:.0f} times fewer; {settings}, compiled in {compilation:.1f} s'
+            + ('' if finite else '; diverges'))
+
+
 def _world(theta, along, across):
     cosine, sine = np.cos(theta), np.sin(theta)
     return np.column_stack([cosine * along - sine * across, sine * along + cosine * across])
@@ -88,6 +138,7 @@ def rows(quick=False):
         error = 1e3 * np.linalg.norm(place - truth, axis=1).max()
         table.append((f'the same arm by {name}', '', f'{rate:,.0f}', None,
                       f'{best / rate:.0f} times fewer; the tip is within {error:.2g} mm'))
+    table.append(soft_row(best))
     return table
 
 

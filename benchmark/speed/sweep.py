@@ -26,8 +26,14 @@ import numpy as np
 
 from benchmark import ROOT
 from benchmark.command import parser
+from benchmark.speed.clocks import clocks
 from benchmark.speed.timing import product
 import timo_sim
+from timo_sim.physics.arm.modes import UniformModes
+from timo_sim.physics.integrate.lane_errors import LaneErrors
+from timo_sim.physics.integrate.lane_steps import LaneSteps
+from timo_sim.simulation.lane_loads import LaneLoads
+from timo_sim.sweep.jobs import jobs_of, run_job
 from timo_sim.sweep.workers import LocalExecutor
 
 PAPER = ROOT / 'config' / 'paper.yaml'
@@ -85,6 +91,25 @@ def _resident(process):
     except (OSError, IndexError):  # it has just ended
         return 0.0
     return pages * os.sysconf('SC_PAGE_SIZE') / 1e6
+
+
+def parts(scene, kind):
+    """Return the parts of the time of a run in a sweep, as text."""
+    for _ in range(2):  # all caches are filled at the second time
+        jobs = list(jobs_of(scene, DURATION, 960, variations(960, kind == 'bodies differ'), []))
+        start = time.perf_counter()
+        with clocks(scene=(timo_sim.Scene, 'vary'), modes=(UniformModes, '__init__'),
+                    steps=(LaneSteps, 'advance'), estimates=(LaneErrors, '__init__', 'follow'),
+                    matrices=(LaneSteps, '__init__'),
+                    loads=(LaneLoads, 'varying')) as spent:
+            for job in jobs:
+                run_job(job)
+        whole = time.perf_counter() - start
+    ms = {name: 1e3 * span / 960 for name, span in spent.items()}
+    rest = 1e3 * whole / 960 - sum(ms.values()) + ms['modes']
+    return (f'scene and tables {ms["scene"]:.2f} ms (modes {ms["modes"]:.2f}), '
+            f'steps {ms["steps"]:.2f}, estimates {ms["estimates"]:.2f}, '
+            f'matrices {ms["matrices"]:.2f}, loads {ms["loads"]:.2f}, rest {rest:.2f}')
 
 
 def rows(quick=False):
@@ -146,6 +171,9 @@ def rows(quick=False):
             found.append((f'memory of this process and of a worker, {count} runs', '',
                           f'{memory.own:.0f} MB, {memory.children:.0f} MB', None,
                           'the table and the list of variations are kept here'))
+    found += [(f'parts of a run, alone on a core, {kind}', '', parts(scene, kind), None,
+               'the modes are a part of the tables')
+              for kind in TARGETS]
     last = seconds['bodies differ', most]
     return [*found, (
         'loop over `simulate` for as many runs, bodies differ', '', f'{loop * most:.0f} s', None,

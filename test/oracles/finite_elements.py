@@ -165,7 +165,8 @@ def _add_weight(system, scene, nodes):
 
 def _hold(system, scene, root):
     ground = marker(system, system.AddNode(items.NodePointGround()), 0)
-    for axis in set(range(2)) - set(scene.constraints.free_axes):
+    held = set(range(2)) - set(scene.constraints.free_axes)
+    for axis in held | ({2} if scene.values['motor.shaft'] == 'locked' else set()):
         system.AddObject(items.ObjectConnectorCoordinate(
             markerNumbers=[ground, marker(system, root, axis)]))
 
