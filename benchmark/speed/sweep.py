@@ -22,6 +22,7 @@ import statistics
 import threading
 import time
 
+from distributed import LocalCluster
 import numpy as np
 
 from benchmark import ROOT
@@ -112,6 +113,20 @@ def parts(scene, kind):
             f'matrices {ms["matrices"]:.2f}, loads {ms["loads"]:.2f}, rest {rest:.2f}')
 
 
+def by_dask(scene, count, kind, cores):
+    """Return the time of a sweep by Dask with local workers [s]; assert its numbers."""
+    runs = variations(count, kind == 'bodies differ')
+    with LocalCluster(n_workers=cores, threads_per_worker=1, dashboard_address=None) as cluster:
+        address = cluster.scheduler_address
+        timo_sim.simulate_many(scene, runs[:960], DURATION, scheduler=address)  # imports
+        start = time.perf_counter()
+        table = timo_sim.simulate_many(scene, runs, DURATION, scheduler=address)
+        seconds = time.perf_counter() - start
+    ours = timo_sim.simulate_many(scene, runs, DURATION)
+    assert all(np.array_equal(table[name], ours[name]) for name in ours)
+    return seconds
+
+
 def rows(quick=False):
     """
     Measure.
@@ -171,6 +186,12 @@ def rows(quick=False):
             found.append((f'memory of this process and of a worker, {count} runs', '',
                           f'{memory.own:.0f} MB, {memory.children:.0f} MB', None,
                           'the table and the list of variations are kept here'))
+    for kind, target in TARGETS.items():
+        taken = by_dask(scene, most, kind, cores)
+        found.append((f'{most} runs by Dask, {cores} local workers, {kind}',
+                      '' if quick else f'{target:g} s', f'{taken:.1f} s',
+                      None if quick else taken <= target,
+                      'workers have started; the same numbers to the last bit'))
     found += [(f'parts of a run, alone on a core, {kind}', '', parts(scene, kind), None,
                'the modes are a part of the tables')
               for kind in TARGETS]
