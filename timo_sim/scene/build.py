@@ -51,9 +51,15 @@ def load_of(values):
 def _terms_of(items):
     # One object for equal terms, so that many scenes under the same load can share what it does.
     values = dict(items)
-    return {channel: tuple(_terms(f'load.{channel}', values, values['integrator.step']))
+    return {channel: _channel(f'load.{channel}', values['integrator.step'],
+                              tuple((name, values[name]) for name in names))
             if any(values[name] for name in names) else () for channel, names in
             _OF_CHANNELS.items()}
+
+
+@functools.lru_cache(maxsize=32)
+def _channel(prefix, step, items):
+    return tuple(_terms(prefix, dict(items), step))
 
 
 def motor_constants(values):
