@@ -12,9 +12,9 @@ Lanes: numbers of several runs that compiled functions handle as one value.
 A function that is compiled for floats can be compiled for lanes, too, if it takes no branch on
 them: where it would need one it uses a function of `jit.choices`. A value of type LANES is a
 vector of WIDTH floats; an operation on it is one vector instruction, or a few where the
-processor's registers are narrower. No operation mixes lanes or changes the order of a sum, so the
-bits of a lane depend on its own numbers only. A value of type SHARED is the same for all lanes:
-one float in memory.
+processor's registers are narrower. No operation mixes lanes or changes the order of a sum, and
+what is fused is chosen here and not by the optimiser, so the bits of a lane depend on its own
+numbers only. A value of type SHARED is the same for all lanes: one float in memory.
 
 In NumPy lanes are the last axis of an array, of length WIDTH. `as_lanes` and `as_shared` tell the
 compiler to see such an array, or a record of them, as one of lanes.
@@ -32,8 +32,9 @@ import numpy as np
 
 WIDTH = 8
 VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
-# Products and sums may be fused, in the same way in all lanes; sums are not reordered.
-_FLAGS = ('contract',)
+_FUSED = f'llvm.fmuladd.v{WIDTH}f64'
+# The sign of zero may change. numba would give flags that reorder and fuse to what has none.
+_FLAGS = ('nsz',)
 
 
 def _is_number(kind):
@@ -146,12 +147,42 @@ def _define(operators, kinds, result, generate):
             lambda context, builder, _, operands: generate(builder, *operands))
 
 
+def _is_product(value):
+    return getattr(value, 'opname', None) == 'fmul'
+
+
+def _add(builder, a, b):
+    # A product is fused with the sum where the processor can do that.
+    if _is_product(a) and not _is_product(b):
+        a, b = b, a
+    if not _is_product(b):
+        return builder.fadd(a, b, flags=_FLAGS)
+    fused = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(VECTOR, 3 * [VECTOR]), _FUSED)
+    return builder.call(fused, [*b.operands, a])
+
+
+def _subtract(builder, a, b):
+    if _is_product(b):
+        return _add(builder, a, _multiply(builder, builder.fneg(b.operands[0]), b.operands[1]))
+    if _is_product(a):
+        return _add(builder, a, builder.fneg(b))
+    return builder.fsub(a, b, flags=_FLAGS)
+
+
+def _multiply(builder, a, b):
+    return builder.fmul(a, b, flags=_FLAGS)
+
+
+def _divide(builder, a, b):
+    return builder.fdiv(a, b, flags=_FLAGS)
+
+
 def _define_arithmetic():
-    for name, instruction in (('add', 'fadd'), ('sub', 'fsub'), ('mul', 'fmul'),
-                              ('truediv', 'fdiv')):
+    for name, generate in (('add', _add), ('sub', _subtract), ('mul', _multiply),
+                           ('truediv', _divide)):
         _define((getattr(operator, name), getattr(operator, f'i{name}')), (LANES, LANES), LANES,
-                lambda builder, a, b, instruction=instruction: getattr(builder, instruction)(
-                    a, b, flags=_FLAGS))
+                generate)
     for compare, sign in ((operator.eq, '=='), (operator.lt, '<'), (operator.le, '<='),
                           (operator.gt, '>'), (operator.ge, '>=')):
         _define((compare,), (LANES, LANES), MASK,
@@ -180,7 +211,7 @@ infer_global(operator.pow)(_Square)
 
 @lower_builtin(operator.pow, LANES, types.IntegerLiteral)
 def _square(context, builder, _, operands):
-    return builder.fmul(operands[0], operands[0], flags=_FLAGS)
+    return _multiply(builder, operands[0], operands[0])
 
 
 def _seen(kind, shared):

@@ -51,7 +51,7 @@ def animate(tracks, path, fps=_MOST_FPS):
     fps = min(FPS.check(fps), _MOST_FPS)
     figure = Figure(figsize=_SIZE, dpi=_DPI, layout='constrained')
     canvas = FigureCanvasAgg(figure)
-    plane, curves = figure.subplots(1, 2, width_ratios=[3, 2])
+    plane, curves = np.asarray(figure.subplots(1, 2, width_ratios=[3, 2]))
     arms = [_Arm(plane, track, fps, colour) for track, colour in zip(tracks, cycle(COLOURS))]
     corners = np.array([arm.corners for arm in arms])
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
