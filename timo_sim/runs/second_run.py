@@ -16,6 +16,7 @@ distance is then too large, not too small.
 """
 
 from dataclasses import replace
+import math
 
 import numpy as np
 
@@ -41,7 +42,16 @@ def in_doubt(run):
     return run.stats['steps'] <= UNASKED and (
         # The error of a formulation itself is not estimated; with a rigid arm all are the same.
         values['model.formulation'] != 'exact' and values['model.modes'] > 0
-        or run.warning is not None or not error <= DOUBT * values['arm.length'])
+        or run.warning is not None or not error <= DOUBT * values['arm.length']
+        or _unresolved_axial_vibration(run.scene))
+
+
+def _unresolved_axial_vibration(scene):
+    """Return whether steps, whose estimated error then misses it, exceed half of its period."""
+    axial = scene.values['model.axial_modes']
+    if not axial:
+        return False
+    return scene.step * scene.build().modes.omega[-axial:].min() > math.pi
 
 
 def finer(scene, parts, tolerance=0.0):

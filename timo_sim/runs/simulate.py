@@ -30,8 +30,9 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     Simulate a scene under its own loads.
 
     On a terminal, a progress bar appears when the run takes more than a second. A run of up to
-    2048 steps that has a warning, an estimated error above 5e-6 of the arm's length, or another
-    formulation than `exact`, is compared with a second, finer one, see `Run.stats`.
+    2048 steps that has a warning, an estimated error above 5e-6 of the arm's length, another
+    formulation than `exact`, or axial vibrations that its steps do not resolve, is compared with
+    a second, finer one, see `Run.stats`.
 
     Parameters
     ----------
