@@ -51,10 +51,10 @@ def spun_up(speed, duration, **values):
 # Name, values or file, duration [s], modes in bending, steps [s].
 SCENES = [
     ('spun up to 10 rad/s', spun_up(10.0, 2.0), 5.0, 5, (0.005, 0.001)),
-    ('spun up to 40 rad/s', spun_up(40.0, 2.0), 2.0, 8, (0.005, 0.001)),
+    ('spun up to 40 rad/s', spun_up(40.0, 2.0), 2.0, 12, (0.0025, 0.001)),
     ('10 rad/s, a push', {**HELD, **SPINNING}, 4.0, 5, (0.005, 0.001)),
     ('the same, free carrier', SPINNING, 4.0, 5, (0.005, 0.001)),
-    ('the same, x held', {'carrier.held': 'x', **SPINNING}, 4.0, 5, (0.001, 0.0005)),
+    ('the same, x held', {'carrier.held': 'x', **SPINNING}, 4.0, 8, (0.001, 0.0005)),
     ('driven to 10 rad/s, free carrier', {
         'motor.shaft': 'driven', 'motor.drive.time': [0.0, 1.0], 'motor.drive.angle': [0.0, 5.0],
         'motor.drive.speed': [0.0, 10.0], 'motor.drive.acceleration': [0.0, 0.0]},

@@ -11,6 +11,9 @@
 import numpy as np
 import pytest
 import timo_sim
+from timo_sim.jit.constants import of_any_size
+from timo_sim.physics.equations.exact_tables import BAND, BANDS, SECTORS
+from timo_sim.physics.equations.functions import rate_once
 from timo_sim.physics.layout import ANGLE, LOADS
 
 HEAVY = {'end_effector.mass': 60.0, 'end_effector.inertia': 12.0, 'initial.shaft_velocity': 2.0,
@@ -22,21 +25,26 @@ def scene_of(held, step, values):
     return timo_sim.load_scene({'carrier.held': held, 'integrator.step': step, **values})
 
 
-def jacobian(model, angle):
-    """Return the Jacobian of a model's rate at rest at a shaft angle."""
+def straight(model, angle, speed):
+    """Return the state of a straight arm that turns."""
     motion = np.zeros(model.size)
-    motion[2] = angle
-    rest, load = model.state(motion), np.zeros(LOADS)
-    half = len(rest) // 2
+    motion[2], motion[model.size // 2 + 2] = angle, speed
+    return model.state(motion)
+
+
+def jacobian(model, angle, speed):
+    """Return the Jacobian of a model's rate at a straight arm that turns."""
+    state, load = straight(model, angle, speed), np.zeros(LOADS)
+    half = len(state) // 2
     size = 1e-6 * np.concatenate([np.ones(half - len(model.modes)), 1.0 / model.modes.omega,
                                   np.ones(half)])
     return np.column_stack([
-        (model.rate(rest + shift, load) - model.rate(rest - shift, load)) / (2.0 * shift.sum())
+        (model.rate(state + shift, load) - model.rate(state - shift, load)) / (2.0 * shift.sum())
         for shift in np.diag(size)])
 
 
-def assert_is_jacobian(linear, model, angle):
-    found = jacobian(model, angle)
+def assert_is_jacobian(linear, model, angle, speed=0.0):
+    found = jacobian(model, angle, speed)
     found[:, len(model.axes)] = 0.0  # the linear part is for a constant shaft angle
     np.testing.assert_allclose(linear, found, rtol=1e-6, atol=1e-6 * np.abs(found).max())
 
@@ -50,6 +58,26 @@ def test_the_linear_part_of_a_sector_is_that_of_the_equations(held, damping):
         assert model.sector(model.state(np.r_[0.0, 0.0, angle, np.zeros(model.size - 3)]),
                             np.zeros(LOADS)) == number
         assert_is_jacobian(model.in_sector(number)[1], model, angle)
+
+
+@pytest.mark.parametrize('speed', [-12.0, 0.2, 12.0])
+def test_the_linear_part_of_an_arm_that_stretches_is_that_at_its_speed(speed):
+    """With that of an arm at rest, eight modes at 1 ms diverge, see `test_stretch.py`."""
+    model = scene_of('x', 0.001, {'model.axial_modes': 1, 'arm.damping_ratio': [0.02]}).build()
+    band = BAND * model.modes.omega[0]
+    for angle in (0.3, 2.0):
+        number = model.sector(straight(model, angle, speed), np.zeros(LOADS))
+        tables, linear = model.in_sector(number)
+        # p_0 is that at the mean angle, within some percent of that at others.
+        middle = ((number // SECTORS) + 0.5 - BANDS) * band
+        assert abs(middle - speed) < band
+        assert_is_jacobian(linear, model, (number % SECTORS + 0.5) * np.pi / SECTORS, middle)
+        # The compiled rate lacks just this linear part.
+        state, rest = straight(model, angle, speed), np.empty(len(linear))
+        state += 1e-3 * np.arange(len(state))
+        rate_once(of_any_size(tables), state, np.zeros(LOADS), rest)
+        np.testing.assert_allclose(linear @ state + rest, model.rate(state, np.zeros(LOADS)),
+                                   rtol=0, atol=1e-9 * np.abs(linear @ state).max())
 
 
 @pytest.mark.parametrize('angle', [0.0, 0.4, 2.0])
@@ -81,10 +109,11 @@ def test_steps_are_of_fourth_order_through_the_sectors():
 
 @pytest.mark.parametrize('values', [
     {}, {'integrator.tolerance': 1e-9}, {'motor.coulomb_friction': 1.0},
+    {'model.axial_modes': 1, 'initial.modal_rates': [0.5, 0.0, 0.0, 0.0]},
     {'motor.shaft': 'driven', 'initial.shaft_velocity': 0.0, 'motor.drive.time': [0.0, 0.2],
      'motor.drive.angle': [0.0, 2.0], 'motor.drive.speed': [0.0, 5.0],
      'motor.drive.acceleration': [0.0, 0.0]},
-], ids=['steps', 'tolerance', 'friction', 'driven'])
+], ids=['steps', 'tolerance', 'friction', 'stretch', 'driven'])
 def test_motions_do_not_depend_on_batches(values):
     scene = scene_of('y', 0.002, {**SPINNING, **values})
     whole, single = timo_sim.Simulator(scene), timo_sim.Simulator(scene)
@@ -98,4 +127,4 @@ def test_motions_do_not_depend_on_batches(values):
 def test_a_state_that_is_not_finite_is_no_crash():
     """Found by `make stress`: a finer run diverged, and its error was estimated before that."""
     model = timo_sim.load_scene({'carrier.held': 'y'}).build()
-    assert model.sector(np.full(len(model.linear), np.nan), np.zeros(14)) == 0
+    assert model.sector(np.full(len(model.linear), np.nan), np.zeros(LOADS)) == 0

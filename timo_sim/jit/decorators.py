@@ -85,14 +85,14 @@ def dispatch(declaration, otherwise=None):
     Declare a function whose body is chosen, at compile time, by the fields of its first argument.
 
     A compiled function that takes other compiled functions as arguments cannot be kept on disk;
-    one that calls a declared function can. `@declared.of(Fields)` registers a body for constants
-    with the fields of the NamedTuple `Fields`; `otherwise` is the body for all others.
+    one that calls a declared function can. `@declared.of(Fields, ...)` registers a body for
+    constants with the fields of a NamedTuple `Fields`; `otherwise` is the body for all others.
     """
     bodies = {}
 
-    def of(fields):
+    def of(*kinds):
         def add(body):
-            bodies[frozenset(fields._fields)] = body
+            bodies.update((frozenset(kind._fields), body) for kind in kinds)
             return body
         return add
 

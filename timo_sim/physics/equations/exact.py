@@ -50,8 +50,9 @@ import numpy as np
 
 from timo_sim.physics.equations.base import Formulation
 from timo_sim.physics.equations import exact_functions  # noqa: F401: ties them to the tables
-from timo_sim.physics.equations.exact_tables import RateTables, SECTORS, Tables
-from timo_sim.physics.layout import ANGLE, tip_force, TIP_TORQUE
+from timo_sim.physics.equations.exact_tables import (
+    BAND, BANDS, RateTables, SECTORS, Tables, TurningTables)
+from timo_sim.physics.layout import ANGLE, LOADS, SPEED, tip_force, TIP_TORQUE
 
 
 class Exact(Formulation):
@@ -88,20 +89,50 @@ class Exact(Formulation):
                         rotary, np.empty(0), damping, self.manipulator.carrier_friction, self.axes,
                         self.anchor, self.points.integral[:, -1], at_points[-1],
                         self.mass * self.gravity)
-        return self._with_linear_part(tables, locked if one_axis else None)
+        tables, linear = self._with_linear_part(tables, locked if one_axis else None)
+        if self.sectors and self.axial:
+            self._band = BAND * modes.omega[0]
+            inertia = 1.0 if self.first else tables.rotary[0, 0] + kernel.mean(axis=0).sum()
+            tables = TurningTables._make([*tables, 1.0 / (self._band * inertia),
+                                          np.zeros_like(linear)])
+        return tables, linear
 
     def sector(self, state, load):
-        """Return the number of the sector in which the shaft angle lies."""
-        angle = load[ANGLE] if self.first else state[len(self.axes)]
-        if not math.isfinite(angle):
+        """Return the number of the sector of the shaft angle and of the band of its speed."""
+        axes, band = len(self.axes), 0
+        angle = load[ANGLE] if self.first else state[axes]
+        speed = load[SPEED] if self.first else state[len(state) // 2 + axes]
+        if not (math.isfinite(angle) and math.isfinite(speed)):
             return 0  # of a run that diverges any will do
-        return math.floor(angle * (SECTORS / math.pi)) % SECTORS
+        if self.axial:
+            band = min(max(math.floor(speed * self.tables.pace), -BANDS), BANDS - 1) + BANDS
+        return math.floor(angle * (SECTORS / math.pi)) % SECTORS + SECTORS * band
 
     def in_sector(self, number):
-        """Return tables and linear part of the straight arm at the middle angle of a sector."""
+        """Return tables and linear part of the straight arm in the middle of a sector, a band."""
+        band, sector = divmod(number, SECTORS)
+        angle = (sector + 0.5) * np.pi / SECTORS
         tables, linear = self._with_linear_part(Tables._make(self.tables[:len(Tables._fields)]),
-                                                (number + 0.5) * np.pi / SECTORS)
+                                                angle)
+        if self.axial:
+            turning = self._about_turning(angle, (band - BANDS + 0.5) * self._band) - linear
+            turning[:, len(self.axes)] *= self.first  # the angle itself is not bounded
+            linear += turning
+            tables = TurningTables._make([*tables, self.tables.pace, turning])
         return tables._replace(sector=number), linear
+
+    def _about_turning(self, angle, speed):
+        # The rate's derivatives by the state of a straight arm that turns. It is quadratic in
+        # speeds and momenta; truncation by the other differences is some 1e-8.
+        motion, load = np.zeros(self.size), np.zeros(LOADS)
+        motion[2] = load[ANGLE] = angle
+        motion[3 + len(self.modes) + 2] = load[SPEED] = speed
+        state, shift = self.state(motion), np.ones(len(self.linear))
+        half = len(state) // 2
+        shift[len(self.axes):half] = 1e-4 / np.append(1.0, self.section_turn)[self.first:]
+        return np.column_stack([
+            (self.rate(state + change, load) - self.rate(state - change, load)) / (2.0 * size)
+            for change, size in zip(np.diag(shift), shift)])
 
     def _with_linear_part(self, tables, angle):
         # For the straight arm C is E along the arm and Phi + Gamma across it. Without an angle the

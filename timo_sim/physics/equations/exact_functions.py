@@ -17,8 +17,8 @@ from timo_sim.jit.constants import local
 from timo_sim.jit.decorators import inlined, inner
 from timo_sim.physics.equations import functions
 from timo_sim.physics.equations.exact_rates import (
-    known_rates, rated, stretch_forces, stretch_slopes, stretch_tip)
-from timo_sim.physics.equations.exact_tables import RateTables, Tables
+    known_rates, leave_out_turning, rated, stretch_forces, stretch_slopes, stretch_tip)
+from timo_sim.physics.equations.exact_tables import RateTables, Tables, TurningTables
 from timo_sim.physics.equations.sincos import sincos
 from timo_sim.physics.layout import (
     ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, SPEED, TIP_I, TIP_II, TIP_TORQUE,
@@ -170,8 +170,7 @@ def _set_moments(tables, load, forces, cosine, sine, a, b, image_1, image_2, spe
     return moment
 
 
-@functions.rate.of(RateTables)
-@functions.rate.of(Tables)
+@functions.rate.of(Tables, RateTables, TurningTables)
 def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
     rotation, shear, lever = tables.rotation, tables.shear, tables.lever
@@ -210,10 +209,10 @@ def _rate(tables, state, load, out):
         out[momenta + i] = total - tables.damping[i] * out[coordinates + i]
     stretch_forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordinate,
                    speed, factors, out)
+    leave_out_turning(tables, state, out)
 
 
-@functions.observe.of(RateTables)
-@functions.observe.of(Tables)
+@functions.observe.of(Tables, RateTables, TurningTables)
 def _observe(tables, state, load, out):
     """Write the motion of a state."""
     rotation, lever = tables.rotation, tables.lever
@@ -241,8 +240,7 @@ def _observe(tables, state, load, out):
         out[half + axis] = _carrier_rate(tables, state, k, derivative, speed)
 
 
-@functions.tip.of(RateTables)
-@functions.tip.of(Tables)
+@functions.tip.of(Tables, RateTables, TurningTables)
 def _tip(tables, motion, out):
     """Write the tip's position, the integral of the slopes, and rotation from the shaft."""
     rotation, shear, reach = tables.rotation, tables.shear, tables.reach

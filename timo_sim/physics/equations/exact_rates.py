@@ -18,9 +18,10 @@ import math
 from timo_sim.jit.constants import local
 from timo_sim.jit.decorators import inner, optional
 from timo_sim.physics.equations import functions
-from timo_sim.physics.equations.exact_tables import RateTables, SECTORS
+from timo_sim.physics.equations.exact_tables import (
+    BANDS, RateTables, SECTORS, TurningTables)
 from timo_sim.physics.equations.sincos import sincos
-from timo_sim.physics.layout import ACCELERATION, ANGLE, TIP_TORQUE, TORQUE
+from timo_sim.physics.layout import ACCELERATION, ANGLE, SPEED, TIP_TORQUE, TORQUE
 
 
 @inner
@@ -28,6 +29,17 @@ def sector(angle):
     """Return the number of the sector in which a shaft angle lies."""
     number = math.floor(angle * (SECTORS / math.pi))
     return number - SECTORS * math.floor(number / SECTORS)
+
+
+@optional
+def band(tables, state, load):
+    """Return the number of the band in which the speed lies."""
+    return 0
+
+
+@optional
+def leave_out_turning(tables, state, out):
+    """Subtract what the linear part has for the speed of a band."""
 
 
 @optional
@@ -57,15 +69,32 @@ def stretch_tip(tables, motion, out):
     """Add the displacement by axial strain to the tip's position from the shaft."""
 
 
-@functions.holds.of(RateTables)
+@functions.holds.of(RateTables, TurningTables)
 def _holds(tables, state, load):
     if tables.sector < 0:
         return True
     driven = len(tables.rotation) > len(tables.straight)
-    return sector(load[ANGLE] if driven else state[len(tables.axes)]) == tables.sector
+    number = sector(load[ANGLE] if driven else state[len(tables.axes)])
+    return number + SECTORS * band(tables, state, load) == tables.sector
 
 
-@stretch_slopes.of(RateTables)
+@band.of(TurningTables)
+def _band(tables, state, load):
+    driven = len(tables.rotation) > len(tables.straight)
+    speed = load[SPEED] if driven else state[len(state) // 2 + len(tables.axes)]
+    return min(max(math.floor(speed * tables.pace), -BANDS), BANDS - 1) + BANDS
+
+
+@leave_out_turning.of(TurningTables)
+def _leave_out_turning(tables, state, out):
+    for i in range(len(out)):
+        total = 0.0
+        for j in range(len(out)):
+            total += tables.turning[i, j] * state[j]
+        out[i] -= total
+
+
+@stretch_slopes.of(RateTables, TurningTables)
 def _slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
     rotation, stretch = tables.rotation, tables.stretch
     count, nodes = rotation.shape
@@ -85,12 +114,12 @@ def _slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
             c2[i, j] += strain * cosine[j] * rotation[i, j]
 
 
-@rated.of(RateTables)
+@rated.of(RateTables, TurningTables)
 def _rated(tables):
     return len(tables.linear_rate)
 
 
-@known_rates.of(RateTables)
+@known_rates.of(RateTables, TurningTables)
 def _rates(tables, state, mass, inverse, speed, factors):
     count = len(speed)
     rates_from = count - len(tables.linear_rate)
@@ -104,7 +133,7 @@ def _rates(tables, state, mass, inverse, speed, factors):
             mass[i, j] = 0.0  # the back substitution that follows must not change these rates
 
 
-@stretch_forces.of(RateTables)
+@stretch_forces.of(RateTables, TurningTables)
 def _forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordinate, speed,
             factors, out):
     rotation, shear, stretch, lever = tables.rotation, tables.shear, tables.stretch, tables.lever
@@ -167,7 +196,7 @@ def _forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordi
         out[momenta + i] = total
 
 
-@stretch_tip.of(RateTables)
+@stretch_tip.of(RateTables, TurningTables)
 def _tip(tables, motion, out):
     rotation, stretch, reach = tables.rotation, tables.stretch, tables.reach
     count, nodes = rotation.shape

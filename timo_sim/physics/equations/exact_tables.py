@@ -43,3 +43,14 @@ SECTORS = 16
 # - sector: number of the sector for which the linear part is, -1: any.
 RateTables = namedtuple(  # type: ignore[misc]
     'RateTables', (*Tables._fields, 'stretch', 'stiffness', 'linear_rate', 'sector'))
+
+# Number of bands of the speed with a linear part each, on either side of 0, and their width, as a
+# share of the first angular frequency.
+BANDS, BAND = 32, 0.25
+
+# Constants of an arm that stretches, with one axis of the carrier held. In addition:
+# - pace: bands per p_0, or per q_0' of a driven shaft;
+# - turning: what the linear part has for the speed of the band, (m, m). `sector` counts both:
+#   SECTORS times the number of the band, plus that of the sector.
+TurningTables = namedtuple(  # type: ignore[misc]
+    'TurningTables', (*RateTables._fields, 'pace', 'turning'))
