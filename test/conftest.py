@@ -24,6 +24,9 @@ import pytest
 from oracles.references import read
 import timo_sim
 from timo_sim.jit.code_store import lock
+from timo_sim.jit.constants import of_any_size
+from timo_sim.physics.equations import base
+from timo_sim.scene import scene as scenes
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / 'config' / 'paper.yaml'
@@ -73,6 +76,15 @@ def waves():
     """Compile the code of every model in one test process, while the others wait for it."""
     with lock('waves.lock'):
         timo_sim.load_scene({})
+
+
+@pytest.fixture
+def any_size(monkeypatch):
+    """Let models use machine code for any size, as second runs do: slower, compiled only once."""
+    monkeypatch.setattr(base, 'pack', of_any_size)
+    scenes._shared_model.cache_clear()
+    yield
+    scenes._shared_model.cache_clear()
 
 
 @pytest.fixture(scope='session')

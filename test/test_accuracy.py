@@ -77,7 +77,7 @@ def test_the_stated_error_holds(name, goal, source):
     scene = timo_sim.load_scene(source[name], {'model.accuracy': goal})
     choice = choose_resolution(scene, SCENES[name])
     run = timo_sim.simulate(choice.scene, SCENES[name],
-                            sample_every=round(PERIOD / choice.scene.step))
+                            sample_every=round(PERIOD / choice.scene.step), compare=False)
     reference = tip_of_reference(name, scene.manipulator.arm.length)
     error = np.linalg.norm(tip_of(run) - reference, axis=2).max()
     assert error <= goal
@@ -110,7 +110,7 @@ def test_the_estimate_with_one_axis_held_agrees_with_spectral_elements(monkeypat
     scene = timo_sim.load_scene({
         'model.accuracy': 2e-4, **HEAVY, 'carrier.held': 'x', 'end_effector.inertia': 5.0})
     choice = choose_resolution(scene, 2.0)
-    run = timo_sim.simulate(choice.scene, 2.0, round(PERIOD / choice.scene.step))
+    run = timo_sim.simulate(choice.scene, 2.0, round(PERIOD / choice.scene.step), compare=False)
     truth = spectral_elements.simulate(scene, PERIOD, 100, order=8)[2]
     error = np.linalg.norm(run.position(2.0) - truth, axis=1).max()
     assert error < 2e-4 and error / 5.0 < choice.estimate < 5.0 * error

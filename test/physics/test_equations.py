@@ -232,12 +232,13 @@ EQUATIONS = {
 FEWER = ['free', 'x held', 'carrier held', 'shaft driven, x held', 'shaft locked']
 
 
+@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('formulation, constraints', [
     (formulation, constraints) for formulation in EQUATIONS
     for constraints in (CONSTRAINTS if formulation == 'exact' else FEWER)])
 def test_formulation_agrees_with_its_equations(formulation, constraints):
     scene = scene_of(formulation, constraints)
-    run = timo_sim.simulate(scene, DURATION, sample_every=40)
+    run = timo_sim.simulate(scene, DURATION, sample_every=40, compare=False)
     truth, forces = solve(scene, EQUATIONS[formulation])
     # The deflection is large, and shear makes a good part of it.
     assert np.abs(run.deflection(2.0)[:, 1]).max() > 0.04
@@ -249,14 +250,17 @@ def test_formulation_agrees_with_its_equations(formulation, constraints):
 
 
 @pytest.mark.parametrize('constraints, modes, axial_modes', [
-    ('free', 3, 2), ('x held', 5, 1), ('carrier held', 5, 1),
+    ('free', 3, 2), ('x held', 3, 1), ('carrier held', 5, 1),
     ('shaft driven, carrier held', 5, 1)])
-def test_an_arm_that_stretches_agrees_with_its_equations(constraints, modes, axial_modes):
+def test_an_arm_that_stretches_agrees_with_its_equations(
+        constraints, modes, axial_modes, request):
     """Those are Lagrange's; the state of `timo_sim` has momenta and rates of axial coordinates."""
+    if constraints != 'x held':  # of this size there is code, see `test_one_axis_held.py`
+        request.getfixturevalue('any_size')
     scene = scene_of('exact', constraints, **STRETCHING, **{
         'model.modes': modes, 'model.axial_modes': axial_modes,
         'initial.modal_rates': [1.0, 0.3, -0.1] + [0.0] * (modes + axial_modes - 3)})
-    run = timo_sim.simulate(scene, DURATION, sample_every=40)
+    run = timo_sim.simulate(scene, DURATION, sample_every=40, compare=False)
     truth, forces = solve(scene, exact)
     model, axial = scene.build(), run.q.copy()
     axial[:, :modes] = 0.0
@@ -278,5 +282,5 @@ def test_exact_conserves_energy_when_shear_matters():
         ('tip_torque', 'harmonic', 'amplitude'), ('tip_torque', 'harmonic', 'frequency'))}
     free |= {'carrier.viscous_friction': 0.0, 'motor.viscous_friction': 0.0}
     scene = timo_sim.load_scene(scene_of('exact', 'free', damping=0.0).values, free)
-    energy = timo_sim.simulate(scene, 2.0).energy()
+    energy = timo_sim.simulate(scene, 2.0, compare=False).energy()
     assert np.abs(energy / energy[0] - 1).max() < 1e-8

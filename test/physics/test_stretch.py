@@ -16,6 +16,7 @@ from oracles import references, spectral_elements
 import timo_sim
 from timo_sim.simulation.simulator import Simulator
 
+pytestmark = pytest.mark.usefixtures('any_size')  # many sizes, few steps
 HELD = {'carrier.held': 'both', 'initial.shaft': 0.0}
 SPINNING = {'initial.shaft_velocity': 10.0, 'load.tip_force_y.piecewise.time': [0.0, 0.1],
             'load.tip_force_y.piecewise.value': [20.0, 0.0]}
@@ -111,7 +112,7 @@ def test_one_axial_mode_moves_as_spectral_elements(values, modes, step, effect, 
     tip = spectral_elements.simulate(scene, 0.05, 30)[2]
     off = [np.linalg.norm(timo_sim.simulate(each, 1.5, round(0.05 / step)).position(2.0) - tip,
                           axis=1).max() / 2.0
-           for each in (scene.vary({'model.axial_modes': 0}), scene)]
+           for each in (scene.vary({'model.axial_modes': 0, 'model.modes': 3}), scene)]
     assert off[0] > effect
     assert off[1] < limit
 

@@ -93,8 +93,8 @@ class Exact(Formulation):
         if self.sectors and self.axial:
             self._band = BAND * modes.omega[0]
             inertia = 1.0 if self.first else tables.rotary[0, 0] + kernel.mean(axis=0).sum()
-            tables = TurningTables._make([*tables, 1.0 / (self._band * inertia),
-                                          np.zeros_like(linear)])
+            return TurningTables._make([*tables, 1.0 / (self._band * inertia),
+                                        np.zeros_like(linear)]), linear
         return tables, linear
 
     def sector(self, state, load):
