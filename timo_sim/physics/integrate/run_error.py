@@ -17,8 +17,8 @@ from timo_sim.physics.integrate.kept import kept
 from timo_sim.physics.integrate.modes_error import ModesError
 from timo_sim.physics.layout import ANGLE, LOADS, rotate, START
 
-CHUNK = 1024  # most steps at once
-_KEPT = 2048  # most steps between estimates, if their states are kept
+CHUNK = 2048  # most steps at once
+_KEPT = 4096  # most steps between estimates, if their states are kept
 _STEPS_PER_ESTIMATE = 128  # least mean number of steps for each estimate, to limit its cost
 _OF_STEP = 16.0 / 15.0  # error of a step, over its difference from its halves
 _BENT = 1e-5  # largest rotation of a section in the linearisation [rad]
