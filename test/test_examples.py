@@ -249,8 +249,8 @@ def test_score():
 
 
 def test_a_network_learns_to_point_the_arm():
-    """After 12 of 500 generations the tip comes near most goals, which it has not seen."""
-    told = subprocess.run([sys.executable, EXAMPLE / 'learn.py', '--generations', '12'],
+    """After 6 of 500 generations the tip comes near most goals, which it has not seen."""
+    told = subprocess.run([sys.executable, EXAMPLE / 'learn.py', '--generations', '6'],
                           capture_output=True, text=True, check=True).stdout
     untrained, trained = told.splitlines()[-2:]
     numbers = [[float(number) for number in re.findall(r'return (\S+);.* most (\S+) mm', line)[0]]

@@ -50,6 +50,7 @@ def quietly(values, duration, **options):
         return timo_sim.simulate(timo_sim.load_scene(values), duration, 5, **options)
 
 
+@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('name', SCENES)
 def test_the_error_is_the_distance_from_finite_elements(name):
     run = quietly(SCENES[name], 0.5)
