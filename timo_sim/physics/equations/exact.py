@@ -126,7 +126,7 @@ class Exact(Formulation):
         # speeds and momenta; truncation by the other differences is some 1e-8.
         motion, load = np.zeros(self.size), np.zeros(LOADS)
         motion[2] = load[ANGLE] = angle
-        motion[3 + len(self.modes) + 2] = load[SPEED] = speed
+        motion[self.size // 2 + 2] = load[SPEED] = speed
         state, shift = self.state(motion), np.ones(len(self.linear))
         half = len(state) // 2
         shift[len(self.axes):half] = 1e-4 / np.append(1.0, self.section_turn)[self.first:]
