@@ -202,7 +202,8 @@ def _limit(q, inverse, derivative, jacobian, stiffness):
     return 2.0 / np.sqrt(1.1 * size)
 
 
-@numba.njit(fastmath=True)
+# numba's cache sees that this file changes, but not that columns of `layout` do.
+@numba.njit(fastmath=True, cache=True)
 def _force(q, derivative, jacobian, stiffness, weight, out):
     out[:] = weight
     n = len(derivative)
@@ -232,7 +233,7 @@ def _force(q, derivative, jacobian, stiffness, weight, out):
                 out[base + j, part] -= total
 
 
-@numba.njit
+@numba.njit(cache=True)
 def _push(force, q, load):
     c, s = np.cos(q[0, 2]), np.sin(q[0, 2])
     for node, x, i, torque in ((0, FORCE_X, FORCE_I, TORQUE), (-1, TIP_X, TIP_I, TIP_TORQUE)):
@@ -241,7 +242,7 @@ def _push(force, q, load):
         force[node, 2] += load[torque]
 
 
-@numba.njit
+@numba.njit(cache=True)
 def _advance(q, v, loads, step, inverse, derivative, jacobian, stiffness, weight, driven):
     inner = np.empty_like(q)
     _force(q, derivative, jacobian, stiffness, weight, inner)
