@@ -88,6 +88,20 @@ def test_a_free_arm_that_stretches_conserves_energy_and_momentum(values):
     assert np.abs(momentum / momentum[0] - 1.0).max() < 1e-11
 
 
+@pytest.mark.parametrize('held', ['both', 'x'])
+def test_an_arm_that_only_stretches_vibrates_about_its_centrifugal_stretch(held):
+    """It begins unstretched, so its largest stretch is twice that at rest in turning axes."""
+    scene = scene_of(**{'carrier.held': held, 'initial.shaft': 0.0, 'model.modes': 0,
+                        'initial.shaft_velocity': 3.0, 'integrator.step': 1e-4})
+    run = timo_sim.simulate(scene, 0.02)
+    model = run.model
+    force = 9.0 * (model.point_mass * model.points.xi) @ model.modes.displacement(model.points.xi)
+    if held == 'both':  # about the root
+        assert run.q.max() == pytest.approx(2.0 * force[0] / model.modes.omega[0]**2, rel=1e-3)
+    energy = run.energy()
+    assert np.ptp(run.q) > 1e-6 and np.abs(energy / energy[0] - 1.0).max() < 1e-8
+
+
 def test_dissipated_energy_is_the_energy_that_is_lost():
     scene = scene_of(HELD, **{
         'model.modes': 5, 'initial.shaft_velocity': 6.0, 'arm.young_modulus': 1e8,

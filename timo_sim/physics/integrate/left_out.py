@@ -49,7 +49,8 @@ class LeftOut:
         # Modes that are left out vary at least as fast along the arm.
         omega, end = self._omega, self._omega.shape[-1] - self._models[0].axial
         # Sums over so short an axis would take ten times as long.
-        return sum(np.abs(q[..., k]) * omega[..., k] for k in range(max(0, end - _LAST), end))
+        return sum((np.abs(q[..., k]) * omega[..., k] for k in range(max(0, end - _LAST), end)),
+                   start=np.zeros(q.shape[:-1]))
 
     def shifts(self, before, after, half_time, load):
         """
