@@ -34,7 +34,7 @@ from timo_sim.cli import main
 from timo_sim.cli.view import unique_names
 from timo_sim.log.recording import Recording
 from timo_sim.simulation.energy import work
-from timo_sim.view import animation, plot
+from timo_sim.view import animation, plot, show
 from timo_sim.view.animation import animate
 from timo_sim.view.convert import write
 from timo_sim.view.show import picture
@@ -400,6 +400,17 @@ def test_the_web_viewer_prints_its_address_and_ends_on_a_signal(log, number):
     for port in page.rpartition(':')[2], feed.partition('/')[0]:
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(('127.0.0.1', int(port))).close()
+
+
+def test_a_viewer_that_does_not_end_is_killed(monkeypatch):
+    """Seen once: rerun, told to end while it served its page, went on with one core busy."""
+    monkeypatch.setattr(show, '_OBEDIENCE', 0.2)
+    stubborn = ('import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); '
+                'print(flush=True); time.sleep(60.0)')
+    with subprocess.Popen([sys.executable, '-c', stubborn], stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        show.stop(process)
+        assert process.returncode == -signal.SIGKILL
 
 
 def test_a_file_that_cannot_be_written_is_one_line(log, tmp_path):

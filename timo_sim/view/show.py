@@ -28,6 +28,7 @@ from timo_sim.view.track import FPS
 _AT = Parameter('--at', 0.0, 's', 'sim time of the picture')
 _LOOPBACK = '127.0.0.1'
 _PATIENCE = 60.0  # [s] until a viewer must have loaded a file
+_OBEDIENCE = 5.0  # [s] until a viewer must have ended
 
 
 class ViewerError(OSError):
@@ -94,12 +95,11 @@ def _show(path, web):
     if web:
         print(f'http://{_LOOPBACK}:{web_port}?url=rerun%2Bhttp://{_LOOPBACK}:{port}/proxy'
               ' shows the run; Ctrl-C ends', flush=True)
-    signal.signal(signal.SIGTERM, lambda *_: process.terminate())
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         code = process.wait()
     except KeyboardInterrupt:
-        process.terminate()
-        process.wait()
+        stop(process)
         return
     if code not in (0, -signal.SIGTERM):
         raise ViewerError(f'the viewer of rerun ended with code {code}')
@@ -140,8 +140,18 @@ def picture(path, png, at=None, size=(1600, 1000), view=None):
                      if view is not None and each.name.startswith(view)), None)
         client.save_screenshot(str(Path(png).absolute()), only)
     finally:
-        process.terminate()
+        stop(process)
         process.communicate()
+
+
+def stop(process):
+    """End a viewer; if it does not obey, kill it."""
+    process.terminate()
+    try:
+        process.wait(_OBEDIENCE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def _viewer(start, *arguments, **options):
