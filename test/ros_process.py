@@ -22,6 +22,8 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from forked_node import ForkedNode
+
 # Longest wait for events that take milliseconds; a test waits that long only if it fails.
 PATIENCE = 60.0  # [s], on a busy machine, compiling included
 
@@ -106,17 +108,27 @@ def client(ros):
 
 
 class Process:
-    """A `sim_node` in a process of its own, its log in a folder of its own."""
+    """
+    A `sim_node` in a process of its own, its log in a folder of its own.
 
-    def __init__(self, folder, *arguments, record=True, preexec_fn=None, **parameters):
+    It is forked from a process that has imported its modules, or, if `fresh`, starts as those of
+    users do.
+    """
+
+    def __init__(self, folder, *arguments, record=True, fresh=False, preexec_fn=None,
+                 **parameters):
         self.log = Path(folder) / 'run.mcap'
         values = {'record': record, 'record_file': str(self.log), **parameters}
-        command = [sys.executable, '-m', 'timo_sim.cli.sim_node', '--ros-args', *arguments]
+        arguments = ['--ros-args', *arguments]
         for name, value in values.items():
             shown = str(value).lower() if isinstance(value, bool) else value
-            command += ['-p', f'{name}:={shown}']
-        self._process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True,
-                                         stderr=subprocess.STDOUT, preexec_fn=preexec_fn)
+            arguments += ['-p', f'{name}:={shown}']
+        if not fresh and preexec_fn is None:
+            self._process = ForkedNode(arguments, folder)
+            return
+        self._process = subprocess.Popen(
+            [sys.executable, '-m', 'timo_sim.cli.sim_node', *arguments], cwd=folder, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, preexec_fn=preexec_fn)
 
     def send(self, number):
         """Send a signal."""

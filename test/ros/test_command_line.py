@@ -74,7 +74,7 @@ def test_spellings_of_numbers_implausible_values_and_a_run_without_a_log(start, 
     (2.4, signal.SIGINT)])
 def test_signals_end_the_process_cleanly(start, number, delay):
     """Two signals at any time during and after the start, once Python can handle them."""
-    node = start()
+    node = start(fresh=True)
     node.wait_for_handlers()
     time.sleep(delay)
     node.send(number)

@@ -139,7 +139,7 @@ def test_tf_without_its_messages_ends_with_one_line_and_code_2(start, tmp_path, 
     (tmp_path / 'tf2_msgs.py').write_text(
         'raise ModuleNotFoundError("not here", name="tf2_msgs")')
     monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
-    code, output = start(publish_tf=True, record=False).wait()
+    code, output = start(fresh=True, publish_tf=True, record=False).wait()
     assert code == 2 and 'Traceback' not in output
     assert ('timo_sim: publish_tf needs tf2_msgs, which is not installed: apt-get install '
             'ros-jazzy-tf2-msgs\n') in output
