@@ -45,10 +45,16 @@ def named_modules(path):
                 yield found.group(1)
 
 
-NAMES = {name: {*named_modules(path)} for name, path in MODULES.items()}
-IMPORTS = {name: names & MODULES.keys() - {name} for name, names in NAMES.items()}
-OUTSIDE = {name: {module.split('.')[0] for module in names} - {'timo_sim'}
-           for name, names in NAMES.items()}
+@pytest.fixture(scope='module')
+def names():
+    """Return the modules that each module names."""
+    return {name: {*named_modules(path)} for name, path in MODULES.items()}
+
+
+@pytest.fixture(scope='module')
+def imports(names):
+    """Return the modules of the package that each module imports."""
+    return {name: found & MODULES.keys() - {name} for name, found in names.items()}
 
 
 def layer(module):
@@ -62,21 +68,21 @@ def folder(module):
     return module if own == '.' else own
 
 
-def test_no_cycle_among_modules():
-    [*TopologicalSorter(IMPORTS).static_order()]  # raises CycleError
+def test_no_cycle_among_modules(imports):
+    [*TopologicalSorter(imports).static_order()]  # raises CycleError
 
 
-def test_no_cycle_among_folders():
+def test_no_cycle_among_folders(imports):
     graph = {}
-    for name, modules in IMPORTS.items():
+    for name, modules in imports.items():
         graph.setdefault(folder(name), set()).update(
             folder(module) for module in modules if folder(module) != folder(name))
     [*TopologicalSorter(graph).static_order()]
 
 
 @pytest.mark.parametrize('name', sorted(MODULES))
-def test_imports_point_down(name):
-    above = {module for module in IMPORTS[name]
+def test_imports_point_down(name, imports):
+    above = {module for module in imports[name]
              if LAYERS.index(layer(module)) > LAYERS.index(layer(name))}
     assert not above
 
@@ -86,17 +92,19 @@ def test_the_sorter_detects_a_cycle():
         [*TopologicalSorter({'a': {'b'}, 'b': {'a'}}).static_order()]
 
 
-def test_which_layers_import_which_packages():
+def test_which_layers_import_which_packages(names, imports):
     """Only `ros` imports ROS; physics and messages open no files; no node imports the viewer."""
+    outside = {name: {module.split('.')[0] for module in found} for name, found in names.items()}
+
     def importing(*packages):
-        return {layer(name) for name, modules in OUTSIDE.items() if modules & {*packages}}
+        return {layer(name) for name, modules in outside.items() if modules & {*packages}}
 
     assert importing('rclpy', 'std_msgs', 'sensor_msgs', 'geometry_msgs') == {'ros'}
     assert importing('numba', 'llvmlite') == {'jit', 'log'}  # a log notes their versions
     assert importing('rerun') == {'view', 'cli'}
-    assert not any(modules & {'pathlib', 'yaml', 'mcap', 'os'} for name, modules in OUTSIDE.items()
+    assert not any(modules & {'pathlib', 'yaml', 'mcap', 'os'} for name, modules in outside.items()
                    if layer(name) in ('physics', 'messages'))
-    assert not any(layer(module) == 'view' for name, modules in IMPORTS.items()
+    assert not any(layer(module) == 'view' for name, modules in imports.items()
                    for module in modules if layer(name) == 'ros')
 
 

@@ -123,6 +123,6 @@ def test_a_run_that_starts_bent_in_static_modes_has_no_second_run():
 def test_steps_with_dry_friction_are_fine_enough():
     """A second run at half the step is 1e3 times further off than the first, and cannot see it."""
     run = quietly(DRY, 2.0, compare=True)
-    fine = second_run._run(second_run.finer(run.scene, 64), 64, run, None)
+    fine = second_run._run(second_run.finer(run.scene, 16), 16, run, None)
     error = np.linalg.norm(run.position(0.329) - fine.position(0.329), axis=1).max()
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.1)

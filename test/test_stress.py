@@ -131,7 +131,7 @@ def without_warnings(monkeypatch):
 
 @pytest.mark.usefixtures('any_size')
 def test_an_error_without_a_warning_is_silent(monkeypatch):
-    cell = plain(step=0.02, bend=0.3, **{'initial.shaft_velocity': 20.0, 'carrier.mass': 1.0})
+    cell = plain(50, 0.02, 0.3, **{'initial.shaft_velocity': 36.0, 'carrier.mass': 1.0})
     finer = truth._Finer(cell)
     monkeypatch.setattr(truth, '_Finer', lambda *_: finer)
     told = truth.judge(cell)[0]

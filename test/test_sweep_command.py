@@ -17,8 +17,6 @@ import sys
 import time
 
 from click.testing import CliRunner
-import dask
-from distributed import Client, LocalCluster
 import numpy as np
 from pyarrow import parquet
 import pytest
@@ -325,6 +323,7 @@ def test_a_damaged_part_is_computed_again(write, tmp_path, damage):
 
 
 def test_on_a_cluster_a_killed_worker_loses_and_repeats_nothing(write, tmp_path):
+    from distributed import Client, LocalCluster
     path = write(random=RANDOM, duration=10.0)
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         with Client(cluster) as client:
@@ -344,6 +343,7 @@ def test_on_a_cluster_a_killed_worker_loses_and_repeats_nothing(write, tmp_path)
 
 
 def test_no_scheduler_is_one_line_and_code_1(write, tmp_path):
+    import dask
     with dask.config.set({'distributed.comm.timeouts.connect': '0.3s'}):
         with pytest.raises(ConnectionError, match='no Dask scheduler at tcp://127.0.0.1:1'):
             with cluster_executor('tcp://127.0.0.1:1'):

@@ -25,6 +25,7 @@ import numba
 import numpy as np
 from numpy.polynomial import legendre
 
+from timo_sim.jit.code_store import lock
 from timo_sim.physics.layout import (
     ANGLE, FORCE_I, FORCE_X, SPEED, TIP_I, TIP_TORQUE, TIP_X, TORQUE)
 
@@ -69,7 +70,11 @@ def simulate(scene, period, samples, order=10, elements=2, courant=0.5,
     changes = {round(number * scene.step / period): tip for number, *tip in scene.payloads}
     lightest = inverse.copy()
     lightest[-1] = 1.0 / mesh.arm_tip
-    step = courant * _limit(q, lightest if changes else inverse, derivative, jacobian, stiffness)
+    with lock('spectral_elements.lock'):  # one process compiles, others wait for its code
+        step = courant * _limit(q, lightest if changes else inverse, derivative, jacobian,
+                                stiffness)
+        _advance(q, v, scene.load.stages(0, 0, step), step, inverse, derivative, jacobian,
+                 stiffness, mesh.weight, scene.constraints.driven)
     count = int(np.ceil(period / step))
     step, found = period / count, [(q[0].copy(), q[-1].copy())]
     for sample in range(samples):

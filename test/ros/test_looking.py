@@ -20,8 +20,6 @@ import time
 
 import numpy as np
 import pytest
-import rerun_cli
-from rerun.chunk import RrdReader
 from visualization_msgs.msg import Marker
 
 import timo_sim
@@ -43,6 +41,7 @@ def free_port():
 @pytest.fixture
 def listener(tmp_path):
     """Return address, file and process of a rerun server that saves what it receives."""
+    import rerun_cli
     port, path = free_port(), tmp_path / 'live.rrd'
     process = subprocess.Popen(
         [Path(rerun_cli.__file__).with_name('rerun'), '--bind', '127.0.0.1', '--port', str(port),
@@ -54,6 +53,7 @@ def listener(tmp_path):
 
 @pytest.mark.filterwarnings('ignore:RRD file has no footer')  # rerun is ended, not closed
 def test_a_running_node_is_streamed(start, client, listener, paper):
+    from rerun.chunk import RrdReader
     url, path, process = listener
     node = start('--params-file', str(paper), record=False, rerun_live=url)
     client.wait(lambda: path.exists() and path.stat().st_size > 200000, 'what is streamed')
