@@ -13,16 +13,15 @@ import os
 import signal
 import subprocess
 import sys
-import uuid
 
 from benchmark import ROOT
+from oracles.domains import own_domain
 
 RATES = ('joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
 # No other node shall listen; a start reads the byte code that an earlier one wrote; and
 # `python -m benchmark...` is found from any folder.
-DOMAIN = 1 + uuid.uuid4().int % 90
 ENVIRONMENT = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-               'ROS_DOMAIN_ID': str(DOMAIN), 'PYTHONPATH': os.pathsep.join(
+               'ROS_DOMAIN_ID': str(own_domain()), 'PYTHONPATH': os.pathsep.join(
                    [str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])}
 ENVIRONMENT.pop('PYTHONDONTWRITEBYTECODE', None)
 

@@ -8,19 +8,17 @@
 
 """Fixtures and settings of all tests: scenes, reference, DDS domain, order, tests left out."""
 
-from contextlib import ExitStack, suppress
-import fcntl
+from contextlib import ExitStack
 from importlib.util import find_spec
 import os
 from pathlib import Path
-import random
 import subprocess
 import sys
 import sysconfig
-import tempfile
 
 import pytest
 
+from oracles.domains import own_domain
 from oracles.references import read
 import timo_sim
 from timo_sim.jit.code_store import lock
@@ -30,16 +28,6 @@ from timo_sim.scene import scene as scenes
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / 'config' / 'paper.yaml'
-
-
-def own_domain():
-    """Return a DDS domain that no other run of the tests uses until this process ends."""
-    for domain in random.sample(range(1, 101), 100):
-        path = Path(tempfile.gettempdir()) / f'timo_sim_domain_{domain}'
-        with suppress(OSError):
-            fcntl.flock(os.open(path, os.O_CREAT | os.O_RDWR), fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return domain
-    raise RuntimeError('every DDS domain is in use by other runs of the tests')
 
 
 # Nodes of one test process must not see those of other runs or of other processes of pytest-xdist.

@@ -36,10 +36,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from benchmark.command import parser
-from benchmark.process import DOMAIN, ENVIRONMENT, running
+from benchmark.process import ENVIRONMENT, running
 from benchmark.report import machine
 from benchmark.speed.node import spread
 from benchmark.speed.turns import started
+from oracles.domains import own_domain
 
 MODULE = 'benchmark.speed.latency'
 EXECUTORS = {'rclpy.spin': SingleThreadedExecutor, 'EventsExecutor': EventsExecutor}
@@ -207,9 +208,10 @@ def lock_step(turns, seconds):
     """Print the table of lock step."""
     print('\n| lock step, 1/s | node, `sync: wait` | without simulation | ratio |\n'
           '|---|---|---|---|')
+    domains = {'node': own_domain(), 'server': own_domain()}
     for executor in EXECUTORS:
-        rates = [[periods(server, DOMAIN + 1 + place, executor, seconds)
-                  for place, server in enumerate(('node', 'server'))] for _ in range(turns)]
+        rates = [[periods(server, domain, executor, seconds)
+                  for server, domain in domains.items()] for _ in range(turns)]
         ours, bare = (statistics.median(column) for column in zip(*rates))
         ratio = statistics.median(one / other for one, other in rates)
         print(f'| controller with {executor} | {ours:.0f} | {bare:.0f} | {ratio:.2f} |',

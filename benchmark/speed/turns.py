@@ -17,7 +17,8 @@ import time
 
 import numpy as np
 
-from benchmark.process import DOMAIN, ENVIRONMENT, running
+from benchmark.process import ENVIRONMENT, running
+from oracles.domains import own_domain
 
 START_UP, SETTLE = 4.0, 0.5   # [s]
 
@@ -108,8 +109,8 @@ def started(name, path, environment, *extra, **options):
 def compare(turns, seconds, **peers):
     """Run peers, each the arguments of a `Peer`, in turns; return them by name."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        running = {name: stack.enter_context(Peer(kind, folder, DOMAIN + number, listened, extra))
-                   for number, (name, (kind, listened, extra)) in enumerate(peers.items())}
+        running = {name: stack.enter_context(Peer(kind, folder, own_domain(), listened, extra))
+                   for name, (kind, listened, extra) in peers.items()}
         order = list(running.values())
         for _ in range(turns):
             for peer in order:

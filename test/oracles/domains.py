@@ -1,0 +1,27 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""DDS domains of tests and benchmarks, so that their nodes do not see each other."""
+
+from contextlib import suppress
+import fcntl
+import os
+from pathlib import Path
+import random
+import tempfile
+
+
+def own_domain():
+    """Return a DDS domain that no other test or benchmark uses until this process ends."""
+    for domain in random.sample(range(1, 101), 100):
+        path = Path(tempfile.gettempdir()) / f'timo_sim_domain_{domain}'
+        with suppress(OSError):
+            fcntl.flock(os.open(path, os.O_CREAT | os.O_RDWR), fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return domain
+    raise RuntimeError('every DDS domain is in use by other tests or benchmarks')
