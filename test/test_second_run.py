@@ -70,6 +70,7 @@ def test_runs_that_are_not_doubtful_have_no_second_run():
     assert 'compared' not in quietly(rigid, 0.5).stats
 
 
+@pytest.mark.usefixtures('any_size')
 def test_steps_that_do_not_resolve_axial_vibrations_are_compared():
     """Their own estimate misses nine tenths of the error of an arm that starts at full speed."""
     run = quietly(ABRUPT, 2.0)
@@ -108,6 +109,7 @@ def test_lists_of_modes_grow_with_the_modes():
     np.testing.assert_allclose(*tips, atol=1e-15)
 
 
+@pytest.mark.usefixtures('any_size')
 def test_one_mode_has_a_second_run_too():
     values = {'model.modes': 1, 'initial.modal_coordinates': [0.2], 'arm.damping_ratio': [0.01]}
     assert quietly(values, 0.1, compare=True).stats['compared']

@@ -88,6 +88,7 @@ def test_energy_of_a_pendulum(formulation):
         (arm + 2.0 * body.end_effector_mass) * G * np.sin(-0.8), rel=1e-12)
 
 
+@pytest.mark.usefixtures('any_size')
 def test_a_clamped_arm_let_go_under_its_weight_against_finite_elements():
     """The tip sinks by a fifth of the arm; the stored reference is right to 1e-5 m."""
     run = timo_sim.simulate(timo_sim.load_scene({
@@ -97,6 +98,7 @@ def test_a_clamped_arm_let_go_under_its_weight_against_finite_elements():
     assert run.deflection(10.0)[:, 1] == pytest.approx(truth, abs=3e-4) and truth.min() < -2.0
 
 
+@pytest.mark.usefixtures('any_size')
 def test_a_swinging_arm_against_finite_elements():
     truth = references.read('pendulum')[1]
     run = timo_sim.simulate(timo_sim.load_scene(references.PENDULUM, {
@@ -106,6 +108,7 @@ def test_a_swinging_arm_against_finite_elements():
     assert np.abs(run.deflection(2.0)[:, 1] - truth['w_l_m']).max() < 5e-6
 
 
+@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('held, gravity, angle', [
     ('both', [0.0, -G], 0.6), ('x', [0.0, -G], 0.6), ('both', [4.0, -3.0], 2.0)])
 def test_a_swinging_arm_against_spectral_elements(held, gravity, angle):

@@ -29,6 +29,7 @@ BOTH = {'payload.time': [0.2, 0.5], 'payload.mass': [5.0, 1.0], 'payload.inertia
         'end_effector.pick_up': 'at_rest'}
 
 
+@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('values', [
     {**HELD, **PICKED}, {**FREE, **PICKED}, {**FREE, **DROPPED}],
     ids=['held', 'free', 'dropped'])
@@ -44,6 +45,7 @@ def test_a_load_that_changes_in_flight_against_spectral_elements(values):
     assert np.abs(same.position(2.0) - tip).max() > 1e-3
 
 
+@pytest.mark.usefixtures('any_size')
 def test_the_estimate_knows_of_vibrations_that_the_modes_leave_out():
     """Let go in gravity all modes vibrate; a load takes the momentum of all at the tip."""
     scene = timo_sim.load_scene({**HELD, **PICKED, 'gravity': [0.0, -9.81], 'model.modes': 5,
