@@ -190,8 +190,6 @@ class Simulator(Readings):
         commanded = commanded_load(
             self.scene.values['motor.dc.resistance'] > 0.0, torque=torque, force=force,
             tip_force=tip_force, tip_torque=tip_torque, voltage=voltage)
-        if not self._warm:
-            self.warm_up()
         self.advance(1 if duration is None else steps_in(duration, self.scene.step), commanded)
         return self.motion
 
@@ -224,6 +222,8 @@ class Simulator(Readings):
         """
         if self._rests(count, commanded):
             return self._rest(count, sample_every)
+        if not self._warm:
+            self.warm_up()
         before = (self._state.copy(), self.load, self.integration.memory.copy(),
                   self.tip_load.kept(), self.model, self.integration, self.stretch)
         first = self.steps - self._origin
