@@ -107,6 +107,7 @@ def test_the_estimate_agrees_with_a_much_finer_run(values, goal, few_sizes):
     assert run.warning is None or choice.warning and 'stretches' in run.warning
 
 
+@pytest.mark.usefixtures('any_size')
 def test_the_estimate_with_one_axis_held_agrees_with_spectral_elements(monkeypatch):
     monkeypatch.setattr(resolution, 'SIZES', (3, 5))
     scene = timo_sim.load_scene({

@@ -100,11 +100,11 @@ def generalized_alpha(tables, linear, state, loads, step, every, samples):
             rate(tables, base + alpha_f * gamma * step * new, load, nonlinear)
             following = inverse @ (known + nonlinear)
             change = np.abs(following - new).max()
-            new[:] = following
+            new = following
             if not change > TOLERANCE * np.abs(new).max():
                 break
         state += step * ((1.0 - gamma) * old + gamma * new)
-        old[:] = new
+        old = new
         if not _record(tables, state, loads[k, 2], k, every, samples):
             return k
     return len(loads)

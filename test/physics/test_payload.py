@@ -66,6 +66,7 @@ def test_a_warning_after_a_change_of_load_names_the_modes():
     assert not simulator.integration.errors.by_load
 
 
+@pytest.mark.usefixtures('any_size')
 def test_a_load_picked_up_from_rest_against_spectral_elements():
     """The impact makes all modes vibrate, of which the model has five."""
     scene = timo_sim.load_scene({
