@@ -21,7 +21,7 @@ unexport LD_LIBRARY_PATH
 endif
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_LOG_DIR ?= $(CURDIR)/run/ros_log
-PIP := pip install --quiet --no-compile --disable-pip-version-check --use-pep517
+PIP := pip install --quiet --no-compile --disable-pip-version-check
 METADATA := pyproject.toml setup.py setup.cfg
 
 .PHONY: help sim view test test-lowest test-without-ros graphics gallery picture pages paper benchmark \
@@ -131,10 +131,21 @@ clean:
 	python3 python3-venv, or make PYTHON=..."; exit 1; }
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { echo "$(PYTHON) cannot make virtual \
 	environments: apt-get install python3-venv"; exit 1; }
-	@echo "setting up $* with $$($(PYTHON) --version), this takes a minute or two"
-	@rm -rf $* && $(PYTHON) -m venv $* && echo '*' > $*/.gitignore && touch $@
+	@echo "setting up $* with $$($(PYTHON) --version), this takes up to a minute"
+	@rm -rf $* && $(PYTHON) -m venv $* && echo '*' > $*/.gitignore
+	@$*/bin/$(PIP) --constraint constraints.txt uv || echo "pip does what uv would do faster"
+	@touch $@
+
+# uv is five times as fast as pip, but does not read pip's settings: pip follows where uv fails.
+PACKAGE = --constraint $(CONSTRAINTS) --editable '.[$(EXTRAS)]'
+define INSTALL
+@$(@D)/bin/uv pip install --quiet --python $(@D) $(PACKAGE) || \
+	$(@D)/bin/$(PIP) --use-pep517 $(PACKAGE)
+@touch $@
+endef
 
 # Extras of the package that each kind of target installs.
+CONSTRAINTS := constraints.txt
 $(VENV)/.run: EXTRAS := ros
 $(VENV)/.plot: EXTRAS := ros,plot
 $(VENV)/.gallery: EXTRAS := ros,plot,view
@@ -143,11 +154,13 @@ $(VENV)/.test: EXTRAS := ros,all,test
 $(VENV)/.docs: EXTRAS := docs,rl
 $(VENV)/.run $(VENV)/.plot $(VENV)/.gallery $(VENV)/.benchmark $(VENV)/.test $(VENV)/.docs: \
 		constraints.txt $(METADATA) | $(VENV)/.made
-	@$(BIN)/$(PIP) --constraint constraints.txt --editable '.[$(EXTRAS)]' && touch $@
+	$(INSTALL)
 
+.venv-lowest/.test: CONSTRAINTS := constraints-lowest.txt
+.venv-lowest/.test: EXTRAS := ros,cluster,control,pandas,plot,rl,sweep,test
 .venv-lowest/.test: constraints-lowest.txt $(METADATA) | .venv-lowest/.made
-	@.venv-lowest/bin/$(PIP) --constraint constraints-lowest.txt \
-		--editable '.[ros,cluster,control,pandas,plot,rl,sweep,test]' && touch $@
+	$(INSTALL)
 
+.venv-without-ros/.test: EXTRAS := all,test
 .venv-without-ros/.test: constraints.txt $(METADATA) | .venv-without-ros/.made
-	@.venv-without-ros/bin/$(PIP) --constraint constraints.txt --editable '.[all,test]' && touch $@
+	$(INSTALL)
