@@ -133,10 +133,10 @@ clean:
 	environments: apt-get install python3-venv"; exit 1; }
 	@echo "setting up $* with $$($(PYTHON) --version), this takes up to a minute"
 	@rm -rf $* && $(PYTHON) -m venv $* && echo '*' > $*/.gitignore
-	@$*/bin/$(PIP) --constraint constraints.txt uv || echo "pip does what uv would do faster"
+	@$*/bin/$(PIP) --constraint constraints.txt uv || echo "uv cannot be installed: pip is used"
 	@touch $@
 
-# uv is five times as fast as pip, but does not read pip's settings: pip follows where uv fails.
+# uv is faster than pip, but does not read pip's settings: pip follows where uv fails.
 PACKAGE = --constraint $(CONSTRAINTS) --editable '.[$(EXTRAS)]'
 define INSTALL
 @$(@D)/bin/uv pip install --quiet --python $(@D) $(PACKAGE) || \

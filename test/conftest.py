@@ -29,7 +29,6 @@ from timo_sim.scene import scene as scenes
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / 'config' / 'paper.yaml'
 
-
 # Nodes of one test process must not see those of other runs or of other processes of pytest-xdist.
 os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(own_domain()))
 

@@ -16,12 +16,13 @@ import subprocess
 import sys
 import tempfile
 
+from timo_sim.cli.sim_node import main
+
 _SERVER = multiprocessing.get_context('forkserver')
 _SERVER.set_forkserver_preload(['timo_sim.ros.process', 'timo_sim.cli.sim_node'])
 
 
 def _sim_node(arguments, folder, environment, output):
-    from timo_sim.cli.sim_node import main
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(environment)

@@ -167,7 +167,7 @@ def test_a_load_of_a_hundred_thousand_pieces_is_read(tmp_path):
 def test_numbers_that_would_round_to_zero_or_overflow(value, words):
     from timo_sim.ros.parameters import steps_between_messages
     from timo_sim.scene.parameter import whole_ratio
-    from timo_sim.scene.parameters import check
+    from timo_sim.scene.values import check
     with pytest.raises(timo_sim.ParameterError, match=words):
         values = {**{name: parameter.default for name, parameter in PARAMETERS.items()},
                   **check(value, 'test')}

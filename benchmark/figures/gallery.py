@@ -8,14 +8,11 @@
 
 """Draws seven pictures with captions: `make gallery` writes doc/gallery.md and doc/gallery/."""
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
-
-from matplotlib.image import imread, imsave
 import numpy as np
 
 from benchmark import ROOT
 from benchmark.command import parser
+from benchmark.figures import window
 from benchmark.figures.drawing import BLUE, draw_arm, GREEN, GREY, ORANGE, save, sheet
 import timo_sim
 from timo_sim.view.floor import floor_of
@@ -271,19 +268,6 @@ def pick_and_place():
             f'of up to {after:.0f} mm.')
 
 
-def window():
-    """Draw what `timo_sim view` shows of the paper's run, for the README."""
-    from timo_sim.view.convert import write
-    from timo_sim.view.show import picture
-    from timo_sim.view.track import of_run
-    run = timo_sim.simulate(timo_sim.load_scene(ROOT / 'config/paper.yaml'), 10.0)
-    with TemporaryDirectory() as folder:
-        write([of_run(run, 'paper')], Path(folder, 'run.rrd'), at=1.81)
-        picture(Path(folder, 'run.rrd'), Path(folder, 'view.png'), 1.81, (1500, 940))
-        # Without the viewer's menu, which says things about the machine.
-        imsave(ROOT / 'doc' / 'view.png', imread(Path(folder, 'view.png'))[37:])
-
-
 def main():
     """Draw all and write the page."""
     parser(__spec__, __doc__).parse_args()
@@ -297,7 +281,7 @@ def main():
         words = draw()
         print(f'{title}: {words}')
         text += ['', f'## {title}', '', f'![{title}](gallery/{draw.__name__}.png)', '', words]
-    window()
+    window.draw()
     (ROOT / 'doc' / 'gallery.md').write_text('\n'.join(text) + '\n')
 
 

@@ -6,7 +6,6 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-
 """DDS domains of tests and benchmarks, so that their nodes do not see each other."""
 
 from contextlib import suppress

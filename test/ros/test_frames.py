@@ -23,7 +23,7 @@ from timo_sim.log.recording import Recording
 from timo_sim.messages.outputs import in_frames, TRANSFORMS
 from timo_sim.replay.replay import replay
 from timo_sim.scene.parameter import ParameterError
-from timo_sim.scene.parameters import frame_names
+from timo_sim.scene.values import frame_names
 
 GIVEN = {'frame_prefix': 'left/', 'frame.world': 'map', 'frame.carrier': 'base_link'}
 NAMES = {'world': 'map', 'carrier': 'left/base_link', 'arm': 'left/arm', 'tip': 'left/tip'}

@@ -14,7 +14,7 @@ from rclpy.node import Node
 
 import timo_sim
 from timo_sim.scene.files import read_parameter_file, read_sections
-from timo_sim.scene.parameters import check
+from timo_sim.scene.values import check
 
 SAME = {
     'another namespace': '/other/timo_sim: {ros__parameters: {arm.length: 3.0}}\n'

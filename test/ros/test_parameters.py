@@ -29,7 +29,8 @@ import yaml
 
 from timo_sim.log.recording import Recording
 from timo_sim.scene.files import flatten
-from timo_sim.scene.parameters import check, PARAMETERS
+from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.scene.values import check
 
 CONTROL = Path(__file__).resolve().parents[2] / 'doc' / 'control.md'
 TYPES = {bool: ParameterType.PARAMETER_BOOL, int: ParameterType.PARAMETER_INTEGER,

@@ -21,7 +21,7 @@ from timo_sim.log.recording import Recording
 from timo_sim.messages.commands import COMMANDS, JOINTS
 from timo_sim.replay.replay import replay
 from timo_sim.scene.files import read_sections
-from timo_sim.scene.parameters import check
+from timo_sim.scene.values import check
 from topic_hardware import ControllerManager
 
 ROOT = Path(__file__).resolve().parents[2]

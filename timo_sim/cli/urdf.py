@@ -30,7 +30,7 @@ def urdf(scene, settings):
     arm; the link arm includes the inertia of the shaft. Links have the names of the frames.
     """
     from timo_sim.scene.files import read_parameter_file
-    from timo_sim.scene.parameters import frame_names
+    from timo_sim.scene.values import frame_names
     from timo_sim.scene.scene import load_scene
     changes = parsed(settings)
     body = load_scene(scene, changes).manipulator

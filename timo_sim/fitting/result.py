@@ -23,7 +23,7 @@ from timo_sim.fitting.quantities import unit_of
 from timo_sim.fitting.record import Record
 from timo_sim.runs.run import Run
 from timo_sim.scene.parameter import ParameterError
-from timo_sim.scene.parameters import changed
+from timo_sim.scene.values import changed
 from timo_sim.scene.scene import Scene
 
 if TYPE_CHECKING:

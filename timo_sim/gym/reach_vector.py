@@ -21,8 +21,7 @@ from gymnasium.vector.utils import batch_space
 import numpy as np
 
 from timo_sim.physics.layout import rotate
-from timo_sim.scene.parameter import Parameter, ParameterError, short
-from timo_sim.scene.parameters import whole_ratio
+from timo_sim.scene.parameter import Parameter, ParameterError, short, whole_ratio
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.batch import Batch
 

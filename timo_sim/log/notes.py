@@ -15,7 +15,7 @@ import platform
 from typing import NamedTuple
 
 from timo_sim.log.records import LogError
-from timo_sim.scene.parameters import current
+from timo_sim.scene.values import current
 from timo_sim.version import __version__
 
 START, RESET, SUMMARY = 'timo_sim', 'timo_sim.reset', 'timo_sim.summary'

@@ -27,7 +27,7 @@ from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.definitions import schema_text, TYPE_HASHES
 from timo_sim.messages.outputs import in_frames, outputs
 from timo_sim.messages.packing import Serializer
-from timo_sim.scene.parameters import changed, frame_names
+from timo_sim.scene.values import changed, frame_names
 
 FLUSH_PERIOD = 0.5       # [s] of wall time; a crash loses at most twice this
 CHUNK_SIZE = 512 * 1024  # [B] so that a day has few; none waits longer than `FLUSH_PERIOD`

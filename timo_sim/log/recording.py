@@ -25,7 +25,7 @@ from timo_sim.messages.cdr import CdrError
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.outputs import outputs
 from timo_sim.scene.parameter import ParameterError
-from timo_sim.scene.parameters import current, frame_names
+from timo_sim.scene.values import current, frame_names
 from timo_sim.scene.scene import load_scene
 
 _WRAP = 2**32  # sequence numbers are steps modulo this, or all 0 if a tool has not kept them
@@ -112,7 +112,7 @@ class Recording:
 
     @cached_property
     def frames(self):
-        """Names of frames in commands, see `scene.parameters.frame_names`."""
+        """Names of frames in commands, see `scene.values.frame_names`."""
         return self._made(frame_names) if self.facts else frame_names({})
 
     def _made(self, make):

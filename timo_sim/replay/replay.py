@@ -25,7 +25,8 @@ from timo_sim.physics.layout import LOADS
 from timo_sim.replay.segments import late_steps, segments_of
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameter import ParameterError
-from timo_sim.scene.parameters import check, frame_names, PARAMETERS
+from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.scene.values import check, frame_names
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.resolution import resolved

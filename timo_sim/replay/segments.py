@@ -17,7 +17,7 @@ from timo_sim.log.records import LogError
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.outputs import outputs
 from timo_sim.scene.parameter import LATEST, Parameter, ParameterError, whole_ratio
-from timo_sim.scene.parameters import steps_in
+from timo_sim.scene.values import steps_in
 
 _ROUNDING = 1e-9
 _START = Parameter('start', 0.0, 's', 'sim time of the first message', low=-LATEST, high=LATEST)

@@ -29,7 +29,8 @@ from timo_sim.ros.run_log import RunLog
 from timo_sim.ros.topics import LateOutlet, MotionOutlet
 from timo_sim.scene.build import implausible
 from timo_sim.scene.parameter import LATEST, ParameterError, SCENE, short, whole_ratio
-from timo_sim.scene.parameters import changed, frame_names, PARAMETERS
+from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.scene.values import changed, frame_names
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.simulator import Simulator
 

@@ -24,7 +24,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from timo_sim.scene.files import foreign, QOS
 from timo_sim.scene.parameter import did_you_mean, Parameter as Rule
 from timo_sim.scene.parameter import ParameterError, short, whole_ratio
-from timo_sim.scene.parameters import check, PARAMETERS, RATES
+from timo_sim.scene.parameters import PARAMETERS, RATES
+from timo_sim.scene.values import check
 from timo_sim.simulation.resolution import choose_resolution
 
 _SOURCE = 'set at run time'

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Build bodies, constraints and loads of a scene, and find implausible values.
+Build bodies, constraints and loads of a scene, and find values that do not fit together.
 
 `values` are checked values of all the scene's parameters, by dotted name.
 """
@@ -30,6 +30,7 @@ _OF_CHANNELS = {channel: tuple(f'load.{channel}.{name}' for name in (
     'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
     'piecewise.value', 'table.time', 'table.value')) for channel in CHANNELS}
 _OF_TERMS = ('integrator.step', *(name for names in _OF_CHANNELS.values() for name in names))
+_ORDINARY = 1e20  # numbers below this do not overflow in an energy
 _LEAST_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
 
 
@@ -150,6 +151,27 @@ def check_counts(values):
                     f' and model.axial_modes = {axial}' if axial else ''))
             raise ParameterError(f'{name} must have {expected} elements for {cause}, got '
                                  f'{len(values[name])}')
+
+
+def check_finite(scene):
+    """Raise ParameterError if a scene's equations of motion or its initial energy overflow."""
+    try:
+        with np.errstate(over='raise', divide='raise', invalid='raise'):
+            formulation, motion = scene.build(), scene.initial_motion()
+            finite = np.isfinite(formulation.linear).all() and (
+                formulation.largest < _ORDINARY and np.abs(motion).max() < _ORDINARY
+                or np.isfinite(formulation.energy(motion[np.newaxis])[0]))
+    except ArithmeticError:
+        finite = False
+    except ParameterError:
+        raise
+    except ValueError as error:
+        # Only the physics finds some errors, such as modes too close to each other.
+        raise ParameterError(f'model.formulation = {scene.values["model.formulation"]}, '
+                             f'model.modes = {scene.values["model.modes"]}: {error}') from None
+    if not finite:
+        raise ParameterError('the values of this scene are too large or too small together: its '
+                             'equations of motion or its initial energy are not finite')
 
 
 def implausible(values):

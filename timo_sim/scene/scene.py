@@ -24,14 +24,15 @@ from timo_sim.physics.equations import formulation_class
 from timo_sim.physics.equations.base import Formulation
 from timo_sim.physics.layout import START
 from timo_sim.scene.build import (
-    check_counts, check_initial, constraints_of, implausible, load_of, manipulator_of, modal_count,
-    payloads_of)
+    check_counts, check_finite, check_initial, constraints_of, implausible, load_of,
+    manipulator_of, modal_count, payloads_of)
 from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.friction import check_friction, check_slope, largest, speeds
 from timo_sim.scene.initial import initial_motion, state_of
 from timo_sim.scene.loads import Load
 from timo_sim.scene.parameter import ParameterError, SCENE, short, warn, whole_ratio
-from timo_sim.scene.parameters import changed, check, DELAYS, PARAMETERS
+from timo_sim.scene.parameters import DELAYS, PARAMETERS
+from timo_sim.scene.values import changed, check
 from timo_sim.scene.summary import html_table
 
 # The argument `static` of a Formulation, by `model.static_modes`.
@@ -46,7 +47,6 @@ def _new_model(name, body, modes, damping, constraints, static, axial, gravity, 
 
 
 _OF_SCENE = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
-_ORDINARY = 1e20  # numbers below this do not overflow in an energy
 
 # Scenes that differ in loads, limits or initial motion share their equations of motion.
 _shared_model = lru_cache(maxsize=4)(_new_model)
@@ -285,22 +285,6 @@ def scene_from(values):
         whole_ratio(name, values[name], 'integrator.step', step)
     scene = Scene(manipulator_of(values), constraints_of(values), load_of(values), step, values)
     check_friction(scene)
-    try:
-        with np.errstate(over='raise', divide='raise', invalid='raise'):
-            formulation, motion = scene.build(), scene.initial_motion()
-            finite = np.isfinite(formulation.linear).all() and (
-                formulation.largest < _ORDINARY and np.abs(motion).max() < _ORDINARY
-                or np.isfinite(formulation.energy(motion[np.newaxis])[0]))
-    except ArithmeticError:
-        finite = False
-    except ParameterError:
-        raise
-    except ValueError as error:
-        # Only the physics finds some errors, such as modes too close to each other.
-        raise ParameterError(f'model.formulation = {values["model.formulation"]}, model.modes = '
-                             f'{values["model.modes"]}: {error}') from None
-    if not finite:
-        raise ParameterError('the values of this scene are too large or too small together: its '
-                             'equations of motion or its initial energy are not finite')
+    check_finite(scene)
     check_slope(scene)
     return scene

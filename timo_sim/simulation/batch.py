@@ -19,7 +19,7 @@ from timo_sim.physics.integrate.lane_steps import from_lanes, LaneSteps, to_lane
 from timo_sim.physics.integrate.run_error import CHUNK
 from timo_sim.physics.layout import LOADS, Motion, rotate
 from timo_sim.scene.parameter import Parameter, ParameterError
-from timo_sim.scene.parameters import steps_in
+from timo_sim.scene.values import steps_in
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.actuators import commanded_load
 from timo_sim.simulation.lane_loads import LaneLoads

@@ -18,7 +18,8 @@ import numpy as np
 
 from timo_sim.physics.layout import Motion
 from timo_sim.scene.parameter import ParameterError, warn
-from timo_sim.scene.parameters import PARAMETERS, steps_in
+from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.scene.values import steps_in
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.simulator import Simulator

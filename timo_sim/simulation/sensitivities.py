@@ -18,7 +18,7 @@ import numpy as np
 
 from timo_sim.scene.numbers import INITIAL, initial_names, initial_scale, number_of, placed
 from timo_sim.scene.parameter import did_you_mean, Parameter, ParameterError, short, warn
-from timo_sim.scene.parameters import steps_in
+from timo_sim.scene.values import steps_in
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.actuators import COMMANDS
 from timo_sim.simulation.batch import Batch

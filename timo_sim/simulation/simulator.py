@@ -13,8 +13,7 @@ import numpy as np
 from timo_sim.jit.code_store import compiling, is_compiled, place_of
 from timo_sim.physics.integrate import steps_of
 from timo_sim.physics.integrate.run_error import CHUNK
-from timo_sim.physics.layout import ANGLE
-from timo_sim.scene.parameters import check_runtime, steps_in
+from timo_sim.scene.values import check_runtime, steps_in
 from timo_sim.scene.scene import load_scene
 from timo_sim.simulation import model_warnings
 from timo_sim.simulation.actuators import Actuators, commanded_load
@@ -268,10 +267,6 @@ class Simulator(Readings):
             self._look_for_warnings(np.empty((0, self.model.size)))
         return self.integration.errors.total + self.integration.friction_drift + self.stretch.tip
 
-    @property
-    def _angle(self):
-        return self.load[ANGLE] if self.model.first else self._state[len(self.model.axes)]
-
     def _look_for_warnings(self, motions):
         self.warning = model_warnings.after_steps(
             self.scene, self.integration, self.stretch, self.t, self._state, self.load, motions,
@@ -288,11 +283,6 @@ class Simulator(Readings):
             motions[:] = self.motion.values
         self.steps += count
         return motions, heat
-
-    def _bend(self):
-        # Deflection by all modes together [m].
-        modes, half = self.model.reach[3:], len(self._state) // 2
-        return np.abs(self._state[half - len(modes):half]) @ modes
 
     def _give_up(self, before, count, commanded):  # return to the last good state and raise
         self._state, self.load, memory, kept, *parts = before

@@ -19,7 +19,8 @@ from timo_sim.jit.lanes import WIDTH
 from timo_sim.runs.sampled import sampled_run
 from timo_sim.scene.files import flatten
 from timo_sim.scene.parameter import ParameterError
-from timo_sim.scene.parameters import PARAMETERS, steps_in
+from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.scene.values import steps_in
 from timo_sim.simulation.resolution import resolved
 from timo_sim.sweep.together import kind_of, Together
 

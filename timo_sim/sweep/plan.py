@@ -19,7 +19,8 @@ import numpy as np
 
 from timo_sim.scene.files import flatten, read_yaml
 from timo_sim.scene.parameter import Parameter, ParameterError, SCENE, short
-from timo_sim.scene.parameters import check, PARAMETERS, steps_in
+from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.scene.values import check, steps_in
 from timo_sim.scene.scene import load_scene, Scene
 from timo_sim.sweep.jobs import jobs_of
 from timo_sim.version import __version__
