@@ -208,8 +208,8 @@ def test_a_rotating_arm_stiffens_under_its_centrifugal_force():
         'arm.density': 1.0, 'arm.height': 0.005, 'carrier.mass': 1e8, 'motor.shaft_inertia': 1e8,
         'end_effector.mass': tip, 'end_effector.inertia': 0.0, 'model.modes': 5,
         'initial.shaft_velocity': speed, 'initial.modal_rates': [1e-4] + [0.0] * 4,
-        # The light arm under tension is a string: the phase of mode 5 grows by 0.8 rad in a step.
-        'integrator.step': 1e-4})
+        # The light arm under tension is a string: the phase of mode 5 grows by 0.4 rad in a step.
+        'integrator.step': 5e-5})
     run = timo_sim.simulate(scene, 10.0)
     across = run.deflection(length)[:, 1]
     crossings = run.t[1:][(across[:-1] < 0) & (across[1:] >= 0)]
@@ -222,8 +222,9 @@ def test_a_rotating_arm_stiffens_under_its_centrifugal_force():
     k = np.sqrt(tension / bending)
     stiffness = tension * k / (k * length - np.tanh(k * length))
     expected = np.sqrt(stiffness / tip - speed**2)
-    # A quarter of the arm's mass counts, which is 1e-4 of the tip's.
-    assert measured == pytest.approx(expected, rel=1e-4)
+    # Five modes bend the string 4e-4 too stiffly, eight 3e-5; a quarter of the arm's mass counts,
+    # which is 1e-4 of the tip's.
+    assert measured == pytest.approx(expected, rel=5e-4)
     assert expected > 1.05 * np.sqrt(3 * bending / length**3 / tip)
 
 

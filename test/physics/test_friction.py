@@ -233,8 +233,8 @@ def test_each_step_obeys_the_law():
         simulator.advance(1, loaded(PUSHES))
         before, after = after, simulator.motion.values[6:9]
         r = simulator.integration.friction
-        # Joints that are about to break away may have 1e-7 rad/s.
-        rests, came = np.abs(after) < 1e-6, np.abs(before) < 1e-6
+        # Joints that are about to break away may have 1e-6 rad/s; those that slide have 0.1.
+        rests, came = np.abs(after) < 1e-5, np.abs(before) < 1e-5
         slides = (before * after > 0.0) & ~rests & ~came
         assert np.all(np.abs(r) <= limits * (1.0 + 1e-14))
         np.testing.assert_allclose(r[slides], -(limits * np.sign(after))[slides], rtol=1e-14)

@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 
 from oracles import references, spectral_elements
 import timo_sim
+from timo_sim.physics.arm.quadrature import Quadrature
 from timo_sim.simulation.simulator import Simulator
 
 pytestmark = pytest.mark.usefixtures('any_size')  # many sizes, few steps
@@ -55,7 +56,7 @@ def test_one_mode_stretches_as_centrifugal_forces_do(mass):
     xi = np.linspace(0.0, length, 9)
     line, stiffness = section.mass_per_length, section.young_modulus * section.area
     strain = speed**2 * (line * (length**2 - xi**2) / 2.0 + mass * length) / stiffness
-    shape = model.modes.displacement(model.quadrature.points)[:, -1]
+    shape = model.modes.displacement(model.points.xi)[:, -1]
     load = speed**2 * (model.point_mass * model.points.xi) @ shape
     q = load / model.modes.omega[-1]**2
     assert q * model.modes.stretch(xi)[:, -1] == pytest.approx(strain, rel=1e-9)
@@ -65,10 +66,11 @@ def test_a_rod_hangs_on_its_accelerated_root():
     """With the second mode `E A u' = -a int M` is exact for a constant acceleration a."""
     scene = scene_of(TAPERED, **{'model.axial_modes': 2})
     model, arm = scene.build(), scene.manipulator.arm
-    nodes = model.quadrature.nodes
+    nodes = model.points.xi[:-1]
     loads = model.modes.displacement(model.points.xi)[:, -2:].T @ model.point_mass
     strain = model.modes.stretch(nodes)[:, -2:] @ (loads / model.modes.omega[-2:]**2)
-    outboard = model.arm_mass - model.points.integral.T[:-1] @ arm.at(nodes).mass_per_length
+    rule = Quadrature(arm.breaks, 20)
+    outboard = model.arm_mass - rule.integrate_to(nodes) @ arm.at(rule.nodes).mass_per_length
     section = arm.at(nodes)
     assert strain * section.young_modulus * section.area == pytest.approx(outboard, rel=1e-9)
 

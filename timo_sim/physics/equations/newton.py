@@ -79,6 +79,11 @@ class Newton(Formulation):
         """Return the number of quadrature nodes; they are many, since no step evaluates them."""
         return 4 * count + 40
 
+    @staticmethod
+    def mass_count(nodes):
+        """Return the number of points that carry mass, that of the nodes."""
+        return nodes
+
     @property
     def lever(self):
         """Static moment of the arm about its root, s_a [kg m]."""
