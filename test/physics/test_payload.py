@@ -15,8 +15,10 @@ import pytest
 
 from oracles import spectral_elements
 import timo_sim
+from timo_sim.jit.constants import of_any_size
 from timo_sim.log.payloads import payloads_of
 from timo_sim.replay.replay import replay
+from timo_sim.runs.sampled import sampled_run
 from timo_sim.simulation.energy import work
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.tip_load import pieces
@@ -95,6 +97,43 @@ def test_a_rigid_arm_picks_up_a_load_at_rest():
     lost = 0.5 * inertia * 4.0 * added / (inertia + added)
     assert run.stats['impact_loss_J'] == pytest.approx(lost, rel=1e-9)
     assert run.energy()[300] - run.energy()[-1] == pytest.approx(lost, rel=1e-9)
+
+
+PLASTIC = {
+    'carrier.held': 'both', 'gravity': [0.0, -9.81], 'initial.shaft': -0.6,
+    'end_effector.mass': 1.0, 'end_effector.inertia': 0.05, 'end_effector.pick_up': 'at_rest',
+    'payload.time': [0.2, 0.5], 'payload.mass': [3.0, 1.0], 'payload.inertia': [0.15, 0.05],
+    'load.torque.piecewise.time': [0.0, 0.8, 1.6],
+    'load.torque.piecewise.value': [60.0, 70.0, 40.0], 'integrator.step': 0.0005}
+
+
+@pytest.mark.usefixtures('any_size')
+def test_the_energy_lost_in_an_impact_is_that_of_two_bodies():
+    """What the momenta of N modes lose tends to the loss of the two bodies at the tip as 1/N."""
+    excess = []
+    for modes in (5, 10, 20):
+        scene = timo_sim.load_scene({**PLASTIC, 'gravity': [0.0, 0.0], 'model.modes': modes})
+        run = timo_sim.simulate(scene, 0.25, compare=False)
+        velocity, spin = (part[0, 0] for part in run.model.velocities(
+            run.motion[400:401], run.model.tip_point))
+        lost = 0.5 * (2.0 / 3.0 * velocity @ velocity + 0.05 * 0.1 / 0.15 * spin**2)
+        assert run.stats['impact_loss_J'] == pytest.approx(lost, rel=1e-6)
+        motions = run.motion[400:402]
+        after = scene.build(scene.manipulator, (3.0, 0.15)).energy(motions[1:])[0]
+        torque = 60.0 * (motions[1, 2] - motions[0, 2])  # its work in the step of the impact
+        excess.append(scene.build().energy(motions[:1])[0] + torque - after - lost)
+    assert 0.4 < excess[1] / excess[0] < 0.6 and 0.4 < excess[2] / excess[1] < 0.6
+
+
+def test_the_estimate_of_a_plastic_impact_is_not_replaced_by_a_lower_one():
+    """Five and eight modes agree better with each other than with forty."""
+    scene = timo_sim.load_scene({**PLASTIC, 'model.modes': 5, 'integrator.step': 0.001})
+    fine = timo_sim.load_scene({**PLASTIC, 'model.modes': 40, 'integrator.step': 0.00025})
+    with pytest.warns(timo_sim.ModelWarning, match='when the load at the tip changed'):
+        run = timo_sim.simulate(scene, 0.8, 10)
+    true = sampled_run(fine, 3200, 40, pack=of_any_size)
+    error = np.linalg.norm(run.position(2.0) - true.position(2.0), axis=1).max()
+    assert 0.5 * error < run.stats['estimated_tip_error_m'] < 20.0 * error
 
 
 @pytest.mark.parametrize('values', [{}, {'carrier.held': 'x'}, {'motor.shaft': 'locked'}],

@@ -19,13 +19,14 @@ from timo_sim.simulation.simulator import Simulator
 _REPORTED = 1024  # steps from one report to the next
 
 
-def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=None):
+def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=None, pack=None):
     """
     Return the Run of a resolved scene; without the progress bar and ModelWarning of `simulate`.
 
-    `report(count)` is called after each `count` further steps. `tell` goes to `Simulator.warm_up`.
+    `report(count)` is called after each `count` further steps. `tell` goes to `Simulator.warm_up`,
+    `pack` to `Simulator`.
     """
-    simulator = Simulator(scene)
+    simulator = Simulator(scene, pack)
     simulator.warm_up(tell)
     motion = np.empty((steps // sample_every + 1, simulator.model.size))
     motion[0], heat = simulator.motion.values, np.zeros(len(motion))
@@ -53,7 +54,7 @@ def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=No
             motion[samples], heat[samples] = simulator.advance(count, sample_every=sample_every)
         except DivergenceError as error:
             last = simulator.steps // sample_every * sample_every
-            again = Simulator(scene)  # a batch that fails returns no samples
+            again = Simulator(scene, pack)  # a batch that fails returns no samples
             again.advance(first)
             samples = slice(samples.start, last // sample_every + 1)
             motion[samples], heat[samples] = again.advance(last - first, sample_every=sample_every)

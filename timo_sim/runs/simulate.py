@@ -10,15 +10,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import sys
 
 from tqdm import tqdm
 
 from timo_sim.runs.run import Run
 from timo_sim.runs.sampled import sampled_run
-from timo_sim.runs.second_run import compared, in_doubt
+from timo_sim.runs.second_run import compared, in_doubt, samples_between
 from timo_sim.scene.parameter import Parameter, ParameterError, warn
 from timo_sim.scene.scene import load_scene, SceneLike
+from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.resolution import resolved
 
 _EVERY = Parameter('sample_every', 1, '', 'steps between samples', low=1)
@@ -29,10 +31,10 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     """
     Simulate a scene under its own loads.
 
-    On a terminal, a progress bar appears when the run takes more than a second. A run of up to
-    2048 steps that has a warning, an estimated error above 5e-6 of the arm's length, another
-    formulation than `exact`, or axial vibrations that its steps do not resolve, is compared with
-    a second, finer one, see `Run.stats`.
+    On a terminal, a progress bar appears when the run takes more than a second. A run that has a
+    warning, an estimated error above 5e-6 of the arm's length, another formulation than `exact`,
+    or axial vibrations that its steps do not resolve, is compared with a second, finer one, which
+    takes some twenty times as long, see `Run.stats`.
 
     Parameters
     ----------
@@ -81,15 +83,26 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
               leave=False) as bar:
         try:
-            run = sampled_run(scene, steps, sample_every, bar.update, _tell)
+            between = 1 if compare is False else samples_between(steps, sample_every)
+            run = sampled_run(scene, steps, sample_every // between, bar.update, _tell)
+        except DivergenceError as error:
+            error.run = _thinned(error.run, between)
+            raise
         except MemoryError:
             raise MemoryError(f'{1 + steps // sample_every} samples do not fit into memory: take '
                               f'sample_every > {sample_every}') from None
         if in_doubt(run) if compare is None else compare:
             run = compared(run, tell=_tell)
+        run = _thinned(run, between)
     if run.warning:
         warn(run.warning)
     return run
+
+
+def _thinned(run, every):
+    # Without the samples that were only needed for the comparison.
+    return replace(run, t=run.t[::every], values=run.values[::every],
+                   friction_heat=run.friction_heat[::every])
 
 
 def _tell(text):

@@ -30,11 +30,9 @@ def initial_motion(scene, model):
     if not scene.values['initial.equilibrium']:
         return motion
     try:
-        motion = equilibrium(model, motion, scene.load_at_start())
+        return equilibrium(model, motion, scene.load_at_start())
     except ValueError as error:
         raise ParameterError(f'initial.equilibrium = true: {error}') from None
-    model.about(motion)
-    return motion
 
 
 def state_of(scene, run, t):

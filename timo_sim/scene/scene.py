@@ -40,16 +40,15 @@ _STATIC = {'none': (), 'force': ('force',), 'torque': ('torque',), 'both': ('for
            'weight': ('weight',)}
 
 
-def _new_model(name, body, modes, damping, constraints, static, axial, gravity, basis):
+# Scenes that differ in loads, limits or initial motion share their equations of motion.
+@lru_cache(maxsize=4)
+def _shared_model(name, body, modes, damping, constraints, static, axial, gravity, basis):
     return formulation_class(name)(body, modes, damping[0] if len(damping) == 1 else damping,
                                    constraints, static=static, axial=axial, gravity=gravity,
                                    basis=basis)
 
 
 _OF_SCENE = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
-
-# Scenes that differ in loads, limits or initial motion share their equations of motion.
-_shared_model = lru_cache(maxsize=4)(_new_model)
 
 
 @dataclass(frozen=True, repr=False)
@@ -112,19 +111,23 @@ class Scene:
             self.manipulator, end_effector_mass=tip[0], end_effector_inertia=tip[1])
         if body == self.manipulator == (basis or body):
             return self._formulation
-        return self._model(self._formulation.damping, body, basis or self.manipulator)
+        return self._model(self._about_straight_arm.damping, body, basis or self.manipulator)
 
     def _model(self, damping, body, basis=None):
         values = self.values
-        # An equilibrium becomes part of its model, which then serves no other scene.
-        make = _new_model if values['initial.equilibrium'] else _shared_model
-        return make(values['model.formulation'], body, values['model.modes'],
+        return _shared_model(values['model.formulation'], body, values['model.modes'],
                     tuple(np.ravel(damping).tolist()), self.constraints,
                     _STATIC[values['model.static_modes']], values['model.axial_modes'],
                     tuple(values['gravity']), basis or body)
 
     @cached_property
     def _formulation(self):
+        if self.values['initial.equilibrium']:
+            return self._about_straight_arm.about(self._initial_motion)
+        return self._about_straight_arm
+
+    @cached_property
+    def _about_straight_arm(self):
         values, damping = self.values, np.array(self.values['arm.damping_ratio'] or 0.0)
         if values['arm.damping_of'] == 'clamped' or not damping.any():
             return self._model(damping, self.manipulator)
@@ -208,7 +211,7 @@ class Scene:
 
     @cached_property
     def _initial_motion(self):
-        return initial_motion(self, self._formulation)
+        return initial_motion(self, self._about_straight_arm)
 
     def load_at_start(self) -> np.ndarray:
         """Return the scene's own load at t = 0, shape (14,), see `physics.layout`."""

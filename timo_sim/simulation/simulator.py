@@ -37,6 +37,8 @@ class Simulator(Readings):
     Parameters
     ----------
     scene : Scene, or what `load_scene` takes
+    pack : function, optional
+        Packs the constants of compiled functions, see `Formulation.packed_by`.
 
     Attributes
     ----------
@@ -63,15 +65,14 @@ class Simulator(Readings):
 
     """
 
-    def __init__(self, scene):
+    def __init__(self, scene, pack=None):
         self.steps, self._warm, scene = 0, False, load_scene(scene)
-        self.tip_load = TipLoad(scene)
-        scene.initial_motion()  # of which the model takes an equilibrium, before steps are made
+        self.tip_load, self._pack = TipLoad(scene), pack
         self._take(scene, scene.build())
         self.reset()
 
     def _take(self, scene, model):
-        self.scene, self.model = scene, model
+        self.scene, self.model = scene, model.packed_by(self._pack or model.pack)
         self.integration = steps_of(self.model, scene.step, scene.values['integrator.tolerance'],
                                     scene.friction, scene.friction_speed)
         self.stretch = StretchError(self.model)
@@ -82,7 +83,7 @@ class Simulator(Readings):
     def reset(self):
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
         if self.tip_load.reset(self.scene):
-            self._take(self.scene, self.tip_load.model(self.scene, self.model))
+            self._take(self.scene, self.tip_load.model(self.scene))
         motion = self.scene.initial_motion(self.model)
         self._state = self.model.state(motion)
         self.integration.reset()
@@ -120,7 +121,7 @@ class Simulator(Readings):
         added, accelerations = self.tip_load.add(tip), None
         if added is not None:
             accelerations = accelerations_of(earlier, self._state, earlier.acting(self.load))
-        self._take(scene, self.tip_load.model(scene, self.model))
+        self._take(scene, self.tip_load.model(scene))
         self.integration.follow(earlier)
         self.stretch.follow(stretch)
         if added is not None:

@@ -69,14 +69,11 @@ class TipLoad:
         before, self.tip = self.tip, tip
         return None if tip == before else [now - then for now, then in zip(tip, before)]
 
-    def model(self, scene, earlier):
-        """Return the formulation of a scene with this load, packed as an earlier one."""
+    def model(self, scene):
+        """Return the formulation of a scene with this load."""
         mass, inertia = self._first
-        model = scene.build(replace(scene.manipulator, end_effector_mass=mass,
-                                    end_effector_inertia=inertia), self.tip)
-        if model is not earlier:
-            model.pack, model.packed = earlier.pack, earlier.pack(model.tables)
-        return model
+        return scene.build(replace(scene.manipulator, end_effector_mass=mass,
+                                   end_effector_inertia=inertia), self.tip)
 
     def picked_up(self, scene, model, motion, accelerations, added):
         """Return the motion after mass and inertia are added, and its estimated error."""

@@ -9,6 +9,7 @@
 """Base class of all formulations of the equations of motion: their interface, shared methods."""
 
 from abc import abstractmethod
+import copy
 from functools import cached_property
 import math
 from typing import NamedTuple
@@ -171,10 +172,39 @@ class Formulation(Observables):
         length = self.manipulator.arm.length
         return np.concatenate([[1.0, 1.0, length], np.abs(self.modes.deflection([length]))[0]])
 
-    def about(self, rest):
-        """See travels of the tip from an equilibrium, shape (2 (3 + N),), not a straight arm."""
-        self.rest, self._kept = rest, {}
-        self.__dict__.pop('reach', None)
+    def about(self, equilibrium):
+        """
+        Return the same equations, with the tip's travel linearised about an equilibrium.
+
+        By default it is linearised about the straight arm.
+
+        Parameters
+        ----------
+        equilibrium : ndarray, shape (2 (3 + N),)
+            A motion.
+
+        Returns
+        -------
+        Formulation
+
+        """
+        model = self._copy()
+        model.rest = equilibrium
+        model.__dict__.pop('reach', None)
+        return model
+
+    def packed_by(self, pack):
+        """Return the same equations, whose constants `pack` packs for compiled functions."""
+        if pack is self.pack:
+            return self
+        model = self._copy()
+        model.pack, model.packed = pack, pack(self.tables)
+        return model
+
+    def _copy(self):
+        model = copy.copy(self)
+        model._kept = {}
+        return model
 
     @cached_property
     def largest(self):
