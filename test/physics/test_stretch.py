@@ -8,6 +8,8 @@
 
 """Arms that stretch: closed forms of the rod, conserved quantities, spectral elements."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -191,3 +193,22 @@ def test_stretch_that_matters_gives_a_warning():
     assert timo_sim.simulate(timo_sim.load_scene(fast), 1.0).warning is None
     assert timo_sim.simulate(timo_sim.load_scene({**fast, 'model.axial_modes': 1}),
                              4.0).warning is None
+
+
+BENT = {'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0, 'model.modes': 5,
+        'model.axial_modes': 1, 'integrator.step': 0.005}
+BUCKLED = {'load.tip_force_x.table.time': [0.0, 1.0], 'load.tip_force_x.table.value': [0.0, -900.0],
+           'load.tip_force_y.piecewise.time': [0.0], 'load.tip_force_y.piecewise.value': [2.0]}
+LARGE = {'end_effector.mass': 0.5, 'end_effector.inertia': 0.01, 'arm.height': 0.01,
+         'load.tip_force_y.piecewise.time': [0.0], 'load.tip_force_y.piecewise.value': [60.0]}
+
+
+@pytest.mark.usefixtures('any_size')
+@pytest.mark.parametrize('load, until', [(BUCKLED, 1.6), (LARGE, 1.0)], ids=['buckled', 'large'])
+def test_an_error_names_a_step_with_which_an_arm_that_stretches_does_not_diverge(load, until):
+    scene = timo_sim.load_scene({**BENT, **load})
+    with pytest.raises(timo_sim.DivergenceError) as error:
+        timo_sim.simulate(scene, until, compare=False)
+    step = float(re.search('integrator.step = (.*?) s', str(error.value))[1])
+    run = timo_sim.simulate(scene.vary({'integrator.step': step}), until, 40, compare=False)
+    assert run.t[-1] == pytest.approx(until) and np.abs(run.q[:, 0]).max() > 0.05

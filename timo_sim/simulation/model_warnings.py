@@ -16,6 +16,8 @@ import numpy as np
 from timo_sim.physics.integrate.split import FINEST
 from timo_sim.physics.layout import Motion
 
+# Phase of the first axial vibration in a step with which no tested arm diverged [rad].
+_AXIAL_PHASE = 0.5
 # Longest step, in periods of a harmonic load; a step sees three values of the load.
 _MOST_OF_A_PERIOD = 0.25
 # Largest shift of the tip by what `newton`, or an arm without stretch, leaves out [arm lengths].
@@ -218,7 +220,16 @@ def divergence(scene, step, motion, reach, bend, warning):
     name = (['carrier x', 'carrier y', 'shaft angle'] + [
         f'modal coordinate {n + 1}' for n in range(len(reach) - 3)])[largest]
     splitting = '' if scene.friction.any() else ' an integrator.tolerance,'
+    smaller = 'a smaller integrator.step'
+    axial = scene.values['model.axial_modes']
+    if axial:
+        resolved = _AXIAL_PHASE / scene.build().modes.omega[-axial:].min()
+        if scene.step > resolved:
+            decade = 10.0**math.floor(math.log10(resolved))
+            step = max(k for k in (1, 2, 5) if k * decade <= resolved) * decade
+            smaller = (f'integrator.step = {step:.6g} s or less, which resolves axial '
+                       'vibrations, model.axial_modes 0')
     return (f'the state diverges after t = {step * scene.step:.6g} s (step {step}), at {name} = '
-            f'{motion[largest]:.3g} with the arm bent by {bend:.3g} m: take a smaller '
-            f'integrator.step,{splitting} fewer model.modes or model.formulation exact' + (
+            f'{motion[largest]:.3g} with the arm bent by {bend:.3g} m: take {smaller},'
+            f'{splitting} fewer model.modes or model.formulation exact' + (
                 f'; {warning}' if warning else ''))
