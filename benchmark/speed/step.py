@@ -93,7 +93,7 @@ def run_rows():
         ('10 s of the paper, 10 ms, every step sampled', '2 ms', compiled.shown(1e-3, 'ms'),
          compiled.middle <= 2e-3, 'the compiled part'),
         ('the same, compared with a second, finer run', '', compared.shown(1e-3, 'ms'), None,
-         'what `simulate` does by itself with short runs that are in doubt')]
+         'what `simulate` does by itself with runs that are in doubt')]
 
 
 def exponent(x, y):

@@ -30,6 +30,7 @@ import numpy as np  # noqa: E402
 
 from benchmark import ROOT  # noqa: E402
 from benchmark.command import parser  # noqa: E402
+from benchmark.stress.hard import hard_cell  # noqa: E402
 from benchmark.stress.laden import laden  # noqa: E402
 from benchmark.stress.scenes import cell  # noqa: E402
 from benchmark.stress.truth import judge, SEEN, shares, VERDICTS  # noqa: E402
@@ -54,12 +55,19 @@ _CAUSES = ('torque_N_m', 'force_y_N', 'tip_force_y_N', 'tip_torque_N_m')
 OUTPUTS = ('tip_y_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain')
 
 
+def changed_cell(number, seed=1, change=None):
+    """Return a Cell, changed by `change(cell, seed)`, or a hard one with `change = hard_cell`."""
+    if change is hard_cell:
+        return hard_cell(number, seed)
+    given = cell(number, seed)
+    return change(given, seed) if change else given
+
+
 def judged(number, seed=1, change=None):
     """Return what `truth.judge` finds of a changed cell; unexpected errors count as silent."""
     begun = time.process_time()
     try:
-        given = cell(number, seed)
-        found = judge(change(given, seed) if change else given)
+        found = judge(changed_cell(number, seed, change))
     except Exception as error:
         found = [{'number': number, 'kind': 'crash', 'family': 'exact', 'steps': 'as given',
                   'against': 'finer', 'verdict': 'silent', 'error': math.inf, 'estimate': math.nan,
@@ -211,15 +219,17 @@ def main():
     words.add_argument('--processes', type=int, default=2)
     words.add_argument('--laden', action='store_true',
                        help='in gravity, with loads that change, or both')
+    words.add_argument('--hard', action='store_true',
+                       help='buckling, resonance and others in which errors grow')
     given = words.parse_args()
-    change = laden if given.laden else None
+    change = hard_cell if given.hard else laden if given.laden else None
     for number in given.only or []:
-        each = cell(number, given.seed)
-        print(json.dumps((change(each, given.seed) if change else each)._asdict(), indent=1))
+        each = changed_cell(number, given.seed, change)
+        print(json.dumps(each._asdict(), indent=1))
         for each in judged(number, given.seed, change):
             print(json.dumps(each))
         print('changes of the tip as steps, stretch and modes are refined in turn [lengths]:',
-              json.dumps(shares(cell(number, given.seed))))
+              json.dumps(shares(each)))
     if given.only:
         return
     begun = time.monotonic()
