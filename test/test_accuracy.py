@@ -18,7 +18,6 @@ import pytest
 from oracles import spectral_elements
 from oracles.references import read, spin_up as shaft_of_spin_up, TORQUE, world
 import timo_sim
-from timo_sim.simulation import resolution
 from timo_sim.simulation.resolution import choose_resolution
 
 SCENES = {'paper': 10.0, 'torque': 5.0, 'spin_up': 20.0}  # name, duration [s]
@@ -50,12 +49,6 @@ def source(paper, spin_up):
     return {'paper': paper, 'torque': TORQUE, 'spin_up': spin_up}
 
 
-@pytest.fixture
-def few_sizes(monkeypatch):
-    """Choose among sizes that other tests have compiled."""
-    monkeypatch.setattr(resolution, 'SIZES', (3, 5, 12))
-
-
 def tip_of_reference(name, length):
     """Return the tip in the world and in the arm frame, shape (2, n, 2) [m], every PERIOD."""
     _, columns = read(name)
@@ -83,9 +76,9 @@ def test_the_stated_error_holds(name, goal, source, request):
     reference = tip_of_reference(name, scene.manipulator.arm.length)
     error = np.linalg.norm(tip_of(run) - reference, axis=2).max()
     assert error <= goal
-    # The estimate is close, too (within 6 % of the distance from twelve modes; 21 % are added for
-    # five modes), and the choice is not much finer than it must be.
-    assert 0.7 * choice.estimate < error < 1.15 * choice.estimate
+    # The estimate is close: for the slowest convergence 33 % are added with three modes, 64 % with
+    # five. The choice is not much finer than it must be.
+    assert 0.5 * choice.estimate < error < 1.15 * choice.estimate
     assert choice.scene.values['model.modes'] <= 5 and choice.scene.step >= 0.01
 
 
@@ -96,20 +89,20 @@ def tip_of(run):
 
 @pytest.mark.parametrize('values, goal', KINDS.values(), ids=KINDS)
 @pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # about stretch
-def test_the_estimate_agrees_with_a_much_finer_run(values, goal, few_sizes):
+@pytest.mark.usefixtures('any_size')
+def test_the_estimate_agrees_with_a_much_finer_run(values, goal):
     choice = choose_resolution(timo_sim.load_scene({'model.accuracy': goal, **values}), 2.0)
     finer = {'model.modes': 16, 'integrator.step': 5e-5}  # more modes than the choice tries
-    run, truth = (timo_sim.simulate(scene, 2.0, round(PERIOD / scene.step))
-                  for scene in (choice.scene, choice.scene.vary(finer)))
+    run = timo_sim.simulate(choice.scene, 2.0, round(PERIOD / choice.scene.step), compare=True)
+    truth = choice.scene.vary(finer)
+    truth = timo_sim.simulate(truth, 2.0, round(PERIOD / truth.step), compare=False)
     error = np.linalg.norm(tip_of(run) - tip_of(truth), axis=2).max()
     assert error < goal and error / 5.0 < choice.estimate < 5.0 * error
-    assert run.stats['step_error_m'] < goal
-    assert run.warning is None or choice.warning and 'stretches' in run.warning
+    assert choice.warning or run.warning is None and run.stats['estimated_tip_error_m'] < goal
 
 
 @pytest.mark.usefixtures('any_size')
-def test_the_estimate_with_one_axis_held_agrees_with_spectral_elements(monkeypatch):
-    monkeypatch.setattr(resolution, 'SIZES', (3, 5))
+def test_the_estimate_with_one_axis_held_agrees_with_spectral_elements():
     scene = timo_sim.load_scene({
         'model.accuracy': 2e-4, **HEAVY, 'carrier.held': 'x', 'end_effector.inertia': 5.0})
     choice = choose_resolution(scene, 2.0)
@@ -119,14 +112,15 @@ def test_the_estimate_with_one_axis_held_agrees_with_spectral_elements(monkeypat
     assert error < 2e-4 and error / 5.0 < choice.estimate < 5.0 * error
 
 
-def test_the_estimate_covers_a_long_run_to_its_end(few_sizes, monkeypatch):
+@pytest.mark.usefixtures('any_size')
+def test_the_estimate_covers_a_long_run_to_its_end():
     """At 10 ms modes dominate the error for 2 s; by 120 s the error of the steps is larger."""
-    monkeypatch.setattr(resolution, 'LONGEST', 2.0)
     goal, end = 3e-4, 120.0
     scene = timo_sim.load_scene({'model.accuracy': goal, **HEAVY, 'end_effector.inertia': 0.5})
     choice = choose_resolution(scene, end)
-    assert choice.scene.values['model.modes'] == 5 and choice.looked_at == 2.0 < end < choice.until
-    run, truth, coarse = (tip_of(timo_sim.simulate(scene, end, round(PERIOD / scene.step)))
+    assert choice.scene.values['model.modes'] == 5 and choice.looked_at == end < choice.until
+    run, truth, coarse = (tip_of(timo_sim.simulate(scene, end, round(PERIOD / scene.step),
+                                                   compare=False))
                           for scene in (choice.scene, choice.scene.vary(
                               {'model.modes': 12, 'integrator.step': 0.001}),
                               choice.scene.vary({'integrator.step': 0.01})))
@@ -135,12 +129,25 @@ def test_the_estimate_covers_a_long_run_to_its_end(few_sizes, monkeypatch):
     assert np.linalg.norm(coarse - truth, axis=2).max() > goal
 
 
-def test_missing_stretch_is_a_warning(few_sizes):
+def test_missing_stretch_is_a_warning():
     scene = timo_sim.load_scene({'model.accuracy': 2e-3, **FAST})
     with pytest.warns(timo_sim.ModelWarning) as told:
         timo_sim.simulate(scene, 2.0)
     assert re.search('an arm that stretches .* the stated model.accuracy', str(told[0].message))
     assert 'model.axial_modes 1' in str(choose_resolution(scene, 2.0))
+
+
+def test_stretch_that_few_rounds_per_second_cause_is_measured():
+    """Against spectral elements of an arm that stretches, off by more than the stated 1e-5 m."""
+    scene = timo_sim.load_scene({'model.accuracy': 1e-5, 'initial.shaft_velocity': 4.0,
+                                 'carrier.held': 'both'})
+    choice = choose_resolution(scene, 2.0)
+    run = timo_sim.simulate(choice.scene, 2.0, round(PERIOD / choice.scene.step), compare=False)
+    truth = spectral_elements.simulate(choice.scene, PERIOD, 100, order=8)[2]
+    error = np.linalg.norm(run.position(2.0) - truth, axis=1).max()
+    assert error > 1e-5 and 'model.axial_modes 1' in choice.warning
+    told = float(re.search('the tip is (.*?) m from', choice.warning)[1])
+    assert told == pytest.approx(error, rel=0.2)
 
 
 def test_simulate_chooses_modes_and_step_and_the_run_has_them(paper):
@@ -168,12 +175,12 @@ def test_a_step_must_suit_jumps_and_the_caller(paper):
 @pytest.mark.parametrize('values, message', [
     ({}, 'model.accuracy = 0.001 m needs a scene that moves'),
     ({'initial.modal_rates': [1.0, 0.0, 0.0]}, 'for a stated model.accuracy'),
-    ({**LIGHT, 'model.accuracy': 1e-5}, 'is not reached, but .* with N = 5 .* modes limit it'),
+    ({**LIGHT, 'model.accuracy': 1e-5}, 'is not reached, but .* with N = 12 .* modes limit it'),
     ({**RAPID, 'model.accuracy': 1e-5}, 'is not reached, but .* h = 1 ms: the steps limit it'),
-    ({**SWING, 'model.accuracy': 1e-14}, 'needs a reference, but .* differ by'),
-    ({**SWING, 'initial.shaft_velocity': 3000.0}, 'needs a reference, but .* all runs diverge'),
+    ({**SWING, 'model.accuracy': 1e-14}, 'is not reached, but .*e-.* m is, with N = 12'),
+    ({**SWING, 'initial.shaft_velocity': 3000.0}, 'with which no run diverges'),
 ])
-def test_scenes_without_a_choice_are_refused(values, message, few_sizes):
+def test_scenes_without_a_choice_are_refused(values, message):
     with pytest.raises(timo_sim.ParameterError, match=message):
         choose_resolution(timo_sim.load_scene({'model.accuracy': 1e-3, **values}), 1.0,
                           lambda step: step >= 0.001)

@@ -197,7 +197,8 @@ def test_stretch_that_matters_gives_a_warning():
 
 BENT = {'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0, 'model.modes': 5,
         'model.axial_modes': 1, 'integrator.step': 0.005}
-BUCKLED = {'load.tip_force_x.table.time': [0.0, 1.0], 'load.tip_force_x.table.value': [0.0, -900.0],
+BUCKLED = {'load.tip_force_x.table.time': [0.0, 1.0],
+           'load.tip_force_x.table.value': [0.0, -900.0],
            'load.tip_force_y.piecewise.time': [0.0], 'load.tip_force_y.piecewise.value': [2.0]}
 LARGE = {'end_effector.mass': 0.5, 'end_effector.inertia': 0.01, 'arm.height': 0.01,
          'load.tip_force_y.piecewise.time': [0.0], 'load.tip_force_y.piecewise.value': [60.0]}

@@ -191,7 +191,7 @@ def resolved_scene(node, scene, values):
         return True
 
     logger = node.get_logger()
-    logger.info('choosing modes and step for model.accuracy, compiling once for each new size')
+    logger.info('choosing modes and step for model.accuracy')
     chosen = choose_resolution(scene, values['duration'], suits)
     logger.info(f'model.accuracy = {scene.values["model.accuracy"]:g} m: {chosen}')
     values.update(chosen.scene.values)

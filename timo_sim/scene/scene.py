@@ -115,10 +115,11 @@ class Scene:
 
     def _model(self, damping, body, basis=None):
         values = self.values
-        return _shared_model(values['model.formulation'], body, values['model.modes'],
-                    tuple(np.ravel(damping).tolist()), self.constraints,
-                    _STATIC[values['model.static_modes']], values['model.axial_modes'],
-                    tuple(values['gravity']), basis or body)
+        return _shared_model(
+            values['model.formulation'], body, values['model.modes'],
+            tuple(np.ravel(damping).tolist()), self.constraints,
+            _STATIC[values['model.static_modes']], values['model.axial_modes'],
+            tuple(values['gravity']), basis or body)
 
     @cached_property
     def _formulation(self):

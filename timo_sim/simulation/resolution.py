@@ -11,11 +11,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-import math
 from typing import NamedTuple
 
 import numpy as np
 
+from timo_sim.jit.constants import of_any_size
 from timo_sim.physics.layout import Motion
 from timo_sim.scene.parameter import ParameterError, warn
 from timo_sim.scene.parameters import PARAMETERS
@@ -24,15 +24,15 @@ from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.simulator import Simulator
 
-SIZES = (3, 5, 8, 10, 12)      # numbers of modes; few, because each has to be compiled once
+SIZES = (3, 5, 8, 12)  # numbers of modes to choose from
 STEPS = (0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)  # to choose from [s]
-REFERENCE_STEPS = STEPS[3:]    # to choose from for the reference [s]
-GRID, PERIOD = 0.02, 0.001     # multiple of all steps; least time between samples [s]
-HORIZON, LONGEST = 10.0, 30.0  # sim time that is compared: by default, and at most [s]
-MARGIN, AGREEMENT = 2.0, 20.0  # least ratio of the stated error to the choice's, the reference's
-LEAST_GROWTH, MOST_GROWTH = 0.5, 2.0  # bounds of the power of time with which errors grow
-MOST_STEPS = 200000            # most steps of a longer run that are compared with halves
-_BLOCK = 1024                  # samples per call of the simulator
+GRID = 0.02            # multiple of all steps, time between positions that are compared [s]
+HORIZON = 10.0         # sim time that is compared by default [s]
+MOST_STEPS = 200_000   # most steps of a run that is compared
+MARGIN = 2.0           # least ratio of the stated error to the estimate of the choice
+MORE_MODES = 3         # further modes of the finer run, whose step is half as long
+_STILL = 1e-13         # travel of a tip that only round-off moves [arm lengths]
+_BLOCK = 1024          # samples per call of the simulator
 
 
 class Resolution(NamedTuple):
@@ -43,13 +43,13 @@ class Resolution(NamedTuple):
     ----------
     scene : Scene
     estimate : float
-        Estimated tip error until the end of the run [m].
+        Estimated tip error until `looked_at` [m].
     looked_at : float
-        Sim time that was compared; beyond it the error is extrapolated [s].
+        Sim time that was compared [s].
     until : float
-        Sim time at which the error reaches the stated one, if it grows at least linearly [s].
+        Sim time at which the error reaches the stated one, if it grows linearly [s].
     warning : str or None
-        Warning of errors that modes and steps do not reduce.
+        Warning of an error that modes and steps do not reduce.
 
     """
 
@@ -67,34 +67,25 @@ class Resolution(NamedTuple):
                 f'until about {self.until:.2g} s' + (f'; {self.warning}' if self.warning else ''))
 
 
-class _Path(NamedTuple):
-    """Tip of a run: positions in the world and in the arm frame at samples after the start."""
-
-    tip: np.ndarray       # (n, 2, 2) [m]
-    stride: int           # PERIODs between samples
-    rest: np.ndarray      # largest deflection of the tip by modes n, n + 1, ..., (N,) [m]
-    error: float          # of steps and friction, as the run estimates it [m]
-    simulator: Simulator
-
-
 def choose_resolution(scene: SceneLike, duration: float = 0.0,
                       fits: Callable[[float], bool] = lambda step: True) -> Resolution:
     """
     Choose modes and step of a scene for the tip error that it states in `model.accuracy`.
 
-    The scene's own motion is compared with a reference of 12 modes, whose step gives a result
-    within a twentieth of the stated error from that of the next larger step. If no step does, the
-    reference has fewer modes. The choice is the least N, and the largest h for it, with which the
-    tip's position in the world and its deflection in the arm frame stay within half the stated
-    error and the run gives no warning, unless the reference does. The choice holds for that
-    motion: if commands will act, the scene's own loads should be as rough as the commands. Errors
-    of the formulation are not part of it.
+    The scene is run with three modes and the longest step, and compared with a run that has three
+    more modes and half the step. As long as the tip's positions, in the world and in the arm
+    frame, differ by more than half the stated error, the step is halved or modes are added,
+    whichever moves the tip more. The choice holds for the scene's own motion: if commands will
+    act, its loads should be as rough as the commands. Errors of the formulation are not part of
+    it. An arm that does not stretch is also compared with one that does; if they differ by more
+    than the stated error, the choice has a warning.
 
     Parameters
     ----------
     scene : Scene, or what `load_scene` takes
     duration : float
-        Sim time of the run, of which at most 30 s are compared; 0: 10 s are compared [s].
+        Sim time of the run, which is compared to its end, but for 200 000 steps at most; 0: 10 s
+        are compared [s].
     fits : function(float) -> bool
         Returns whether a step [s] suits the caller.
 
@@ -120,44 +111,40 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
     goal, duration = scene.values['model.accuracy'], PARAMETERS['duration'].check(duration)
     if not goal:
         raise ParameterError('model.accuracy must be > 0 m for a choice of modes and step, got 0')
-    span = max(1, round(min(duration or HORIZON, LONGEST) / GRID))
-    longer = max(1.0, duration / LONGEST)
-    most, reference, reference_error = _reference(scene, span, goal / AGREEMENT / longer)
-    sizes, best, limited_by = SIZES[:SIZES.index(most)], (np.inf, 0, 0.0), {}
-    # If the tip's deflection by higher modes exceeds the error, a size is too small to be tried.
-    for modes in [size for size in sizes if reference.rest[size] <= goal] or sizes[-1:]:
-        limited_by[modes], before = 'the steps', None
-        for step in filter(fits, STEPS):
-            path = _path(scene, modes, step, span)
-            if path is None:
+    span = max(1, round((duration or HORIZON) / GRID))
+    steps, best = list(filter(fits, STEPS)), (np.inf, 'no step suits')
+    for modes in SIZES:
+        while steps:
+            step = steps[0]
+            looked_at = min(span, int(MOST_STEPS * step / GRID))
+            path = _path(scene, modes, step, looked_at)
+            finer = None if path is None else _path(
+                scene, modes + MORE_MODES, step / 2, looked_at)
+            if finer is None:
+                steps.pop(0)
                 continue
-            (apart, growth), run = _apart(path, reference), path
-            # If modes converge as slowly as 1/N^2, the reference has (N/N_r)^2 of this error.
-            estimate = (apart / (1.0 - (modes / most)**2) + reference_error) * longer**growth
-            enough = MARGIN * estimate <= goal
-            if enough and longer > 1.0:  # a mode may grow that is still too small to be seen
-                whole = round(min(duration, MOST_STEPS * step) / GRID)
-                runs = [_path(scene, modes, step, whole, parts) for parts in (1, 2)]
-                run, estimate = runs[0] or path, estimate + (
-                    _apart(*runs)[0] if all(runs) else np.inf)
-            error = max(MARGIN * estimate, run.error)
-            if error <= goal and (reference.simulator.warning or not run.simulator.warning):
-                until = max(span * GRID, duration) * (goal / estimate)**(1.0 / max(growth, 1.0))
-                return Resolution(run.simulator.scene, estimate, span * GRID, until,
-                                  _of_stretch(run.simulator, goal))
-            best = min(best, (error, modes, step))
-            if not enough and before and _apart(path, before)[0] < 0.25 * apart:
-                limited_by[modes] = 'the modes'
+            if np.ptp(finer, axis=0).max() < _STILL * scene.manipulator.arm.length:
+                raise _refused(scene, 'needs a scene that moves by its own loads or initial '
+                               'motion')
+            # Modes may converge as slowly as 1/N^2, of which the finer run has a part, too.
+            estimate = _apart(path, finer) / (1.0 - (modes / (modes + MORE_MODES))**2)
+            if MARGIN * estimate <= goal:
+                return Resolution(
+                    _resolved(scene, modes, step), estimate, looked_at * GRID,
+                    looked_at * GRID * goal / estimate if estimate else np.inf,
+                    _stretch_warning(scene, modes, step, looked_at, finer, goal))
+            halves = _path(scene, modes, step / 2, looked_at)
+            of_steps = halves is None or 2.0 * _apart(path, halves) > _apart(path, finer)
+            best = min(best, (estimate, f'N = {modes} and h = {1e3 * step:g} ms: the '
+                                        f'{"steps" if of_steps else "modes"} limit it'))
+            if not of_steps:
                 break
-            before = path
-    error, modes, step = best
-    if not modes:
-        raise _refused(scene, f'needs a step of at most {STEPS[0]:g} s, of which times of jumps '
-                       'and the duration are multiples, and with which no run diverges')
-    more = '' if most == SIZES[-1] else (
-        f', and with more than {most} modes no steps down to {1e3 * STEPS[-1]:g} ms agree')
-    raise _refused(scene, f'is not reached, but {error:.1e} m is, with N = {modes} and '
-                   f'h = {1e3 * step:g} ms: {limited_by[modes]} limit it{more}')
+            steps.pop(0)
+    error, size = best
+    if np.isinf(error):
+        raise _refused(scene, f'needs a step from {STEPS[0]:g} s to {STEPS[-1]:g} s of which times '
+                       'of jumps and the duration are multiples, and with which no run diverges')
+    raise _refused(scene, f'is not reached, but {MARGIN * error:.1e} m is, with {size}')
 
 
 def resolved(scene, duration, tell=None):
@@ -191,78 +178,53 @@ def _fits(duration, step):
         return False
 
 
-def _reference(scene, span, agreement):
-    # Returns the reference: its number of modes, its path and the error of its steps [m].
-    closest = np.inf
-    for modes in SIZES[:0:-1]:
-        before = None
-        for step in REFERENCE_STEPS:
-            path = _path(scene, modes, step, span)
-            if path and not np.ptp(path.tip, axis=0).any():
-                raise _refused(scene, 'needs a scene that moves by its own loads or initial '
-                               'motion')
-            if path and before:
-                apart, _ = _apart(path, before)
-                if apart <= agreement:
-                    return modes, path, apart / 3.0  # errors fall at least with h^2
-                closest = min(closest, apart)
-            before = path
-    raise _refused(scene, 'needs a reference, but with steps down to '
-                   f'{1e3 * STEPS[-1]:g} ms all runs diverge' + (
-                       '' if np.isinf(closest) else f' or differ by {closest:.1e} m'))
-
-
 def _refused(scene, why):
     return ParameterError(f'model.accuracy = {scene.values["model.accuracy"]:g} m {why}')
 
 
-def _path(scene, modes, step, span, parts=1):
-    # Returns None if the scene cannot have this size and step, or its run diverges.
+def _resolved(scene, modes, step, axial=0):
+    axial = max(axial, scene.values['model.axial_modes'])
+    return scene_from({**scene.values, 'model.accuracy': 0.0, 'model.modes': modes,
+                       'model.axial_modes': axial, 'integrator.step': step})
+
+
+def _path(scene, modes, step, span, axial=0):
+    """
+    Return positions of the tip in the world and in the arm frame, shape (span, 2, 2) [m].
+
+    They are GRID apart. The result is None if the scene cannot have this size and step, a harmonic
+    load is too fast for the step, or the run diverges. No code is compiled for each size.
+    """
     try:
-        scene = scene_from({**scene.values, 'model.accuracy': 0.0, 'model.modes': modes,
-                            'integrator.step': step / parts})
+        simulator = Simulator(_resolved(scene, modes, step, axial), of_any_size)
     except ParameterError:  # a load that jumps inside such a step
         return None
-    simulator, stride = Simulator(scene), max(1, round(step / PERIOD))
-    if simulator.warning:  # a harmonic load that is too fast for such steps
+    if simulator.warning:
         return None
-    simulator.warm_up()
-    model, every = simulator.model, round(stride * PERIOD / step) * parts
-    tip, count = model.tip_point, round(span * GRID / PERIOD) // stride
-    path, rest = np.empty((count, 2, 2)), np.zeros(len(model.modes))
+    model, every, path = simulator.model, round(GRID / step), np.empty((span, 2, 2))
     try:
-        for k in range(0, count, _BLOCK):
-            size = min(_BLOCK, count - k)
+        for k in range(0, span, _BLOCK):
+            size = min(_BLOCK, span - k)
             motions = simulator.advance(size * every, sample_every=every)[0][1:]
-            q = Motion(motions).q
-            path[k:k + size, 0] = model.world(motions, tip)[:, 0]
-            path[k:k + size, 1] = model.centre_line(q, tip)[:, 0]
-            shares = np.cumsum((q * tip.deflection[:, 0])[:, ::-1], axis=1)[:, ::-1]
-            rest = np.maximum(rest, np.abs(shares).max(axis=0))
+            path[k:k + size, 0] = model.world(motions, model.tip_point)[:, 0]
+            path[k:k + size, 1] = model.centre_line(Motion(motions).q, model.tip_point)[:, 0]
     except DivergenceError:
         return None
-    # Only of steps and friction: a smaller step does not reduce errors by stretch and modes.
-    error = simulator.estimated_error - simulator.stretch.tip - (
-        simulator.integration.errors.modes.tip)
-    return _Path(path, stride, rest, error, simulator)
+    return path
 
 
 def _apart(one, other):
-    # Largest distance of two tips [m], and the power of time with which it grows.
-    common = math.lcm(one.stride, other.stride)
-    first, second = (path.tip[common // path.stride - 1::common // path.stride]
-                     for path in (one, other))
-    apart = np.linalg.norm(first - second, axis=2).max(axis=1)
-    early, late = apart[:(len(apart) + 1) // 2].max(), apart.max()
-    growth = math.log2(late / early) if early > 0.0 else 0.0
-    return float(late), min(max(growth, LEAST_GROWTH), MOST_GROWTH)
+    return float(np.linalg.norm(one - other, axis=2).max())
 
 
-def _of_stretch(simulator, goal):
-    off, scene = simulator.stretch.tip, simulator.scene
+def _stretch_warning(scene, modes, step, span, finer, goal):
+    exact = scene.values['model.formulation'] == 'exact'
+    if not exact or scene.values['model.axial_modes']:
+        return None
+    # Steps of axial vibrations may have to be shorter than those of the arm that does not stretch.
+    paths = (_path(scene, modes + MORE_MODES, step / parts, span, 1) for parts in (2, 8))
+    off = next((_apart(path, finer) for path in paths if path is not None), 0.0)
     if off <= goal:
         return None
-    exact = scene.values['model.formulation'] == 'exact'
-    return (f'the tip is {off:.1e} m from that of an arm that stretches by t = {simulator.t:g} s, '
-            'more than the stated model.accuracy: take '
-            f'{"" if exact else "model.formulation exact with "}model.axial_modes 1')
+    return (f'the tip is {off:.1e} m from that of an arm that stretches by t = {span * GRID:g} s, '
+            'more than the stated model.accuracy: take model.axial_modes 1')
