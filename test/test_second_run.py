@@ -45,6 +45,33 @@ SCENES = {'stretch': {'initial.shaft_velocity': 20.0}, 'modes': {'model.modes': 
           'formulation': PULL}
 
 
+# The arm buckles under a force along it, grows soft near its critical load, or stands near it.
+GROWS = {
+    'buckles': ({
+        'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0, 'model.modes': 5,
+        'load.tip_force_x.table.time': [0.0, 1.0],
+        'load.tip_force_x.table.value': [0.0, -900.0],
+        'load.tip_force_y.piecewise.time': [0.0],
+        'load.tip_force_y.piecewise.value': [2.0]}, 3000),
+    'buckles on a carrier': ({
+        'arm.length': 2.2482, 'arm.height': 0.066878, 'arm.width': 0.16744, 'arm.density': 1600.0,
+        'arm.young_modulus': 60000000000.0, 'arm.shear_modulus': 4000000000.0,
+        'carrier.mass': 149.05, 'motor.mass': 24.856, 'motor.shaft_inertia': 18.618,
+        'end_effector.mass': 13.397, 'end_effector.inertia': 0.012546, 'initial.shaft':
+        0.0, 'motor.shaft': 'locked', 'carrier.held': 'y', 'load.tip_force_x.table.time':
+        [0.0, 0.276], 'load.tip_force_x.table.value': [0.0, -159030.0],
+        'load.tip_force_y.piecewise.time': [0.0], 'load.tip_force_y.piecewise.value':
+        [464.99], 'model.modes': 3, 'model.axial_modes': 1, 'integrator.step': 0.00023}, 4000),
+    'stands': ({
+        'arm.length': 0.9699, 'arm.height': 0.036018, 'arm.width': 0.068316, 'arm.density': 1200.0,
+        'arm.young_modulus': 2400000000.0, 'arm.shear_modulus': 900000000.0,
+        'carrier.mass': 0.98723, 'motor.mass': 1.7494, 'motor.shaft_inertia': 0.15888,
+        'end_effector.mass': 1.257, 'end_effector.inertia': 0.00026731, 'initial.shaft':
+        1.5720106365574924, 'motor.shaft': 'locked', 'carrier.held': 'both', 'gravity':
+        [0.0, -681.69], 'load.tip_force_x.piecewise.time': [0.0, 0.3276],
+        'load.tip_force_x.piecewise.value': [31.885, 0.0], 'model.modes': 5,
+        'model.axial_modes': 0, 'integrator.step': 0.00063}, 2600),
+}
 SHARED = {'initial.shaft_velocity': 20.0, 'model.modes': 3}
 
 
@@ -83,6 +110,22 @@ def test_steps_that_do_not_resolve_axial_vibrations_are_compared():
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.5)
     resolved = quietly({**ABRUPT, 'integrator.step': 0.001}, 0.5)
     assert 'compared' not in resolved.stats
+
+
+@pytest.mark.usefixtures('any_size')
+@pytest.mark.parametrize('name', GROWS)
+def test_errors_that_grow_are_measured(name):
+    """Against spectral elements; the run's own estimate is ten times too low."""
+    values, steps = GROWS[name]
+    scene = timo_sim.load_scene(values)
+    length, every = scene.values['arm.length'], steps // 20
+    run = quietly(values, steps * scene.step, every)
+    tip = spectral_elements.simulate(scene.vary({'model.axial_modes': 0}), every * scene.step, 20,
+                                     order=8)[2]
+    error = np.linalg.norm(run.position(length) - tip, axis=1).max()
+    assert error > 1e-3 * length and run.warning and steps > 2048
+    assert run.stats['step_error_m'] + run.stats['modes_error_m'] < 0.1 * error
+    assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.3)
 
 
 def test_the_measured_error_does_not_depend_on_the_samples_asked_for():

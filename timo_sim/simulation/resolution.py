@@ -126,7 +126,7 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
             if np.ptp(finer, axis=0).max() < _STILL * scene.manipulator.arm.length:
                 raise _refused(scene, 'needs a scene that moves by its own loads or initial '
                                'motion')
-            # Modes may converge as slowly as 1/N^2, of which the finer run has a part, too.
+            # Modes may converge as slowly as 1/N^2; the finer run has a part of the error.
             estimate = _apart(path, finer) / (1.0 - (modes / (modes + MORE_MODES))**2)
             if MARGIN * estimate <= goal:
                 return Resolution(
@@ -142,8 +142,8 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
             steps.pop(0)
     error, size = best
     if np.isinf(error):
-        raise _refused(scene, f'needs a step from {STEPS[0]:g} s to {STEPS[-1]:g} s of which times '
-                       'of jumps and the duration are multiples, and with which no run diverges')
+        raise _refused(scene, f'needs a step from {STEPS[-1]:g} to {STEPS[0]:g} s of which times of '
+                       'jumps and the duration are multiples, and with which no run diverges')
     raise _refused(scene, f'is not reached, but {MARGIN * error:.1e} m is, with {size}')
 
 
