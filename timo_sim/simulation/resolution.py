@@ -142,8 +142,8 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
             steps.pop(0)
     error, size = best
     if np.isinf(error):
-        raise _refused(scene, f'needs a step from {STEPS[-1]:g} to {STEPS[0]:g} s of which times of '
-                       'jumps and the duration are multiples, and with which no run diverges')
+        raise _refused(scene, f'needs a step from {STEPS[-1]:g} to {STEPS[0]:g} s of which times '
+                       'of jumps and the duration are multiples, and with which no run diverges')
     raise _refused(scene, f'is not reached, but {MARGIN * error:.1e} m is, with {size}')
 
 
