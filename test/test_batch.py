@@ -8,6 +8,8 @@
 
 """Many manipulators at once do what each does alone, whatever the others do."""
 
+import threading
+
 import numpy as np
 import pytest
 
@@ -212,3 +214,47 @@ def test_bad_resets():
         batch.advance(1, np.zeros((3, 13)))
     with pytest.raises(timo_sim.ParameterError, match='n must be the number of scenes'):
         timo_sim.Batch([{}, {}], n=3)
+
+
+@pytest.mark.parametrize('n', [1, 5, 8, 9, 20])
+def test_what_a_batch_hands_out_are_values(n):
+    """They stay as they are while it goes on, and changing them does not change it."""
+    batch, other = timo_sim.Batch('paper', n=n), timo_sim.Batch('paper', n=n)
+    seen = [batch.step(torque=1.0, duration=0.1).shaft for _ in range(5)]
+    assert all((later != earlier).all() for earlier, later in zip(seen, seen[1:]))
+    for given in (batch.motion.values, batch.tip, batch.t, batch.failed,
+                  batch.advance(10, sample_every=5)):
+        given[:] = 0
+    other.step(torque=1.0, duration=0.5)
+    other.advance(10)
+    assert (batch.motion.values == other.motion.values).all() and (batch.tip == other.tip).all()
+    assert (batch.step().values == other.step().values).all()
+
+
+@pytest.mark.parametrize('make', [timo_sim.Simulator, timo_sim.Batch])
+def test_threads_take_turns(make):
+    """Four threads do what one does, in whatever order."""
+    together, alone = make({'model.modes': 1}), make({'model.modes': 1})
+    for one in (together, alone):
+        one.advance(1)
+    torque = np.eye(14)[TORQUE]
+    threads = [threading.Thread(target=lambda: [together.advance(1, torque) for _ in range(200)])
+               for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for _ in range(800):
+        alone.advance(1, torque)
+    assert together.steps == alone.steps == 801
+    assert (together.motion.values == alone.motion.values).all()
+
+
+@pytest.mark.parametrize('make', [timo_sim.Simulator, timo_sim.Batch])
+@pytest.mark.parametrize('given', [(-5,), (2.5,), (5, None, -1), ('5',), (True,)])
+def test_steps_are_whole_numbers_from_0(make, given):
+    one = make('paper')
+    with pytest.raises(timo_sim.ParameterError, match='must be a whole number >= 0'):
+        one.advance(*given)
+    assert one.steps == 0
+    assert one.advance(np.int64(3)) is not None and one.steps == 3

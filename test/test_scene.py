@@ -9,6 +9,7 @@
 """Scenes from files, dictionaries and overrides, and the messages of those that are refused."""
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -178,3 +179,14 @@ def test_the_shape_of_the_weight_is_worth_modes():
     assert np.hypot(*(tip(modes=3) - true)) == pytest.approx(2.3e-6, rel=0.03)
     assert np.hypot(*(tip(modes=3, static_modes='weight') - true)) == pytest.approx(
         1.2e-8, rel=0.03)
+
+
+def test_a_scene_cannot_be_changed():
+    """Its bodies and loads would not follow; `vary` makes another scene."""
+    scene = timo_sim.load_scene({'arm.damping_ratio': [0.1]})
+    for each in (scene, pickle.loads(pickle.dumps(scene)), scene.vary({})):
+        with pytest.raises(TypeError):
+            each.values['end_effector.mass'] = 3.0
+        with pytest.raises(TypeError):
+            each.values['arm.damping_ratio'][0] = 0.2
+        assert each.values == scene.values and hash(each.values['arm.damping_ratio'])

@@ -19,6 +19,7 @@ from benchmark import ROOT
 from benchmark.command import parser
 from benchmark.report import machine, table
 from benchmark.stress import log, node, numerics
+from benchmark.stress.hard import hard_cell
 from benchmark.stress.laden import laden
 
 TITLE = '# Stress\n\nMade by `make stress`, each part on the machine named below it.\n'
@@ -42,6 +43,12 @@ The first scenes of those above, in gravity of any direction by which the clampe
 1e-3 to 0.3 lengths, with one or two changes of the load at the tip (`benchmark/stress/laden.py`),
 picked up moving or from rest, or both."""
 _LADEN_CELLS = 68
+HARD = """\
+Scenes of more than 2048 steps in which errors grow (`benchmark/stress/hard.py`): arms that buckle,
+are pressed or stand near their critical load, vibrate in resonance, bend far, or pick up loads at
+rest, and ordinary scenes that run long. As `simulate` does by itself, runs in doubt are compared with
+finer ones. The reference has twelve modes, one axial mode and an eighth of the step."""
+_HARD_CELLS = 504
 PARTS = [
     ('Node', node, """Real processes over real DDS (`benchmark/stress/node.py`). Survived:
 the node goes on, or has ended with code 0, has counted what it should, does not leak, and
@@ -76,9 +83,17 @@ def laden_part(quick):
         numerics.rows(quick, count=_LADEN_CELLS // (4 if quick else 1), change=laden))
 
 
+def hard_part(quick):
+    """Return the text of the part in which errors grow."""
+    return HARD + '\n\n' + table(
+        ['equations', 'against', 'steps', 'tried', *numerics.VERDICTS, 'remark'],
+        numerics.rows(quick, count=_HARD_CELLS // (12 if quick else 1), change=hard_cell))
+
+
 def main():
     """Run all of it, or some parts, and write the page."""
-    makers = {'Numerics': numerics_part, 'Gravity and loads that change': laden_part}
+    makers = {'Numerics': numerics_part, 'Gravity and loads that change': laden_part,
+              'Errors that grow': hard_part}
     for title, module, words in PARTS:
         makers[title] = lambda quick, module=module, words=words: words + '\n\n' + table(
             ['fault', 'tried', 'survived', 'remark'], module.rows(quick))

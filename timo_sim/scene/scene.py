@@ -15,6 +15,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 import os
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -63,8 +64,8 @@ class Scene:
     load : Load
     step : float
         Time step [s].
-    values : dict
-        The scene's parameters by dotted name.
+    values : mapping
+        The scene's parameters by dotted name; `vary` returns a scene with others.
 
     Examples
     --------
@@ -78,7 +79,7 @@ class Scene:
     constraints: Constraints
     load: Load
     step: float
-    values: dict
+    values: Mapping[str, Any]
 
     def __repr__(self) -> str:
         values = self.values
@@ -202,7 +203,11 @@ class Scene:
 
     def __getstate__(self):
         # Without the formulation, which the other process builds again.
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        state = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {**state, 'values': dict(self.values)}
+
+    def __setstate__(self, state):
+        self.__dict__.update(state, values=MappingProxyType(state['values']))
 
     def initial_motion(self, model: Formulation | None = None) -> np.ndarray:
         """Return the motion at t = 0, shape (2 (3 + N),), of the scene's or another model."""
@@ -280,7 +285,9 @@ def scene_from(values):
     if os.environ.get('NUMBA_DISABLE_JIT', '0') not in ('', '0'):
         raise ParameterError('NUMBA_DISABLE_JIT must be 0 or not set, because the equations need '
                              f'to be compiled, got {short(os.environ["NUMBA_DISABLE_JIT"])}')
-    values = {name: values[name] for name in _OF_SCENE}
+    values = MappingProxyType({
+        name: tuple(value) if isinstance(value := values[name], list) else value
+        for name in _OF_SCENE})
     check_counts(values)
     check_initial(values)
     payloads_of(values)

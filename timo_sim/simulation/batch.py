@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import threading
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.actuators import commanded_load
 from timo_sim.simulation.lane_loads import LaneLoads
 from timo_sim.simulation.model_warnings import divergence
-from timo_sim.simulation.simulator import MOST_BENT
+from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY
 
 _COUNT = Parameter('n', 1, '', 'number of manipulators', low=1)
 _ROOM = 2**22  # most numbers that the loads of a call to compiled code take
@@ -81,7 +82,7 @@ class Batch:
             self.scenes = [load_scene(scenes)] * (1 if n is None else _COUNT.check(n))
         if not self.scenes:
             raise ParameterError('scenes must have at least one element, got none')
-        self.n = len(self.scenes)
+        self.n, self._lock = len(self.scenes), threading.Lock()
         _check(self.scenes)
         self._models = [scene.build() for scene in self.scenes]
         motions = {id(scene): scene.initial_motion() for scene in self.scenes}
@@ -158,7 +159,7 @@ class Batch:
         for kept, new in ((lanes.state, states), (lanes.motion, motions),
                           (lanes.progress, np.array([[1.0, 0.0]] * self.n)),
                           (lanes.tip, self._tips(motions, chosen))):
-            rows = from_lanes(kept, self.n).copy()
+            rows = from_lanes(kept, self.n)
             rows[chosen] = new[chosen]
             kept[:] = to_lanes(rows)
         self._origin[chosen] = self.steps
@@ -242,6 +243,12 @@ class Batch:
             Motions at the start and after each `sample_every` steps; with sample_every = 0 empty.
 
         """
+        if not (type(count) is type(sample_every) is int and min(count, sample_every) >= 0):
+            count, sample_every = COUNT.check(count), SAMPLE_EVERY.check(sample_every)
+        with self._lock:
+            return self._advance(count, commanded, sample_every)
+
+    def _advance(self, count, commanded, sample_every):
         lanes, loads = self._lanes, self._loads
         commanded = np.broadcast_to(0.0 if commanded is None else commanded, (self.n, LOADS))
         acting = loads.command(commanded, self.steps)

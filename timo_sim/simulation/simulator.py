@@ -8,11 +8,14 @@
 
 """The simulator: a scene advanced in time, with tables of loads, time steps and warnings."""
 
+import threading
+
 import numpy as np
 
 from timo_sim.jit.code_store import compiling, is_compiled, place_of
 from timo_sim.physics.integrate import steps_of
 from timo_sim.physics.integrate.run_error import CHUNK
+from timo_sim.scene.parameter import Parameter
 from timo_sim.scene.values import check_runtime, steps_in
 from timo_sim.scene.scene import load_scene
 from timo_sim.simulation import model_warnings
@@ -27,6 +30,8 @@ from timo_sim.simulation.tip_load import TipLoad
 COMPILING = 'compiling once for a model of this size, this takes some seconds'
 # Deflection beyond which the run counts as diverged, in arm lengths.
 MOST_BENT = 10.0
+COUNT = Parameter('count', 1, '', 'number of steps', low=0)
+SAMPLE_EVERY = Parameter('sample_every', 1, '', 'steps between samples, 0: none', low=0)
 _WARM = set()  # sizes whose functions this process has, with or without those of messages
 
 
@@ -67,6 +72,7 @@ class Simulator(Readings):
 
     def __init__(self, scene, pack=None):
         self.steps, self._warm, scene = 0, False, load_scene(scene)
+        self._lock = threading.RLock()  # threads take turns; a diverged advance calls another
         self.tip_load, self._pack = TipLoad(scene), pack
         self._take(scene, scene.build())
         self.reset()
@@ -82,6 +88,10 @@ class Simulator(Readings):
 
     def reset(self):
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
+        with self._lock:
+            self._reset()
+
+    def _reset(self):
         if self.tip_load.reset(self.scene):
             self._take(self.scene, self.tip_load.model(self.scene))
         motion = self.scene.initial_motion(self.model)
@@ -107,6 +117,10 @@ class Simulator(Readings):
 
         """
         check_runtime(self.scene.values, scene.values)
+        with self._lock:
+            self._change(scene)
+
+    def _change(self, scene):
         first = self.steps - self._origin
         self._actuators = Actuators(scene.values, first, self._actuators.reached(first))
         self._go_on(scene, self.tip_load.of_change(self.scene, scene))
@@ -218,8 +232,16 @@ class Simulator(Readings):
         DivergenceError
             If the state is not finite or the arm bent by more than ten lengths; the simulator is
             then at the last good step.
+        ParameterError
+            If `count` or `sample_every` is negative or no whole number.
 
         """
+        if not (type(count) is type(sample_every) is int and min(count, sample_every) >= 0):
+            count, sample_every = COUNT.check(count), SAMPLE_EVERY.check(sample_every)
+        with self._lock:
+            return self._advance(count, commanded, sample_every)
+
+    def _advance(self, count, commanded, sample_every):
         if self._rests(count, commanded):
             return self._rest(count, sample_every)
         if not self._warm:

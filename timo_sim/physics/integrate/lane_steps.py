@@ -164,8 +164,10 @@ def to_lanes(values, numbers=None):
 
 
 def from_lanes(values, count):
-    """Return lanes as rows of an array, shape (count, ...)."""
+    """Return lanes as rows of an array of its own, shape (count, ...)."""
     rows = np.moveaxis(values, -1, 1)
+    if len(rows) == 1:  # else `reshape` copies
+        rows = rows.copy()
     return rows.reshape(len(values) * WIDTH, *rows.shape[2:])[:count]
 
 
