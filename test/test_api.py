@@ -273,7 +273,14 @@ def test_names_of_scenes(tmp_path, monkeypatch):
     ({'arm.shear_modulus': 100e9}, 'above arm.young_modulus'),
     ({'arm.density': 2.71}, 'arm.density = 2.71'),
     ({'initial.shaft': 45.0}, '45 rad is more than a turn; in degrees it would be 0.7854 rad'),
-    ({'arm.length': 0.03}, 'less than 3 times arm.height')])
+    ({'arm.length': 0.03, 'end_effector.inertia': 0.0}, 'less than 3 times arm.height'),
+    ({'arm.length': 500.0, 'arm.width': 30.0, 'arm.height': 1.0}, 'metres, not in millimetres'),
+    ({'arm.length': 0.8, 'arm.width': 0.03, 'arm.height': 0.002, 'end_effector.mass': 0.3},
+     r'inertia = 0.5 kg m2 \(the default\) is that of end_effector.mass = 0.3 kg at more than half '
+     'of arm.length = 0.8 m from'),
+    ({'end_effector.mass': 0.0}, 'end_effector.mass = 0 kg at more than half'),
+    ({'arm.profile.position': [0.0, 2.0], 'arm.profile.young_modulus': [1e11, 1e9],
+      'arm.profile.shear_modulus': [5e10, 2e9]}, 'shear_modulus = 2e.09 Pa is above')])
 def test_implausible_values_give_one_warning(given, words):
     with pytest.warns(timo_sim.ModelWarning, match=words) as caught:
         timo_sim.load_scene(given)
@@ -290,6 +297,15 @@ def test_a_warning_names_the_line_of_the_caller(call, tmp_path, monkeypatch):
         for path in tmp_path.iterdir():
             timo_sim.open_log(path)
     assert {each.filename for each in caught} == {__file__}
+
+
+def test_a_stiff_root_and_a_soft_tip_are_compared_where_they_are():
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        timo_sim.load_scene({'arm.profile.position': [0.0, 2.0],
+                             'arm.profile.young_modulus': [2e11, 2e9],
+                             'arm.profile.shear_modulus': [8e10, 8e8]})
+        timo_sim.load_scene({'end_effector.mass': 0.0, 'end_effector.inertia': 0.01})
 
 
 def test_plausible_values_give_no_warning():

@@ -22,6 +22,7 @@ import numpy as np
 from timo_sim.physics.arm.bodies import Beam, Constraints, Manipulator, Section
 from timo_sim.scene.loads import CHANNELS, Drive, Harmonic, Load, Piecewise, Table
 from timo_sim.scene.parameter import ParameterError, short, whole_ratio
+from timo_sim.scene.parameters import PARAMETERS
 
 # Ranges of real solids; `load_scene` warns of values outside.
 _PLAUSIBLE = {'young_modulus': (1e5, 2e12, 'Pa'), 'density': (10.0, 25000.0, 'kg/m3')}
@@ -31,6 +32,7 @@ _OF_CHANNELS = {channel: tuple(f'load.{channel}.{name}' for name in (
     'piecewise.value', 'table.time', 'table.value')) for channel in CHANNELS}
 _OF_TERMS = ('integrator.step', *(name for names in _OF_CHANNELS.values() for name in names))
 _ORDINARY = 1e20  # numbers below this do not overflow in an energy
+_LONGEST = 30.0  # longest arm that is not taken for one in millimetres [m]
 _LEAST_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
 
 
@@ -175,18 +177,38 @@ def check_finite(scene):
 
 
 def implausible(values):
-    """Return the text of a warning about values that are allowed but implausible, or None."""
+    """
+    Return the text of a warning about values that are allowed but implausible, or None.
+
+    It marks values that are the defaults, which nobody may have meant together with the others.
+    """
     def each(name):
         return values.get(f'arm.profile.{name}') or (values[f'arm.{name}'],)
+
+    def told(name, unit):
+        default = ' (the default)' * (values[name] == PARAMETERS[name].default)
+        return f'{name} = {values[name]:g} {unit}{default}'
 
     found = []
     for name, (low, high, unit) in _PLAUSIBLE.items():
         found += [f'arm.{name} = {value:g} {unit} is outside the range of real solids'
                   for value in each(name) if not low <= value <= high][:1]
-    young, shear, height = min(each('young_modulus')), max(each('shear_modulus')), max(
-        each('height'))
-    if young < shear:
-        found.append(f'arm.shear_modulus = {shear:g} Pa is above arm.young_modulus = {young:g} Pa')
+    height = max(each('height'))
+    shear, young = each('shear_modulus'), each('young_modulus')
+    count = max(len(shear), len(young))  # a single value is that of all positions
+    found += [f'arm.shear_modulus = {stiff:g} Pa is above arm.young_modulus = {soft:g} Pa'
+              for stiff, soft in zip(shear * (count // len(shear)), young * (count // len(young)))
+              if stiff > soft][:1]
+    longest = max(values['arm.length'], *each('width'), height)
+    if longest > _LONGEST:
+        found.append(f'a length of {longest:g} m is more than {_LONGEST:g} m: lengths are in '
+                     'metres, not in millimetres')
+    mass, inertia = values['end_effector.mass'], values['end_effector.inertia']
+    if inertia > mass * (0.5 * values['arm.length'])**2 and (mass or inertia == PARAMETERS[
+            'end_effector.inertia'].default):
+        found.append(f'{told("end_effector.inertia", "kg m2")} is that of '
+                     f'{told("end_effector.mass", "kg")} at more than half of '
+                     f'{told("arm.length", "m")} from its centre')
     if values['arm.length'] < _LEAST_SLENDERNESS * height:
         found.append(f'arm.length = {values["arm.length"]:g} m is less than '
                      f'{_LEAST_SLENDERNESS:g} times arm.height = {height:g} m')
