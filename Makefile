@@ -26,7 +26,7 @@ METADATA := pyproject.toml setup.py setup.cfg
 
 .PHONY: help sim view test test-lowest test-without-ros graphics gallery picture pages paper benchmark \
 	benchmark-quick benchmark-speed benchmark-speed-quick benchmark-latency benchmark-control \
-	benchmark-fit references real-arm stability stretch stress stress-quick docs clean
+	benchmark-fit benchmark-pair references real-arm stability stretch stress stress-quick docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
@@ -84,6 +84,9 @@ docs: $(VENV)/.docs ## make a site of the pages, build/docs
 
 benchmark: $(VENV)/.benchmark ## make doc/benchmark.md, half an hour
 	@$(BIN)/python -m benchmark.accuracy.work_precision
+
+benchmark-pair: $(VENV)/.benchmark ## time the best of exudyn on the paper's scene, half a minute
+	@$(BIN)/python -m benchmark.accuracy.pair
 
 benchmark-quick: $(VENV)/.benchmark ## do a part of make benchmark, two minutes
 	@$(BIN)/python -m benchmark.accuracy.work_precision --quick

@@ -34,9 +34,6 @@ _COMMANDS = {
     '~/commands': 'the same three, as an array',
     '~/motor_voltage': 'voltage at a DC motor, with `motor.dc`',
 }
-# Rows that README.md quotes of the paper's scene in doc/benchmark.md, and their names there.
-_QUOTED = {'exact': 'timo_sim, `exact`', 'exudyn, geometrically exact, robust':
-           'exudyn, geometrically exact', '**exudyn over `exact`, both robust**': 'ratio'}
 
 
 def _table(*rows):
@@ -91,12 +88,18 @@ def _row(parameter):
 
 
 def benchmark():
-    """Return the rows of the paper's scene in doc/benchmark.md that README.md quotes."""
-    lines = (ROOT / 'doc' / 'benchmark.md').read_text().splitlines()
-    rows = [[cell.strip() for cell in line.strip('| ').split(' | ')]
-            for line in lines if line.startswith('|')]
-    found = {row[0]: row[1:] for row in reversed(rows)}  # the first table wins
-    return _table(rows[0], *([name, *found[row]] for row, name in _QUOTED.items()))
+    """Return the cheapest runs, or two runs extrapolated, for errors on the paper's scene."""
+    found = json.loads((ROOT / 'doc' / 'benchmark' / 'pair.json').read_text())
+    cheapest = {name: [min((each for each in found[name] if each['error_m'] <= goal),
+                           key=lambda each: each['seconds']) for goal in found['goals_m']]
+                for name in ('timo_sim', 'exudyn')}
+    return _table(
+        ('for an error in w(l) below', *(f'{goal:g} m' for goal in found['goals_m'])),
+        *((shown, *(f'{each["seconds"]:.2g} s ({each["settings"]})' for each in cheapest[name]))
+          for name, shown in (('timo_sim', 'timo_sim, `exact`'),
+                              ('exudyn', 'exudyn, geometrically exact'))),
+        ('ratio', *(f'**{rival["seconds"] / own["seconds"]:.0f}**' for own, rival in zip(
+            cheapest['timo_sim'], cheapest['exudyn']))))
 
 
 def _fits(part):

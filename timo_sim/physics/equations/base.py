@@ -268,6 +268,7 @@ class Formulation(Observables):
         slope = np.column_stack([np.ones_like(nodes),
                                  self.modes.rotation(nodes) + self.modes.shear(nodes)])
         missing = np.column_stack([xi, deflection]) - integral @ slope
+        missing[xi == 0.0] = 0.0  # the root stays where it is, to the last bit
         weights = np.sqrt(self.quadrature.weights)
         share = np.linalg.pinv(weights[:, np.newaxis] * slope) * weights
         return Points(xi, (integral + missing @ share).T, deflection.T, self.modes.rotation(xi).T)
