@@ -276,8 +276,8 @@ def test_names_of_scenes(tmp_path, monkeypatch):
     ({'arm.length': 0.03, 'end_effector.inertia': 0.0}, 'less than 3 times arm.height'),
     ({'arm.length': 500.0, 'arm.width': 30.0, 'arm.height': 1.0}, 'metres, not in millimetres'),
     ({'arm.length': 0.8, 'arm.width': 0.03, 'arm.height': 0.002, 'end_effector.mass': 0.3},
-     r'inertia = 0.5 kg m2 \(the default\) is that of end_effector.mass = 0.3 kg at more than half '
-     'of arm.length = 0.8 m from'),
+     r'inertia = 0.5 kg m2 \(the default\) is that of end_effector.mass = 0.3 kg at more than '
+     'half of arm.length = 0.8 m from'),
     ({'end_effector.mass': 0.0}, 'end_effector.mass = 0 kg at more than half'),
     ({'arm.profile.position': [0.0, 2.0], 'arm.profile.young_modulus': [1e11, 1e9],
       'arm.profile.shear_modulus': [5e10, 2e9]}, 'shear_modulus = 2e.09 Pa is above')])

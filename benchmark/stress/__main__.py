@@ -46,8 +46,8 @@ _LADEN_CELLS = 68
 HARD = """\
 Scenes of more than 2048 steps in which errors grow (`benchmark/stress/hard.py`): arms that buckle,
 are pressed or stand near their critical load, vibrate in resonance, bend far, or pick up loads at
-rest, and ordinary scenes that run long. As `simulate` does by itself, runs in doubt are compared with
-finer ones. The reference has twelve modes, one axial mode and an eighth of the step."""
+rest, and ordinary scenes that run long. As `simulate` does by itself, runs in doubt are compared
+with finer ones. The reference has twelve modes, one axial mode and an eighth of the step."""
 _HARD_CELLS = 504
 PARTS = [
     ('Node', node, """Real processes over real DDS (`benchmark/stress/node.py`). Survived:

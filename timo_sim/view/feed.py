@@ -68,7 +68,8 @@ class Feed:
             self.doubt = f'rerun_live: no viewer listens at {url} yet: {error}'
         # In a session of its own, so that Ctrl+C ends only the node, which then ends this.
         self._process = subprocess.Popen(
-            [sys.executable, '-m', 'timo_sim.view.live', url, name, json.dumps(dict(scene.values))],
+            [sys.executable, '-m', 'timo_sim.view.live', url, name,
+             json.dumps(dict(scene.values))],
             stdin=subprocess.PIPE, start_new_session=True)
         assert self._process.stdin is not None
         self._stream = self._process.stdin
