@@ -29,7 +29,8 @@ from timo_sim.sweep.plan import read_plan
 from timo_sim.sweep.store import Store
 from timo_sim.sweep.workers import cluster_executor
 
-COMMAND = [sys.executable, '-c', 'from timo_sim.cli import main; main(prog_name="timo_sim")']
+# With -P as the installed command: neither has the working directory among its paths.
+COMMAND = [sys.executable, '-P', '-c', 'from timo_sim.cli import main; main(prog_name="timo_sim")']
 ROOT = Path(__file__).resolve().parents[1]
 RANDOM = {'seed': 7, 'count': 96, 'ranges': {
     'end_effector.mass': [0.5, 5.0], 'load.torque.harmonic.amplitude': [[1.0], [8.0]]}}
@@ -48,17 +49,18 @@ def write(tmp_path, paper):
     return write
 
 
-def start(folder, *arguments):
-    """Start `timo_sim sweep` in a folder."""
+def start(folder, *arguments, first=()):
+    """Start `timo_sim sweep` in a folder; `first` are paths before those of this process."""
     return subprocess.Popen([*COMMAND, 'sweep', *map(str, arguments)], cwd=folder, text=True,
                             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                            env={**os.environ, 'PYTHONPATH': os.pathsep.join(
-                                entry or os.getcwd() for entry in sys.path)})
+                            env={**os.environ, 'PYTHONPATH': os.pathsep.join([
+                                *map(str, first),
+                                *(entry or os.getcwd() for entry in sys.path)])})
 
 
 def end(command):
     """Wait for a command; return its exit code, output and errors."""
-    output, errors = command.communicate(timeout=120)
+    output, errors = command.communicate(timeout=300)
     return command.returncode, output, errors
 
 
@@ -117,6 +119,21 @@ def test_file_in_parquet_out(write, tmp_path):
 
     assert refused(path, tmp_path) == (
         'timo_sim: study.parquet exists: remove it or choose another --output\n')
+
+
+@pytest.mark.parametrize('name, text', [
+    ('yaml.py', 'raise SystemExit("foreign code")'),
+    ('timo_sim/__init__.py', 'raise SystemExit("foreign code")'),
+    ('own/sitecustomize.py', 'print("hello", flush=True)')])
+def test_modules_of_the_working_directory_and_prints_at_the_start_of_workers(
+        write, tmp_path, name, text):
+    """The first are not executed; the second go to standard error and disturb nothing."""
+    path = write(grid={'end_effector.mass': [1.0, 2.0]})
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(text)
+    code, output, errors = end(start(tmp_path, path, '--workers', '1', first=[tmp_path / 'own']))
+    assert (code, errors) == (0, 'hello\n' if 'own' in name else '')
+    assert '2 runs in ' in output
 
 
 def test_the_example_can_be_read_as_it_is_and_with_each_of_its_ways_to_vary(write):
