@@ -38,7 +38,7 @@ class _Command(click.Command):
         super().__init__(name, **options)
 
     def invoke(self, context):
-        """Run it; exit with 2 for wrong input, 1 for a missing package, MemoryError or OSError."""
+        """Run it; exit with 2 for wrong input, 1 for a failed import, MemoryError or OSError."""
         try:
             with warnings.catch_warnings():
                 warnings.showwarning = _shown
@@ -49,7 +49,7 @@ class _Command(click.Command):
                 code = 2
             elif isinstance(error, ModuleNotFoundError) and error.name in _EXTRAS:
                 text = f"{error.name} is missing: pip install 'timo_sim[{_EXTRAS[error.name]}]'"
-            elif not isinstance(error, (MemoryError, OSError)):
+            elif not isinstance(error, (ImportError, MemoryError, OSError)):
                 raise
         click.echo('timo_sim: ' + ' '.join(text.split()), err=True)
         sys.exit(code)
