@@ -32,6 +32,7 @@ from timo_sim.sweep.workers import cluster_executor
 # With -P as the installed command: neither has the working directory among its paths.
 COMMAND = [sys.executable, '-P', '-c', 'from timo_sim.cli import main; main(prog_name="timo_sim")']
 ROOT = Path(__file__).resolve().parents[1]
+PATIENCE = 300.0  # [s]; a longer wait is a hang
 RANDOM = {'seed': 7, 'count': 96, 'ranges': {
     'end_effector.mass': [0.5, 5.0], 'load.torque.harmonic.amplitude': [[1.0], [8.0]]}}
 
@@ -60,7 +61,7 @@ def start(folder, *arguments, first=()):
 
 def end(command):
     """Wait for a command; return its exit code, output and errors."""
-    output, errors = command.communicate(timeout=300)
+    output, errors = command.communicate(timeout=PATIENCE)
     return command.returncode, output, errors
 
 
@@ -79,7 +80,7 @@ def rows(path):
 
 def wait_for_parts(folder, count):
     """Return the paths of the parts as soon as there are `count` of them."""
-    for _ in range(3000):
+    for _ in range(round(PATIENCE / 0.01)):
         parts = sorted(folder.glob('study.parquet.parts/*.parquet'))
         if len(parts) >= count:
             return parts
@@ -237,7 +238,7 @@ def test_a_killed_sweep_is_resumed_and_repeats_no_part(write, tmp_path):
     assert end(sweep)[0] == -signal.SIGKILL and len(workers) == 2
     parts = wait_for_parts(tmp_path, 4)
     assert len(parts) < 32 and not (tmp_path / 'study.parquet').exists()
-    for _ in range(1000):  # workers end with their parent
+    for _ in range(round(PATIENCE / 0.01)):  # workers end with their parent
         if not any(Path(f'/proc/{pid}').exists() for pid in workers):
             break
         time.sleep(0.01)
