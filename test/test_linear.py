@@ -9,6 +9,7 @@
 """Linear models against closed forms, and against the nonlinear simulation nearby."""
 
 from dataclasses import replace
+import re
 
 from click.testing import CliRunner
 import numpy as np
@@ -287,7 +288,9 @@ def test_response_to_a_torque_is_the_sum_over_the_modes():
 
 def test_bode_diagram_from_the_command_line(tmp_path):
     scene, picture = tmp_path / 'scene.yaml', tmp_path / 'bode.png'
-    scene.write_text('timo_sim: {ros__parameters: {arm.damping_ratio: [0.01]}}')
+    scene.write_text('timo_sim: {ros__parameters: {arm.damping_ratio: 0.01}}')
+    told = CliRunner().invoke(main, ['bode', '--help']).output
+    assert all(re.search(rf'\b{name}\b', told) for name in timo_sim.linearize('paper').inputs)
     result = CliRunner().invoke(main, ['bode', str(scene), '--output', str(picture),
                                        '--set', 'model.modes=3'])
     assert result.exit_code == 0, result.output

@@ -12,6 +12,7 @@ import time
 
 from geometry_msgs.msg import PoseStamped
 import numpy as np
+from ros_process import PATIENCE
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
@@ -65,7 +66,7 @@ def test_a_state_is_repeated_only_for_new_subscribers(client):
 
 def test_a_node_that_waits_for_its_controller_shows_its_state(start, client):
     """The controller has answered once and then takes a minute."""
-    node = start(sync='wait', sync_period=0.005, sync_timeout=60.0, publish_clock=True)
+    node = start(sync='wait', sync_period=0.005, sync_timeout=PATIENCE, publish_clock=True)
     torque = client.command(Float64, '/timo_sim/motor_torque')
     states = client.collect(JointState, '/joint_states')
 

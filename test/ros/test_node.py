@@ -151,7 +151,7 @@ def test_commands_go_stale(start, client):
     states = client.collect(JointState, '/joint_states')
     torque = client.command(Float64, '/timo_sim/motor_torque')
     torque.publish(Float64(data=0.5))
-    client.wait(lambda: states and states[-1].effort[2] == 0.5, 'the torque acting')
+    client.wait(lambda: any(state.effort[2] == 0.5 for state in states), 'the torque acting')
     client.wait(lambda: states[-1].effort[2] == 0.0, 'the torque falling to zero')
     acted = [state for state in states if state.effort[2] == 0.5]
     span = seconds(acted[-1].header.stamp) - seconds(acted[0].header.stamp)

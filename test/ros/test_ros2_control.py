@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
+from ros_process import PATIENCE
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
@@ -65,7 +66,7 @@ def test_a_controller_manager_in_lock_step_gives_the_same_bits_twice(start, clie
     torques = []
     for name in 'first', 'second':
         log = tmp_path / f'{name}.mcap'
-        node = start(sync='any_command', sync_period=0.02, sync_timeout=60.0, duration=1.0,
+        node = start(sync='any_command', sync_period=0.02, sync_timeout=PATIENCE, duration=1.0,
                      publish_clock=True, real_time_factor=0.0, record_file=str(log))
         manager = ControllerManager(client, 0.02, law)
         code, output = node.wait()

@@ -99,6 +99,9 @@ def main(args=None):
         print('timo_sim: sim_node needs ROS 2: source an installed one, or pip install '
               'timo_sim[ros]; timo_sim simulate needs none', file=sys.stderr)
         return 1
+    except ImportError as error:
+        print(f'timo_sim: {error}', file=sys.stderr)
+        return 1
     finally:
         stop.finished()
 

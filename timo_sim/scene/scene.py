@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
-import os
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -282,9 +281,6 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
 
 def scene_from(values):
     """Return the Scene of checked values, or raise ParameterError if they do not fit together."""
-    if os.environ.get('NUMBA_DISABLE_JIT', '0') not in ('', '0'):
-        raise ParameterError('NUMBA_DISABLE_JIT must be 0 or not set, because the equations need '
-                             f'to be compiled, got {short(os.environ["NUMBA_DISABLE_JIT"])}')
     values = MappingProxyType({
         name: tuple(value) if isinstance(value := values[name], list) else value
         for name in _OF_SCENE})
