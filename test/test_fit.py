@@ -358,6 +358,8 @@ def test_bad_arguments(arguments, message):
     ({}, {'shaft': (T, T[:-1])}, 'shaft must have as many times as values'),
     ({}, {'shaft': (T[::-1], T)}, 'times of shaft must ascend, got 3 s and then 2.998 s'),
     ({}, {'shaft': (T[:10], T[:10])}, 'shaft must have at least 20 finite samples, got 10'),
+    ({}, {'shaft': (T, T + 1j)}, 'as many times as values, lists of real numbers'),
+    ({}, {'shaft': ((1e3 * T).astype('timedelta64[ms]'), T)}, 'lists of real numbers'),
     ({'torque': Channel(T, T, hold='spline')}, SHAFT, 'hold of torque must be one of zero'),
 ])
 def test_bad_records(inputs, outputs, message):
