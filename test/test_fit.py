@@ -11,6 +11,8 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
 
 import timo_sim
 from timo_sim.fitting.inputs import loads_of
@@ -276,6 +278,44 @@ def test_covariance_of_white_and_of_correlated_residuals():
     assert found[0, 0] * n == pytest.approx((1.0 + rho) / (1.0 - rho), rel=0.3)
 
 
+@pytest.mark.parametrize('seed', range(8))
+def test_a_covariance_is_one_however_parameters_are_scaled(seed):
+    """Columns times d give a covariance over d d'; correlations are within -1 and 1."""
+    random, n, count = np.random.default_rng(seed), 400, 5
+    turned = [np.linalg.qr(random.standard_normal((size, count)))[0] for size in (n, count)]
+    jacobian = turned[0] * 10.0 ** random.uniform(0.0, 6.0, count) @ turned[1]
+    for residuals in (random.standard_normal(n), np.cumsum(random.standard_normal(n))):
+        residuals -= turned[0] @ (turned[0].T @ residuals)
+        found, _ = covariance([jacobian], [residuals])
+        deviations = np.sqrt(np.diag(found))
+        assert np.abs(found / np.outer(deviations, deviations)).max() < 1.0 + 1e-12
+        scales = 10.0 ** random.uniform(-6.0, 6.0, count)
+        scaled, _ = covariance([jacobian * scales], [residuals])
+        # The condition of 1e6 times round-off.
+        assert np.sqrt(np.diag(scaled)) * scales == pytest.approx(deviations, rel=1e-8)
+
+
+def test_intervals_with_correlated_residuals_hold_the_truth():
+    """Of 100 regressions with errors of AR(1), for five parameters with scales of 1e-6 to 1e6."""
+    random, n, rho = np.random.default_rng(11), 2000, 0.9
+    t = np.linspace(0.0, 4.0, n)
+    jacobian = np.column_stack([np.sin(3.0 * t), np.cos(3.0 * t), t * np.sin(3.0 * t), np.exp(-t),
+                                t * np.sin(20.0 * t)]) * [1e6, 1.0, 1e-6, 1.0, 1e3]
+    inverse = np.linalg.pinv(jacobian / np.linalg.norm(jacobian, axis=0)) / np.linalg.norm(
+        jacobian, axis=0)[:, np.newaxis]
+    errors = lfilter([1.0], [1.0, -rho], random.standard_normal((100, n + 200)))[:, 200:]
+    wanted = np.sqrt(np.diag(inverse @ toeplitz(rho**np.arange(n)) @ inverse.T) / (1.0 - rho**2))
+    held, ratios = np.zeros(5), []
+    for each in errors:
+        off = inverse @ each
+        deviations = np.sqrt(np.diag(covariance([jacobian], [each - jacobian @ off])[0]))
+        held += np.abs(off) < 1.96 * deviations
+        ratios.append(deviations / wanted)
+    # Of 100 intervals of 95 %, fewer than 88 hold it with a probability of 0.4 %; that the
+    # residuals are smaller than the errors takes some 3 % of the widths.
+    assert np.all(held >= 87) and np.median(ratios, axis=0) == pytest.approx(np.ones(5), abs=0.1)
+
+
 def test_whiteness_is_a_probability():
     random = np.random.default_rng(6)
     found = [whiteness(random.standard_normal(400)) for _ in range(200)]
@@ -295,6 +335,9 @@ def test_correlated_residuals_do_not_tell_what_no_residual_depends_on():
     residuals = np.cumsum(random.standard_normal(500))
     found, white = covariance([np.column_stack([ramp, -ramp])], [residuals])
     assert not white and np.diag(found).min() > 1e6
+    # Nor are two parameters told by what derivatives are off, however much residuals depend on them.
+    found, _ = covariance([1e12 * np.column_stack([ramp, ramp])], [random.standard_normal(500)])
+    assert np.diag(found).min() > 1.0
     found, _ = covariance([np.zeros((500, 1))], [residuals])
     assert np.isfinite(found).all() and found[0, 0] > 1e6
 

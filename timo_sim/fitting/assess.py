@@ -74,8 +74,9 @@ def result_of(problem, x, initial, deviations, derivatives, seconds):
     doubts += _doubts(problem, scene, estimates, errors, values, run, predicted)
     parts = unknown(_without_others(np.concatenate(jacobians), count), names, {
         name for name, each in estimates.items() if not each.identified})
-    return Fit(scene, problem.record, estimates, spread / np.outer(sigma, sigma), parts, errors,
-               run, predicted, problem.until, white, doubts, seconds)
+    correlation = np.clip(spread / np.outer(sigma, sigma), -1.0, 1.0)  # but for round-off
+    return Fit(scene, problem.record, estimates, correlation, parts, errors, run, predicted,
+               problem.until, white, doubts, seconds)
 
 
 def _rough(names, scene):

@@ -99,7 +99,7 @@ def _parquet(path):
         found = pyarrow.parquet.read_table(path).flatten()
         return [([name], values.to_numpy())
                 for name, values in zip(found.column_names, found.columns)]
-    except pyarrow.ArrowException as error:
+    except (pyarrow.ArrowException, ValueError) as error:
         raise ParameterError(f'{path} cannot be read: {error}') from None
 
 
