@@ -9,6 +9,8 @@
 
 """Fits of scenes to records: truth recovered, inputs, sensors, doubts."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
@@ -238,6 +240,53 @@ def test_the_initial_state_is_fitted():
                         'initial.modal_rates': [0.05, 0.0, 0.0]}, {}, ['shaft', 'tip_transverse'])
     found = timo_sim.fit(ARM, record, ['initial', 'motor.viscous_friction'])
     assert found.values == pytest.approx({**moving, 'motor.viscous_friction': 0.01}, abs=1e-6)
+
+
+def test_a_flipped_sign_is_told():
+    """Of the sensor of the tip, whose correlation is told, and of the input, which moves both."""
+    scene, free = {**ARM, **MOTOR}, ['arm.young_modulus', 'motor.viscous_friction']
+    record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft', 'tip_transverse']),
+                   {'shaft': 1e-3, 'tip_transverse': 3e-4})
+    guess = timo_sim.load_scene(scene, {'arm.young_modulus': 1.5e11})
+    flipped = {'tip_transverse': record.outputs['tip_transverse']._replace(
+        values=-record.outputs['tip_transverse'].values)}
+    texts = []
+    for each in (record, timo_sim.Record.of(record.inputs, {**record.outputs, **flipped}),
+                 timo_sim.Record.of({'voltage': (T, -VOLTAGE)}, record.outputs)):
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', timo_sim.ModelWarning)
+            told = timo_sim.fit(guess, each, free).warnings
+        texts.append([text.split()[0] for text in told if 'is anticorrelated' in text])
+    assert texts == [[], ['tip_transverse'], ['shaft', 'tip_transverse']]
+
+
+@pytest.mark.parametrize('more, told', [
+    ({'motor.coulomb_friction': 0.02}, True), ({'motor.coulomb_friction': 0.1}, True),
+    ({'motor.coulomb_friction': 0.4}, True),    # sticks for most of the time
+    ({'motor.coulomb_friction': 0.4, 'motor.coulomb_speed': 0.2}, True),
+    ({}, False), ({'gravity': [0.0, -9.81]}, False), ({'arm.length': 0.5}, False),
+    ({'motor.dc': {'resistance': 5.0, 'torque_constant': 0.0077, 'gear_ratio': 70.0}}, False),
+    ({'load.torque.harmonic': {'amplitude': [0.1], 'frequency': [1.3]}}, False)])
+def test_missing_dry_friction_is_a_suspect(more, told):
+    """Residuals of records of arms that the scene is not: with dry friction, and otherwise."""
+    record = noisy(predicted({**ARM, **MOTOR, **more}, {'voltage': (T, VOLTAGE)}, [
+        'shaft', 'tip_transverse']), {'shaft': 1e-3, 'tip_transverse': 3e-4})
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', timo_sim.ModelWarning)
+        found = timo_sim.fit({**ARM, **MOTOR}, record, [
+            'arm.young_modulus', 'motor.viscous_friction', 'motor.shaft_inertia',
+            'end_effector.mass'])
+    assert ('set motor.coulomb_friction to about' in found.report()) == told
+    assert 'carrier.coulomb_friction' not in found.report()
+
+
+def test_missing_friction_of_the_carrier_is_a_suspect():
+    scene = {**ARM, 'carrier.held': 'none', 'carrier.mass': 1.0}
+    force = 2.0 * np.sign(np.sin(5.0 * T))
+    record = noisy(predicted({**scene, 'carrier.coulomb_friction': 0.2}, {
+        'force_x': (T, force)}, ['carrier_x']), {'carrier_x': 1e-3})
+    with pytest.warns(timo_sim.ModelWarning, match='set carrier.coulomb_friction to about'):
+        timo_sim.fit(scene, record, ['carrier.mass'])
 
 
 def test_a_bound_that_is_met_is_told():

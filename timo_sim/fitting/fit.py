@@ -105,7 +105,8 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     search = Search(problem, loss)
     search.do()
     found = result_of(problem, search.x[:len(problem.free)], search.first_state(),
-                      search.deviations, search.derivatives(), time.monotonic() - begun)
+                      search.deviations, search.derivatives(), search.against,
+                      time.monotonic() - begun)
     if found.warnings:
         warn('; '.join(found.warnings))
     return found
