@@ -81,10 +81,10 @@ class Scene:
     values: Mapping[str, Any]
 
     def __repr__(self) -> str:
-        values = self.values
+        values, count = self.values, len(changed(self.values))
         return (f'<Scene: arm of {values["arm.length"]:g} m, {values["model.formulation"]} with '
-                f'N = {self.modal_count}, h = {1e3 * self.step:g} ms, '
-                f'{len(changed(values))} parameters not at their defaults>')
+                f'N = {self.modal_count}, h = {1e3 * self.step:g} ms, {count} '
+                f'{"parameter" if count == 1 else "parameters"} not at default>')
 
     def _repr_html_(self) -> str:
         return html_table(repr(self)[1:-1], changed(self.values))
