@@ -140,7 +140,7 @@ def export_bag(file, output):
         raise LogError(
             f'{printable(folder)} exists: remove it or choose another name') from None
     try:
-        os.link(index.path, new)  # a hard link takes neither time nor space for a gigabyte
+        os.link(index.path.resolve(), new)  # takes neither time nor space for a gigabyte
     except OSError:
         shutil.copyfile(index.path, new)
     (folder / 'metadata.yaml').write_text(
