@@ -204,6 +204,18 @@ def test_energy_balance_closes(run, paper):
     assert worst(run) < 1e-6
     driven = timo_sim.load_scene('spin_up')
     assert worst(timo_sim.simulate(driven, 10.0)) < 1e-6
+    # Loads that jump at a sample, with a harmonic one, and one that makes the drive's torque jump.
+    for values in ({'load.force_x.table.time': [0.0, 0.5, 0.5, 1.5],
+                    'load.force_x.table.value': [0.0, 20.0, -10.0, 5.0],
+                    'load.torque.piecewise.time': [0.0, 0.5, 1.0, 1.005],
+                    'load.torque.piecewise.value': [5.0, -15.0, 10.0, -10.0],
+                    'load.torque.harmonic.amplitude': [5.0],
+                    'load.torque.harmonic.frequency': [2.0]},
+                   {**driven.values, 'load.force_x.piecewise.time': [0.0, 0.5],
+                    'load.force_x.piecewise.value': [5.0, -35.0]}):
+        for every in 1, 5:
+            jumping = timo_sim.simulate(values, 2.0, every, compare=False)
+            assert worst(jumping) < 2e-6 * every**4
     pushed = driven.vary({'load.torque.piecewise': {'time': [0.0], 'value': [1.0]}})
     assert of_run(timo_sim.simulate(pushed, 0.1)).trace('balance') is None
     damped = timo_sim.load_scene(paper, {'arm.damping_ratio': [0.02]})
