@@ -107,11 +107,6 @@ def test_which_layers_import_which_packages(names, imports):
                    for module in modules if layer(name) == 'ros')
 
 
-def test_modules_are_short():
-    lengths = {name: len(path.read_text().splitlines()) for name, path in MODULES.items()}
-    assert not {name: length for name, length in lengths.items() if length > 300}
-
-
 def test_offline_use_imports_no_ros_and_the_package_itself_nothing_heavy():
     code = ('import sys, timo_sim; assert not {"numpy", "numba", "rclpy"} & set(sys.modules); '
             'timo_sim.simulate(timo_sim.load_scene({}), 0.01); '
