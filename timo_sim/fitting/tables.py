@@ -80,6 +80,8 @@ class Table:
 
 def read_table(path):
     """Return the Table in a file, or raise ParameterError."""
+    if path.exists() and not path.is_file():  # a pipe or device may have no end
+        raise ParameterError(f'{path} is not a file')
     if path.suffix == '.parquet':
         return Table(_parquet(path))
     if path.suffix == '.mat':
@@ -105,10 +107,10 @@ def _parquet(path):
 
 def _mat(path):
     from scipy.io import loadmat
-    with open(path, 'rb'):
-        pass  # an OSError of its own
     try:
         found = loadmat(path, simplify_cells=True)
+    except OSError:
+        raise
     except Exception as error:  # of many types, for damaged files
         raise ParameterError(f'{path} cannot be read, save it with -v7: {error}') from None
     columns = [([name], values) for name, values in _flat(found, '')]
@@ -158,8 +160,10 @@ def _of_lines(lines, path):
     if len(rows) >= len(rows[0]):
         named = 0  # a text begins each row of a table, and is no name of a series
     texts = [cell for row in rows for cell in row[named:]]
-    if any(',' in text for text in texts) and any('.' in text for text in texts):
-        raise ParameterError(f'{path} must have decimal points or decimal commas, got both')
+    if any(',' in text for text in texts) and (
+            separator == ',' or any('.' in text for text in texts)):
+        raise ParameterError(f'{path} must have decimal points, or decimal commas alone and '
+                             'another separator than commas')
     try:
         values = np.array([*map(_number, texts)]).reshape(len(rows), -1)
     except ValueError as error:
