@@ -170,6 +170,6 @@ def _spline(t, angle, knots):
         if not np.isfinite(found.c).all():
             raise ValueError
         return found
-    except ValueError:  # LinAlgError is one
+    except (ValueError, np.linalg.LinAlgError):
         raise ParameterError(f'knots of {DRIVE} must be further apart than its samples, also '
                              f'where these have gaps, got {knots:g} s') from None

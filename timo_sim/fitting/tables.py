@@ -170,9 +170,9 @@ def _of_lines(lines, path):
         raise ParameterError(f'{path} must have numbers alone: {error}') from None
     if named:
         return Table([([row[0].strip()], each) for row, each in zip(rows, values)])
-    above = lines[:lines.index(good[first])]
-    heads = [[name.strip() for name in head] for head in _cells(
-        [line.strip().lstrip(_COMMENT) for line in above], separator)]
+    above = [line.strip(_COMMENT + ' \t') if line.strip()[:1] in [*_COMMENT] else line
+             for line in lines[:lines.index(good[first])]]
+    heads = [[name.strip() for name in head] for head in _cells(above, separator)]
     return _named(values, heads, separator)
 
 
@@ -180,15 +180,15 @@ def _named(values, heads, separator):
     """Return the Table of a matrix with lines of names or units above it."""
     width, hint, kept = values.shape[1], '', []
     blank = width - len(np.trim_zeros(~np.isnan(values).all(axis=0), 'b'))
-    for head in heads:
+    for head in reversed([head for head in heads if any(head)]):
         if separator is None:  # a unit such as [s] belongs to the word before it
             head = [name for name in head if not (name[:1] in '[(' and name[-1:] in '])')] or head
         while head and not head[-1]:
             head = head[:-1]
-        if width - blank <= len(head) <= width:
-            kept.append(head + [''] * (width - len(head)))
-        elif head:
+        if not width - blank <= len(head) <= width:
             hint = f'; the line above has {len(head)} names for {width} columns'
+            break
+        kept.insert(0, head + [''] * (width - len(head)))
     if kept or len(values) >= width:
         return Table([([head[k] for head in kept if head[k]], each)
                       for k, each in enumerate(values.T)], '' if kept else hint)
