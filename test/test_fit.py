@@ -384,7 +384,7 @@ def test_correlated_residuals_do_not_tell_what_no_residual_depends_on():
     residuals = np.cumsum(random.standard_normal(500))
     found, white = covariance([np.column_stack([ramp, -ramp])], [residuals])
     assert not white and np.diag(found).min() > 1e6
-    # Nor are two parameters told by what derivatives are off, however much residuals depend on them.
+    # Nor do errors of derivatives tell two parameters, however much residuals depend on them.
     found, _ = covariance([1e12 * np.column_stack([ramp, ramp])], [random.standard_normal(500)])
     assert np.diag(found).min() > 1.0
     found, _ = covariance([np.zeros((500, 1))], [residuals])
@@ -426,6 +426,7 @@ SHAFT = {'shaft': (T, T)}
     (dict(free=['arm.length', 'arm.length']), 'arm.length is free twice'),
     (dict(free=[]), 'at least one free parameter'),
     (dict(free='arm.length'), 'free must be a list of names'),
+    (dict(free=[5]), r'free must be a list of names, got .5.'),
     (dict(free=['motor.coulomb_friction']), 'motor.coulomb_friction must be > 0 N m in the'),
     (dict(free=['carrier.force_limit']), 'carrier.force_limit cannot be free: it is a limit'),
     (dict(free=['arm.length'], bounds={'arm.length': (1.0, 2.0)}),
@@ -463,6 +464,17 @@ def test_a_voltage_needs_a_motor():
     record = timo_sim.Record.of({'voltage': (T, VOLTAGE)}, SHAFT)
     with pytest.raises(timo_sim.ParameterError, match='motor.dc.resistance must be > 0 ohm'):
         timo_sim.fit(ARM, record, ['arm.length'])
+
+
+@pytest.mark.parametrize('t, knots, message', [
+    (1e6 * T, 0.02, 'the record lasts 3e.06 s, but at most 1e.07 steps of 0.002 s'),
+    (T, 1e-300, 'knots of drive must be further apart than its samples'),
+    (T + (T > 1.5), 0.1, 'knots of drive must be further apart .*also where these have gaps'),
+])
+def test_times_that_cannot_be_fitted(t, knots, message):
+    record = timo_sim.Record.of({'drive': Channel(t, T, knots=knots)}, {'shaft': (t, T)})
+    with pytest.raises(timo_sim.ParameterError, match=message):
+        timo_sim.fit(ARM, record, ['shaft.gain'])
 
 
 def test_a_first_guess_that_cannot_be_run():

@@ -19,6 +19,12 @@ from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import PARAMETERS
 
 
+def test_the_text_of_a_scene_counts_what_differs():
+    one = timo_sim.load_scene({'arm.length': 1.9})
+    assert repr(one).endswith(', 1 parameter not at default>')
+    assert repr(one.vary({'arm.width': 0.03})).endswith(', 2 parameters not at default>')
+
+
 def test_paper_file_gives_the_defaults_and_the_papers_loads(paper):
     values = read_parameter_file(paper)
     loads = {name: value for name, value in values.items() if name.startswith('load.')}

@@ -97,7 +97,7 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     window = None if window is None else _WINDOW.check(window)
     if loss not in LOSSES:
         raise ParameterError(f'loss must be one of {", ".join(LOSSES)}, got {short(loss)}')
-    if isinstance(free, str):
+    if isinstance(free, str) or not all(isinstance(name, str) for name in free):
         raise ParameterError(f'free must be a list of names, got {short(free)}')
     start, measured = read(scene, record, mapping)
     begun, until = time.monotonic(), (1.0 - hold_out) * measured.duration

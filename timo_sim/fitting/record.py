@@ -21,6 +21,8 @@ from timo_sim.fitting.quantities import DRIVE, INPUTS, OUTPUTS
 from timo_sim.scene.parameter import did_you_mean, ParameterError, short
 
 HOLDS = 'zero', 'linear'
+# Of values, and of noise in parts of them: squares of residuals stay finite.
+_LARGEST, _LEAST_NOISE = 1e100, 1e-12
 _FEWEST = 20  # samples of an output, or of a drive
 
 
@@ -110,10 +112,11 @@ class Record:
                                          f'({source})')
                 kept[name] = _checked(name, channel, source, kind == 'output')
         for name, deviation in (noise or {}).items():
-            if name not in outs or not deviation > 0.0:
-                raise ParameterError(f'noise of {short(name, str)} must be > 0, of one of '
-                                     f'{", ".join(outs)}, got {short(deviation)} '
-                                     f'({source})')
+            least = _LEAST_NOISE * np.abs(outs[name].values).max() if name in outs else 0.0
+            if name not in outs or not max(least, np.finfo(float).tiny) < deviation < _LARGEST:
+                raise ParameterError(f'noise of {short(name, str)} must be > 0 and at least '
+                                     f'{_LEAST_NOISE:g} of the largest value, of one of '
+                                     f'{", ".join(outs)}, got {short(deviation)} ({source})')
             outs[name] = outs[name]._replace(noise=float(deviation))
         if not outs:
             raise ParameterError(f'a record must have an output, one of {", ".join(OUTPUTS)} '
@@ -189,6 +192,9 @@ def _checked(name, channel, source, is_output):
     kept = np.isfinite(t) & np.isfinite(values)
     t, values = t[kept], values[kept]
     _check_count(name, len(t), is_output, source)
+    if np.abs(values).max() > _LARGEST:
+        raise ParameterError(f'values of {name} must be at most {_LARGEST:g} in size, got '
+                             f'{np.abs(values).max():g} ({source})')
     late = np.flatnonzero(np.diff(t) <= 0.0)
     if len(late):
         raise ParameterError(f'times of {name} must ascend, got {t[late[0]]:.12g} s and then '

@@ -80,6 +80,8 @@ class Table:
 
 def read_table(path):
     """Return the Table in a file, or raise ParameterError."""
+    if path.exists() and not path.is_file():  # a pipe or device may have no end
+        raise ParameterError(f'{path} is not a file')
     if path.suffix == '.parquet':
         return Table(_parquet(path))
     if path.suffix == '.mat':
@@ -105,10 +107,10 @@ def _parquet(path):
 
 def _mat(path):
     from scipy.io import loadmat
-    with open(path, 'rb'):
-        pass  # an OSError of its own
     try:
         found = loadmat(path, simplify_cells=True)
+    except OSError:
+        raise
     except Exception as error:  # of many types, for damaged files
         raise ParameterError(f'{path} cannot be read, save it with -v7: {error}') from None
     columns = [([name], values) for name, values in _flat(found, '')]
@@ -158,17 +160,19 @@ def _of_lines(lines, path):
     if len(rows) >= len(rows[0]):
         named = 0  # a text begins each row of a table, and is no name of a series
     texts = [cell for row in rows for cell in row[named:]]
-    if any(',' in text for text in texts) and any('.' in text for text in texts):
-        raise ParameterError(f'{path} must have decimal points or decimal commas, got both')
+    if any(',' in text for text in texts) and (
+            separator == ',' or any('.' in text for text in texts)):
+        raise ParameterError(f'{path} must have decimal points, or decimal commas alone and '
+                             'another separator than commas')
     try:
         values = np.array([*map(_number, texts)]).reshape(len(rows), -1)
     except ValueError as error:
         raise ParameterError(f'{path} must have numbers alone: {error}') from None
     if named:
         return Table([([row[0].strip()], each) for row, each in zip(rows, values)])
-    above = lines[:lines.index(good[first])]
-    heads = [[name.strip() for name in head] for head in _cells(
-        [line.strip().lstrip(_COMMENT) for line in above], separator)]
+    above = [line.strip(_COMMENT + ' \t') if line.strip()[:1] in [*_COMMENT] else line
+             for line in lines[:lines.index(good[first])]]
+    heads = [[name.strip() for name in head] for head in _cells(above, separator)]
     return _named(values, heads, separator)
 
 
@@ -176,15 +180,15 @@ def _named(values, heads, separator):
     """Return the Table of a matrix with lines of names or units above it."""
     width, hint, kept = values.shape[1], '', []
     blank = width - len(np.trim_zeros(~np.isnan(values).all(axis=0), 'b'))
-    for head in heads:
+    for head in reversed([head for head in heads if any(head)]):
         if separator is None:  # a unit such as [s] belongs to the word before it
             head = [name for name in head if not (name[:1] in '[(' and name[-1:] in '])')] or head
         while head and not head[-1]:
             head = head[:-1]
-        if width - blank <= len(head) <= width:
-            kept.append(head + [''] * (width - len(head)))
-        elif head:
+        if not width - blank <= len(head) <= width:
             hint = f'; the line above has {len(head)} names for {width} columns'
+            break
+        kept.insert(0, head + [''] * (width - len(head)))
     if kept or len(values) >= width:
         return Table([([head[k] for head in kept if head[k]], each)
                       for k, each in enumerate(values.T)], '' if kept else hint)
