@@ -138,7 +138,8 @@ def test_the_command_refuses(arguments, words, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize('arguments', [
     ['paper', '--set', 'model.modes=2', 'arm.length=1.5', '--duration', '0.01'],
-    ['--duration=0.01', '--set=model.modes=2', 'arm.length=1.5', '--set', 'motor.mass=1', 'paper']])
+    ['--duration=0.01', '--set=model.modes=2', 'arm.length=1.5', '--set', 'motor.mass=1',
+     'paper']])
 def test_several_values_may_follow_set(arguments, tmp_path):
     path = tmp_path / 'run.mcap'
     result = CliRunner().invoke(main, ['simulate', *arguments, '-o', str(path)])

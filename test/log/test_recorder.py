@@ -140,6 +140,7 @@ def test_a_disk_that_hangs_gives_a_warning_and_does_not_block_the_node_for_ever(
         add_chunk(chunk)
 
     monkeypatch.setattr(recorder._writer, 'add_chunk', add_when_it_can)
+
     def come_back():
         while recorder.warning is None:
             time.sleep(0.01)

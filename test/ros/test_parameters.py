@@ -156,7 +156,8 @@ def test_lists_that_belong_together_are_loaded_and_set(
     assert value_of(parameters, 'carrier.viscous_friction')[1] == 1e-5
     client.wait(lambda: states and states[-1].effort[2] == 1.0, 'the torque')
 
-    for text, value in (('0.1', [0.1]), ('[1]', [1.0]), ('[0, 0.5, 1]', [0.0, 0.5, 1.0]), ('[]', [])):
+    for text, value in (('0.1', [0.1]), ('[1]', [1.0]), ('[0, 0.5, 1]', [0.0, 0.5, 1.0]),
+                        ('[]', [])):
         assert set_one(parameters, 'arm.damping_ratio', text).successful
         assert value_of(parameters, 'arm.damping_ratio') == (
             ParameterType.PARAMETER_DOUBLE_ARRAY, value)

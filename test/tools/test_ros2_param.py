@@ -61,5 +61,6 @@ def test_the_lines_of_the_tutorial(start):
                        (DOC / 'tutorial' / 'ros.md').read_text(), re.MULTILINE)
     for line, shown in zip(lines, ('publishing #1: ', "'paused'", "'at step ", "'running'"),
                            strict=True):
-        result = subprocess.run(['bash', '-c', line], capture_output=True, text=True, timeout=PATIENCE)
+        result = subprocess.run(['bash', '-c', line], capture_output=True, text=True,
+                                timeout=PATIENCE)
         assert shown in result.stdout, result.stderr

@@ -65,8 +65,8 @@ def run_sweep(file, output=None, workers=None, scheduler=None):
     with Store(output, plan) as store:
         _do(plan, store, workers, scheduler)
         failed, warned = store.finish()
-    print(f'{plan.count} runs in {time.monotonic() - start:.1f} s, {failed} failed, {warned} with a '
-          f'warning: {output}')
+    print(f'{plan.count} runs in {time.monotonic() - start:.1f} s, {failed} failed, '
+          f'{warned} with a warning: {output}')
 
 
 def _do(plan, store, workers, scheduler):

@@ -137,7 +137,7 @@ def picture(path, png, at=None, size=(1600, 1000), view=None):
                         play_state='paused')
         only = next((each.view_id for each in state.views
                      if view is not None and each.name.startswith(view)), None)
-        before, now = b'', None
+        before, now = b'at first', b''
         while now != before:  # the viewer moves its axes to their places gradually
             time.sleep(0.5)
             client.save_screenshot(str(Path(png).absolute()), only)
