@@ -21,6 +21,7 @@ import time
 import rerun_cli
 from tqdm import tqdm
 
+from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameter import Parameter, ParameterError
 from timo_sim.view.convert import write
 from timo_sim.view.track import FPS
@@ -138,7 +139,10 @@ def picture(path, png, at=None, size=(1600, 1000), view=None):
         time.sleep(1.0)  # the viewer moves its axes to their places gradually
         only = next((each.view_id for each in state.views
                      if view is not None and each.name.startswith(view)), None)
-        client.save_screenshot(str(Path(png).absolute()), only)
+        with whole_file(png) as part:
+            client.save_screenshot(str(part.absolute()), only)
+            if not part.exists() or part.read_bytes()[-8:-4] != b'IEND':
+                raise ViewerError(f'{png} cannot be written to its end: is the disk full?')
     finally:
         stop(process)
         process.communicate()
