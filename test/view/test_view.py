@@ -10,6 +10,7 @@
 
 from contextlib import suppress
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -428,4 +429,34 @@ def test_a_viewer_that_does_not_end_is_killed(monkeypatch):
 def test_a_file_that_cannot_be_written_is_one_line(log, tmp_path):
     path = tmp_path / 'none' / 'run.rrd'
     result = CliRunner().invoke(main, ['view', str(log), '--save', str(path)])
-    assert result.exit_code == 1 and result.output.count('\n') == 1 and str(path) in result.output
+    assert result.exit_code == 2 and result.output.count('\n') == 1 and str(path) in result.output
+
+
+@pytest.mark.parametrize('command, name, option', [
+    ('view', 'run.rrd', '--save'), ('view', 'run.png', '--png'), ('view', 'run.gif', '--gif'),
+    ('export', 'run.csv', '-o'), ('export', 'run.parquet', '-o'), ('export', 'bag', '-o'),
+    ('simulate', 'run.png', '--png')])
+def test_a_full_disk_leaves_no_file_that_looks_whole(log, tmp_path, command, name, option):
+    more = [str(log) if command in ('view', 'export') else 'paper']
+    more += ['--duration', '1'] if command == 'simulate' else []
+    more += ['--bag'] if name == 'bag' else []
+    whole, cut = tmp_path / 'whole' / name, tmp_path / 'cut' / name
+    whole.parent.mkdir()
+    cut.parent.mkdir()
+    result = CliRunner().invoke(main, [command, *more, option, str(whole)])
+    assert result.exit_code == 0 and [*whole.parent.iterdir()] == [whole], result.output
+    overwrites = command == 'view' or name.endswith('.png')
+    if overwrites:
+        cut.write_bytes(b'older')
+    size = min(file.stat().st_size for file in ([whole] if whole.is_file() else whole.iterdir()))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for limit in (size // 2, size - size // 20):  # rerun files differ by a per cent
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
+        try:
+            result = CliRunner().invoke(main, [command, *more, option, str(cut)])
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        assert result.exit_code == 1 and f'{name} is' not in result.output, result.output
+        assert isinstance(result.exception, SystemExit), result.exception
+        assert [*cut.parent.iterdir()] == ([cut] if overwrites else [])
+        assert not overwrites or cut.read_bytes() == b'older'

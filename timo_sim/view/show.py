@@ -21,6 +21,7 @@ import time
 import rerun_cli
 from tqdm import tqdm
 
+from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameter import Parameter, ParameterError
 from timo_sim.view.convert import write
 from timo_sim.view.track import FPS
@@ -137,11 +138,14 @@ def picture(path, png, at=None, size=(1600, 1000), view=None):
                         play_state='paused')
         only = next((each.view_id for each in state.views
                      if view is not None and each.name.startswith(view)), None)
-        before, now = b'at first', b''
-        while now != before:  # the viewer moves its axes to their places gradually
-            time.sleep(0.5)
-            client.save_screenshot(str(Path(png).absolute()), only)
-            before, now = now, Path(png).read_bytes()
+        with whole_file(png) as part:
+            before, now = b'at first', b''
+            while now != before:  # the viewer moves its axes to their places gradually
+                time.sleep(0.5)
+                client.save_screenshot(str(part.absolute()), only)
+                before, now = now, part.read_bytes() if part.exists() else b''
+            if now[-8:-4] != b'IEND':
+                raise ViewerError(f'{png} cannot be written to its end: is the disk full?')
     finally:
         stop(process)
         process.communicate()
