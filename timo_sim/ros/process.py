@@ -16,7 +16,7 @@ import threading
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
-from rclpy.exceptions import NameValidationException
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
@@ -101,7 +101,7 @@ def run(stop, args, **options):
         return _refuse(error)
     try:
         node = SimNode(stop, args=given, **options)
-    except (ParameterError, NameValidationException) as error:
+    except (ParameterError, NameValidationException, ParameterException) as error:
         return _refuse(error)
     except RCLError as error:  # the middleware refuses
         return _refuse(error, code=1)
