@@ -87,7 +87,7 @@ def test_a_dump_starts_an_equal_node(start, client, parameters, namespace, tmp_p
     """Its log has the same values, also modes and step that were chosen, and the same bits."""
     first = {'model.accuracy': 1e-3, 'initial.shaft_velocity': 1.0 / 3.0, 'duration': 1.0,
              'carrier.force_limit': '1e-300', 'carrier.mass': 5, 'start_paused': True,
-             'arm.damping_ratio': '[0]', 'load.torque.table.time': '[]',
+             'carrier.held': 'y', 'arm.damping_ratio': '[0]', 'load.torque.table.time': '[]',
              'real_time_factor': 0.0, 'initial.carrier_x': '-0.0',
              f'qos_overrides.{namespace}/timo_sim/tip_pose.publisher.depth': 5}
     name, dumped, states = f'{namespace}/timo_sim', [], []

@@ -18,9 +18,13 @@ import time
 from types import SimpleNamespace
 
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 import numpy as np
 import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from ros_process import PATIENCE
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
@@ -130,6 +134,28 @@ def test_a_wait_ends_after_its_time_and_is_counted(start, client):
     shown = '\n'.join(info(node.log))
     for name in ('missed_commands', 'mismatched_commands', 'dropped_time_s'):
         assert f' {name} {summary[name]}' in shown
+
+
+def test_a_controller_that_waits_for_time_is_told_of_any_command(start, client):
+    """A timer on sim time sends nothing before /clock goes on; without a publisher it is quiet."""
+    node = start(sync='wait', record=False, publish_clock=True)
+    health = client.collect(DiagnosticArray, '/diagnostics')
+    client.wait(lambda: len(health) > 6, 'more than five seconds')
+    assert {message.status[0].message for message in health} == {'waiting for a command'}
+    timed = rclpy.create_node('timed', namespace='/timed', parameter_overrides=[
+        Parameter('use_sim_time', value=True)])
+    torque = timed.create_publisher(Float64, '/timo_sim/motor_torque', 10)
+    timed.create_timer(0.002, lambda: torque.publish(Float64(data=1.0)))
+    executor = SingleThreadedExecutor()
+    executor.add_node(timed)
+
+    def told():
+        executor.spin_once(timeout_sec=0.01)
+        return 'sync: any_command' in health[-1].status[0].message
+    client.wait(told, 'the remedy')
+    timed.destroy_node()
+    code, output = node.end()
+    assert code == 0 and output.count('sync: any_command') == 1
 
 
 def test_a_step_that_waits_says_so(start, client):

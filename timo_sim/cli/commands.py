@@ -37,7 +37,8 @@ class _Command(click.Command):
 
     def __init__(self, name, **options):
         # In a raw docstring, click's mark of a preformatted paragraph is two characters.
-        options['help'] = options['help'].replace('\\b', '\b')
+        # There is none with `python -OO`.
+        options['help'] = (options['help'] or '').replace('\\b', '\b')
         super().__init__(name, **options)
 
     def parse_args(self, context, args):

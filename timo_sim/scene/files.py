@@ -90,7 +90,7 @@ def read_parameter_file(path):
     path = scene_file(path)
     sections, values = read_sections(path), {}
     for node, section in sections.items():
-        if _pattern(node).fullmatch('/timo_sim'):
+        if is_for(node, '/timo_sim'):
             values.update(section)
     if not values:
         others = f'; it has those of {short(", ".join(sections), str)}' if sections else ''
@@ -123,10 +123,11 @@ def read_sections(path):
     return found
 
 
-def _pattern(node):
+def is_for(section, node):
+    """Return whether a section of a ROS parameter file is for a node, by its full name."""
     wild = {'*': r'/\w+', '**': r'(/\w+)*'}
-    return re.compile(''.join(wild.get(name, '/' + re.escape(name))
-                              for name in node.split('/')[1:]))
+    return re.fullmatch(''.join(wild.get(name, '/' + re.escape(name))
+                                for name in section.split('/')[1:]), node)
 
 
 class _Loader(yaml.SafeLoader):
