@@ -8,6 +8,10 @@
 
 """Replays of logs, bags and changed scenes, against runs with the same loads in the scene."""
 
+from pathlib import Path
+import subprocess
+import sys
+
 from click.testing import CliRunner
 import numpy as np
 import pytest
@@ -63,13 +67,113 @@ def test_a_bag_of_commands_gives_the_run_with_these_loads(bag, paper, tmp_path):
     assert step.tolist() == list(range(0, 1501, 10))
     # The same loads, added in another order.
     assert np.abs(motion - run.motion).max() < 1e-12
+    assert 'act after the end' not in text
     # A command at the last step would act only after it.
     for duration, count in ((0.1, 0), (0.4, 1), (0.401, 2)):
         path = tmp_path / f'{duration}.mcap'
         text = call('replay', bag, '--scene', paper, '--start', 0.1, '--duration', duration,
                     '-o', path)
         assert f': {count} commands and' in text
+        assert f'{3 - count} commands are left out, because they act after the end' in text
         assert len(Recording(path).topics['~/motor_torque'].step) == count
+
+
+def bag_of_runs(path, commands, states, size=0):
+    """
+    Write a bag as rosbag2 does, in files of at most `size` bytes; return its path.
+
+    Commands are (log time, torque), states (log time, step, positions and velocities).
+    """
+    from timo_sim.messages.outputs import outputs
+    from timo_sim.messages.packing import Serializer
+    joints, = (output for output in outputs(0) if output.name == 'joint_states')
+    serialize, torque = Serializer(joints.type_name, joints.template), 'std_msgs/msg/Float64'
+    messages = [(time, '/timo_sim/motor_torque', torque, STORE.serialize_cdr(
+        STORE.types[torque](value), torque)) for time, value in commands]
+    messages += [(time, '/joint_states', joints.type_name, serialize(
+        divmod(step * 1000000, 10**9), [*state, 0.0, 0.0, 0.0])) for time, step, state in states]
+    messages.sort(key=lambda message: message[0])
+    count = len(messages) if not size else size
+    for number in range(0, len(messages), count):
+        with Writer(path / str(number), version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            known = {}
+            for time, topic, kind, data in messages[number:number + count]:
+                if topic not in known:
+                    known[topic] = writer.add_connection(topic, kind, typestore=STORE)
+                writer.write(known[topic], 1700000000123456789 + round(1e9 * time), bytes(data))
+        (path / f'{number}/{number}.mcap').rename(path / f'bag_{number // count}.mcap')
+        for file in (path / str(number)).iterdir():
+            file.unlink()
+        (path / str(number)).rmdir()
+    return path
+
+
+def states_of(torques, last):
+    """Return positions and velocities every 10 ms of the default arm with these torques."""
+    scene = timo_sim.load_scene({'load.torque.piecewise.time': [time for time, _ in torques],
+                                 'load.torque.piecewise.value': [value for _, value in torques]})
+    motion = timo_sim.simulate(scene, last, sample_every=10).motion
+    half = motion.shape[1] // 2
+    return np.hstack([motion[:, :3], motion[:, half:half + 3]])
+
+
+@pytest.fixture
+def default_scene(tmp_path):
+    (tmp_path / 'scene.yaml').write_text('/**: {ros__parameters: {arm.length: 2.0}}')
+    return tmp_path / 'scene.yaml'
+
+
+def test_a_bag_with_a_reset_is_replayed_with_it_also_in_parts(tmp_path, default_scene):
+    """The bag does not say that ~/reset was called; its joint states go back to the start."""
+    before, after = states_of([(0.1, 1.0)], 0.5), states_of([(0.2, -2.0)], 0.4)
+    states = [(0.01 * k, 10 * k, state) for k, state in enumerate(before)]
+    states += [(0.51 + 0.01 * k, 500 + 10 * k, state) for k, state in enumerate(after)]
+    for size in (0, 12):  # twelve files: bag_10 comes after bag_9
+        bag = bag_of_runs(tmp_path / f'bag{size}', [(0.1, 1.0), (0.71, -2.0)], states, size)
+        assert len([*bag.iterdir()]) == (1 if not size else 8)
+        text = call('replay', bag, '--scene', default_scene, '-o', tmp_path / f'{size}.mcap')
+        assert f'{bag}' in text and '2 commands and 1 resets in 0.9 s' in text
+        found = Recording(tmp_path / f'{size}.mcap')
+        assert found.topics['~/motor_torque'].step.tolist() == [100, 700]
+        assert np.abs(found.topics['joint_states'].values[:, :6] - np.vstack(
+            [before, after])).max() < 1e-12
+    (bag / 'bag_3.mcap').unlink()
+    assert 'has 7 files *.mcap: name one' in call('replay', bag, '--scene', default_scene, code=2)
+
+
+def test_a_bag_that_spans_two_runs_is_refused_with_the_place(tmp_path, default_scene):
+    first, second = states_of([(0.1, 1.0)], 0.5), states_of([(0.2, -2.0)], 0.4)
+    bag = bag_of_runs(tmp_path / 'bag', [(0.1, 1.0), (0.9, -2.0)], [
+        *((0.01 * k, 10 * k, state) for k, state in enumerate(first)),
+        *((0.7 + 0.01 * k, 10 * k, state) for k, state in enumerate(second))])
+    for arguments in (['replay', bag, '--scene', default_scene],
+                      ['export', bag, '-o', tmp_path / 'run.csv']):
+        text = call(*arguments, code=2)
+        assert 'stamps of /joint_states fall from 0.5 to 0 s at log time 1700000000823456789' in (
+            text) and text.count('\n') == 1
+
+
+@pytest.mark.parametrize('storage', ['db3', 'mcap.zstd'])
+def test_other_bags_are_called_what_they_are(bag, tmp_path, storage, default_scene):
+    """The command that the message names makes a bag that is replayed."""
+    to = tmp_path / 'other'
+    convert = [Path(sys.executable).with_name('rosbags-convert'), '--src', bag, '--dst', to,
+               *(['--dst-storage', 'sqlite3'] if storage == 'db3' else [
+                   '--dst-storage', 'mcap', '--compress', 'zstd', '--compress-mode', 'file'])]
+    subprocess.run(convert, check=True, capture_output=True)
+    file, = (each for each in to.iterdir() if each.suffix != '.yaml')
+    assert file.name.endswith(storage)
+    for path in (to, file):
+        for command in ('replay', 'info'):
+            text = call(command, path, code=2)
+            assert ('is SQLite, not MCAP' if storage == 'db3' else
+                    'is compressed as a whole, not MCAP') in text and text.count('\n') == 1
+    words = text[text.index('rosbags-convert'):text.index(' (pip')].split()
+    words = [convert[0], *words[1:]]
+    words[words.index('BAG')], words[words.index('NEW')] = to, tmp_path / 'new'
+    subprocess.run(words, check=True, capture_output=True)
+    assert '3 commands' in call('replay', tmp_path / 'new', '--scene', default_scene,
+                                '--duration', 1, '-o', tmp_path / 'run.mcap')
 
 
 def test_a_bag_needs_a_scene_and_a_log_does_not(bag):

@@ -9,6 +9,7 @@
 """Scenes from files, dictionaries and overrides, and the messages of those that are refused."""
 
 import math
+import os
 import pickle
 
 import numpy as np
@@ -153,6 +154,14 @@ def test_files_that_are_refused(tmp_path, text, words):
     path.write_text(text)
     with pytest.raises(timo_sim.ParameterError, match=words):
         timo_sim.load_scene(path)
+
+
+@pytest.mark.parametrize('make', [
+    os.mkfifo, os.mkdir, lambda path: path.symlink_to('/dev/zero')])
+def test_a_scene_that_is_no_file_is_refused(tmp_path, make):
+    make(tmp_path / 'scene.yaml')
+    with pytest.raises(timo_sim.ParameterError, match='scene.yaml is not a file'):
+        timo_sim.load_scene(tmp_path / 'scene.yaml')
 
 
 def test_a_missing_file_is_an_os_error(tmp_path):

@@ -12,13 +12,14 @@ from collections import Counter
 from functools import cached_property
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 
 from timo_sim.log.index import Index
 from timo_sim.log.notes import read_names, read_notes
 from timo_sim.log.reader import Reader
-from timo_sim.log.records import LogError, open_file
+from timo_sim.log.records import files_of, LogError, open_file, printable
 from timo_sim.log.series import Collector, common, Series
 from timo_sim.log.writer import Chunk
 from timo_sim.messages.cdr import CdrError
@@ -29,6 +30,7 @@ from timo_sim.scene.values import current, frame_names
 from timo_sim.scene.scene import load_scene
 
 _WRAP = 2**32  # sequence numbers are steps modulo this, or all 0 if a tool has not kept them
+_RESTART = 10**8  # [ns] by which stamps fall only if a simulator is started again
 _EARLIER = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of topics in older versions
 _TYPES = {entry.name: entry.type_name for entry in (*outputs(1), *COMMANDS)}
 
@@ -43,13 +45,15 @@ class Recording:
     Parameters
     ----------
     path : str or Path
-        A file, or a bag's folder with one.
+        A file, or a bag's folder with one, or with the files of a plain bag that was split.
     node : str, optional
         Fully qualified name of the node; needed if a bag has several.
 
     Attributes
     ----------
     path : Path
+    title : str
+        Name of the file, or of the folder of a bag that was split.
     name : str
         The node's fully qualified name, such as '/timo_sim'.
     scene : Scene or None
@@ -65,7 +69,8 @@ class Recording:
         (step, place in the file, values by name) of each setting of the scene's parameters.
     unread : dict of str
         By topic of the node, why its messages are not read.
-    index : Index
+    parts : list of Index
+        Of the files; `index` is the first.
 
     Raises
     ------
@@ -75,19 +80,23 @@ class Recording:
     """
 
     def __init__(self, path, node=None):
-        self.index = Index(path)
-        self.path = self.index.path
+        self.parts = [Index(file) for file in files_of(path)]
+        self.index = self.parts[0]
+        split = len(self.parts) > 1
+        self.path, self.title = (Path(path), printable(path)) if split else (
+            self.index.path, self.index.name)
+        if split and any(read_notes(index).facts for index in self.parts):
+            raise LogError(f'{self.title} has {len(self.parts)} logs: name one')
         self.facts, self.summary, resets, self.changes = read_notes(self.index)
         self.resets, self.reset_places = np.array(resets, dtype=np.int64).reshape(-1, 2).T
         self.name = node or self.facts.get('node') or self._find_node()
         # If ros2_control publishes joint_states, the node publishes its own below its name.
-        topics = {channel.topic for channel in self.index.channels.values()}
+        topics = {channel.topic for _, channel, _ in self._channels()}
         own, usual = f'{self.name}/joint_states', f'{self.name.rpartition("/")[0]}/joint_states'
         self._names = {own if own in topics else usual: 'joint_states', **read_names(self.facts)}
         self._wanted, self.unread = {}, {}
-        for number, channel in self.index.channels.items():
-            short, schema = self.short_name(channel.topic), self.index.schemas.get(
-                channel.schema_id)
+        for number, channel, schema in self._channels():
+            short = self.short_name(channel.topic)
             if short in _TYPES:
                 kind = schema.name if schema else 'unknown, without a schema'
                 if (kind, channel.message_encoding) == (_TYPES[short], 'cdr'):
@@ -120,7 +129,7 @@ class Recording:
             return make(self.parameters)
         except (KeyError, ValueError, RecursionError, ParameterError) as error:
             reason = ' '.join(str(error).split())[:300]
-            raise LogError(f'{self.index.name}: its scene cannot be built: {reason}') from None
+            raise LogError(f'{self.title}: its scene cannot be built: {reason}') from None
 
     @cached_property
     def topics(self):
@@ -143,19 +152,23 @@ class Recording:
         dict of Series
 
         """
-        wanted = {number: Collector(*found, self.frames) for number, found in self._wanted.items()
-                  if not names or found[0] in names}
-        twice = Counter(collector.name for collector in wanted.values()).most_common(1)
+        found = {number: about for number, about in self._wanted.items()
+                 if not names or about[0] in names}
+        twice = Counter((part, about[0]) for (part, _), about in found.items()).most_common(1)
         if twice and twice[0][1] > 1:
-            raise LogError(f'{self.index.name} has two channels of {twice[0][0]}')
-        for place, data, offsets in self._blocks(most_chunks):
-            for number in wanted.keys() & offsets.keys():
+            raise LogError(f'{self.title} has two channels of {twice[0][0][1]}')
+        collectors = {about: Collector(*about, self.frames) for about in found.values()}
+        for part, place, data, offsets in self._blocks(most_chunks):
+            for number, at in offsets.items():
+                if (part, number) not in found:
+                    continue
+                collector = collectors[found[part, number]]
                 try:
-                    wanted[number].add(place, data, offsets[number], number)
+                    collector.add(place, data, at, number)
                 except CdrError as error:
-                    raise LogError(f'{self.index.name}: a message on {wanted[number].topic[:80]} '
-                                   f'is not a {wanted[number].type_name}: {error}') from None
-        return {collector.name: self._series(collector) for collector in wanted.values()}
+                    raise LogError(f'{self.title}: a message on {collector.topic[:80]} '
+                                   f'is not a {collector.type_name}: {error}') from None
+        return {collector.name: self._series(collector) for collector in collectors.values()}
 
     def motion(self, series=None):
         """
@@ -190,7 +203,7 @@ class Recording:
 
     def lacks(self, what):
         """Return a LogError about what is missing, and about topics that are not read."""
-        return LogError('; '.join([f'{self.index.name} has no {what}', *self.unread.values()])[
+        return LogError('; '.join([f'{self.title} has no {what}', *self.unread.values()])[
             :500])
 
     def resets_before(self, step, place):
@@ -215,30 +228,43 @@ class Recording:
             return _EARLIER.get(short, short)
         return topic
 
+    def _channels(self):
+        """Yield (part, number), Channel and Schema or None of each channel."""
+        for part, index in enumerate(self.parts):
+            for number, channel in index.channels.items():
+                yield (part, number), channel, index.schemas.get(channel.schema_id)
+
     def _find_node(self):
         ends = [name.removeprefix('~') for name in (*_TYPES, *_EARLIER) if name.startswith('~')]
-        topics = [channel.topic for channel in self.index.channels.values()]
+        topics = [channel.topic for _, channel, _ in self._channels()]
         nodes = {topic.removesuffix(end) for topic in topics for end in ends
                  if topic.endswith(end)}
         if not nodes:
-            raise LogError(f'{self.index.name} has no topic of a node timo_sim')
+            raise LogError(f'{self.title} has no topic of a node timo_sim')
         if len(nodes) > 1:
-            raise LogError(f'{self.index.name} has topics of several nodes, say which: '
+            raise LogError(f'{self.title} has topics of several nodes, say which: '
                            f'{", ".join(sorted(nodes))[:200]}')
         return nodes.pop()
 
     def _blocks(self, most):
-        """Yield place, data and offsets by channel of chunks, in the order of the file."""
-        chunks = self.index.chunks
+        """Yield part, place, data and offsets by channel of chunks, in the order of files."""
+        before = 0
+        for part, index in enumerate(self.parts):
+            for place, *block in self._blocks_of(index, most):
+                yield part, before + place, *block
+            before += index.path.stat().st_size
+
+    def _blocks_of(self, index, most):
+        chunks = index.chunks
         # A record of a message index has 15 bytes, and 16 more for each message.
         indexed = sum((chunk.message_index_length - 15 * len(chunk.message_index_offsets)) // 16
                       for chunk in chunks)
-        if indexed == self.index.statistics.message_count:
+        if indexed == index.statistics.message_count:
             for chunk in chunks[::math.ceil(len(chunks) / (most or math.inf)) or 1]:
-                yield chunk.chunk_start_offset, *self.index.read(chunk)
+                yield chunk.chunk_start_offset, *index.read(chunk)
             return
         # A file without chunks, or without their indexes, is read record by record.
-        with open_file(self.path) as stream:
+        with open_file(index.path) as stream:
             reader = Reader(stream)
             place = 0
             for record in reader.records():
@@ -248,8 +274,8 @@ class Recording:
                         channel: np.array(entries[1::2], np.uint64)
                         for channel, entries in record.index.items()}
             if reader.damage is not None:
-                raise LogError(f'{self.index.name}: {reader.damage}: timo_sim recover '
-                               f'{self.index.name} keeps what is intact')
+                raise LogError(f'{index.name}: {reader.damage}: timo_sim recover '
+                               f'{index.name} keeps what is intact')
 
     def _series(self, collector):
         place, sequence, log_ns, ns, values, messages = collector.arrays()
@@ -259,21 +285,33 @@ class Recording:
             step = np.rint(1e-9 * ns / self.scene.step).astype(np.int64)
             ns = np.rint(step * self.scene.step * 1e9).astype(np.int64)
             if collector.command and sequence.any() and ((step - sequence) % _WRAP).any():
-                raise LogError(f'{self.index.name}: log times of {collector.topic[:80]} do not '
+                raise LogError(f'{self.title}: log times of {collector.topic[:80]} do not '
                                'agree with its sequence numbers, which are time steps')
             resets = self.resets_before(step, place)
             if (np.diff(step) < 0).any() and np.isin(step, self.resets).any():
-                raise LogError(f'{self.index.name}: {collector.topic[:80]} is in another order '
+                raise LogError(f'{self.title}: {collector.topic[:80]} is in another order '
                                'than it was logged in, so that it does not say which messages '
                                'were before a reset')
         elif collector.command:
             ns = self._sim_time(log_ns)
+        else:
+            self._refuse_restart(collector.topic, log_ns, ns)
         # The network, or a tool that has written the file again, may have changed the order.
         order = np.argsort(ns, kind='stable')
         resets, step, log_ns, ns, values, messages = (
             array[order] for array in (resets, step, log_ns, ns, values, messages))
         return Series(collector.topic, collector.columns, step, ns, log_ns, values,
                       collector.refused, resets, messages.tolist() if collector.command else [])
+
+    def _refuse_restart(self, topic, log_ns, ns):
+        order = np.argsort(log_ns, kind='stable')
+        falls = np.flatnonzero(np.diff(ns[order]) < -_RESTART)
+        if len(falls):
+            before, after = order[falls[0]:falls[0] + 2]
+            raise LogError(
+                f'{self.title}: stamps of {topic[:80]} fall from {1e-9 * ns[before]:.6g} to '
+                f'{1e-9 * ns[after]:.6g} s at log time {log_ns[after]} ns, where a simulator was '
+                'started again: cut the bag there, so that each part has one run')
 
     def _sim_time(self, log_ns):
         if self._clock is None or not len(log_ns):

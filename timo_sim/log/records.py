@@ -43,13 +43,35 @@ def printable(path):
     return os.fsencode(path).decode(errors='replace')
 
 
+def files_of(path):
+    """Return the Paths of a file, or of the parts of a bag in a folder; else raise LogError."""
+    path = Path(path)
+    inside = sorted(path.iterdir()) if path.is_dir() else [path]
+    foreign = [file for file in inside if file.suffix in ('.db3', '.zstd')]
+    if foreign:
+        kind = 'SQLite' if '.db3' in foreign[0].suffixes else 'compressed as a whole'
+        raise LogError(
+            f'{printable(foreign[0])} is {kind}, not MCAP: rosbags-convert --src BAG --dst NEW '
+            '--dst-storage mcap (pip install rosbags) makes a bag that can be read')
+    if not path.is_dir():
+        return inside
+    files = [file for file in inside if file.suffix == '.mcap']
+    # A bag that rosbag2 has split has files NAME_0.mcap, NAME_1.mcap, ...
+    parts = {int(number): file for file in files
+             if (number := file.stem.rpartition('_')[2]).isdecimal()}
+    first = min(parts, default=0)
+    if len(files) > 1 and len({file.stem.rpartition('_')[0] for file in files}) == 1 and (
+            sorted(parts) == [*range(first, first + len(files))]):
+        return [parts[number] for number in sorted(parts)]
+    if len(files) != 1:
+        raise LogError(f'{printable(path)} has {len(files)} files *.mcap: name one')
+    return files
+
+
 def file_of(path):
     """Return the Path of a file, or of the only one in a bag's folder; else raise LogError."""
-    path = Path(path)
-    if not path.is_dir():
-        return path
-    files = sorted(path.glob('*.mcap'))
-    if len(files) != 1:
+    files = files_of(path)
+    if len(files) > 1:
         raise LogError(f'{printable(path)} has {len(files)} files *.mcap: name one')
     return files[0]
 

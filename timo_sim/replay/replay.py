@@ -93,7 +93,7 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
     log = None
     if output or not same:
         path = output or Path(recording.path.stem + '_replay.mcap')
-        log = NewLog(path, scene, values, recording.name, replay_of=recording.index.name)
+        log = NewLog(path, scene, values, recording.name, replay_of=recording.title)
     again = Replay(scene, segments, log)
     begun = time.monotonic()
     try:
@@ -133,10 +133,10 @@ def _values(recording, scene_file, changes):
         given, source = read_parameter_file(scene_file), str(scene_file)
     elif recording.facts:
         # `recording.scene` raises LogError if values are wrong; it has none of the node's own.
-        checked, source = recording.scene.values, recording.index.name
+        checked, source = recording.scene.values, recording.title
         given = {**recording.parameters, **checked}
     else:
-        raise ParameterError(f'{recording.index.name} is a plain bag, which does not contain the '
+        raise ParameterError(f'{recording.title} is a plain bag, which does not contain the '
                              'scene: give it by --scene')
     values = {name: parameter.default for name, parameter in PARAMETERS.items()}
     values.update(check(given, source))
@@ -267,8 +267,11 @@ def _tell(show, recording, segments, again, seconds):
     simulator = again.simulator
     commands = sum(len(segment.commands) for segment in segments)
     sim_time = simulator.steps * simulator.scene.step
-    show(f'{recording.index.name}: {commands} commands and {len(segments) - 1} resets in '
+    show(f'{recording.title}: {commands} commands and {len(segments) - 1} resets in '
          f'{sim_time:.6g} s of sim time, replayed in {seconds:.2f} s')
+    left = sum(len(series.ns) for series in recording.topics.values() if series.data) - commands
+    if left:
+        show(f'{left} commands are left out, because they act after the end or a reset')
     refused = sum(series.refused for series in recording.topics.values())
     if refused:
         show(f'{refused} commands are left out, because the node refuses them')

@@ -76,7 +76,7 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
     for topic, resets in (*((series.topic, series.resets) for series in found.values()),
                           ('a setting', np.array(changed))):
         if (resets < 0).any():
-            raise LogError(f'{recording.index.name} is in another order than it was logged in: '
+            raise LogError(f'{recording.title} is in another order than it was logged in: '
                            f'whether {topic[:80]} at the step of a reset was before or after it '
                            'is not known')
     shift = _shift(recording, [series for _, series in commands], motions, start)
@@ -95,7 +95,14 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
     delays = late_steps(known, recording.scene, scene.step) if own else {}
     last = _last(acting, {name: at + delays[name] for name, at in published.items()}, motions,
                  shift, scene, duration)
-    ends = [*_steps_of(recording.resets, recording, scene).tolist(), last]
+    if recording.facts:
+        resets = _steps_of(recording.resets, recording, scene)
+        before = [series.resets for _, series, _ in acting]
+    else:
+        logged, ns = _resets_of_bag(motions, scene)
+        resets = _whole(1e-9 * ns / scene.step, False, scene.step, 'the resets')
+        before = [np.searchsorted(logged, series.log_ns, 'right') for _, series, _ in acting]
+    ends = [*resets.tolist(), last]
     unasked = {'/clock', *(name for name, output in known.items()
                            if output.delay and not values.get('record_sensors'))}
     # Late messages that are under way at the end, or at a reset, do not arrive.
@@ -107,11 +114,11 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
         if end < first:
             break
         inside = [(int(at[k]), kind, series.values[k], series.data[k])
-                  for kind, series, at in acting
-                  for k in np.flatnonzero((series.resets == number) & (at < end))]
+                  for (kind, series, at), count in zip(acting, before)
+                  for k in np.flatnonzero((count == number) & (at < end))]
         changes = [(int(_steps_of(step, recording, scene)), values)
-                   for before, (step, _, values) in zip(changed, recording.changes)
-                   if before == number]
+                   for count, (step, _, values) in zip(changed, recording.changes)
+                   if count == number]
         until = {name: end - steps for name, steps in late.items()}
         samples, logged = {}, {}
         for name, at in published.items():  # what arrives in time
@@ -124,15 +131,31 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
             elif not own:
                 rate = known[name].rate
                 every = whole_ratio('1/integrator.step', 1.0 / scene.step, rate, values[rate])
-                samples[name] = np.arange(0, until[name] + 1, every)
+                at = np.arange(first, until[name] + 1)
+                samples[name] = at[(at % every == 0) | (at == first)]  # a reset is published
         result.append(Segment(first, end, sorted(inside, key=lambda entry: entry[:2]), changes,
                               samples, logged))
     return result
 
 
+def _resets_of_bag(motions, scene):
+    """Return log and sim times [ns] at which a bag's motion is suddenly that of the start."""
+    motion = scene.initial_motion()
+    for name, part in (('joint_states', slice(3)), ('~/modal_state', slice(3, None))):
+        start = np.concatenate([half[part] for half in np.split(motion, 2)])
+        series = motions.get(name)
+        if series is None or series.values.shape[1] < len(start):
+            continue
+        there = np.isclose(series.values[:, :len(start)], start, rtol=1e-9, atol=1e-12).all(axis=1)
+        again = 1 + np.flatnonzero(there[1:] & ~there[:-1])
+        if len(again):
+            return series.log_ns[again], series.ns[again]
+    return np.zeros(0), np.zeros(0)
+
+
 def _steps_of(steps, recording, scene):
-    # Steps of a recording, converted to those of a scene; a plain bag has no step of its own.
-    ratio = recording.scene.step / scene.step if recording.facts else 1.0
+    # Steps of a recording, converted to those of a scene.
+    ratio = recording.scene.step / scene.step
     return np.ceil(np.asarray(steps) * ratio - _ROUNDING).astype(int)
 
 

@@ -50,7 +50,7 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
     """
     recording = Recording(path, node)
     if recording.scene is None:
-        raise LogError(f'{recording.index.name} is a plain bag, which does not contain the scene: '
+        raise LogError(f'{recording.title} is a plain bag, which does not contain the scene: '
                        'timo_sim export makes a table of it')
     _, ns, motion = recording.motion()
     scene = recording.scene
