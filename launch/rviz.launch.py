@@ -18,6 +18,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import ExecutableInPackage
 
+_SWITCH = 'true', 'false', 'True', 'False'
 _SHARE = Path(__file__).resolve().parents[1]
 
 
@@ -50,7 +51,7 @@ def generate_launch_description():
                               description='namespace of the simulator'),
         DeclareLaunchArgument('frame_prefix', default_value='', description=(
             'prefix of all frames but world, such as left/; empty: as in the file')),
-        DeclareLaunchArgument('clock', default_value='true', choices=['true', 'false', 'True', 'False'],
+        DeclareLaunchArgument('clock', default_value='true', choices=_SWITCH,
                               description='whether time is that of /clock'),
         OpaqueFunction(function=_nodes),
     ])

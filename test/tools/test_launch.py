@@ -126,7 +126,8 @@ def test_rviz_and_robot_state_publisher_get_the_scene_namespace_and_time(
         program.chmod(0o755)
     (tmp_path / "it's my scene.yaml").write_text('timo_sim: {ros__parameters: {arm.length: 1.5}}')
     code, output = launch(
-        'rviz.launch.py', "params_file:=it's my scene.yaml", 'clock:=True', 'namespace:=left', 'frame_prefix:=left/',
+        'rviz.launch.py', "params_file:=it's my scene.yaml", 'clock:=True', 'namespace:=left',
+        'frame_prefix:=left/',
         AMENT_PREFIX_PATH=f'{others}:{installed[1]["AMENT_PREFIX_PATH"]}').wait()
     assert code == 0, output
     told = {}

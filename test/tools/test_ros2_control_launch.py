@@ -93,7 +93,8 @@ def test_the_launched_simulator_matches_hardware_and_manager(
 
 @pytest.mark.parametrize('missing, words', [
     ('a file', "'--params-file nowhere.yaml'"), ('a package', "'controller_manager' not found"),
-    ('a plugin', 'ros2_control_node-3] was required'), ('a controller', 'spawner-4] was required')])
+    ('a plugin', 'ros2_control_node-3] was required'),
+    ('a controller', 'spawner-4] was required')])
 def test_what_is_missing_ends_everything(packages, tmp_path, missing, words):
     if missing == 'a package':
         (tmp_path / 'share/ament_index/resource_index/packages/controller_manager').unlink()
