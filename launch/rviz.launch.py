@@ -9,6 +9,7 @@
 """Look at a running simulator in RViz: `ros2 launch timo_sim rviz.launch.py`."""
 
 from pathlib import Path
+import shlex
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
@@ -23,10 +24,13 @@ _SHARE = Path(__file__).resolve().parents[1]
 def _nodes(context):
     scene, namespace, prefix, clock = (LaunchConfiguration(name).perform(context) for name in (
         'params_file', 'namespace', 'frame_prefix', 'clock'))
-    urdf = Command([ExecutableInPackage('timo_sim', 'timo_sim'), f" urdf '{scene}'",
-                    f" --set 'frame_prefix={prefix}'" if prefix else ''], on_stderr='warn')
+    urdf = Command([ExecutableInPackage('timo_sim', 'timo_sim'), ' urdf ', shlex.quote(scene),
+                    f' --set {shlex.quote(f"frame_prefix={prefix}")}' if prefix else ''],
+                   on_stderr='warn').perform(context)
     common = {'namespace': namespace, 'output': 'screen'}
-    timed = {'use_sim_time': clock == 'true'}
+    timed = {'use_sim_time': clock in ('true', 'True')}
+    for program in 'robot_state_publisher', 'rviz2':  # if one is missing, the other must not run
+        ExecutableInPackage(program, program).perform(context)
     return [
         Node(package='robot_state_publisher', executable='robot_state_publisher', **common,
              parameters=[{'robot_description': ParameterValue(urdf, value_type=str), **timed}]),
@@ -46,7 +50,7 @@ def generate_launch_description():
                               description='namespace of the simulator'),
         DeclareLaunchArgument('frame_prefix', default_value='', description=(
             'prefix of all frames but world, such as left/; empty: as in the file')),
-        DeclareLaunchArgument('clock', default_value='true', choices=['true', 'false'],
+        DeclareLaunchArgument('clock', default_value='true', choices=['true', 'false', 'True', 'False'],
                               description='whether time is that of /clock'),
         OpaqueFunction(function=_nodes),
     ])

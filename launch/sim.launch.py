@@ -16,7 +16,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-_SWITCH = 'true', 'false'
+_SWITCH = 'true', 'false', 'True', 'False'
 # By argument: parameter, default, choices and meaning. With an empty value the file's applies.
 _PARAMETERS = {
     'clock': ('publish_clock', 'true', _SWITCH, 'whether sim time goes to /clock'),
@@ -35,7 +35,7 @@ def _node(context):
     for name, (parameter, _, choices, _) in _PARAMETERS.items():
         value = LaunchConfiguration(name).perform(context)
         if value:
-            given[parameter] = value == 'true' if choices else ParameterValue(
+            given[parameter] = value in ('true', 'True') if choices else ParameterValue(
                 value, value_type=str)
     return [Node(
         package='timo_sim', executable='sim_node', name='timo_sim', output='screen',

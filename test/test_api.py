@@ -11,8 +11,11 @@
 import doctest
 import importlib
 import inspect
+import os
 import pydoc
 import re
+import subprocess
+import sys
 import warnings
 
 import numpy as np
@@ -242,10 +245,28 @@ def test_a_scene_may_be_given_as_load_scene_takes_it(tmp_path):
         timo_sim.simulate(scene, 1e9)
 
 
-def test_disabled_compilation_is_refused(monkeypatch):
-    monkeypatch.setenv('NUMBA_DISABLE_JIT', '1')
-    with pytest.raises(timo_sim.ParameterError, match='NUMBA_DISABLE_JIT must be 0 or not set'):
-        timo_sim.load_scene({})
+@pytest.mark.parametrize('text, environment', [
+    ('', {'NUMBA_DISABLE_JIT': '1'}), ('disable_jit: 1', {})])
+def test_disabled_compilation_changes_no_bit_and_is_left_to_the_caller(
+        tmp_path, text, environment):
+    (tmp_path / '.numba_config.yaml').write_text(text)
+    code = ('import numba, timo_sim; '
+            'print(timo_sim.simulate(timo_sim.load_scene({}), 0.1).q[-1].tobytes().hex(), '
+            'numba.njit(lambda: 1).__class__.__name__)')
+    done = subprocess.run([sys.executable, '-c', code], cwd=tmp_path, capture_output=True,
+                          text=True, env={**os.environ, **environment})
+    run = timo_sim.simulate(timo_sim.load_scene({}), 0.1)
+    assert done.stdout.split() == [run.q[-1].tobytes().hex(), 'function'], done.stderr
+
+
+@pytest.mark.parametrize('arguments', [
+    ['timo_sim', 'simulate', 'paper'], ['timo_sim.cli.sim_node']])
+def test_settings_that_numba_cannot_read_end_with_one_line(tmp_path, arguments):
+    (tmp_path / '.numba_config.yaml').write_text('disable_jit: [')
+    done = subprocess.run([sys.executable, '-m', *arguments], cwd=tmp_path, capture_output=True,
+                          text=True)
+    assert done.returncode == 1 and done.stdout == '' and done.stderr.count('\n') == 1
+    assert done.stderr.startswith('timo_sim: numba cannot be imported with its settings')
 
 
 @pytest.mark.parametrize('given, words', [

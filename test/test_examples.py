@@ -204,13 +204,14 @@ def test_an_lqr_of_the_fitted_arm_leaves_less_vibration_than_that_of_the_guess(s
     """The arm is a node that hides its parameters; the example excites, fits and slews it."""
     from loop import in_a_loop
     from lqr import LQR
+    from ros_process import PATIENCE
     from slew import score
     hidden = {'arm.young_modulus': 60.0e9, 'motor.viscous_friction': 2.0,
               'end_effector.mass': 3.0}
 
     def slewed(name, duration, *log):
         node = start('--params-file', str(EXAMPLE / 'slew.yaml'), record_file=f'{name}.mcap',
-                     duration=duration, real_time_factor=0.0, sync_timeout=60.0, **hidden)
+                     duration=duration, real_time_factor=0.0, sync_timeout=PATIENCE, **hidden)
         shown = subprocess.run([sys.executable, EXAMPLE / 'fit_arm.py', *log], check=True,
                                cwd=node.log.parent, capture_output=True, text=True).stdout
         assert node.wait()[0] == 0

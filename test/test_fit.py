@@ -9,8 +9,12 @@
 
 """Fits of scenes to records: truth recovered, inputs, sensors, doubts."""
 
+import warnings
+
 import numpy as np
 import pytest
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
 
 import timo_sim
 from timo_sim.fitting.inputs import loads_of
@@ -238,6 +242,53 @@ def test_the_initial_state_is_fitted():
     assert found.values == pytest.approx({**moving, 'motor.viscous_friction': 0.01}, abs=1e-6)
 
 
+def test_a_flipped_sign_is_told():
+    """Of the sensor of the tip, whose correlation is told, and of the input, which moves both."""
+    scene, free = {**ARM, **MOTOR}, ['arm.young_modulus', 'motor.viscous_friction']
+    record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft', 'tip_transverse']),
+                   {'shaft': 1e-3, 'tip_transverse': 3e-4})
+    guess = timo_sim.load_scene(scene, {'arm.young_modulus': 1.5e11})
+    flipped = {'tip_transverse': record.outputs['tip_transverse']._replace(
+        values=-record.outputs['tip_transverse'].values)}
+    texts = []
+    for each in (record, timo_sim.Record.of(record.inputs, {**record.outputs, **flipped}),
+                 timo_sim.Record.of({'voltage': (T, -VOLTAGE)}, record.outputs)):
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', timo_sim.ModelWarning)
+            told = timo_sim.fit(guess, each, free).warnings
+        texts.append([text.split()[0] for text in told if 'is anticorrelated' in text])
+    assert texts == [[], ['tip_transverse'], ['shaft', 'tip_transverse']]
+
+
+@pytest.mark.parametrize('more, told', [
+    ({'motor.coulomb_friction': 0.02}, True), ({'motor.coulomb_friction': 0.1}, True),
+    ({'motor.coulomb_friction': 0.4}, True),    # sticks for most of the time
+    ({'motor.coulomb_friction': 0.4, 'motor.coulomb_speed': 0.2}, True),
+    ({}, False), ({'gravity': [0.0, -9.81]}, False), ({'arm.length': 0.5}, False),
+    ({'motor.dc': {'resistance': 5.0, 'torque_constant': 0.0077, 'gear_ratio': 70.0}}, False),
+    ({'load.torque.harmonic': {'amplitude': [0.1], 'frequency': [1.3]}}, False)])
+def test_missing_dry_friction_is_a_suspect(more, told):
+    """Residuals of records of arms that the scene is not: with dry friction, and otherwise."""
+    record = noisy(predicted({**ARM, **MOTOR, **more}, {'voltage': (T, VOLTAGE)}, [
+        'shaft', 'tip_transverse']), {'shaft': 1e-3, 'tip_transverse': 3e-4})
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', timo_sim.ModelWarning)
+        found = timo_sim.fit({**ARM, **MOTOR}, record, [
+            'arm.young_modulus', 'motor.viscous_friction', 'motor.shaft_inertia',
+            'end_effector.mass'])
+    assert ('set motor.coulomb_friction to about' in found.report()) == told
+    assert 'carrier.coulomb_friction' not in found.report()
+
+
+def test_missing_friction_of_the_carrier_is_a_suspect():
+    scene = {**ARM, 'carrier.held': 'none', 'carrier.mass': 1.0}
+    force = 2.0 * np.sign(np.sin(5.0 * T))
+    record = noisy(predicted({**scene, 'carrier.coulomb_friction': 0.2}, {
+        'force_x': (T, force)}, ['carrier_x']), {'carrier_x': 1e-3})
+    with pytest.warns(timo_sim.ModelWarning, match='set carrier.coulomb_friction to about'):
+        timo_sim.fit(scene, record, ['carrier.mass'])
+
+
 def test_a_bound_that_is_met_is_told():
     scene = {**ARM, **MOTOR}
     record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-4})
@@ -276,6 +327,44 @@ def test_covariance_of_white_and_of_correlated_residuals():
     assert found[0, 0] * n == pytest.approx((1.0 + rho) / (1.0 - rho), rel=0.3)
 
 
+@pytest.mark.parametrize('seed', range(8))
+def test_a_covariance_is_one_however_parameters_are_scaled(seed):
+    """Columns times d give a covariance over d d'; correlations are within -1 and 1."""
+    random, n, count = np.random.default_rng(seed), 400, 5
+    turned = [np.linalg.qr(random.standard_normal((size, count)))[0] for size in (n, count)]
+    jacobian = turned[0] * 10.0 ** random.uniform(0.0, 6.0, count) @ turned[1]
+    for residuals in (random.standard_normal(n), np.cumsum(random.standard_normal(n))):
+        residuals -= turned[0] @ (turned[0].T @ residuals)
+        found, _ = covariance([jacobian], [residuals])
+        deviations = np.sqrt(np.diag(found))
+        assert np.abs(found / np.outer(deviations, deviations)).max() < 1.0 + 1e-12
+        scales = 10.0 ** random.uniform(-6.0, 6.0, count)
+        scaled, _ = covariance([jacobian * scales], [residuals])
+        # The condition of 1e6 times round-off.
+        assert np.sqrt(np.diag(scaled)) * scales == pytest.approx(deviations, rel=1e-8)
+
+
+def test_intervals_with_correlated_residuals_hold_the_truth():
+    """Of 100 regressions with errors of AR(1), for five parameters with scales of 1e-6 to 1e6."""
+    random, n, rho = np.random.default_rng(11), 2000, 0.9
+    t = np.linspace(0.0, 4.0, n)
+    jacobian = np.column_stack([np.sin(3.0 * t), np.cos(3.0 * t), t * np.sin(3.0 * t), np.exp(-t),
+                                t * np.sin(20.0 * t)]) * [1e6, 1.0, 1e-6, 1.0, 1e3]
+    inverse = np.linalg.pinv(jacobian / np.linalg.norm(jacobian, axis=0)) / np.linalg.norm(
+        jacobian, axis=0)[:, np.newaxis]
+    errors = lfilter([1.0], [1.0, -rho], random.standard_normal((100, n + 200)))[:, 200:]
+    wanted = np.sqrt(np.diag(inverse @ toeplitz(rho**np.arange(n)) @ inverse.T) / (1.0 - rho**2))
+    held, ratios = np.zeros(5), []
+    for each in errors:
+        off = inverse @ each
+        deviations = np.sqrt(np.diag(covariance([jacobian], [each - jacobian @ off])[0]))
+        held += np.abs(off) < 1.96 * deviations
+        ratios.append(deviations / wanted)
+    # Of 100 intervals of 95 %, fewer than 88 hold it with a probability of 0.4 %; that the
+    # residuals are smaller than the errors takes some 3 % of the widths.
+    assert np.all(held >= 87) and np.median(ratios, axis=0) == pytest.approx(np.ones(5), abs=0.1)
+
+
 def test_whiteness_is_a_probability():
     random = np.random.default_rng(6)
     found = [whiteness(random.standard_normal(400)) for _ in range(200)]
@@ -295,6 +384,9 @@ def test_correlated_residuals_do_not_tell_what_no_residual_depends_on():
     residuals = np.cumsum(random.standard_normal(500))
     found, white = covariance([np.column_stack([ramp, -ramp])], [residuals])
     assert not white and np.diag(found).min() > 1e6
+    # Nor do errors of derivatives tell two parameters, however much residuals depend on them.
+    found, _ = covariance([1e12 * np.column_stack([ramp, ramp])], [random.standard_normal(500)])
+    assert np.diag(found).min() > 1.0
     found, _ = covariance([np.zeros((500, 1))], [residuals])
     assert np.isfinite(found).all() and found[0, 0] > 1e6
 
@@ -334,6 +426,7 @@ SHAFT = {'shaft': (T, T)}
     (dict(free=['arm.length', 'arm.length']), 'arm.length is free twice'),
     (dict(free=[]), 'at least one free parameter'),
     (dict(free='arm.length'), 'free must be a list of names'),
+    (dict(free=[5]), r'free must be a list of names, got .5.'),
     (dict(free=['motor.coulomb_friction']), 'motor.coulomb_friction must be > 0 N m in the'),
     (dict(free=['carrier.force_limit']), 'carrier.force_limit cannot be free: it is a limit'),
     (dict(free=['arm.length'], bounds={'arm.length': (1.0, 2.0)}),
@@ -358,6 +451,8 @@ def test_bad_arguments(arguments, message):
     ({}, {'shaft': (T, T[:-1])}, 'shaft must have as many times as values'),
     ({}, {'shaft': (T[::-1], T)}, 'times of shaft must ascend, got 3 s and then 2.998 s'),
     ({}, {'shaft': (T[:10], T[:10])}, 'shaft must have at least 20 finite samples, got 10'),
+    ({}, {'shaft': (T, T + 1j)}, 'as many times as values, lists of real numbers'),
+    ({}, {'shaft': ((1e3 * T).astype('timedelta64[ms]'), T)}, 'lists of real numbers'),
     ({'torque': Channel(T, T, hold='spline')}, SHAFT, 'hold of torque must be one of zero'),
 ])
 def test_bad_records(inputs, outputs, message):
@@ -369,6 +464,17 @@ def test_a_voltage_needs_a_motor():
     record = timo_sim.Record.of({'voltage': (T, VOLTAGE)}, SHAFT)
     with pytest.raises(timo_sim.ParameterError, match='motor.dc.resistance must be > 0 ohm'):
         timo_sim.fit(ARM, record, ['arm.length'])
+
+
+@pytest.mark.parametrize('t, knots, message', [
+    (1e6 * T, 0.02, 'the record lasts 3e.06 s, but at most 1e.07 steps of 0.002 s'),
+    (T, 1e-300, 'knots of drive must be further apart than its samples'),
+    (T + (T > 1.5), 0.1, 'knots of drive must be further apart .*also where these have gaps'),
+])
+def test_times_that_cannot_be_fitted(t, knots, message):
+    record = timo_sim.Record.of({'drive': Channel(t, T, knots=knots)}, {'shaft': (t, T)})
+    with pytest.raises(timo_sim.ParameterError, match=message):
+        timo_sim.fit(ARM, record, ['shaft.gain'])
 
 
 def test_a_first_guess_that_cannot_be_run():

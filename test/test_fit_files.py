@@ -78,6 +78,126 @@ def test_rows_without_a_number_are_left_out(tmp_path):
     assert len(record.inputs['torque'].t) == 200
 
 
+NAMED = {'time': {'column': 't'}, 'columns': {'u': 'torque', 'theta': 'shaft'}}
+ROWS = np.column_stack([T, TORQUE, ANGLE])
+
+
+def lines(rows, separator=',', end='', decimal='.'):
+    """Return rows of numbers as text."""
+    return ''.join(separator.join(repr(float(each)).replace('.', decimal) for each in row)
+                   + end + '\n' for row in rows)
+
+
+@pytest.mark.parametrize('text', [
+    '\ufefft,u,theta\n' + lines(ROWS),                              # Excel's CSV
+    't;u;theta\n' + lines(ROWS, ';', decimal=','),
+    't\tu\ttheta\n' + lines(ROWS, '\t', decimal=','),
+    't u theta\n' + lines(ROWS, '  ', decimal=','),
+    't,u,theta\n[s],[N m],[rad]\n' + lines(ROWS),
+    'Run 3, 1 May, rig A\nt,u,theta\ns,Nm,rad\n' + lines(ROWS),
+    't,u,theta\n' + lines(ROWS, end=','), 't,u,theta,\n' + lines(ROWS, end=','),
+    't,u,theta,\n' + lines(ROWS), '"t", "u","theta"\n' + lines(ROWS),
+    '"time,\nof day",t,"u",theta\n' + lines(np.column_stack([T, ROWS])),
+    '# t [s] u [V] theta [deg] w\n' + lines(np.column_stack([ROWS, T]), ' '),
+    't,u,theta,w\n' + lines(np.column_stack([ROWS, np.nan * T])).replace('nan', 'N/A'),
+    ''.join(f'{name},{lines([row])}' for name, row in zip(('t', 'u', 'theta'), ROWS.T)),
+], ids=range(14))
+def test_columns_of_texts_have_their_names(tmp_path, text):
+    """What spreadsheets and rigs write: the numbers are those of NumPy, digit by digit."""
+    for encoding in ('utf-8', 'utf-16'):
+        (tmp_path / 'a.csv').write_text(text, encoding=encoding)
+        record = timo_sim.read_record(tmp_path / 'a.csv', NAMED)
+        assert np.array_equal(record.inputs['torque'].values, TORQUE)
+        assert np.array_equal(record.outputs['shaft'].values, ANGLE)
+        assert np.array_equal(record.outputs['shaft'].t, T)
+
+
+@pytest.mark.parametrize('text, message', [
+    ('# time of u and theta\n' + lines(ROWS, ' '), 'u is no column .* 5 names for 3 columns'),
+    ('"time, s",u\n' + lines(ROWS), 'u is no column .* 2 names for 3 columns'),
+    ('t,u,theta,u\n' + lines(np.column_stack([ROWS, T])), 'u is the name of the columns 1, 3'),
+    ('t;u;theta\n' + lines(ROWS, ';').replace('.', ',', 1), 'must have decimal points, or'),
+    ('t,u,theta\n' + ''.join(f'{k},"{k},000",1\n' for k in range(30)), 'must have decimal point'),
+    ('t,u,theta\n' + lines(ROWS).replace('1.0', '1+2j'), 'numbers alone: .*1\\+2j'),
+    ('t,u,theta\n' + ''.join(f'12:{line}\n' for line in lines(ROWS).split()), '12:0.0'),
+])
+def test_columns_that_cannot_be_told_are_refused(tmp_path, text, message):
+    (tmp_path / 'a.csv').write_text(text)
+    with pytest.raises(timo_sim.ParameterError, match=message):
+        timo_sim.read_record(tmp_path / 'a.csv', NAMED)
+
+
+def test_records_in_rows(tmp_path):
+    from scipy.io import savemat
+    (tmp_path / 'a.csv').write_text(lines(ROWS.T))
+    savemat(tmp_path / 'a.mat', {'data': ROWS.T})
+    for name, columns in (('a.csv', (0, 1, 2)), ('a.mat', ('data:0', 'data:1', 'data:2'))):
+        record = timo_sim.read_record(tmp_path / name, {
+            'time': {'column': columns[0]}, 'columns': {columns[1]: 'torque',
+                                                        columns[2]: 'shaft'}})
+        assert np.array_equal(record.inputs['torque'].values, TORQUE)
+        assert np.array_equal(record.outputs['shaft'].values, ANGLE)
+        assert np.array_equal(record.outputs['shaft'].t, T)
+
+
+def test_structures_of_simulink(tmp_path):
+    """A 'structure with time' has signals of one or more columns; a struct has fields."""
+    from scipy.io import savemat
+    signals = np.zeros(2, dtype=[('values', object), ('label', object)])
+    signals['values'] = [TORQUE[:, np.newaxis], np.column_stack([TORQUE, ANGLE])]
+    signals['label'] = ['u', 'both']
+    savemat(tmp_path / 'a.mat', {
+        'out': {'time': T[:, np.newaxis], 'signals': signals, 'blockName': 'scope'},
+        'one': {'signals': {'values': TORQUE[:, np.newaxis]}}})
+    for torque in ('out.signals[0].values', 'one.signals.values'):
+        record = timo_sim.read_record(tmp_path / 'a.mat', {
+            'time': {'column': 'out.time'},
+            'columns': {torque: 'torque', 'out.signals[1].values:1': 'shaft'}})
+        assert np.array_equal(record.inputs['torque'].values, TORQUE)
+        assert np.array_equal(record.outputs['shaft'].values, ANGLE)
+    savemat(tmp_path / 'b.mat', {'name': 'timeseries'})
+    with pytest.raises(timo_sim.ParameterError, match='b.mat has no arrays of numbers'):
+        timo_sim.read_record(tmp_path / 'b.mat', NAMED)
+
+
+@pytest.mark.parametrize('unit', ['s', 'ms', 'us', 'ns'])
+def test_stamps_have_units_of_their_own(tmp_path, unit):
+    """Dates, durations and whole numbers of ns since 1970, which floats would round to 256 ns."""
+    pyarrow = pytest.importorskip('pyarrow')
+    import pyarrow.parquet
+    ticks = {'s': 1, 'ms': 10, 'us': 10_001, 'ns': 10_000_001}[unit]
+    since = ticks * np.arange(200)
+    dates = np.datetime64('2026-11-25T12:00:00', unit) + since.astype(f'timedelta64[{unit}]')
+    pyarrow.parquet.write_table(pyarrow.table({
+        'date': dates, 'lasted': since.astype(f'timedelta64[{unit}]'),
+        'count': dates.astype(np.int64), 'u': TORQUE, 'theta': ANGLE}), tmp_path / 'a.parquet')
+    for time in ({'column': 'date'}, {'column': 'lasted'}, {'column': 'count', 'unit': unit}):
+        record = timo_sim.read_record(tmp_path / 'a.parquet', {**NAMED, 'time': time})
+        wanted = since / {'s': 1, 'ms': 10**3, 'us': 10**6, 'ns': 10**9}[unit]
+        assert record.outputs['shaft'].t == pytest.approx(wanted, rel=1e-15)
+    with pytest.raises(timo_sim.ParameterError, match="unit must be left out, .*got 'ms'"):
+        timo_sim.read_record(tmp_path / 'a.parquet', {
+            **NAMED, 'time': {'column': 'date', 'unit': 'ms'}})
+    with pytest.raises(timo_sim.ParameterError, match='date must have real numbers: it has stam'):
+        timo_sim.read_record(tmp_path / 'a.parquet', {**NAMED, 'columns': {'date': 'shaft'}})
+
+
+@pytest.mark.parametrize('kind, values', [
+    ('mat', ANGLE + 0.1j), ('mat', ['on'] * 200), ('mat', np.zeros((2, 3))),
+    ('parquet', [[1.0, 2.0]] * 200), ('parquet', ['on'] * 200), ('parquet', [])])
+def test_columns_without_real_numbers_are_refused(tmp_path, kind, values):
+    if kind == 'parquet':
+        pyarrow = pytest.importorskip('pyarrow')
+        import pyarrow.parquet
+        pyarrow.parquet.write_table(pyarrow.table({'t': T[:len(values)], 'theta': values}),
+                                    tmp_path / 'a.parquet')
+    else:
+        from scipy.io import savemat
+        savemat(tmp_path / 'a.mat', {'t': T, 'theta': values})
+    with pytest.raises(timo_sim.ParameterError, match='theta .*(real numbers|is no col)'):
+        timo_sim.read_record(tmp_path / f'a.{kind}', {**NAMED, 'columns': {'theta': 'shaft'}})
+
+
 def test_a_table_of_export_needs_no_mapping(tmp_path):
     run = timo_sim.simulate('paper', 1.0, sample_every=10)
     run.save(tmp_path / 'run.csv')
@@ -98,6 +218,20 @@ def test_a_table_of_export_needs_no_mapping(tmp_path):
     ({'time': {}}, 'time must have a column or a period'),
     ({'time': {'column': 'clock', 'unit': 'h'}}, 'time: unit must be one of s, ms, us, ns'),
     ({'colums': {}}, 'colums is not known, .*did you mean columns'),
+    ({'time': 't'}, "time must have some of column, unit, file, period, got 't'"),
+    ({'time': [1]}, r'time must have some of .*, got \[1\]'),
+    ({'time': {'column': [1]}}, r'\[1\] is no column of the table'),
+    ({'time': {'column': 'clock', 'unit': ['ms']}}, r"time: unit must be one of .*\['ms'\]"),
+    ({'time': {'column': 'clock', 'file': 5}}, 'file must be a text, got 5'),
+    ({'time': {'period': 1e308}}, 'at least 20 finite samples, got 2'),
+    ({'columns': {'hub': {'quantity': ['shaft']}}}, r"quantity must be one of .*\['shaft'\]"),
+    ({'columns': {'hub': {'quantity': 'shaft', 'time': 't'}}}, "hub: time must have .*got 't'"),
+    ({'columns': {'hub': {'quantity': 'shaft', 'scale': 1e308}}}, 'at least 20 finite samples'),
+    ({'columns': {'hub': {'quantity': 'shaft', 'offset': 1e308}}}, 'must be at most 1e.100'),
+    ({'columns': {'hub': {'quantity': 'shaft', 'noise': 1e-308}}}, 'at least 1e-12 of the larg'),
+    ({'columns': {'hub': {'quantity': 'shaft', 'file': '..'}}}, 'is not a file'),
+    ({'start': 500.0}, 'shaft must .* 20 finite samples, got 0 .from 500 s to inf s of 1.99 s'),
+    ({'start': 1.0, 'end': 0.5}, 'at least 20 finite samples, got 0 .from 1 s to 0.5 s'),
 ])
 def test_bad_mappings(tmp_path, change, message):
     path = written(tmp_path, 'csv')
@@ -143,6 +277,7 @@ def test_the_command_fits_and_writes_a_scene(tmp_path):
     done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 0, done.output
     assert 'end_effector.mass' in done.output and 'R^2' in done.output
+    assert fitted.read_text().startswith(f'# Fitted to {tmp_path / "run.csv"} by timo_sim fit.')
     scene = timo_sim.load_scene(fitted)
     assert scene.values['end_effector.mass'] == pytest.approx(2.0, rel=1e-5)
     assert scene.values['load.torque.harmonic.amplitude'] == (5.0,)
@@ -153,6 +288,7 @@ def test_the_command_fits_and_writes_a_scene(tmp_path):
 
 @pytest.mark.parametrize('arguments, message', [
     (['--free', 'arm.length', '--bounds', 'arm.length=a:b'], '--bounds takes NAME=LOW:HIGH'),
+    (['--free', 'arm.length', '--bounds', 'arm.length'], '--bounds takes NAME=LOW:HIGH'),
     (['--free', 'arm.length', '--scene', 'papre'], 'did you mean paper'),
     (['--free', 'arm.lenght', '--scene', 'paper'], 'did you mean arm.length'),
     (['--free', 'arm.length'], 'scene must be given with'),

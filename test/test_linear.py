@@ -9,6 +9,7 @@
 """Linear models against closed forms, and against the nonlinear simulation nearby."""
 
 from dataclasses import replace
+import re
 
 from click.testing import CliRunner
 import numpy as np
@@ -20,6 +21,7 @@ import timo_sim
 from timo_sim.cli import main
 from timo_sim.physics.arm.quadrature import Quadrature
 from timo_sim.physics.layout import LOADS
+from timo_sim.scene.loads import CHANNELS
 from timo_sim.simulation.simulator import Simulator
 
 
@@ -157,20 +159,57 @@ def test_root_strain_needs_few_modes(name, values, cause):
 @pytest.mark.parametrize('tip', [LIGHT, {'end_effector.mass': 0.05,
                                          'end_effector.inertia': 1e-4}], ids=str)
 @pytest.mark.parametrize('name', ['exact', 'newton'])
-def test_static_modes_converge_with_a_light_tip(name, tip, cause, static, at_15_hz):
+def test_static_shapes_converge_with_a_light_tip(name, tip, cause, static, at_15_hz):
     """Four eigenmodes alone are 0.9 to 13 % off at 0.1 Hz, and 17 to 35 % at 15 Hz."""
     outputs, frequencies = ['tip_transverse_m', 'tip_rotation_rad'], [0.1, 15.0]
-    errors = []
+    errors = {}
     for shapes in (static, 'none'):
         scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': 4, **tip,
                                      'initial.shaft': 0.0, 'model.static_modes': shapes})
         model, beam = timo_sim.linearize(scene).select([cause], outputs), LinearBeam(scene)
-        found = model.frequency_response(frequencies)[:, :, 0]
         expected = [[beam.response(cause, frequency)[name] for name in outputs]
                     for frequency in frequencies]
-        errors.append(np.abs(found / expected - 1.0).max(axis=1))
-    assert errors[0][0] < 1e-4 and errors[0][1] < at_15_hz
-    assert errors[1][0] > 7e-3 and errors[1][1] > 0.1
+        for way, d in ('modes', 0.0), ('with the residual', 1.0):
+            found = replace(model, D=d * model.D).frequency_response(frequencies)[:, :, 0]
+            errors[shapes, way] = np.abs(found / expected - 1.0).max(axis=1)
+    assert errors[static, 'modes'][0] < 1e-4 and errors[static, 'modes'][1] < at_15_hz
+    assert errors['none', 'modes'][0] > 7e-3 and errors['none', 'modes'][1] > 0.1
+    for shapes in (static, 'none'):
+        assert errors[shapes, 'with the residual'][0] < 1e-4
+    assert errors['none', 'with the residual'][1] < 0.3 * errors['none', 'modes'][1]
+
+
+BENT = {'gravity': [2.0, -9.81], 'initial.equilibrium': True, 'carrier.held': 'both',
+        'initial.shaft': -0.4, 'end_effector.mass': 0.1, 'end_effector.inertia': 1e-4,
+        'arm.height': 0.004, 'load.torque.piecewise.time': [0.0],
+        'load.torque.piecewise.value': [6.0], 'load.tip_force_y.piecewise.time': [0.0],
+        'load.tip_force_y.piecewise.value': [-3.0]}
+
+
+@pytest.mark.parametrize('name', ['exact', 'newton'])
+def test_outputs_are_derivatives_of_the_readings(name):
+    """Of the simulator's sensors in gravity, where the arm is bent far, by central differences."""
+    scene = timo_sim.load_scene({'model.formulation': name, 'model.modes': 3, **BENT})
+    model = timo_sim.linearize(scene).select(outputs=['root_strain', 'tip_acceleration_m_per_s2'])
+    rest, load, simulator = scene.initial_motion(), scene.load_at_start(), Simulator(scene)
+    assert abs(simulator.snapshot().tip[2]) > 0.3
+    columns = [CHANNELS[name.rsplit('_N', 1)[0]] for name in model.inputs]
+    half = len(rest) // 2
+    free = np.r_[2:half, half + 2:2 * half]
+    random, small = np.random.default_rng(1), 1e-5
+    for _ in range(3):
+        x, u = random.normal(size=len(free)), random.normal(size=len(columns))
+        ends = []
+        for sign in (-small, small):
+            motion, acting = rest.copy(), load.copy()
+            motion[free] += sign * x
+            acting[columns] += sign * u
+            simulator._state[:], simulator.load[:] = simulator.model.state(motion), acting
+            sensors = simulator.sensors
+            ends.append([sensors.root_strain, sensors.tip_acceleration[1]])
+        found = np.subtract(*reversed(ends)) / (2.0 * small)
+        # Differences of flow and readings: 1e-9 in the acceleration over 1e-5.
+        assert model.C @ x + model.D @ u == pytest.approx(found, rel=1e-4)
 
 
 def test_damping_takes_its_share_of_the_root_moment():
@@ -287,7 +326,9 @@ def test_response_to_a_torque_is_the_sum_over_the_modes():
 
 def test_bode_diagram_from_the_command_line(tmp_path):
     scene, picture = tmp_path / 'scene.yaml', tmp_path / 'bode.png'
-    scene.write_text('timo_sim: {ros__parameters: {arm.damping_ratio: [0.01]}}')
+    scene.write_text('timo_sim: {ros__parameters: {arm.damping_ratio: 0.01}}')
+    told = CliRunner().invoke(main, ['bode', '--help']).output
+    assert all(re.search(rf'\b{name}\b', told) for name in timo_sim.linearize('paper').inputs)
     result = CliRunner().invoke(main, ['bode', str(scene), '--output', str(picture),
                                        '--set', 'model.modes=3'])
     assert result.exit_code == 0, result.output

@@ -18,6 +18,7 @@ import timo_sim
 from timo_sim.cli import main
 from timo_sim.log.recorder import Channel, Recorder
 from timo_sim.log.recording import Recording
+from timo_sim.view.track import of_recording
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 # Log time after the first [ns], torque [N m]; the infinite one is refused.
@@ -109,6 +110,15 @@ def log_of(path, scene, torques, last):
 def log(tmp_path):
     """Log a second with two commands, from `simulate` instead of the node."""
     return log_of(tmp_path / 'run.mcap', timo_sim.load_scene({}), [(100, 1.0), (455, -1.0)], 1000)
+
+
+def test_a_view_of_a_log_has_the_work_of_its_commands(tmp_path):
+    """From the step on at which they begin to act; samples are 10 ms apart."""
+    log = log_of(tmp_path / 'run.mcap', timo_sim.load_scene({'model.modes': 0}),
+                 [(100, 20.0), (500, -20.0), (510, 15.0)], 1000)
+    track = of_recording(Recording(log), 'log')
+    energy, balance = (track.trace(name).values for name in ('energy', 'balance'))
+    assert np.abs(balance).max() < 1e-9 * energy.max()
 
 
 def test_a_log_gives_the_same_bits_and_a_falsified_one_does_not(log, tmp_path):

@@ -11,6 +11,7 @@
 import os
 import pty
 import re
+import signal
 import subprocess
 import sys
 import termios
@@ -133,6 +134,30 @@ def test_the_command_refuses(arguments, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(main, ['simulate', *arguments])
     assert result.exit_code == 2 and words in result.output
+
+
+@pytest.mark.parametrize('arguments', [
+    ['paper', '--set', 'model.modes=2', 'arm.length=1.5', '--duration', '0.01'],
+    ['--duration=0.01', '--set=model.modes=2', 'arm.length=1.5', '--set', 'motor.mass=1',
+     'paper']])
+def test_several_values_may_follow_set(arguments, tmp_path):
+    path = tmp_path / 'run.mcap'
+    result = CliRunner().invoke(main, ['simulate', *arguments, '-o', str(path)])
+    assert result.exit_code == 0, result.output
+    values = timo_sim.open_log(path).scene.values
+    assert (values['model.modes'], values['arm.length']) == (2, 1.5)
+
+
+@pytest.mark.parametrize('command', [['urdf', 'paper'], ['sweep', 'runs.yaml']])
+def test_a_command_whose_reader_has_left_ends_as_other_programs_do(tmp_path, command):
+    """As with `| head`: quietly, with the code of a program that SIGPIPE ends."""
+    (tmp_path / 'runs.yaml').write_text('{scene: {}, duration: 0.01, runs: [{}]}')
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run([sys.executable, '-m', 'timo_sim', *command], cwd=tmp_path,
+                          stdout=writer, stderr=subprocess.PIPE)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, b'')
 
 
 def test_the_command_shows_a_warning_as_one_line():

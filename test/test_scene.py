@@ -19,6 +19,12 @@ from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import PARAMETERS
 
 
+def test_the_text_of_a_scene_counts_what_differs():
+    one = timo_sim.load_scene({'arm.length': 1.9})
+    assert repr(one).endswith(', 1 parameter not at default>')
+    assert repr(one.vary({'arm.width': 0.03})).endswith(', 2 parameters not at default>')
+
+
 def test_paper_file_gives_the_defaults_and_the_papers_loads(paper):
     values = read_parameter_file(paper)
     loads = {name: value for name, value in values.items() if name.startswith('load.')}
@@ -60,11 +66,13 @@ def test_a_scene_made_of_another_scenes_values_is_the_same(paper):
 def test_numbers_that_yaml_reads_as_text_or_whole_numbers_are_accepted(tmp_path):
     path = tmp_path / 'scene.yaml'
     path.write_text('timo_sim:\n  ros__parameters:\n    arm:\n      young_modulus: 70.5e9\n'
-                    '      length: 2\n    load.torque.harmonic.amplitude: [1, 2e1]\n'
+                    '      length: 2\n      damping_ratio: 1e-2\n'
+                    '    load.torque.harmonic.amplitude: [1, 2e1]\n'
                     '    load.torque.harmonic.frequency: [1, 2]\n')
     scene = timo_sim.load_scene(path)
     assert scene.manipulator.arm.section.young_modulus == 70.5e9
     assert isinstance(scene.values['arm.length'], float)
+    assert scene.values['arm.damping_ratio'] == (0.01,)  # a number is for all modes
     assert scene.values['load.torque.harmonic.amplitude'] == (1.0, 20.0)
 
 
@@ -84,7 +92,8 @@ def test_numbers_that_yaml_reads_as_text_or_whole_numbers_are_accepted(tmp_path)
     ('model.formulation', 'fancy', "must be one of exact, newton, .*got 'fancy'"),
     ('initial.modal_rates', [1.0], 'must have 0 or 3 elements for model.modes = 3, got 1'),
     ('initial.modal_rates', [1.0, math.nan, 0.0], 'must be a list of finite numbers'),
-    ('arm.damping_ratio', [1.5], 'must be a list of finite numbers >= 0 and <= 1'),
+    ('arm.damping_ratio', [1.5], 'must be a finite number, or a list of them, >= 0 and <= 1'),
+    ('arm.damping_ratio', 1.5, 'must be a finite number, or a list of them, >= 0 and <= 1, got'),
     ('arm.lenght', 2.0, 'arm.lenght = 2.0 is not a parameter of timo_sim'),
     ('arm', {'length': {'x': 1}}, 'arm.length.x = 1 is not a parameter'),
     ('record', 1, 'record must be true or false, got 1'),

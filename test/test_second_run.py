@@ -177,7 +177,7 @@ def test_lists_of_modes_grow_with_the_modes():
         'model.modes': 2, 'model.axial_modes': 1, 'arm.damping_ratio': [0.1, 0.2, 0.3],
         'initial.modal_coordinates': [1e-3, 2e-3, 3e-6], 'initial.modal_rates': [4.0, 5.0, 6.0]})
     finer = second_run.finer(scene, 2)
-    assert finer.values['arm.damping_ratio'] == [0.1, 0.2, 0.2, 0.2, 0.2, 0.3, 0.3]
+    assert finer.values['arm.damping_ratio'] == (0.1, 0.2, 0.2, 0.2, 0.2, 0.3, 0.3)
     motion = scene.initial_motion(), finer.initial_motion()
     tips = [each.build().tip(initial) for each, initial in zip((scene, finer), motion)]
     np.testing.assert_allclose(*tips, atol=1e-15)

@@ -11,7 +11,10 @@
 import os
 from pathlib import Path
 import pickle
+import shutil
 import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -20,6 +23,7 @@ import timo_sim
 from timo_sim.sweep.jobs import Job, jobs_of, run_job, SUMMARY
 from timo_sim.sweep.many import done
 from timo_sim.sweep.workers import LocalExecutor
+from timo_sim.version import __version__
 
 FAST = {'integrator.step': 0.01}
 NUMBERS = [column.name for column in SUMMARY]
@@ -201,3 +205,15 @@ def test_a_job_needs_no_formulation_of_the_sender(scene):
     assert len(pickle.dumps(job)) < 10_000
     again = run_job(pickle.loads(pickle.dumps(job)))
     assert numbers(again, 0) == numbers(run_job(job), 0)
+
+
+def test_workers_of_a_version_that_was_installed_meanwhile_are_refused(tmp_path):
+    place = shutil.copytree(Path(timo_sim.__file__).parent, tmp_path / 'timo_sim')
+    done = subprocess.run([sys.executable, '-P', '-c', (
+        'import pathlib, timo_sim; scene = timo_sim.load_scene({});'
+        f'pathlib.Path({str(place)!r}, "version.py").write_text("__version__ = \'99.0\'");'
+        'timo_sim.simulate_many(scene, [{}], 0.01, workers=1)')], capture_output=True, text=True,
+        env={**os.environ, 'PYTHONPATH': str(tmp_path)})
+    assert done.returncode == 1
+    assert f'began with version {__version__}, and 99.0 is installed now' in done.stderr
+    assert 'ConnectionError: worker processes ended 3 times' in done.stderr

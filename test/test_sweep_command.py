@@ -29,8 +29,10 @@ from timo_sim.sweep.plan import read_plan
 from timo_sim.sweep.store import Store
 from timo_sim.sweep.workers import cluster_executor
 
-COMMAND = [sys.executable, '-c', 'from timo_sim.cli import main; main(prog_name="timo_sim")']
+# With -P as the installed command: neither has the working directory among its paths.
+COMMAND = [sys.executable, '-P', '-c', 'from timo_sim.cli import main; main(prog_name="timo_sim")']
 ROOT = Path(__file__).resolve().parents[1]
+PATIENCE = 300.0  # [s]; a longer wait is a hang
 RANDOM = {'seed': 7, 'count': 96, 'ranges': {
     'end_effector.mass': [0.5, 5.0], 'load.torque.harmonic.amplitude': [[1.0], [8.0]]}}
 
@@ -48,17 +50,18 @@ def write(tmp_path, paper):
     return write
 
 
-def start(folder, *arguments):
-    """Start `timo_sim sweep` in a folder."""
+def start(folder, *arguments, first=()):
+    """Start `timo_sim sweep` in a folder; `first` are paths before those of this process."""
     return subprocess.Popen([*COMMAND, 'sweep', *map(str, arguments)], cwd=folder, text=True,
                             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                            env={**os.environ, 'PYTHONPATH': os.pathsep.join(
-                                entry or os.getcwd() for entry in sys.path)})
+                            env={**os.environ, 'PYTHONPATH': os.pathsep.join([
+                                *map(str, first),
+                                *(entry or os.getcwd() for entry in sys.path)])})
 
 
 def end(command):
     """Wait for a command; return its exit code, output and errors."""
-    output, errors = command.communicate(timeout=120)
+    output, errors = command.communicate(timeout=PATIENCE)
     return command.returncode, output, errors
 
 
@@ -77,7 +80,7 @@ def rows(path):
 
 def wait_for_parts(folder, count):
     """Return the paths of the parts as soon as there are `count` of them."""
-    for _ in range(3000):
+    for _ in range(round(PATIENCE / 0.01)):
         parts = sorted(folder.glob('study.parquet.parts/*.parquet'))
         if len(parts) >= count:
             return parts
@@ -95,13 +98,18 @@ def many(path):
 
 def test_file_in_parquet_out(write, tmp_path):
     path = write(grid={'end_effector.mass': [1.0, 2.0],
-                       'load.torque.harmonic.amplitude': [[1.0], [5.0]],
-                       'initial.modal_rates': [[1.0, 0.0, 0.0], [1e200, 0.0, 0.0]]})
+                       'initial.shaft_velocity': [0.0, 20.0],
+                       'initial.modal_rates': [[1.0, 0.0, 0.0], [1e200, 0.0, 0.0]]},
+                 parameters={'integrator.step': 0.01, 'model.formulation': 'newton'})
     code, output, errors = end(start(tmp_path, path, '--workers', '2'))
     assert (code, errors) == (0, '')
     table = rows(tmp_path / 'study.parquet')
     assert [bool(reason) for reason in table['reason']] == 4 * [False, True]
-    assert output.startswith('8 runs in ') and ', 4 failed: study.parquet' in output
+    # A fast arm has a warning, as the formulation newton has no centrifugal stiffening.
+    warned = [bool(warning) for warning in table['warning']]
+    assert warned[2] and warned[6] and not warned[0]
+    assert output.startswith('8 runs in ')
+    assert f' s, 4 failed, {sum(warned)} with a warning: study.parquet' in output
     assert not (tmp_path / 'study.parquet.parts').exists()
     direct = many(path)
     assert list(table) == list(direct)
@@ -117,6 +125,21 @@ def test_file_in_parquet_out(write, tmp_path):
 
     assert refused(path, tmp_path) == (
         'timo_sim: study.parquet exists: remove it or choose another --output\n')
+
+
+@pytest.mark.parametrize('name, text', [
+    ('yaml.py', 'raise SystemExit("foreign code")'),
+    ('timo_sim/__init__.py', 'raise SystemExit("foreign code")'),
+    ('own/sitecustomize.py', 'print("hello", flush=True)')])
+def test_modules_of_the_working_directory_and_prints_at_the_start_of_workers(
+        write, tmp_path, name, text):
+    """The first are not executed; the second go to standard error and disturb nothing."""
+    path = write(grid={'end_effector.mass': [1.0, 2.0]})
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(text)
+    code, output, errors = end(start(tmp_path, path, '--workers', '1', first=[tmp_path / 'own']))
+    assert (code, errors) == (0, 'hello\n' if 'own' in name else '')
+    assert '2 runs in ' in output
 
 
 def test_the_example_can_be_read_as_it_is_and_with_each_of_its_ways_to_vary(write):
@@ -215,7 +238,7 @@ def test_a_killed_sweep_is_resumed_and_repeats_no_part(write, tmp_path):
     assert end(sweep)[0] == -signal.SIGKILL and len(workers) == 2
     parts = wait_for_parts(tmp_path, 4)
     assert len(parts) < 32 and not (tmp_path / 'study.parquet').exists()
-    for _ in range(1000):  # workers end with their parent
+    for _ in range(round(PATIENCE / 0.01)):  # workers end with their parent
         if not any(Path(f'/proc/{pid}').exists() for pid in workers):
             break
         time.sleep(0.01)
@@ -318,7 +341,7 @@ def test_a_damaged_part_is_computed_again(write, tmp_path, damage):
     again = Store(tmp_path / 'study.parquet', plan)
     assert [again.has(job) for job in jobs] == [False, True]
     part.write_bytes(intact)
-    assert again.has(jobs[0]) and again.finish() == 0
+    assert again.has(jobs[0]) and again.finish() == (0, 0)
     assert parquet.read_table(tmp_path / 'study.parquet')['run'].to_pylist() == [0, 1]
 
 

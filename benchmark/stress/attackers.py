@@ -241,8 +241,7 @@ def two(namespace):
         executor.add_node(node)
         node.open()
         thread.start()
-    end = time.monotonic() + 2.0
-    while time.monotonic() < end:
+    while any(node.steps < 2000 for node in nodes):
         executor.spin_once(timeout_sec=0.1)
     stop.set = True
     for node, thread in zip(nodes, threads):

@@ -197,6 +197,10 @@ def test_a_bag_opens_as_a_folder(log, tmp_path):
         assert call(command, file.parent) == call(command, file)
     call('export', file.parent, '-o', tmp_path / 'other', '--bag')
     assert (tmp_path / 'other/other_0.mcap').samefile(log)
+    (tmp_path / 'link.mcap').symlink_to('bag/bag_0.mcap')
+    call('export', tmp_path / 'link.mcap', '-o', tmp_path / 'third', '--bag')
+    assert (tmp_path / 'third/third_0.mcap').samefile(log)
+    assert not (tmp_path / 'third/third_0.mcap').is_symlink()
 
 
 @pytest.mark.parametrize('command', ['info', 'export', 'replay'])

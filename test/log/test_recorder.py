@@ -131,7 +131,7 @@ def test_a_log_that_is_moved_goes_on_and_is_complete(tmp_path):
 def test_a_disk_that_hangs_gives_a_warning_and_does_not_block_the_node_for_ever(
         tmp_path, monkeypatch, comes_back):
     monkeypatch.setattr('timo_sim.log.recorder.NOTABLE', 0.05)
-    monkeypatch.setattr('timo_sim.log.recorder.PATIENCE', 60.0 if comes_back else 0.2)
+    monkeypatch.setattr('timo_sim.log.recorder.PATIENCE', 300.0 if comes_back else 0.2)
     recorder, hangs = Recorder(tmp_path / 'run.mcap', CHANNELS, {}), threading.Event()
     add_chunk = recorder._writer.add_chunk
 
@@ -140,8 +140,14 @@ def test_a_disk_that_hangs_gives_a_warning_and_does_not_block_the_node_for_ever(
         add_chunk(chunk)
 
     monkeypatch.setattr(recorder._writer, 'add_chunk', add_when_it_can)
+
+    def come_back():
+        while recorder.warning is None:
+            time.sleep(0.01)
+        hangs.set()
+
     if comes_back:
-        threading.Timer(0.5, hangs.set).start()
+        threading.Thread(target=come_back).start()
     for step in range(BACKLOG + 5):
         recorder.write(0, step, step, bytes(CHUNK_SIZE))
     assert 'the simulation has waited for the disk' in recorder.warning
@@ -157,11 +163,11 @@ def test_a_disk_that_hangs_gives_a_warning_and_does_not_block_the_node_for_ever(
 
 
 def test_a_slow_disk_is_given_the_time_it_takes_to_end_a_log(tmp_path, monkeypatch):
-    monkeypatch.setattr('timo_sim.log.recorder.PATIENCE', 0.3)
+    monkeypatch.setattr('timo_sim.log.recorder.PATIENCE', 3.0)  # less than all, far above one
     recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
     add_chunk = recorder._writer.add_chunk
     monkeypatch.setattr(recorder._writer, 'add_chunk', lambda chunk: (
-        time.sleep(0.1), add_chunk(chunk)))
+        time.sleep(0.35), add_chunk(chunk)))
     for step in range(10):
         recorder.write(0, step, step, bytes(CHUNK_SIZE))
     recorder.close()

@@ -182,6 +182,10 @@ def hostile(large=False):
             chunk(b'', compression, stored=bomb, size=size, crc=0))
         files[f'a {compression} bomb that claims 60 MB'] = start + written(
             chunk(b'', compression, stored=bomb, size=60 << 20, crc=0))
+    # Of 590 kB; each chunk unpacks to 60 MB of records without content.
+    for name, kind in (('nothing', 0), ('private records', 0x90)):
+        most = written(chunk(raw(kind, b'') * ((60 << 20) // 9), 'zstd'))
+        files[f'chunks full of {name}'] = start + most * (590000 // len(most))
     if large:
         note = written(Metadata('timo_sim.reset', {'step': '1'}))
         files['endless metadata'] = start + note * 700000

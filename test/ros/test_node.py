@@ -146,12 +146,52 @@ def test_bad_commands_are_refused_counted_and_change_nothing(start, client):
     assert output.count('command refused') == 2
 
 
+@pytest.mark.parametrize('topic, torque', [('carrier_wrench', 1.0), ('tip_wrench', 0.0)])
+def test_parts_of_a_wrench_without_effect_are_noticed_once(start, client, topic, torque):
+    node = start(record=False)
+    states = client.collect(JointState, '/joint_states')
+    wrench, motor = (client.command(kind, f'/timo_sim/{name}') for kind, name in (
+        (WrenchStamped, topic), (Float64, 'motor_torque')))
+
+    def send(number):  # the torque on the motor shows that both have come
+        def acts():
+            wrench.publish(message)
+            motor.publish(Float64(data=float(number)))
+            return states and states[-1].effort[2] == number
+        client.wait(acts, 'a command')
+
+    message = WrenchStamped()
+    message.wrench.torque.z = 1.0 - torque  # of the tip's wrench it acts
+    send(1)
+    message.wrench.force.z, message.wrench.torque.z = 0.5, 1.0
+    for number in 2, 3:
+        send(number)
+    code, output = node.end()
+    assert code == 0 and output.count('no effect') == 1
+    assert f'no effect of {"force.z, torque.z" if torque else "force.z"}: ' in output
+
+
+def test_a_second_node_of_the_same_name_is_noticed(start, client):
+    """Also without /clock; the two have different energies."""
+    *twins, other = (
+        start('-r', f'__ns:={namespace}', record=False, **{'initial.shaft_velocity': speed})
+        for namespace, speed in (('/twice', 0.0), ('/twice', 1.0), ('/once', 2.0)))
+    health = client.collect(DiagnosticArray, '/diagnostics')
+    client.wait(lambda: len({values(message.status[0])['energy_J'] for message in health
+                             if 'another node' in message.status[0].message}) == 2, 'warnings')
+    assert all(message.status[0].name == 'twice/timo_sim: simulation' for message in health
+               if 'another node' in message.status[0].message)
+    for node in twins:
+        assert node.end()[1].count('another node is called /twice/timo_sim') == 1
+    assert 'another node' not in other.end()[1]
+
+
 def test_commands_go_stale(start, client):
     node = start(record=False, command_timeout=0.2)
     states = client.collect(JointState, '/joint_states')
     torque = client.command(Float64, '/timo_sim/motor_torque')
     torque.publish(Float64(data=0.5))
-    client.wait(lambda: states and states[-1].effort[2] == 0.5, 'the torque acting')
+    client.wait(lambda: any(state.effort[2] == 0.5 for state in states), 'the torque acting')
     client.wait(lambda: states[-1].effort[2] == 0.0, 'the torque falling to zero')
     acted = [state for state in states if state.effort[2] == 0.5]
     span = seconds(acted[-1].header.stamp) - seconds(acted[0].header.stamp)

@@ -89,6 +89,17 @@ def test_the_node_refuses_it_too(start, tmp_path):
     assert (code, output) == (2, 'timo_sim: arm.length is given twice (twice.yaml)\n')
 
 
+def test_a_file_without_a_parameter_for_the_node_is_said(start, tmp_path):
+    """Its name has a namespace; the other file has a section for it."""
+    (tmp_path / 'a.yaml').write_text('timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
+                                     '/left/timo_sim: {ros__parameters: {}}')
+    (tmp_path / 'b.yaml').write_text('/**: {timo_sim: {ros__parameters: {duration: 0.1}}}')
+    code, output = start('-r', '__ns:=/left', '--params-file', 'a.yaml', '--params-file',
+                         'b.yaml', record=False).wait()
+    assert code == 0 and output.count('has no parameter for') == 1
+    assert 'a.yaml has no parameter for /left/timo_sim; it has those of /timo_sim' in output
+
+
 def test_names_that_only_begin_like_those_of_rclpy_are_refused(tmp_path):
     path = tmp_path / 'scene.yaml'
     path.write_text('timo_sim: {ros__parameters: {use_sim_times: true}}')

@@ -87,7 +87,7 @@ def test_a_dump_starts_an_equal_node(start, client, parameters, namespace, tmp_p
     """Its log has the same values, also modes and step that were chosen, and the same bits."""
     first = {'model.accuracy': 1e-3, 'initial.shaft_velocity': 1.0 / 3.0, 'duration': 1.0,
              'carrier.force_limit': '1e-300', 'carrier.mass': 5, 'start_paused': True,
-             'arm.damping_ratio': '[0]', 'load.torque.table.time': '[]',
+             'carrier.held': 'y', 'arm.damping_ratio': '[0]', 'load.torque.table.time': '[]',
              'real_time_factor': 0.0, 'initial.carrier_x': '-0.0',
              f'qos_overrides.{namespace}/timo_sim/tip_pose.publisher.depth': 5}
     name, dumped, states = f'{namespace}/timo_sim', [], []
@@ -156,13 +156,14 @@ def test_lists_that_belong_together_are_loaded_and_set(
     assert value_of(parameters, 'carrier.viscous_friction')[1] == 1e-5
     client.wait(lambda: states and states[-1].effort[2] == 1.0, 'the torque')
 
-    for text, value in (('[1]', [1.0]), ('[0, 0.5, 1]', [0.0, 0.5, 1.0]), ('[]', [])):
+    for text, value in (('0.1', [0.1]), ('[1]', [1.0]), ('[0, 0.5, 1]', [0.0, 0.5, 1.0]),
+                        ('[]', [])):
         assert set_one(parameters, 'arm.damping_ratio', text).successful
         assert value_of(parameters, 'arm.damping_ratio') == (
             ParameterType.PARAMETER_DOUBLE_ARRAY, value)
     for name, text, words in (
-            ('arm.damping_ratio', '[2]', 'arm.damping_ratio must be a list of .*, got'),
-            ('arm.damping_ratio', '0.1', 'arm.damping_ratio must be a list of .*, got 0.1'),
+            ('arm.damping_ratio', '[2]', 'arm.damping_ratio must be .* a list of .*, got'),
+            ('arm.damping_ratio', '2.0', 'arm.damping_ratio must be .* a list of .*, got 2.0'),
             ('arm.damping_ratio', '[', 'arm.damping_ratio'), (TIME, '[]', 'the same length')):
         refused = set_one(parameters, name, text)
         assert not refused.successful and re.search(words, refused.reason)

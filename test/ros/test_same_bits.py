@@ -8,6 +8,7 @@
 
 """Runs with commands, pauses and resets replay from their logs to the last bit."""
 
+import shutil
 import signal
 import time
 
@@ -55,6 +56,11 @@ def drive_about(client):
     pause = client.service(SetBool, '/timo_sim/pause')
     step, reset = (client.service(Trigger, f'/timo_sim/{name}') for name in ('step', 'reset'))
     client.wait(lambda: states, 'states')
+
+    def later(count):
+        shown = len(states)
+        client.wait(lambda: len(states) >= shown + count, f'{count} steps')
+
     for turn in range(3):
         for k in range(10):
             torque.publish(Float64(data=0.3 * k - turn))
@@ -63,8 +69,8 @@ def drive_about(client):
             push.wrench.force.x, push.wrench.force.y = 2.0 + k, -1.0
             wrench.publish(push)
             wrench.publish(WrenchStamped()) if k == 5 else None
-            time.sleep(0.01)
-        time.sleep(0.06)  # time-outs
+            later(5)
+        later(50)  # time-outs
         assert pause(data=True).success
         if turn == 0:
             for _ in range(3):
@@ -74,7 +80,7 @@ def drive_about(client):
         assert pause(data=False).success
         if turn == 1:
             assert reset().success
-    time.sleep(0.05)
+    later(25)
     return 3
 
 
@@ -128,13 +134,18 @@ def test_a_run_that_diverged_was_reset_and_killed_replays(start, client):
         assert reset().success and go_on(data=False).success
         torque.publish(Float64(data=-2.0))
     client.wait(lambda: not go_on(data=False).success, 'divergence')
-    time.sleep(0.7)  # until the recorder has given the log to the operating system
+    whole = node.log.with_name('whole.mcap')
+
+    def kept():  # until the recorder has given the last reset to the operating system
+        whole.unlink(missing_ok=True)
+        recover(shutil.copy(node.log, node.log.with_name('copy.mcap')), whole)
+        return len(Recording(whole).resets) == 3
+    client.wait(kept, 'the log')
     node.send(signal.SIGKILL)
     node.wait()
     assert len(states) > 10
-    recover(node.log, node.log.with_name('whole.mcap'))
     lines = []
-    assert replay(node.log.with_name('whole.mcap'), show=lines.append)
+    assert replay(whole, show=lines.append)
     assert '3 resets' in lines[0] and 'same to the last bit' in lines[1]
 
 

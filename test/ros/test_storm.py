@@ -19,6 +19,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from mcap_ros2.reader import read_ros2_messages
 import numpy as np
 import pytest
+from ros_process import PATIENCE
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
@@ -113,7 +114,8 @@ def test_dropped_time_is_counted_and_the_motion_stays_the_same(start, client, pa
 
 
 def test_two_nodes_in_one_process(tmp_path):
-    subprocess.run([*ATTACKER, 'two'], cwd=tmp_path, check=True, timeout=120, env=environment())
+    subprocess.run([*ATTACKER, 'two'], cwd=tmp_path, check=True, timeout=PATIENCE,
+                   env=environment())
     for name, speed in (('left', 1.0), ('right', 2.0)):
         messages = list(read_ros2_messages(str(tmp_path / f'{name}.mcap')))
         states = [message for message in messages

@@ -18,9 +18,14 @@ import time
 from types import SimpleNamespace
 
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 import numpy as np
 import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from ros_process import PATIENCE
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import Trigger
@@ -68,7 +73,7 @@ def test_a_controlled_run_has_the_bits_of_a_loop_also_on_a_busy_machine(start, n
     limit = {'motor.torque_limit': LIMIT} if name == 'mppi' else {}
     known = timo_sim.load_scene(SCENE, limit)
     node = start('--params-file', str(SCENE), duration=DURATION, real_time_factor=0.0,
-                 sync_timeout=60.0, **stroke, **limit)
+                 sync_timeout=PATIENCE, **stroke, **limit)
     with controller(name) as process:
         if busy:
             hinder(node, process)
@@ -115,10 +120,13 @@ def test_a_wait_ends_after_its_time_and_is_counted(start, client):
     client.wait(lambda: len(states) > 3, 'the state again: a wrong stamp is no answer')
     assert (states[-1].header.stamp.sec, states[-1].header.stamp.nanosec) == (0, 1)
     torque = client.command(Float64, '/timo_sim/motor_torque')
+    shown, sent = len(states), []
 
-    def begins():
-        torque.publish(Float64(data=1.0))
-        return states[-1].header.stamp.nanosec > 1
+    def begins():  # a command whenever the state comes again, at most 9 for the 10 periods
+        begun = states[-1].header.stamp.nanosec > 1
+        if not begun and len(sent) < min(9, len(states) - shown + 1):
+            sent.append(torque.publish(Float64(data=1.0)))
+        return begun
     client.wait(begins, 'the run')
     assert node.wait()[0] == 0
     summary = Recording(node.log).summary
@@ -126,6 +134,28 @@ def test_a_wait_ends_after_its_time_and_is_counted(start, client):
     shown = '\n'.join(info(node.log))
     for name in ('missed_commands', 'mismatched_commands', 'dropped_time_s'):
         assert f' {name} {summary[name]}' in shown
+
+
+def test_a_controller_that_waits_for_time_is_told_of_any_command(start, client):
+    """A timer on sim time sends nothing before /clock goes on; without a publisher it is quiet."""
+    node = start(sync='wait', record=False, publish_clock=True)
+    health = client.collect(DiagnosticArray, '/diagnostics')
+    client.wait(lambda: len(health) > 6, 'more than five seconds')
+    assert {message.status[0].message for message in health} == {'waiting for a command'}
+    timed = rclpy.create_node('timed', namespace='/timed', parameter_overrides=[
+        Parameter('use_sim_time', value=True)])
+    torque = timed.create_publisher(Float64, '/timo_sim/motor_torque', 10)
+    timed.create_timer(0.002, lambda: torque.publish(Float64(data=1.0)))
+    executor = SingleThreadedExecutor()
+    executor.add_node(timed)
+
+    def told():
+        executor.spin_once(timeout_sec=0.01)
+        return 'sync: any_command' in health[-1].status[0].message
+    client.wait(told, 'the remedy')
+    timed.destroy_node()
+    code, output = node.end()
+    assert code == 0 and output.count('sync: any_command') == 1
 
 
 def test_a_step_that_waits_says_so(start, client):
@@ -198,7 +228,7 @@ def answer(kind, value, stamp=None):
     ('tip_wrench', True), ('commands', False)])
 def test_a_command_with_a_wrong_stamp_does_not_replace_an_answer(start, client, kind, stamps):
     """Wrong stamps come before and after each answer: of earlier, later and impossible states."""
-    node = start(sync='wait', sync_period=0.01, sync_timeout=1.0, duration=0.3,
+    node = start(sync='wait', sync_period=0.01, sync_timeout=PATIENCE, duration=0.3,
                  real_time_factor=0.0)
     rival = kind if kind != 'commands' else 'joint_command'
     publishers = {name: client.command(type(answer(name, 0.0)), f'/timo_sim/{name}')
@@ -232,7 +262,7 @@ def test_a_command_with_a_wrong_stamp_does_not_replace_an_answer(start, client, 
 
 def test_a_second_answer_to_the_first_state_does_not_answer_the_next(start, client):
     """Neither at the start nor after a reset, when another state has the same sim time."""
-    node = start(sync='wait', sync_period=0.01, sync_timeout=60.0, real_time_factor=0.0)
+    node = start(sync='wait', sync_period=0.01, sync_timeout=PATIENCE, real_time_factor=0.0)
     states = client.collect(JointState, '/joint_states')
     publisher = client.command(JointState, '/timo_sim/joint_command')
 

@@ -18,6 +18,7 @@ import termios
 import pytest
 from ros_process import PATIENCE
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
 
 LEFT, UP = b'\x1b[D', b'\x1bOA'  # as a terminal sends them, in its two modes
 
@@ -93,8 +94,8 @@ def test_held_keys_push_and_other_keys_pause_reset_and_quit(start, client, termi
         hold(key, joint, effort)
         client.wait(lambda: states[-1].effort[joint] == 0.0, f'the end of {key}')
         assert states[-1].position[joint] != states[0].position[joint]
-    assert 'arrows push the carrier' in keys.shown()
-    client.wait(lambda: 'shaft' in keys.line() and 'tip' in keys.line(), 'the state')
+    assert 'arrows push the carrier' in keys.shown() and 'nan' not in keys.shown()
+    client.wait(lambda: 'deg   tip' in keys.line() and 'mm   push' in keys.line(), 'the state')
 
     keys.press(b' ')
     client.wait(lambda: 'time stands   paused' in keys.line(), 'the pause')
@@ -107,6 +108,21 @@ def test_held_keys_push_and_other_keys_pause_reset_and_quit(start, client, termi
     assert keys.end(lambda keys: keys.press(b'q')) == (0, True)
     client.wait(lambda: states[-1].effort[2] == 0.0, 'no torque')
     assert node.end()[0] == 0
+
+
+def test_what_is_not_known_yet_is_not_shown(client, terminal):
+    """Joint states have come, but those of another robot, and no deflection of the tip."""
+    states = client.create_publisher(JointState, '/joint_states', 10)
+    client.create_subscription(Float64, '/timo_sim/motor_torque', lambda message: None, 10)
+    keys, state = terminal(), JointState(name=['elbow'], position=[1.0])
+
+    def shown():
+        states.publish(state)
+        return 'push' in keys.line()
+    client.wait(shown, 'a line')
+    state.name = ['shaft']
+    client.wait(lambda: shown() and 'shaft' in keys.line(), 'the shaft')
+    assert 'shaft    57.3 deg   push 0, 0 N' in keys.line() and 'nan' not in keys.shown()
 
 
 def test_the_terminal_is_as_it_was_whatever_ends_it(client, terminal):

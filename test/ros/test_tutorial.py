@@ -88,7 +88,7 @@ def test_control(reader):
     (control.folder / 'example' / 'my_lqr.py').write_text(control.python)
     # Shorter and as fast as possible; the score is known after 3 s.
     control.start('sim_node .* -p record_file:=my_lqr.mcap', '-p', 'real_time_factor:=0.0',
-                  '-p', 'sync_timeout:=60.0', '-p', 'duration:=3.0')
+                  '-p', f'sync_timeout:={PATIENCE}', '-p', 'duration:=3.0')
     answered, score = control.run('python example/my_lqr.py$').splitlines()[-1].split(';')
     assert answered == 'LQR: 1501 states answered' and f'answered;{score}\n' in control.text
     assert control.node.wait(PATIENCE) == 0

@@ -90,8 +90,8 @@ def test_arguments_that_are_not_given_leave_the_file_as_it_is(launch, tmp_path):
     (tmp_path / 'my scene.yaml').write_text(yaml.safe_dump({'/**': {'ros__parameters': {
         'duration': 0.1, 'record_file': 'its.mcap', 'frame_prefix': 'its/',
         'publish_tf': True, 'publish_clock': True}}}))
-    code, output = launch('sim.launch.py', 'params_file:=my scene.yaml', 'clock:=false',
-                          'tf:=false').wait()
+    code, output = launch('sim.launch.py', 'params_file:=my scene.yaml', 'clock:=False',
+                          'tf:=false', 'respawn:=False').wait()
     assert code == 0, output
     values = Recording(tmp_path / 'its.mcap').parameters
     assert [values[name] for name in ('publish_clock', 'publish_tf', 'frame_prefix')] == [
@@ -104,6 +104,7 @@ def test_arguments_that_are_not_given_leave_the_file_as_it_is(launch, tmp_path):
     ('sim.launch.py', 'params_file:=none.yaml', 'params_file must be a file, got none.yaml'),
     ('rviz.launch.py', 'params_file:=none.yaml', "No such file or directory: 'none.yaml'"),
     ('sim.launch.py', 'clock:=yes', 'Argument "clock" provided value "yes" is not valid'),
+    ('rviz.launch.py', 'clock:=yes', 'Argument "clock" provided value "yes" is not valid'),
 ])
 def test_wrong_arguments_end_the_launch(launch, file, argument, words):
     launched = launch(file, argument)
@@ -123,9 +124,9 @@ def test_rviz_and_robot_state_publisher_get_the_scene_namespace_and_time(
         program.write_text(f'#!/bin/sh\nprintf "%s\\n" "$@" > {name}.txt\nfor each; do case $each '
                            f'in *launch_params*) cat "$each" > {name}.yaml; esac; done\n')
         program.chmod(0o755)
-    (tmp_path / 'my scene.yaml').write_text('timo_sim: {ros__parameters: {arm.length: 1.5}}')
+    (tmp_path / "it's my scene.yaml").write_text('timo_sim: {ros__parameters: {arm.length: 1.5}}')
     code, output = launch(
-        'rviz.launch.py', 'params_file:=my scene.yaml', 'namespace:=left', 'frame_prefix:=left/',
+        'rviz.launch.py', "params_file:=it's my scene.yaml", 'clock:=True', 'namespace:=left', 'frame_prefix:=left/',
         AMENT_PREFIX_PATH=f'{others}:{installed[1]["AMENT_PREFIX_PATH"]}').wait()
     assert code == 0, output
     told = {}

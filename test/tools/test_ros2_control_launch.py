@@ -91,12 +91,29 @@ def test_the_launched_simulator_matches_hardware_and_manager(
     assert len(commands.step) > 10 and set(np.diff(commands.step)) == {2}
 
 
-def test_a_file_that_is_missing_ends_everything(packages, tmp_path):
-    result = subprocess.run([*packages.split(), 'params_file:=nowhere.yaml'], cwd=tmp_path,
-                            capture_output=True, text=True, stdin=subprocess.DEVNULL,
-                            env={**os.environ, 'ROS_HOME': str(tmp_path)}, timeout=PATIENCE)
-    assert 'sim_node-1] was required: shutting down' in result.stdout + result.stderr
-    assert "'--params-file nowhere.yaml'" in result.stdout
+@pytest.mark.parametrize('missing, words', [
+    ('a file', "'--params-file nowhere.yaml'"), ('a package', "'controller_manager' not found"),
+    ('a plugin', 'ros2_control_node-3] was required'), ('a controller', 'spawner-4] was required')])
+def test_what_is_missing_ends_everything(packages, tmp_path, missing, words):
+    if missing == 'a package':
+        (tmp_path / 'share/ament_index/resource_index/packages/controller_manager').unlink()
+    for place, program in ('a plugin', 'ros2_control_node'), ('a controller', 'spawner'):
+        if place == missing:
+            (tmp_path / 'lib/controller_manager' / program).write_text('#!/bin/sh\nexit 1\n')
+    scene = ['params_file:=nowhere.yaml'] * (missing == 'a file')
+    with (tmp_path / 'said.txt').open('w') as file:
+        process = subprocess.Popen([*packages.split(), *scene], cwd=tmp_path, stdout=file,
+                                   stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
+                                   env={**os.environ, 'ROS_HOME': str(tmp_path)},
+                                   start_new_session=True)
+    try:
+        process.wait(PATIENCE)
+        assert words in (tmp_path / 'said.txt').read_text()
+        with pytest.raises(ProcessLookupError):  # the simulator and others have ended, too
+            os.killpg(process.pid, 0)
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
 
 
 @pytest.mark.skipif(bool(MISSING), reason=f'not installed: {", ".join(MISSING)}')

@@ -12,6 +12,7 @@ from pathlib import Path
 import re
 import subprocess
 
+from ros_process import PATIENCE
 from timo_sim.scene.parameters import PARAMETERS
 
 DOC = Path(__file__).resolve().parents[2] / 'doc'
@@ -19,7 +20,7 @@ DOC = Path(__file__).resolve().parents[2] / 'doc'
 
 def ros2(command, *arguments):
     """Return what a command of `ros2 param` prints; no daemon stays behind."""
-    result = subprocess.run(['ros2', 'param', command, '--no-daemon', '--timeout', '60',
+    result = subprocess.run(['ros2', 'param', command, '--no-daemon', '--timeout', f'{PATIENCE:g}',
                              '/timo_sim', *arguments], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     return result.stdout + result.stderr
@@ -60,5 +61,6 @@ def test_the_lines_of_the_tutorial(start):
                        (DOC / 'tutorial' / 'ros.md').read_text(), re.MULTILINE)
     for line, shown in zip(lines, ('publishing #1: ', "'paused'", "'at step ", "'running'"),
                            strict=True):
-        result = subprocess.run(['bash', '-c', line], capture_output=True, text=True, timeout=60)
+        result = subprocess.run(['bash', '-c', line], capture_output=True, text=True,
+                                timeout=PATIENCE)
         assert shown in result.stdout, result.stderr

@@ -8,6 +8,9 @@
 
 """Most subcommands of `timo_sim`; each imports what it needs when it runs, for a quick start."""
 
+import os
+import re
+import signal
 import sys
 import warnings
 
@@ -34,22 +37,39 @@ class _Command(click.Command):
 
     def __init__(self, name, **options):
         # In a raw docstring, click's mark of a preformatted paragraph is two characters.
-        options['help'] = options['help'].replace('\\b', '\b')
+        # There is none with `python -OO`.
+        options['help'] = (options['help'] or '').replace('\\b', '\b')
         super().__init__(name, **options)
 
+    def parse_args(self, context, args):
+        """Read the command line; several values may follow one `--set`."""
+        given, follows = [], False
+        for argument in args:
+            value = re.match(r'[\w.]+=', argument)
+            if follows and value and given[-1] != '--set':
+                given.append('--set')
+            follows = argument.startswith('--set') or follows and bool(value)
+            given.append(argument)
+        return super().parse_args(context, given)
+
     def invoke(self, context):
-        """Run it; exit with 2 for wrong input, 1 for a missing package, MemoryError or OSError."""
+        """Run it; exit with 2 for wrong input, 1 for a failed import, MemoryError or OSError."""
         try:
             with warnings.catch_warnings():
                 warnings.showwarning = _shown
-                return super().invoke(context)
+                super().invoke(context)
+            sys.stdout.flush()
+            return
+        except BrokenPipeError:  # the reader of the output, such as head, has left
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what is still in the buffer
+            sys.exit(128 + signal.SIGPIPE)
         except Exception as error:
             code, text = 1, str(error)
             if type(error).__name__ in _WRONG_INPUT:
                 code = 2
             elif isinstance(error, ModuleNotFoundError) and error.name in _EXTRAS:
                 text = f"{error.name} is missing: pip install 'timo_sim[{_EXTRAS[error.name]}]'"
-            elif not isinstance(error, (MemoryError, OSError)):
+            elif not isinstance(error, (ImportError, MemoryError, OSError)):
                 raise
         click.echo('timo_sim: ' + ' '.join(text.split()), err=True)
         sys.exit(code)
@@ -83,9 +103,10 @@ def parsed(settings):
 @main.command()
 @click.argument('scene')
 @click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
-              help='A parameter that differs from the scene; several are allowed.')
-@click.option('--input', 'cause', default='torque_N_m', show_default=True,
-              help='Input of the model: force_x_N, force_y_N or torque_N_m.')
+              help='A parameter that differs from the scene; several may follow.')
+@click.option('--input', 'cause', default='torque_N_m', show_default=True, metavar='NAME',
+              help='Input of the model: force_x_N, force_y_N, torque_N_m, tip_force_x_N, '
+                   'tip_force_y_N or tip_torque_N_m.')
 @click.option('--response', 'effects', multiple=True, metavar='NAME', show_default=True,
               default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
               help='Output of the model, such as tip_acceleration_m_per_s2; once for each curve.')
@@ -96,7 +117,7 @@ def bode(scene, settings, cause, effects, picture):
     Draw the Bode diagram of SCENE, a file or a name, about its initial state, and print its poles.
 
     \b
-        timo_sim bode paper --set arm.damping_ratio=[0.01] -o bode.png
+        timo_sim bode paper --set arm.damping_ratio=0.01 -o bode.png
     """
     from timo_sim.simulation.linear import linearize
     from timo_sim.scene.scene import load_scene
@@ -170,7 +191,7 @@ def recover(file, output):
 @main.command()
 @click.argument('file', type=click.Path())
 @click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
-              help='A parameter that differs from the recorded scene; several are allowed.')
+              help='A parameter that differs from the recorded scene; several may follow.')
 @click.option('--formulation', metavar='NAME', help='Short for --set model.formulation=NAME.')
 @click.option('--scene', type=click.Path(),
               help='Parameter file to use instead of the recorded scene; a plain bag needs it.')
@@ -216,7 +237,7 @@ def replay(file, settings, formulation, scene, output, start, duration, node):
 @click.argument('scene')
 @click.option('--duration', type=float, default=10.0, show_default=True, help='Sim time [s].')
 @click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
-              help='A parameter that differs from the scene; several are allowed.')
+              help='A parameter that differs from the scene; several may follow.')
 @click.option('--output', '-o', type=click.Path(dir_okay=False), help=(
     'File of the run: *.mcap (a log), *.parquet or *.csv. An existing log is never overwritten; '
     '_1, _2, ... is appended.'))

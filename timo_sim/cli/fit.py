@@ -78,8 +78,10 @@ def _bounds(texts):
     found = {}
     for text in texts:
         name, _, ends = text.partition('=')
-        low, _, high = ends.partition(':')
+        low, colon, high = ends.partition(':')
         try:
+            if not colon:
+                raise ValueError
             found[name.strip()] = float(low or '-inf'), float(high or 'inf')
         except ValueError:
             raise ParameterError(f'--bounds takes NAME=LOW:HIGH, such as '

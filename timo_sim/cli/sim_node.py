@@ -24,7 +24,9 @@ The ROS 2 node timo_sim. Parameters are set by --ros-args:
 
 class StopRequest:
     """
-    Turns SIGINT and SIGTERM into a clean end of the process, with code 0.
+    Turns SIGINT, SIGTERM and SIGHUP into a clean end of the process, with code 0.
+
+    SIGHUP comes when a terminal is closed; `nohup` has it ignored, and it stays so.
 
     While modules are imported there is nothing to clean up, and an exception could appear as a
     failed import: the process exits at once. While the node is `building` (it may compile for
@@ -36,7 +38,10 @@ class StopRequest:
     def __init__(self):
         self.set = False
         self._end: Callable[[], None] = lambda: os._exit(0)
-        for number in (signal.SIGINT, signal.SIGTERM):
+        self._numbers = [signal.SIGINT, signal.SIGTERM]
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            self._numbers.append(signal.SIGHUP)
+        for number in self._numbers:
             signal.signal(number, self._handle)
 
     def building(self):
@@ -50,7 +55,7 @@ class StopRequest:
 
     def finished(self):
         """Ignore signals: the interpreter's shutdown undoes Python's handlers, but not SIG_IGN."""
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in self._numbers:
             signal.signal(number, signal.SIG_IGN)
 
     def _handle(self, number, frame):
@@ -66,7 +71,7 @@ def _ignore_exit(unraisable):
 
 def main(args=None):
     """
-    Run the node until SIGINT, SIGTERM or the end of its duration.
+    Run the node until a signal of `StopRequest` or the end of its duration.
 
     Parameters
     ----------
@@ -98,6 +103,9 @@ def main(args=None):
             raise
         print('timo_sim: sim_node needs ROS 2: source an installed one, or pip install '
               'timo_sim[ros]; timo_sim simulate needs none', file=sys.stderr)
+        return 1
+    except ImportError as error:
+        print(f'timo_sim: {error}', file=sys.stderr)
         return 1
     finally:
         stop.finished()

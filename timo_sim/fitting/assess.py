@@ -21,11 +21,15 @@ from timo_sim.simulation.model_warnings import DivergenceError
 _AT_BOUND = 1e-3     # distance from a bound, in coordinates of the fit, that counts as none
 _FEWEST = 10         # samples of a part whose errors are worth a number
 _FINER = 2           # modes and parts of a step more in the run that tells the numerical error
+_AGAINST = -0.5      # correlation below which a sign may be the other one
+_POOR = 0.5          # R^2 below which an output is not predicted
+_EXACT = 1e-9        # 1 - R^2 below which what is left is of numbers alone
+_EXPLAINED = 0.2     # part of the squares of residuals from which on its cause is named
 _NOISY = 2.0         # residual, in known noise, from which on it is told
 _MOST_NUMERICAL = 0.2    # part of a residual that may be numerical error
 
 
-def result_of(problem, x, initial, deviations, derivatives, seconds):
+def result_of(problem, x, initial, deviations, derivatives, against, seconds):
     """
     Return the Fit for coordinates of the free parameters.
 
@@ -39,12 +43,14 @@ def result_of(problem, x, initial, deviations, derivatives, seconds):
         Standard deviations of the sensors, by output.
     derivatives : tuple
         See `Search.derivatives`.
+    against : dict of float
+        By output, its least correlation with a run of the first guess.
     seconds : float
         Wall time of the search [s].
 
     """
     names, count = [free.name for free in problem.free], len(problem.free)
-    jacobians, residuals, jumps = derivatives
+    jacobians, residuals, jumps, friction = derivatives
     spread, white = covariance(jacobians, residuals)
     spread = spread[:count, :count]
     sigma = np.sqrt(np.diag(spread))
@@ -71,11 +77,13 @@ def result_of(problem, x, initial, deviations, derivatives, seconds):
     except DivergenceError as error:
         doubts.append(f'one run of the whole record diverges: {error}')
     errors = _errors(problem, predicted, residuals, deviations)
+    doubts += _suspects(errors, against, {} if white else friction)
     doubts += _doubts(problem, scene, estimates, errors, values, run, predicted)
     parts = unknown(_without_others(np.concatenate(jacobians), count), names, {
         name for name, each in estimates.items() if not each.identified})
-    return Fit(scene, problem.record, estimates, spread / np.outer(sigma, sigma), parts, errors,
-               run, predicted, problem.until, white, doubts, seconds)
+    correlation = np.clip(spread / np.outer(sigma, sigma), -1.0, 1.0)  # but for round-off
+    return Fit(scene, problem.record, estimates, correlation, parts, errors, run, predicted,
+               problem.until, white, doubts, seconds)
 
 
 def _rough(names, scene):
@@ -83,6 +91,21 @@ def _rough(names, scene):
     return [f'the run depends on {", ".join(names)} in jumps{cause}, so the intervals '
             'may be too small: try a shorter window, or friction with a coulomb_speed'
             ] if names else []
+
+
+def _suspects(errors, against, friction):
+    """Yield what may be wrong with a record or a scene that do not agree."""
+    if not all(each.r_squared > _POOR for each in errors.values()):
+        for name, correlation in against.items():
+            if correlation < _AGAINST:
+                yield (f'{name} is anticorrelated with a run of the first guess '
+                       f'({correlation:.2f}): its sign, or that of an input, may be the other one '
+                       '(scale: -1 in the mapping)')
+    for name, (share, value) in friction.items():
+        if share > _EXPLAINED and any(1.0 - each.r_squared > _EXACT for each in errors.values()):
+            yield (f'dry friction, which the scene has not got, would explain {100.0 * share:.0f} '
+                   f'% of the squares of the residuals: set {name} to about {value:.2g}, and free '
+                   'it')
 
 
 def _finer(scene):

@@ -22,18 +22,19 @@ import numpy as np
 from timo_sim.fitting.from_log import read_log
 from timo_sim.fitting.quantities import INPUTS, OUTPUTS, unit_of, UNITS
 from timo_sim.fitting.record import Channel, Record
+from timo_sim.fitting.tables import read_table, SUFFIXES
 from timo_sim.scene.files import read_yaml
 from timo_sim.scene.parameter import did_you_mean, Parameter, ParameterError, short
 
-SUFFIXES = '.csv', '.txt', '.dat', '.tsv', '.parquet', '.mat'
 _ENTRIES = 'time', 'columns', 'start', 'end'
 _KEYS = {'time': ('column', 'unit', 'file', 'period'),
          'columns': ('quantity', 'unit', 'scale', 'offset', 'noise', 'hold', 'knots', 'file',
                      'time')}
-_NUMBERS = {name: Parameter(name, 0.0, '', '') for name in ('scale', 'offset', 'start', 'end')}
-_NUMBERS.update({name: Parameter(name, 0.0, '', '', low=0.0, open_low=True)
-                 for name in ('noise', 'period', 'knots')})
-_COMMENT = '%#'
+_RULES = {name: Parameter(name, 0.0, '', '') for name in ('scale', 'offset', 'start', 'end')}
+_RULES.update({name: Parameter(name, 0.0, '', '', low=0.0, open_low=True)
+               for name in ('noise', 'period', 'knots')})
+_NOT_REAL = {'c': 'it has complex ones', 'M': 'it has stamps', 'm': 'it has durations'}
+_RULES['file'] = Parameter('file', '', '', '')
 
 
 def read_record(path: str | Path,
@@ -74,7 +75,7 @@ def read_record(path: str | Path,
     if mapping is None and path.suffix not in SUFFIXES:
         return read_log(path)[1]
     if mapping is None:
-        mapping, source = _by_names(_table(path)), str(path)
+        mapping, source = _by_names(read_table(path)), str(path)
     elif isinstance(mapping, Mapping):
         source = str(path)
     else:
@@ -88,8 +89,9 @@ def read_record(path: str | Path,
 
 def _record(path, mapping, source):
     _check_keys('a mapping', mapping, _ENTRIES)
-    table = cache(lambda name: _table(path if name is None else path.parent / name))
+    table = cache(lambda name: read_table(path if name is None else path.parent / name))
     time, columns = mapping.get('time', {}), mapping.get('columns')
+    _check_keys('time', time, _KEYS['time'])
     if not isinstance(columns, Mapping) or not columns:
         raise ParameterError('columns must say which columns are which quantities, got '
                              + short(columns))
@@ -104,51 +106,77 @@ def _record(path, mapping, source):
         _check_keys(f'columns: {column}', entry, _KEYS['columns'])
         name = entry.get('quantity')
         known = {**INPUTS, **OUTPUTS}
-        if name not in known:
+        if not isinstance(name, str) or name not in known:
             raise ParameterError(f'columns: {column}: quantity must be one of '
                                  f'{", ".join(known)}, got {short(name)}'
                                  f'{did_you_mean(name, known)}')
         kept = inputs if name in INPUTS else outputs
         if name in kept:
             raise ParameterError(f'columns: {name} is given twice')
-        values = _column(table(entry.get('file')), column)
+        file = _checked(entry, 'file', None)
+        values = _numbers(table(file).column(column), column)
         factor = _factor(f'columns: {column}', entry.get('unit'), unit_of(name))
-        factor *= _number(entry, 'scale', 1.0)
-        t = _times({**time, **entry.get('time', {})}, entry.get('file'), table, len(values),
-                   origin)
-        kept[name] = Channel(t, factor * values + _number(entry, 'offset', 0.0),
-                             hold=entry.get('hold', 'zero'),
-                             knots=_number(entry, 'knots', None))
+        factor *= _checked(entry, 'scale', 1.0)
+        own = entry.get('time', {})
+        _check_keys(f'columns: {column}: time', own, _KEYS['time'])
+        t = _times({**time, **own}, file, table, len(values), origin)
+        with np.errstate(over='ignore'):  # what is not finite is left out
+            values = factor * values + _checked(entry, 'offset', 0.0)
+        kept[name] = Channel(t, values, hold=entry.get('hold', 'zero'),
+                             knots=_checked(entry, 'knots', None))
         if 'noise' in entry:
-            noise[name] = abs(factor) * _number(entry, 'noise', None)
-    record = Record.of(inputs, outputs, noise, source)
-    start, end = _number(mapping, 'start', 0.0), _number(mapping, 'end', np.inf)
+            noise[name] = abs(factor) * _checked(entry, 'noise', None)
+    record = Record.of(inputs, outputs, noise, str(path))
+    start, end = _checked(mapping, 'start', 0.0), _checked(mapping, 'end', np.inf)
     return record.cut(start, end) if (start, end) != (0.0, np.inf) else record
 
 
 def _times(entry, file, table, count, origin):
-    _check_keys('time', entry, _KEYS['time'])
+    """Return times in s, shape (count,), from the first stamp of all."""
     if 'period' in entry:
-        return _number(entry, 'period', None) * np.arange(count)
+        with np.errstate(over='ignore'):
+            return _checked(entry, 'period', None) * np.arange(count)
     if 'column' not in entry:
         raise ParameterError('time must have a column or a period [s]')
-    values = _column(table(entry.get('file', file)), entry['column'])
+    values = table(_checked(entry, 'file', file)).column(entry['column'])
     if len(values) != count:
         raise ParameterError(f'time must have as many samples as each column, got {len(values)} '
                              f'for {count}')
-    return (values - origin(float(values[0]))) * _factor('time', entry.get('unit'), 's')
+    unit, stamps = entry.get('unit'), values.dtype.kind in 'mM'
+    if stamps and unit is not None:
+        raise ParameterError(f'time: unit must be left out, because the column has stamps with a '
+                             f'unit of their own, got {short(unit)}')
+    if not stamps:  # whole numbers of ns need all their digits
+        values = (values.astype(np.int64) if values.dtype.kind in 'iu'
+                  else _numbers(values, entry['column']))
+    good = np.flatnonzero(np.isfinite(values))
+    try:
+        since = values - origin(values[good[0] if len(good) else 0])
+        return since / np.timedelta64(1, 's') if stamps else since * _factor('time', unit, 's')
+    except TypeError:
+        raise ParameterError('time must have stamps for all columns or for none') from None
+
+
+def _numbers(values, column):
+    """Return the values of a column as floats, or raise ParameterError."""
+    try:
+        if values.dtype.kind in _NOT_REAL or not len(values):
+            raise ValueError(_NOT_REAL.get(values.dtype.kind, 'it is empty'))
+        return values.astype(float)
+    except (TypeError, ValueError) as error:
+        raise ParameterError(f'{short(column, str)} must have real numbers: {error}') from None
 
 
 def _factor(entry, unit, base):
     known = UNITS[base]
-    if unit is not None and unit not in known:
+    if unit is not None and not (isinstance(unit, str) and unit in known):
         raise ParameterError(f'{entry}: unit must be one of {", ".join(known)}, got '
                              f'{short(unit)}')
     return known[base if unit is None else unit]
 
 
-def _number(entry, name, default):
-    return _NUMBERS[name].check(entry[name]) if name in entry else default
+def _checked(entry, name, default):
+    return _RULES[name].check(entry[name]) if name in entry else default
 
 
 def _check_keys(place, entry, known):
@@ -163,14 +191,14 @@ def _check_keys(place, entry, known):
 def _by_names(table):
     """Return the mapping of a table whose columns are named as `timo_sim export` names them."""
     columns = {}
-    for column in table:
-        name = _quantity(str(column))
+    for column in table.names:
+        name = _quantity(column)
         if name and name not in columns.values():
             columns[column] = name
-    if 'time_s' not in table or not any(name in OUTPUTS for name in columns.values()):
+    if 'time_s' not in table.names or not any(name in OUTPUTS for name in columns.values()):
         raise ParameterError('without a mapping the table must have time_s and columns such as '
                              'torque_N_m and shaft_rad; it has '
-                             + short(', '.join(map(str, table)), str))
+                             + (short(', '.join(table.names), str) or 'no names'))
     return {'time': {'column': 'time_s'}, 'columns': columns}
 
 
@@ -185,67 +213,3 @@ def _quantity(column):
         if plain == (f'{name}_{unit}' if unit else name):
             return name
     return None
-
-
-def _column(table, column):
-    """Return a column by name, number, or NAME:NUMBER for one of a matrix, shape (n,)."""
-    name, _, number = str(column).rpartition(':')
-    if name in table and number.isdigit() and np.ndim(table[name]) == 2:
-        matrix = np.asarray(table[name], dtype=float)
-        if int(number) < matrix.shape[1]:
-            return matrix[:, int(number)]
-    elif column in table or str(column) in table:
-        values = np.asarray(table[column if column in table else str(column)], dtype=float)
-        if values.ndim == 1 or 1 in values.shape:
-            return values.ravel()
-    elif isinstance(column, int) and 0 <= column < len(table):
-        return np.asarray([*table.values()][column], dtype=float)
-    shown = [f'{name}:0 to {name}:{values.shape[1] - 1}' if np.ndim(values) == 2
-             and 1 not in values.shape else str(name) for name, values in table.items()]
-    raise ParameterError(f'{short(column, str)} is no column of the table; it has '
-                         f'{", ".join(shown)[:300]}')
-
-
-def _table(path):
-    """Return the columns of a file by name."""
-    if path.suffix == '.parquet':
-        import pyarrow.parquet
-        found = pyarrow.parquet.read_table(path)
-        return {name: found[name].to_numpy(zero_copy_only=False) for name in found.column_names}
-    if path.suffix == '.mat':
-        from scipy.io import loadmat
-        try:
-            found = loadmat(path)
-        except (NotImplementedError, ValueError) as error:
-            raise ParameterError(f'{path} cannot be read, save it with -v7: {error}') from None
-        return {name: values for name, values in found.items()
-                if not name.startswith('__') and np.issubdtype(values.dtype, np.number)}
-    return _text(path)
-
-
-def _text(path):
-    """Return the columns of a text; its names, if any, are in the last line before the numbers."""
-    with open(path, encoding='utf-8', errors='replace') as stream:
-        lines = [line.strip() for line in stream]
-    for first, line in enumerate(lines):
-        if line and line[0] not in _COMMENT and re.match(r'[-+.\d]|nan\b|inf\b', line, re.I):
-            break
-    else:
-        raise ParameterError(f'{path} has no line of numbers')
-    separator = next((each for each in (',', ';', '\t') if each in lines[first]), None)
-    rows = [line.split(separator) for line in lines[first:] if line and line[0] not in _COMMENT]
-    width = len(rows[0])
-    for number, row in enumerate(rows):
-        if len(row) != width:
-            raise ParameterError(f'{path}: row {number + 1} of numbers has {len(row)} columns, '
-                                 f'the first has {width}')
-    try:
-        values = np.array([[float(cell) if cell.strip() else np.nan for cell in row]
-                           for row in rows])
-    except ValueError as error:
-        raise ParameterError(f'{path} must have numbers alone: {error}') from None
-    head = lines[first - 1].lstrip(_COMMENT).split(separator) if first else []
-    names = [name.strip().strip('"') for name in head]
-    if len({*names}) < width or len(names) < width:
-        return dict(enumerate(values.T))
-    return dict(zip(names, values.T))

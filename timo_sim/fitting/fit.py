@@ -17,12 +17,13 @@ import time
 from typing import Any
 
 from timo_sim.fitting.assess import result_of
-from timo_sim.fitting.files import read_record, SUFFIXES
+from timo_sim.fitting.files import read_record
 from timo_sim.fitting.from_log import read_log
 from timo_sim.fitting.problem import Problem
 from timo_sim.fitting.record import Record
 from timo_sim.fitting.result import Fit
 from timo_sim.fitting.search import LOSSES, Search
+from timo_sim.fitting.tables import SUFFIXES
 from timo_sim.scene.parameter import Parameter, ParameterError, short, warn
 from timo_sim.scene.scene import load_scene, SceneLike
 
@@ -96,7 +97,7 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     window = None if window is None else _WINDOW.check(window)
     if loss not in LOSSES:
         raise ParameterError(f'loss must be one of {", ".join(LOSSES)}, got {short(loss)}')
-    if isinstance(free, str):
+    if isinstance(free, str) or not all(isinstance(name, str) for name in free):
         raise ParameterError(f'free must be a list of names, got {short(free)}')
     start, measured = read(scene, record, mapping)
     begun, until = time.monotonic(), (1.0 - hold_out) * measured.duration
@@ -104,7 +105,8 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     search = Search(problem, loss)
     search.do()
     found = result_of(problem, search.x[:len(problem.free)], search.first_state(),
-                      search.deviations, search.derivatives(), time.monotonic() - begun)
+                      search.deviations, search.derivatives(), search.against,
+                      time.monotonic() - begun)
     if found.warnings:
         warn('; '.join(found.warnings))
     return found

@@ -160,7 +160,16 @@ def _spline(t, angle, knots):
     t, angle = np.frombuffer(t), np.frombuffer(angle)
     if not knots:
         return make_interp_spline(t, angle, _DEGREE)
-    inner = np.linspace(t[0], t[-1], max(2, round((t[-1] - t[0]) / knots) + 1))
-    ends = np.ones(_DEGREE)
-    return make_lsq_spline(t, angle, np.concatenate([inner[0] * ends, inner, inner[-1] * ends]),
-                           _DEGREE)
+    count = max(1.0, np.rint((t[-1] - t[0]) / knots))
+    try:
+        if count + _DEGREE > len(t):
+            raise ValueError
+        ends, inner = np.ones(_DEGREE), np.linspace(t[0], t[-1], int(count) + 1)
+        found = make_lsq_spline(
+            t, angle, np.concatenate([inner[0] * ends, inner, inner[-1] * ends]), _DEGREE)
+        if not np.isfinite(found.c).all():
+            raise ValueError
+        return found
+    except (ValueError, np.linalg.LinAlgError):
+        raise ParameterError(f'knots of {DRIVE} must be further apart than its samples, also '
+                             f'where these have gaps, got {knots:g} s') from None

@@ -28,6 +28,7 @@ from timo_sim.scene.parameter import ModelWarning, ParameterError
 from timo_sim.simulation.model_warnings import DivergenceError
 
 _NEAR = 1e-6      # [steps] distance from a step within which a sample is at it
+_MOST_STEPS = 1e7
 _LOST = 1e3       # residual, in standard deviations, of a run that diverges
 
 
@@ -69,6 +70,10 @@ class Problem:
         if DRIVE not in record.inputs and scene.values['motor.shaft'] == 'driven' and (
                 window or not scene.load.drive):
             raise ParameterError('motor.shaft = driven needs a record of the input drive')
+        if record.duration > _MOST_STEPS * scene.step:
+            raise ParameterError(f'the record lasts {record.duration:g} s, but at most '
+                                 f'{_MOST_STEPS:g} steps of {scene.step:g} s are fitted: cut it, '
+                                 'if the unit of its times is right')
         self.scene, self.until = scene, until
         self.record = limited(record, scene.values)
         self.free = free_parameters(names, bounds, scene, record)

@@ -21,7 +21,9 @@ from timo_sim.fitting.quantities import DRIVE, INPUTS, OUTPUTS
 from timo_sim.scene.parameter import did_you_mean, ParameterError, short
 
 HOLDS = 'zero', 'linear'
-_FEWEST = 20  # samples of an output
+# Of values, and of noise in parts of them: squares of residuals stay finite.
+_LARGEST, _LEAST_NOISE = 1e100, 1e-12
+_FEWEST = 20  # samples of an output, or of a drive
 
 
 class Channel(NamedTuple):
@@ -101,25 +103,24 @@ class Record:
         """
         ins: dict[str, Channel] = {}
         outs: dict[str, Channel] = {}
-        rules: Any = (ins, inputs, INPUTS, 'input', 1), (outs, outputs, OUTPUTS, 'output', _FEWEST)
-        for kept, given, known, kind, fewest in rules:
+        rules: Any = (ins, inputs, INPUTS, 'input'), (outs, outputs, OUTPUTS, 'output')
+        for kept, given, known, kind in rules:
             for name, channel in given.items():
                 if name not in known:
                     raise ParameterError(f'{short(name, str)} is no {kind} of a record, but '
                                          f'{", ".join(known)}{did_you_mean(name, known)} '
                                          f'({source})')
-                kept[name] = _checked(name, channel, source, fewest)
+                kept[name] = _checked(name, channel, source, kind == 'output')
         for name, deviation in (noise or {}).items():
-            if name not in outs or not deviation > 0.0:
-                raise ParameterError(f'noise of {short(name, str)} must be > 0, of one of '
-                                     f'{", ".join(outs)}, got {short(deviation)} '
-                                     f'({source})')
+            least = _LEAST_NOISE * np.abs(outs[name].values).max() if name in outs else 0.0
+            if name not in outs or not max(least, np.finfo(float).tiny) < deviation < _LARGEST:
+                raise ParameterError(f'noise of {short(name, str)} must be > 0 and at least '
+                                     f'{_LEAST_NOISE:g} of the largest value, of one of '
+                                     f'{", ".join(outs)}, got {short(deviation)} ({source})')
             outs[name] = outs[name]._replace(noise=float(deviation))
         if not outs:
             raise ParameterError(f'a record must have an output, one of {", ".join(OUTPUTS)} '
                                  f'({source})')
-        if DRIVE in ins and len(ins[DRIVE].t) < _FEWEST:
-            raise ParameterError(f'{DRIVE} must have at least {_FEWEST} samples ({source})')
         begin = min(channel.t[0] for channel in (*ins.values(), *outs.values()))
         for part in (ins, outs):
             part.update({name: channel._replace(t=channel.t - begin)
@@ -146,34 +147,54 @@ class Record:
         return replace(self, outputs={name: self.outputs[name] for name in outputs})
 
     def cut(self, start: float = 0.0, end: float = np.inf) -> Record:
-        """Return the part from `start` to `end` [s], whose time begins at 0 again."""
-        def part(channel, is_input):
+        """
+        Return the part from `start` to `end` [s], whose time begins at 0 again.
+
+        An input that has no sample in it keeps the value that acts there. Raises ParameterError
+        if an output has too few samples in it.
+        """
+        def part(name, channel, is_input):
             first, last = np.searchsorted(channel.t, [start, end])
             if is_input and first and (first == len(channel.t) or channel.t[first] > start):
                 first -= 1  # its value still holds at the start
             t = np.maximum(channel.t[first:last + 1] - start, 0.0)
             within = t <= end - start
-            return channel._replace(t=t[within], values=channel.values[first:last + 1][within])
-        return Record({name: part(channel, True) for name, channel in self.inputs.items()},
-                      {name: part(channel, False) for name, channel in self.outputs.items()},
+            found = channel._replace(t=t[within], values=channel.values[first:last + 1][within])
+            if is_input and name != DRIVE and not len(found.t):
+                found = channel._replace(t=np.zeros(1), values=channel.values[first:first + 1])
+            _check_count(name, len(found.t), not is_input, f'from {start:g} s to {end:g} s of '
+                         f'{self.duration:g} s, {self.source}')
+            return found
+        return Record({name: part(name, channel, True) for name, channel in self.inputs.items()},
+                      {name: part(name, channel, False) for name, channel in self.outputs.items()},
                       self.source)
 
 
-def _checked(name, channel, source, fewest):
+def _check_count(name, count, is_output, place):
+    fewest = _FEWEST if is_output or name == DRIVE else 1
+    if count < fewest:
+        raise ParameterError(f'{name} must have at least {fewest} finite samples, got {count} '
+                             f'({place})')
+
+
+def _checked(name, channel, source, is_output):
     t, values, *more = channel
     try:
-        t, values = np.array(t, dtype=float), np.array(values, dtype=float)
-        good = t.ndim == 1 and t.shape == values.shape
+        # As numbers complex values would lose a part, and stamps their unit.
+        good = not any(np.asarray(each).dtype.kind in 'cmM' for each in (t, values))
+        t, values = (np.array(each if good else [], dtype=float) for each in (t, values))
+        good = good and t.ndim == 1 and t.shape == values.shape
     except (TypeError, ValueError):
         good = False
     if not good:
-        raise ParameterError(f'{name} must have as many times as values, lists of numbers '
-                             f'({source})')
+        raise ParameterError(f'{name} must have as many times as values, lists of real '
+                             f'numbers ({source})')
     kept = np.isfinite(t) & np.isfinite(values)
     t, values = t[kept], values[kept]
-    if len(t) < fewest:
-        raise ParameterError(f'{name} must have at least {fewest} finite samples, got {len(t)} '
-                             f'({source})')
+    _check_count(name, len(t), is_output, source)
+    if np.abs(values).max() > _LARGEST:
+        raise ParameterError(f'values of {name} must be at most {_LARGEST:g} in size, got '
+                             f'{np.abs(values).max():g} ({source})')
     late = np.flatnonzero(np.diff(t) <= 0.0)
     if len(late):
         raise ParameterError(f'times of {name} must ascend, got {t[late[0]]:.12g} s and then '

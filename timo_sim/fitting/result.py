@@ -22,6 +22,7 @@ import yaml
 from timo_sim.fitting.quantities import unit_of
 from timo_sim.fitting.record import Record
 from timo_sim.runs.run import Run
+from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.values import changed
 from timo_sim.scene.scene import Scene
@@ -188,12 +189,11 @@ class Fit:
             place[last] = [*value] if isinstance(value, tuple) else value
         head = ''.join(f'# {line}'.rstrip() + '\n' for line in [
             f'Fitted to {self.record.source} by timo_sim fit.', *self.report().split('\n')])
-        try:
-            with open(path, 'x', encoding='utf-8') as stream:
-                stream.write(head + yaml.safe_dump(
-                    {'/**': {'ros__parameters': nested}}, sort_keys=False))
-        except FileExistsError:
-            raise ParameterError(f'{path} exists: remove it or choose another name') from None
+        if path.exists():
+            raise ParameterError(f'{path} exists: remove it or choose another name')
+        with whole_file(path, new=True) as part:
+            part.write_text(head + yaml.safe_dump(
+                {'/**': {'ros__parameters': nested}}, sort_keys=False), encoding='utf-8')
         return path
 
 

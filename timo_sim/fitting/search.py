@@ -30,6 +30,8 @@ _LOOSE, _TIGHT = 1e-4, 1e-7      # relative changes of the sum of squares at whi
 _ROUNDS = 6          # most searches with standard deviations from the one before
 _SETTLED = 0.01      # relative change of standard deviations after which they are good
 _PRIOR = 10.0        # standard deviation of initial states of windows, in their scales
+# Of the torque or force that accelerates a free body: sizes of dry friction that are tried.
+_TRIED = 0.01, 0.1, 1.0
 _MAD = 1.4826        # standard deviations in a median absolute deviation
 
 
@@ -50,6 +52,7 @@ class Search:
         self._high = np.array([each.coordinate(each.high) for each in free])
         self._windows = problem.windows
         self._states = []  # of each window, the Free parameters of its initial state
+        self.against = {}  # by output, its correlation with the first run where that is negative
         self._prior = np.zeros(0)
 
     def do(self):
@@ -73,7 +76,9 @@ class Search:
         problem = self.problem
         values = problem.values(self.x)
         try:
-            problem.run(values, 0.0, problem.until)
+            run = problem.run(values, 0.0, problem.until)
+            self.against = _correlations(
+                problem, problem.predictions(run, values, 0.0, problem.until))
         except (DivergenceError, ParameterError) as error:
             if isinstance(error, ParameterError) or not problem.windows[0].names:
                 raise ParameterError('the record cannot be predicted with the first guess: '
@@ -110,9 +115,9 @@ class Search:
         """Return the initial state of the first window by name, if windows have their own."""
         return self._split(self.x)[1][0]
 
-    def _residuals(self, x):
+    def _residuals(self, x, more=None):
         values, states = self._split(x)
-        parts = [self.problem.residuals(values, self.deviations, window, state)
+        parts = [self.problem.residuals({**values, **(more or {})}, self.deviations, window, state)
                  for window, state in zip(self._windows, states)]
         return np.concatenate([*parts, self._of_prior(x)])
 
@@ -190,6 +195,9 @@ class Search:
             loss other than `linear` they have its weights.
         jumps : list of str
             Names of parameters on which runs depend in jumps.
+        friction : dict
+            By name of a parameter of dry friction that the scene has not got, the part of the
+            squares of the residuals that it would explain, and its value.
 
         """
         jacobian, residuals = self._jacobian(self.x, _CENTRAL, True), self._residuals(self.x)
@@ -203,6 +211,7 @@ class Search:
                   'huber': lambda z: np.where(z <= 1.0, 1.0, 1.0 / np.sqrt(np.maximum(z, 1.0))),
                   'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
         root, jacobians, parts, first = np.sqrt(weight), [], [], 0
+        friction = self._friction(jacobian * root[:, np.newaxis], residuals, root)
         for window in self._windows:
             for measured in self.problem.measured(window).values():
                 rows = slice(first, first + len(measured))
@@ -212,4 +221,47 @@ class Search:
         if first < len(residuals):
             jacobians.append(jacobian[first:])
             parts.append(residuals[first:])
-        return jacobians, parts, jumps
+        return jacobians, parts, jumps, friction
+
+    def _friction(self, jacobian, residuals, root):
+        """Return what dry friction would explain beside all that is free, see `derivatives`."""
+        problem, found = self.problem, {}
+        values, states = self._split(self.x)
+        scene = problem.scene_of(values, states[0])
+        try:
+            run = problem.run(values, 0.0, problem.until, states[0])
+        except DivergenceError:
+            return found
+        motion = run.motion[:, run.motion.shape[1] // 2:][:, :3]
+        needed = np.abs(np.diag(run.model.mass_matrix(run.motion[0])[0])[:3] * np.sqrt(
+            np.mean(np.gradient(motion, run.t, axis=0)**2, axis=0)))
+        free, _ = np.linalg.qr(jacobian)
+        left = root * residuals
+        left -= free @ (free.T @ left)
+        for name, size in (('carrier.coulomb_friction', needed[:2].max()),
+                           ('motor.coulomb_friction', needed[2])):
+            if not size or scene.values[name]:
+                continue
+            for each in _TRIED:
+                try:
+                    scene.vary({name: each * size})
+                except ParameterError:
+                    continue
+                changed = root * (self._residuals(self.x, {name: each * size}) - residuals)
+                changed -= free @ (free.T @ changed)
+                fall, power = -(changed @ left), changed @ changed
+                if fall > 0.0 and fall**2 > found.get(name, (0.0, 0.0))[0] * power * (left @ left):
+                    found[name] = fall**2 / (power * (left @ left)), fall / power * each * size
+        return found
+
+
+def _correlations(problem, predicted):
+    """Return the correlations of outputs with a run, the least of all and of the first part."""
+    found = {}
+    for name, (t, values) in predicted.items():
+        measured = problem.measured(Window(0.0, problem.until, ()))[name]
+        for part in (t <= problem.until, t <= _FIRST * problem.until):
+            if part.sum() > 2 and np.ptp(values[part]) and np.ptp(measured[part]):
+                each = float(np.corrcoef(values[part], measured[part])[0, 1])
+                found[name] = min(each, found.get(name, 0.0))
+    return found

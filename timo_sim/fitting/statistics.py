@@ -10,11 +10,14 @@
 """How certain fitted parameters are: covariance, combinations that cannot be told, whiteness."""
 
 import numpy as np
+from scipy.linalg import matmul_toeplitz
 
 WHITE = 0.01         # probability below which residuals do not count as white
 NORMAL = 1.959964    # standard deviations of a 95 % interval
 _LAGS = 20           # of the test for whiteness
-_BANDWIDTH = 4       # lags of the covariance, in lags after which residuals are uncorrelated
+_ORDER = 12          # largest of an autoregressive process
+_NOTHING = 1e-30     # sensitivity of residuals that counts as none
+_FAR = 1e3           # deviation of a combination of which residuals say nothing
 _ROUND_OFF = 1e-9    # singular value, relative to the largest, below which it is that of noise
 # Of the largest part in a combination, from which on a parameter is named: any, or a lost one.
 _PART, _SMALL = 0.25, 0.02
@@ -46,8 +49,9 @@ def covariance(jacobians, residuals):
     Return the covariance of parameters estimated by least squares.
 
     If the residuals of all outputs are white it is that of independent noise. Otherwise what the
-    model lacks is in them, too, and it is the one that Newey and West give for correlated
-    residuals, which is larger.
+    model lacks is in them, too, and each series counts as an autoregressive process, whose order
+    minimises Schwarz's criterion (BIC). No combination of parameters is then taken to be more
+    certain than with independent noise.
 
     Parameters
     ----------
@@ -63,32 +67,40 @@ def covariance(jacobians, residuals):
 
     """
     whole = np.concatenate(jacobians)
-    u, s, vt = np.linalg.svd(whole, full_matrices=False)
-    s = np.maximum(s, max(_ROUND_OFF * s[0], np.finfo(float).tiny**0.25))
-    inverse = (vt.T / s**2) @ vt
+    norms = np.maximum(np.linalg.norm(whole, axis=0), _NOTHING)
+    u, s, vt = np.linalg.svd(whole / norms, full_matrices=False)
+    root = vt.T / norms[:, np.newaxis]
+    # What is below the errors of the derivatives may be nothing.
+    s = np.where(s < _ROUND_OFF * s[0], np.minimum(s, np.abs(root).max(axis=0) / _FAR), s)
+    root /= np.maximum(s, _NOTHING)
     white = all(whiteness(each) >= WHITE for each in residuals if len(each) > 4)
-    if white:
-        return inverse, True
-    middle = sum(_long_run(j * r[:, np.newaxis], r) for j, r in zip(jacobians, residuals))
-    found = inverse @ middle @ inverse
-    # Correlated residuals tell nothing of what no residual depends on.
-    lost = vt[s < NORMAL] / s[s < NORMAL, np.newaxis]
-    found += lost.T @ lost
-    found[np.diag_indices(len(found))] = np.maximum(np.diag(found), np.diag(inverse))
-    return found, False
+    if not white:
+        # Between orthonormal columns: by the parameters, round-off may exceed the least of it.
+        parts = np.split(u, np.cumsum([len(each) for each in residuals])[:-1])
+        size, axes = np.linalg.eigh(sum(map(_of_sums, parts, residuals)))
+        root = root @ (axes * np.sqrt(np.maximum(size, 1.0)))
+    return root @ root.T, white
 
 
-def _long_run(scores, residuals):
-    """Return the covariance of the sum of correlated scores, (n, p), by Bartlett's weights."""
-    power, lag = residuals @ residuals, 1
-    while lag < len(residuals) // 4 and residuals[lag:] @ residuals[:-lag] > 0.05 * power:
-        lag += 1
-    most = min(_BANDWIDTH * lag, len(residuals) // 2)
-    found = scores.T @ scores
-    for k in range(1, most + 1):
-        product = scores[k:].T @ scores[:-k]
-        found += (1.0 - k / (most + 1.0)) * (product + product.T)
-    return found
+def _of_sums(columns, residuals):
+    """Return the covariance of sums of residuals weighted by columns, shape (n, p)."""
+    n = len(residuals)
+    lags = range(min(_ORDER, n // 10) + 1)
+    found = np.array([residuals[k:] @ residuals[:n - k] for k in lags]) / n
+    # The recursion of Levinson and Durbin.
+    past, rest, best = np.zeros(0), found[0], (np.inf, np.zeros(0), found[0])
+    for order in lags:
+        if order:
+            last = (found[order] - past @ found[order - 1:0:-1]) / rest
+            past = np.append(past - last * past[::-1], last)
+            rest *= 1.0 - last**2
+        if not rest > _ROUND_OFF * found[0]:
+            break
+        best = min(best, (n * np.log(rest) + order * np.log(n), past, rest), key=lambda it: it[0])
+    _, past, rest = best
+    response = np.fft.rfft(np.append(1.0, -past), 4 * n)
+    covariances = np.fft.irfft(rest / np.abs(response)**2, 4 * n)[:n]
+    return columns.T @ matmul_toeplitz(covariances, columns)
 
 
 def unknown(jacobian, names, doubtful, most=1.0):

@@ -11,3 +11,10 @@ Tools for compiled code: decorators, packed constants, a store of machine code o
 
 This package may import numba, NumPy and small libraries, and nothing of timo_sim.
 """
+
+try:
+    import numba  # noqa: F401
+except Exception as error:  # of any kind: numba does not check what it reads
+    raise ImportError('numba cannot be imported with its settings, NUMBA_* of the environment or '
+                      '.numba_config.yaml in the working directory: '
+                      + ' '.join(str(error).split())) from error

@@ -17,13 +17,17 @@ NamedTuple without its fields. Here the names depend on the contents of all thes
 Powers: numba compiles `x**2` as a function of its own, once in a process, with the fast math of
 whoever uses it first. The last bits would depend on whether the first user is compiled or loaded
 from disk. Here powers are compiled first, without fast math.
+
+NUMBA_DISABLE_JIT, also as an entry of .numba_config.yaml: it is for functions of the user. The
+physics is compiled all the same, because its lanes and records have no meaning in Python.
 """
 
+from contextlib import contextmanager
 import functools
 import hashlib
 
 import numba
-from numba.core import types
+from numba.core import config, types
 from numba.core.types import containers
 
 
@@ -38,7 +42,18 @@ def correct_names():
         setattr(kind, 'mangling_args', property(_name_by_contents))
 
 
+@contextmanager
+def jit_enabled():
+    """Let numba compile, whatever NUMBA_DISABLE_JIT says."""
+    usual, config.DISABLE_JIT = config.DISABLE_JIT, 0
+    try:
+        yield
+    finally:
+        config.DISABLE_JIT = usual
+
+
 @functools.cache
+@jit_enabled()
 def compile_powers():
     """Compile x**2 and x**3 without fast math; call this before other functions are compiled."""
     numba.njit(fastmath=False, error_model='numpy')(_powers).compile((types.float64,))

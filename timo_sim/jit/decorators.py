@@ -21,7 +21,7 @@ from numba.core.types import containers
 from numba.extending import overload
 
 from timo_sim.jit.code_store import CodeStore, store_directory
-from timo_sim.jit.corrections import compile_powers, correct_names
+from timo_sim.jit.corrections import compile_powers, correct_names, jit_enabled
 
 correct_names()
 
@@ -39,6 +39,7 @@ def _optimise_less_for_any_size(compiled):
     compiler = compiled._compiler
     compile_as_usual = compiler.compile
 
+    @jit_enabled()
     def compile_signature(arguments, return_type):
         usual = config.OPT
         if isinstance(arguments[0], containers.BaseNamedTuple):
@@ -51,6 +52,7 @@ def _optimise_less_for_any_size(compiled):
     compiler.compile = compile_signature
 
 
+@jit_enabled()
 def entry_point(function):
     """Compile a module-level function that Python calls; keep its machine code on disk."""
     compiled = numba.njit(**_OPTIONS)(function)
@@ -62,11 +64,13 @@ def entry_point(function):
     return compiled
 
 
+@jit_enabled()
 def inner(function):
     """Compile a function that only compiled functions call; it becomes part of its callers."""
     return numba.njit(**_OPTIONS, forceinline=True, no_cpython_wrapper=True)(function)
 
 
+@jit_enabled()
 def strict(function):
     """Compile a function that only compiled functions call, without any fast math."""
     # fastmath is set to False and not left out: then it would be inherited from the first caller.
@@ -74,6 +78,7 @@ def strict(function):
                       no_cpython_wrapper=True)(function)
 
 
+@jit_enabled()
 def inlined(function):
     """Compile a function that numba inlines into its callers, before LLVM sees them."""
     # `inner` would be slower: LLVM finds out too late that the arrays do not overlap.

@@ -21,6 +21,7 @@ from timo_sim.log.recording import Recording
 from timo_sim.log.series import common
 from timo_sim.log.writer import information, yaml_text
 from timo_sim.messages.outputs import outputs, title, with_angles
+from timo_sim.scene.files import whole_file
 
 _ROWS = 10000  # rows of a CSV file that are converted to text at a time
 
@@ -66,12 +67,18 @@ def export(file, output, topic=None, node=None):
 
 def write_table(columns, path):
     """Write columns by name to a path; raise LogError unless it is new, and *.parquet or *.csv."""
-    (_parquet if _new_table(path).suffix == '.parquet' else _csv)(columns, path)
+    write = _parquet if _new_table(path).suffix == '.parquet' else _csv
+    with whole_file(path, new=True) as part:
+        write(columns, part)
 
 
 def _new_table(path):
     if path.suffix not in ('.parquet', '.csv'):
         raise LogError(f'{printable(path)} must end with .parquet or .csv')
+    return _new(path)
+
+
+def _new(path):
     if path.exists():
         raise LogError(f'{printable(path)} exists: remove it or choose another name')
     return path
@@ -113,12 +120,12 @@ def _parquet(columns, path):
     import pyarrow.parquet
     arrays = {name: pyarrow.array(np.ascontiguousarray(values), from_pandas=True)
               for name, values in columns.items()}
-    with open(path, 'xb') as stream:
+    with open(path, 'wb') as stream:
         pyarrow.parquet.write_table(pyarrow.table(arrays), stream)
 
 
 def _csv(columns, path):
-    with open(path, 'x', newline='') as stream:
+    with open(path, 'w', newline='') as stream:
         writer = csv.writer(stream)
         writer.writerow(columns)
         for first in range(0, len(columns['time_s']), _ROWS):
@@ -129,20 +136,15 @@ def _csv(columns, path):
 
 def export_bag(file, output):
     """Make a new folder as rosbag2 writes it; return a text that says what was done."""
-    folder = Path(output)
-    index = Index(file)
-    new = folder / f'{folder.name}_0.mcap'  # `ros2 bag reindex` takes no other name
-    content = information(index.schemas.values(), index.channels.values(), index.statistics,
-                          new.name)
-    try:
-        folder.mkdir(parents=True)
-    except FileExistsError:
-        raise LogError(
-            f'{printable(folder)} exists: remove it or choose another name') from None
-    try:
-        os.link(index.path, new)  # a hard link takes neither time nor space for a gigabyte
-    except OSError:
-        shutil.copyfile(index.path, new)
-    (folder / 'metadata.yaml').write_text(
-        yaml_text({'rosbag2_bagfile_information': content}))
-    return f'{printable(folder)}: {printable(new.name)} and metadata.yaml'
+    folder, index = Path(output), Index(file)
+    name = f'{folder.name}_0.mcap'  # `ros2 bag reindex` takes no other name
+    content = information(index.schemas.values(), index.channels.values(), index.statistics, name)
+    _new(folder).parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(folder, new=True) as part:
+        part.mkdir()
+        try:
+            os.link(index.path.resolve(), part / name)  # no time nor space for a gigabyte
+        except OSError:
+            shutil.copyfile(index.path, part / name)
+        (part / 'metadata.yaml').write_text(yaml_text({'rosbag2_bagfile_information': content}))
+    return f'{printable(folder)}: {printable(name)} and metadata.yaml'

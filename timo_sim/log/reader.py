@@ -35,6 +35,9 @@ from timo_sim.log.writer import Chunk
 
 # Most bytes of schemas, channels and metadata of a file, and overhead that is counted for each.
 _LARGEST_KEPT, _ENTRY = 64 * 1024 * 1024, 100
+# Work that a file may cause, in unpacked bytes: any file, and for each of its bytes.
+_WORK, _WORK_PER_BYTE = 500 * 1000 * 1000, 1000
+_WORK_PER_MESSAGE, _WORK_PER_OTHER = 1000, 10000  # what a record inside of a chunk costs
 
 _MESSAGE_HEAD = struct.Struct('<H4xQ8x')  # channel, log time; skips sequence and publish time
 _KEPT = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
@@ -112,7 +115,7 @@ class Reader:
         self.kept = self._place = len(MCAP0_MAGIC)
         self._crc = zlib.crc32(MCAP0_MAGIC)
         self._known = {Schema: {}, Channel: {}}
-        self._held = 0
+        self._held, self._work = 0, _WORK + _WORK_PER_BYTE * self.size
         self._ended = self._data_ended = False
 
     def records(self):
@@ -145,6 +148,12 @@ class Reader:
             self._check_end()
         except _End as error:
             self._complain(error)
+
+    def _spend(self, work):
+        """End if a small file would unpack to more than any program has logged in it."""
+        self._work -= work
+        if self._work < 0:
+            raise _End('it unpacks to far more than its size')
 
     def _complain(self, error):
         self.faults += 1
@@ -179,7 +188,9 @@ class Reader:
 
     def _contents(self, opcode, content, crc):
         if opcode == Opcode.CHUNK:
-            yield from self._inside(memoryview(uncompressed(content)))
+            data = uncompressed(content)
+            self._spend(len(data))
+            yield from self._inside(memoryview(data))
         elif opcode == Opcode.METADATA:
             yield from self._keep(parsed(Metadata, content))
         elif opcode == Opcode.ATTACHMENT:
@@ -202,12 +213,14 @@ class Reader:
             if place + HEAD.size > len(data):
                 raise Broken('a chunk ends in the middle of a record')
             opcode, length = HEAD.unpack_from(data, place)
+            self._spend(_WORK_PER_MESSAGE if opcode == Opcode.MESSAGE else _WORK_PER_OTHER)
             place += HEAD.size
             if length > len(data) - place:
                 raise Broken('a chunk ends in the middle of a record')
             try:
                 yield from self._entry(opcode, data[place:place + length], 'chunk')
             except Broken as error:  # other records of the chunk are kept
+                self._spend(_WORK_PER_OTHER)
                 self._complain(error)
                 self.kept -= HEAD.size + length
             place += length

@@ -64,8 +64,10 @@ def recover(file, output=None):
         new = _write(Reader(stream).records(), reader.profile, Path(file), output)
         state = 'it is still being written' if held(stream) else reader.damage
     more = f' and {reader.faults - 1} more' if reader.faults > 1 else ''
-    return (f'{printable(path)}: {state}{more}; {contents}, {reader.size - reader.kept} '
-            f'bytes lost; complete in {printable(new)}')
+    # Unpacked, damaged records may be larger than the file.
+    lost = min(reader.size, reader.size - reader.kept)
+    return (f'{printable(path)}: {state}{more}; {contents}, {lost} bytes lost; complete in '
+            f'{printable(new)}')
 
 
 def _write(records, profile, path, output):

@@ -36,6 +36,9 @@ _READ = {
     'sensor_msgs/msg/JointState': _joints,
     'std_msgs/msg/Float64MultiArray': lambda message: ([], [message.data]),
 }
+_WRENCH = 'force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z'
+# By command: the parts of its wrench that have no effect.
+_WITHOUT_EFFECT = {'~/carrier_wrench': (2, 3, 4, 5), '~/tip_wrench': (2, 3, 4)}
 
 
 class Inlet:
@@ -89,6 +92,11 @@ class Inlet:
                 once=True)
             return False
         self.foreign += sum(name not in JOINTS for name in texts[1:])
+        ignored = [_WRENCH[place] for place in _WITHOUT_EFFECT.get(self.command.name, ())
+                   if lists[0][place]]
+        if ignored:
+            self.logger.warning(f'no effect of {", ".join(ignored)}: the arm moves in a plane, '
+                                'the carrier without turning', once=True)
         self.pending = row, data
         return True
 

@@ -16,6 +16,10 @@ from timo_sim.ros.topics import Outlet
 
 _PERIOD = 1.0  # [s] of wall time
 _TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees it jump'
+_SILENCE = 5  # periods without a first command, though somebody publishes commands
+_SILENT = ('time stands, because no first command has come, though somebody publishes commands: '
+           'a controller that waits for time to go on, as a timer on sim time does, needs '
+           'sync: any_command')
 
 
 class Health:
@@ -35,7 +39,8 @@ class Health:
         self.failed_calls = 0
         self._node, self._simulator, self._loop = node, simulator, loop
         self._commands, self._log, self._publishes_clock = commands, log, publishes_clock
-        self._before, self._warned, self._foreign_clock = {}, None, False
+        self._before, self._warned = {}, None
+        self._silent_periods, self._around = 0, []  # what is wrong around the node
 
     def start(self, now):
         """Begin to measure the real-time factor at a wall time [s]."""
@@ -62,7 +67,7 @@ class Health:
         self.start(now)
         self._log.look()
         self.pass_on_warning()
-        self._look_for_clocks()
+        self._look_around()
         if self.outlet.wanted:
             pace = (simulator.steps - steps) * simulator.scene.step / (now - before)
             snapshot = self._loop.snapshot()
@@ -76,11 +81,21 @@ class Health:
             if self._warned:
                 self._node.get_logger().warning(self._warned)
 
-    def _look_for_clocks(self):
-        before = self._foreign_clock
-        self._foreign_clock = self._publishes_clock and self._node.count_publishers('/clock') > 1
-        if self._foreign_clock and not before:
-            self._node.get_logger().warning(_TWO_CLOCKS)
+    def _look_around(self):
+        """Find what is wrong with other nodes, and warn of what is new."""
+        node, gate = self._node, self._loop.gate
+        silent = (gate.first and gate.waiting and gate.stamped and not self._loop.paused
+                  and self._commands.expected())
+        self._silent_periods = self._silent_periods + 1 if silent else 0
+        nodes = node.get_node_names_and_namespaces()
+        before, self._around = self._around, [text for text, holds in (
+            (_TWO_CLOCKS, self._publishes_clock and node.count_publishers('/clock') > 1),
+            (f'another node is called {node.get_fully_qualified_name()}, too, or was killed just '
+             'now', nodes.count((node.get_name(), node.get_namespace())) > 1),
+            (_SILENT, self._silent_periods >= _SILENCE)) if holds]
+        for text in self._around:
+            if text not in before:
+                node.get_logger().warning(text)
 
     def _message(self, snapshot, pace):
         counters = self.counters()
@@ -96,7 +111,7 @@ class Health:
             name=f'{self._node.get_fully_qualified_name().removeprefix("/")}: simulation',
             hardware_id='timo_sim', level=DiagnosticStatus.OK, message=state)
         errors = [self._loop.diverged, self._log.error]
-        warnings = [self._simulator.warning, self._foreign_clock and _TWO_CLOCKS,
+        warnings = [self._simulator.warning, *self._around,
                     grown and 'more ' + ', '.join(grown)]
         for level, texts in ((DiagnosticStatus.WARN, warnings), (DiagnosticStatus.ERROR, errors)):
             if any(texts):

@@ -68,7 +68,10 @@ class Loop:
         self.gate = Gate(period, values['sync_timeout'], values['sync'] != 'any_command')
         self.paused, self.diverged = values['start_paused'], None
         self._commands, self._log, self._logger = commands, log, logger
-        self._outlets = outlets
+        # Where states wake the controller, its clock should be as late as they are; where /clock
+        # wakes it, as ros2_control, the states should be there.
+        self._outlets = sorted(outlets, key=lambda outlet: outlet.name != '/clock') if (
+            self.gate and self.gate.stamped) else outlets
         self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
         self._commanded, self._applied = np.zeros(COMMANDED), [0.0] * LOADS
         self._shown_at = -math.inf  # wall time [s]; `AGAIN` after it the state is published again
@@ -152,14 +155,10 @@ class Loop:
         self._shown_at = now
         self.look()
         step = self.simulator.steps
-        due = [outlet for outlet in self._outlets
-               if outlet.wanted and (everybody or outlet.watched_anew(now))
-               # Between its samples a delayed sensor would measure anew, not repeat itself.
-               and (outlet not in self._late or step % outlet.every == 0)]
-        if due:
-            snapshot = self.snapshot()
-            for outlet in due:
-                outlet.publish(snapshot, again=True)
+        self._send(outlet for outlet in self._outlets
+                   if outlet.subscribed and (everybody or outlet.watched_anew(now))
+                   # Between its samples a delayed sensor would measure anew, not repeat itself.
+                   and (outlet not in self._late or step % outlet.every == 0))
 
     def _next_event(self, step):
         # The next step at which something is published, or a command may begin or time out.
@@ -187,6 +186,21 @@ class Loop:
             for outlet in due:
                 outlet.publish(snapshot)
 
+    def _show_reached(self):
+        """Send the state at which time begins to stand to subscribers, if it was not due."""
+        step = self.simulator.steps
+        # In lock step controllers would answer a state that waits for no command.
+        if self.gate.boundary(step) and not self.diverged:
+            self._send(outlet for outlet in self._outlets
+                       if outlet.subscribed and step % outlet.every and outlet not in self._late)
+
+    def _send(self, outlets):
+        """Publish the present state, to subscribers alone."""
+        snapshot = None
+        for outlet in outlets:
+            snapshot = snapshot or self.snapshot()
+            outlet.publish(snapshot, again=True)
+
     def look(self):
         """Ask who subscribes: a service call may overtake the event of a new subscriber."""
         for outlet in self._outlets:
@@ -207,6 +221,9 @@ class Loop:
         if not paused:
             self._refuse_diverged()
         self.paused = paused
+        if paused:
+            self.look()
+            self._show_reached()
         self.pace.start(self.simulator.steps, time.monotonic())
 
     def reset(self):
@@ -234,6 +251,7 @@ class Loop:
         self.poll()
         goal = self.simulator.steps + count
         self._advance(count, stop)
+        self._show_reached()
         self._shown_at = time.monotonic()
         reached = f'at step {self.simulator.steps}'
         if self.simulator.steps < goal:

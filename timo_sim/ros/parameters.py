@@ -43,6 +43,9 @@ class ParameterNode(Node):
         """Return the checked value of each parameter by name; raise ParameterError."""
         # Undeclared names must be refused, and rclpy has no public way to list them.
         given = {name: parameter.value for name, parameter in self._parameter_overrides.items()}
+        # ROS reads y as true, also in `ros2 param dump`, which writes it without quotes.
+        if given.get('carrier.held') is True:
+            given['carrier.held'] = 'y'
         for name in filter(foreign, [*given]):
             value = given.pop(name)
             if name.startswith(QOS):

@@ -16,13 +16,13 @@ import threading
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
-from rclpy.exceptions import NameValidationException
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
 from timo_sim.ros.node import SimNode
-from timo_sim.scene.files import read_sections
-from timo_sim.scene.parameter import ParameterError
+from timo_sim.scene.files import is_for, read_sections
+from timo_sim.scene.parameter import ParameterError, short
 
 try:  # it serves callbacks faster than SingleThreadedExecutor: benchmark/speed/latency.py
     from rclpy.experimental import EventsExecutor as Executor
@@ -58,6 +58,14 @@ def _refuse(error, code=2):
     return code
 
 
+def _say_if_for_others(node, file, sections):
+    name = node.get_fully_qualified_name()
+    names = [section for section, values in sections.items() if values]
+    if not any(is_for(section, name) for section in names):
+        others = f'; it has those of {short(", ".join(names), str)}' if names else ''
+        node.get_logger().warning(f'{file} has no parameter for {name}{others}')
+
+
 def run(stop, args, **options):
     """
     Start ROS, run the node, end ROS.
@@ -91,20 +99,23 @@ def run(stop, args, **options):
 
     stop.building()
     use_profiles()
-    given = sys.argv if args is None else args
+    given, files = sys.argv if args is None else args, {}
     try:
         for option, file in zip(given, given[1:]):
             if option == '--params-file' and Path(file).is_file():
-                read_sections(file)  # refuses names that are there twice, which rcl accepts
+                # This also refuses names that are there twice, which rcl accepts.
+                files[file] = read_sections(file)
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except (ParameterError, RuntimeError, UnicodeError) as error:  # arguments, or a file
         return _refuse(error)
     try:
         node = SimNode(stop, args=given, **options)
-    except (ParameterError, NameValidationException) as error:
+    except (ParameterError, NameValidationException, ParameterException) as error:
         return _refuse(error)
     except RCLError as error:  # the middleware refuses
         return _refuse(error, code=1)
+    for file, sections in files.items():
+        _say_if_for_others(node, file, sections)
     stop.running()
     gc.freeze()  # objects made so far last: the collector need not scan them while ticking
     executor = Executor()

@@ -9,6 +9,7 @@
 """The log of a node's run, which may be off."""
 
 from datetime import datetime
+import os
 
 from timo_sim.log.notes import names_note, START, SUMMARY
 from timo_sim.log.recorder import Recorder
@@ -37,7 +38,8 @@ class RunLog:
         It has `channels`, whose messages `write` takes, and the channels of the outlets, which
         write to it by themselves from now on. If it cannot be opened, `error` says why.
         """
-        path = path or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap'
+        # ~ comes as it is from parameter files, and from -p in some shells.
+        path = os.path.expanduser(path or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap')
         outlets = [outlet for outlet in outlets if outlet.logged]
         logged = [*channels, *(outlet.channel for outlet in outlets)]
         try:

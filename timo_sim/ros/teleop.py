@@ -141,10 +141,12 @@ class _Teleop:
         if self._stamp and self._torque.get_subscription_count():
             x, y, torque = self._sent
             # Adding 0.0 turns -0.0 into 0.0.
-            line = (f'shaft {round(math.degrees(self._shaft), 1) + 0.0:7.1f} deg   '
-                    f'tip {round(1e3 * self._tip, 1) + 0.0:6.1f} mm   push {x:g}, {y:g} N, '
-                    f'{torque:g} N m{"   time stands" if self._stands(now) else ""}   '
-                    f'{self._answer}')
+            shaft, tip = math.degrees(self._shaft), 1e3 * self._tip  # NaN: not known yet
+            line = '   '.join([
+                *[f'shaft {round(shaft, 1) + 0.0:7.1f} deg'] * (not math.isnan(shaft)),
+                *[f'tip {round(tip, 1) + 0.0:6.1f} mm'] * (not math.isnan(tip)),
+                f'push {x:g}, {y:g} N, {torque:g} N m',
+                *['time stands'] * self._stands(now), self._answer])
         else:
             line = f'waiting for {self._name}: ros2 run timo_sim sim_node'
         width = shutil.get_terminal_size().columns - 1

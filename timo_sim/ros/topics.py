@@ -39,6 +39,8 @@ class Outlet:
 
     Attributes
     ----------
+    subscribed : bool
+        Whether anybody subscribes.
     logged : bool
         Whether its messages are for the log, too.
     asks : bool
@@ -55,7 +57,7 @@ class Outlet:
     logged = asks = True
 
     def __init__(self, node, topic, type_name):
-        self._subscribed, self._joined = False, -math.inf
+        self.subscribed, self._joined = False, -math.inf
         self._publisher = node.create_publisher(
             message_class(type_name), topic, 10,
             event_callbacks=PublisherEventCallbacks(matched=self._matched))
@@ -69,16 +71,16 @@ class Outlet:
 
     def watched_anew(self, now):
         """Return whether somebody has subscribed shortly before a wall time [s]."""
-        return self._subscribed and now < self._joined + _NEW
+        return self.subscribed and now < self._joined + _NEW
 
     def look(self):
         """Ask the middleware whether anybody subscribes; this is also done at every change."""
-        self._subscribed = self._publisher.get_subscription_count() > 0
+        self.subscribed = self._publisher.get_subscription_count() > 0
 
     @property
     def wanted(self):
         """Whether a message would reach a subscriber or the log."""
-        return self._subscribed or (
+        return self.subscribed or (
             self.asks and self.recorder is not None and self.recorder.error is None)
 
     def send(self, data, step, nanoseconds, again=False):
@@ -87,7 +89,7 @@ class Outlet:
 
         `step` and `nanoseconds`, sim time [ns], are those that the log notes.
         """
-        if self._subscribed:
+        if self.subscribed:
             self._publisher.publish(data)
         if self.recorder is not None and not again:
             self.recorder.write(self.index, step, nanoseconds, data)
@@ -97,7 +99,7 @@ class MotionOutlet(Outlet):
     """
     The outlet of an Output of `messages.outputs`; `frames` names each of its FRAMES.
 
-    It is published each `every` steps; `watch(numbers, ns)`, unless None, sees what is sent.
+    It is published each `every` steps; `watch(numbers, ns)`, unless None, sees what is logged.
     """
 
     def __init__(self, node, output, frames):
@@ -110,7 +112,7 @@ class MotionOutlet(Outlet):
         """Send the message of a snapshot."""
         numbers, data = self._message(snapshot)
         self.send(data, snapshot.step, snapshot.nanoseconds, again)
-        if self.watch is not None:
+        if self.watch is not None and not again:
             self.watch(numbers, snapshot.nanoseconds)
 
     def _message(self, snapshot):

@@ -9,8 +9,12 @@
 """Read scenes from ROS parameter files, given by path or by the name of an installed scene."""
 
 from collections.abc import Mapping
+from contextlib import contextmanager
+import os
 from pathlib import Path
 import re
+import stat
+import tempfile
 
 import yaml
 
@@ -30,6 +34,30 @@ def shared(path):
     """Return the path of a file that is installed with the package, as urdf/timo_sim.urdf."""
     return next((folder / path for folder in _SHARED if (folder / path).exists()),
                 _SHARED[-1] / path)
+
+
+@contextmanager
+def whole_file(path, new=False):
+    """
+    Yield a path to write to; what is there at the end becomes the file or folder `path`.
+
+    If writing fails or is interrupted, an older file stays as it was, and no part of the new one
+    is left. With `new`, an older file is a FileExistsError.
+    """
+    path = Path(os.path.realpath(path))  # the target of a symbolic link
+    if path.exists() and not path.is_file():  # such as /dev/null
+        yield path
+        return
+    try:
+        folder = tempfile.TemporaryDirectory(prefix='.timo_sim_', dir=path.parent)
+    except OSError as error:
+        raise type(error)(error.errno, error.strerror, str(path)) from None
+    with folder as name:
+        part = Path(name, path.name)
+        yield part
+        if new and path.exists():
+            raise FileExistsError(f'{path} exists: remove it or choose another name')
+        part.replace(path)
 
 
 def foreign(name):
@@ -62,7 +90,7 @@ def read_parameter_file(path):
     path = scene_file(path)
     sections, values = read_sections(path), {}
     for node, section in sections.items():
-        if _pattern(node).fullmatch('/timo_sim'):
+        if is_for(node, '/timo_sim'):
             values.update(section)
     if not values:
         others = f'; it has those of {short(", ".join(sections), str)}' if sections else ''
@@ -95,10 +123,11 @@ def read_sections(path):
     return found
 
 
-def _pattern(node):
+def is_for(section, node):
+    """Return whether a section of a ROS parameter file is for a node, by its full name."""
     wild = {'*': r'/\w+', '**': r'(/\w+)*'}
-    return re.compile(''.join(wild.get(name, '/' + re.escape(name))
-                              for name in node.split('/')[1:]))
+    return re.fullmatch(''.join(wild.get(name, '/' + re.escape(name))
+                                for name in section.split('/')[1:]), node)
 
 
 class _Loader(yaml.SafeLoader):
@@ -127,7 +156,10 @@ class _Loader(yaml.SafeLoader):
 
 def read_yaml(path):
     """Return the content of a YAML file, or raise ParameterError."""
-    return parse_yaml(Path(path).read_bytes(), path)
+    path = Path(path)
+    if not stat.S_ISREG(path.stat().st_mode):  # a pipe might never end
+        raise ParameterError(f'{path} is not a file')
+    return parse_yaml(path.read_bytes(), path)
 
 
 def parse_yaml(content, source):

@@ -50,13 +50,15 @@ class Parameter:
     scope: str = SCENE       # SCENE: part of the physics; NODE: only the node has it
     runtime: bool = False    # whether it can be set while the node runs
     finite: bool = True      # whether infinity is refused
+    alone: bool = False      # whether a number stands for a list of this one
 
     @property
     def rule(self):
         """The rule for values, in words."""
         kind = {bool: 'true or false', int: 'a whole number',
                 float: 'a finite number' if self.finite else 'a number',
-                str: 'a text', tuple: 'a list of finite numbers'}[type(self.default)]
+                str: 'a text', tuple: 'a finite number, or a list of them,' if self.alone
+                else 'a list of finite numbers'}[type(self.default)]
         if self.choices:
             return 'one of ' + ', '.join(self.choices)
         if self.form:
@@ -81,6 +83,8 @@ class Parameter:
             if isinstance(self.default, tuple):
                 if value is None:  # ROS reads an empty list as no value
                     return ()
+                if self.alone and (isinstance(value, str) or not hasattr(value, '__iter__')):
+                    return (self._checked_number(value),)
                 if isinstance(value, (str, bytes, dict, set)) or not hasattr(value, '__iter__'):
                     raise ValueError
                 return tuple(self._checked_number(element) for element in value)

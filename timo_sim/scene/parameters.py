@@ -102,7 +102,7 @@ _ALL = [
     _profile('young_modulus', 'Pa'),
     _profile('shear_modulus', 'Pa'),
     Parameter('arm.damping_ratio', (), '', 'modal damping ratios: one for all modes, or one for '
-              'each; empty: undamped', low=0.0, high=1.0, runtime=True),
+              'each; empty: undamped', low=0.0, high=1.0, runtime=True, alone=True),
     Parameter('arm.damping_of', 'clamped', '', 'vibrations that have these damping ratios: those '
               'of the arm clamped at the shaft, or of the whole manipulator (system), whose '
               'frequencies are higher', choices=('clamped', 'system')),

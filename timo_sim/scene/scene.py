@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
-import os
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -82,10 +81,10 @@ class Scene:
     values: Mapping[str, Any]
 
     def __repr__(self) -> str:
-        values = self.values
+        values, count = self.values, len(changed(self.values))
         return (f'<Scene: arm of {values["arm.length"]:g} m, {values["model.formulation"]} with '
-                f'N = {self.modal_count}, h = {1e3 * self.step:g} ms, '
-                f'{len(changed(values))} parameters not at their defaults>')
+                f'N = {self.modal_count}, h = {1e3 * self.step:g} ms, {count} '
+                f'{"parameter" if count == 1 else "parameters"} not at default>')
 
     def _repr_html_(self) -> str:
         return html_table(repr(self)[1:-1], changed(self.values))
@@ -282,9 +281,6 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
 
 def scene_from(values):
     """Return the Scene of checked values, or raise ParameterError if they do not fit together."""
-    if os.environ.get('NUMBA_DISABLE_JIT', '0') not in ('', '0'):
-        raise ParameterError('NUMBA_DISABLE_JIT must be 0 or not set, because the equations need '
-                             f'to be compiled, got {short(os.environ["NUMBA_DISABLE_JIT"])}')
     values = MappingProxyType({
         name: tuple(value) if isinstance(value := values[name], list) else value
         for name in _OF_SCENE})

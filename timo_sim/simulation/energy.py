@@ -17,17 +17,21 @@ from timo_sim.simulation.simulator import Simulator
 _MOST_DOUBT = 1e-3  # largest difference of integrals by all and by every second sample, relative
 
 
-def work(ns, position, velocity, force):
+def work(ns, position, velocity, force, jumps=False):
     """
     Return the work done from each sample to the next.
 
-    Simpson's rule on cubics through neighbouring samples; exact for constant forces.
+    Simpson's rule on cubics through neighbouring samples; exact for constant forces. From a jump
+    on, the force is the straight line through the next two samples, or the next sample's if the
+    force jumps there, too.
 
     Parameters
     ----------
     ns : ndarray, shape (n,)
         Times [ns].
     position, velocity, force : ndarray, shape (n, k)
+    jumps : ndarray of bool, shape (n, 1) or (n, k), or False
+        Whether the force jumps at a sample, whose own force is that before the jump.
 
     Returns
     -------
@@ -35,17 +39,22 @@ def work(ns, position, velocity, force):
         [J]
 
     """
-    if len(ns) < 3:
-        return np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(position, axis=0), axis=1)
     duration = np.diff(ns)[:, np.newaxis] * 1e-9
     still = duration == 0.0
     span = np.where(still, 1.0, duration)
-    slope = np.diff(force, axis=0) / span
-    # Slope of the force at the samples, from both sides.
-    slopes = 0.5 * (np.vstack([slope[:1], slope]) + np.vstack([slope, slope[-1:]]))
-    middle = 0.5 * (force[1:] + force[:-1]) - span * np.diff(slopes, axis=0) / 8.0
+    jumps = np.broadcast_to(jumps, force.shape)
+    ends = np.vstack([jumps[1:-1], np.ones_like(jumps[:1])])  # whether a piece ends with a span
+    onward = np.vstack([np.diff(force[1:], axis=0) / span[1:], np.zeros_like(force[:1])])
+    start = np.where(jumps[:-1], force[1:] - np.where(ends, 0.0, span * onward), force[:-1])
+    slope = (force[1:] - start) / span
+    # Slopes of the force at the ends of each span, where it is smooth from both sides.
+    mean = 0.5 * (slope[1:] + slope[:-1])
+    last = np.where(ends, slope, np.vstack([mean, slope[-1:]]))
+    first = np.where(np.vstack([np.ones_like(jumps[:1]), jumps[1:-1]]), slope,
+                     np.vstack([slope[:1], mean]))
+    middle = 0.5 * (force[1:] + start) - span * (last - first) / 8.0
     pace = 1.5 * np.diff(position, axis=0) / span - 0.25 * (velocity[1:] + velocity[:-1])
-    power = force[1:] * velocity[1:] + 4.0 * middle * pace + force[:-1] * velocity[:-1]
+    power = force[1:] * velocity[1:] + 4.0 * middle * pace + start * velocity[:-1]
     return np.sum(np.where(still, 0.0, span * power / 6.0), axis=1)
 
 

@@ -10,7 +10,8 @@
 
 import numpy as np
 
-from timo_sim.physics.layout import ANGLE, LOADS
+from timo_sim.physics.arm.quadrature import Quadrature
+from timo_sim.physics.layout import ANGLE, LOADS, rotate, TIP_TORQUE, TIP_X, TIP_Y
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.scene import load_scene, SceneLike
@@ -92,15 +93,21 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
 
     outputs = _Outputs(formulation, load)
     c = jacobian(outputs.values)
-    d = np.zeros((len(c) + 1, len(inputs)))
-    # Root strain and tip acceleration depend on loads, and on accelerations: rows of A and B.
     columns = [_INPUTS[name] for name in inputs]
+    # What acts at the tip also bends the arm beyond its modes.
+    d = outputs.residual(at)[:, columns]
+    # Root strain and tip acceleration depend on loads, and on accelerations: rows of A and B.
     strain = outputs.strain_per(at, accelerations=np.eye(formulation.size // 2)[free[:half]])
     c[outputs.root_strain] += strain @ a[half:]
     d[outputs.root_strain] = strain @ b[half:] + outputs.strain_per(
         at, loads=np.eye(LOADS)[columns])
-    across = jacobian(lambda motion: outputs.across(motion, at[2]))[:, :half]
-    c, d[-1] = np.vstack([c, across @ a[half:]]), across @ b[half:]
+    # The accelerometer turns with the tip, and gravity with respect to it.
+    angle = outputs.tip_angle(at)
+    across = jacobian(lambda motion: outputs.across(motion, angle))[:, :half]
+    turning = (formulation.gravity @ [np.cos(angle), np.sin(angle)]) * jacobian(
+        lambda motion: outputs.tip_angle(motion)[np.newaxis])
+    c = np.vstack([c, across @ a[half:] + turning])
+    d = np.vstack([d, across @ b[half:]])
     return LinearModel(a, b, c, d, _state_names(axes, first, len(formulation.modes)),
                        tuple(inputs), (*outputs.names, 'tip_acceleration_m_per_s2'))
 
@@ -160,8 +167,41 @@ class _Outputs:
         return Joints(self._formulation, np.tile(motion, (len(loads), 1)), accelerations,
                       loads).root_strain
 
+    def residual(self, at):
+        """
+        Return the static response of what the modes leave out, per load, shape (12, 14).
+
+        It is that of the straight arm in axes of the tip, see doc/theory.md, section 2; other
+        outputs than the tip's and other loads than those on the tip have none.
+        """
+        body, modes = self._formulation.manipulator, self._formulation.modes
+        found = np.zeros((len(self.names), LOADS))
+        if len(modes) == self._formulation.axial:  # an arm without modes is rigid on purpose
+            return found
+        rule = Quadrature(body.arm.breaks, 4 * len(modes) + 40)
+        section = body.arm.at(rule.nodes)
+        # Curvature and shear strain by a force across the tip and by a torque.
+        lever = np.stack([body.arm.length - rule.nodes, np.ones_like(rule.nodes)])
+        compliance = lever * rule.weights / section.bending_stiffness @ lever.T
+        compliance[0, 0] += np.sum(rule.weights / section.shear_stiffness)
+        tip = np.vstack([self._tip.deflection[:, 0], self._tip.rotation[:, 0]])
+        compliance -= tip / modes.omega**2 @ tip.T
+        # Force and torque per load, and the tip's outputs per deflection and rotation.
+        angle, loads = self.tip_angle(at), np.zeros((2, LOADS))
+        across = np.array([-np.sin(angle), np.cos(angle)])
+        loads[0, [TIP_X, TIP_Y]], loads[1, TIP_TORQUE] = across, 1.0
+        shifts = np.zeros((len(self.names), 2))
+        shifts[3:7, 0] = *across, *rotate(-at[2], *across)
+        shifts[7, 1] = 1.0
+        return shifts @ compliance @ loads
+
+    def tip_angle(self, motion):
+        """Return the angle of the section at the tip in world axes [rad]."""
+        return motion[2] + self._formulation.section_rotation(
+            motion[np.newaxis, 3:self._half], self._tip)[0, 0]
+
     def across(self, motion, angle):
-        """Return where the tip is along axis II of a shaft at an angle, shape (1,) [m]."""
+        """Return where the tip is along axis II of axes at an angle, shape (1,) [m]."""
         return np.array([-np.sin(angle), np.cos(angle)]) @ self._world(motion)[:, np.newaxis]
 
     def _world(self, motion):

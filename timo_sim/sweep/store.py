@@ -64,8 +64,9 @@ def run_sweep(file, output=None, workers=None, scheduler=None):
     start = time.monotonic()
     with Store(output, plan) as store:
         _do(plan, store, workers, scheduler)
-        failed = store.finish()
-    print(f'{plan.count} runs in {time.monotonic() - start:.1f} s, {failed} failed: {output}')
+        failed, warned = store.finish()
+    print(f'{plan.count} runs in {time.monotonic() - start:.1f} s, {failed} failed, '
+          f'{warned} with a warning: {output}')
 
 
 def _do(plan, store, workers, scheduler):
@@ -171,14 +172,14 @@ class Store:
 
         Returns
         -------
-        int
-            How many runs failed.
+        tuple of int
+            How many runs failed, and how many have a warning.
 
         """
-        parts, failed, runs = sorted(self._found), 0, 0
+        parts, runs, counts = sorted(self._found), 0, {'reason': 0, 'warning': 0}
 
         def join(path):
-            nonlocal failed, runs
+            nonlocal runs
             with parquet.ParquetWriter(path, self._schema) as writer:
                 for first in range(0, len(parts), _ROW_GROUP):
                     table = pyarrow.concat_tables(
@@ -186,7 +187,8 @@ class Store:
                     expected = np.arange(runs, runs + len(table))
                     if not np.array_equal(table['run'].to_numpy(), expected):
                         raise RuntimeError(f'{self._parts}: runs from {runs} on are not complete')
-                    failed += compute.sum(compute.not_equal(table['reason'], '')).as_py()
+                    for name in counts:
+                        counts[name] += compute.sum(compute.not_equal(table[name], '')).as_py()
                     runs += len(table)
                     writer.write_table(table)
             if runs != self._count:
@@ -194,7 +196,7 @@ class Store:
 
         self._write_whole(self._output, join)
         shutil.rmtree(self._parts, ignore_errors=True)  # another process may be opening them
-        return failed
+        return tuple(counts.values())
 
     def _write_whole(self, path, write):
         unfinished = self._parts / uuid.uuid4().hex

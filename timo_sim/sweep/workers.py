@@ -13,10 +13,11 @@ from contextlib import contextmanager, suppress
 import os
 import pickle
 import signal
+import socket
 import subprocess
-import sys
 import threading
 
+from timo_sim.child import start_python
 from timo_sim.scene.parameter import Parameter, ParameterError
 from timo_sim.version import __version__
 
@@ -80,7 +81,7 @@ class LocalExecutor:
         self.width = len(os.sched_getaffinity(0)) if width is None else _WIDTH.check(width)
         self._threads = ThreadPoolExecutor(self.width, 'sweep')
         self._own = threading.local()
-        self._children = []
+        self._workers = []  # processes, each with the file that calls and answers go through
         self._closing = False
 
     def __enter__(self):
@@ -92,12 +93,13 @@ class LocalExecutor:
         self._kill()
         self._threads.shutdown()
         self._kill()  # one that was just being started
-        for child in self._children:
-            with suppress(BrokenPipeError), child:
-                pass
+        for child, channel in self._workers:
+            child.wait()
+            with suppress(BrokenPipeError):
+                channel.close()
 
     def _kill(self):
-        for child in self._children:
+        for child, _ in self._workers:
             child.kill()
 
     def submit(self, function, *arguments):
@@ -110,13 +112,13 @@ class LocalExecutor:
 
     def _call(self, call):
         for _ in range(_ATTEMPTS):
-            child = getattr(self._own, 'child', None) or self._start()
+            child, channel = getattr(self._own, 'worker', None) or self._start()
             try:
-                child.stdin.write(call)
-                child.stdin.flush()
-                result, error = pickle.load(child.stdout)
-            except (EOFError, BrokenPipeError, pickle.UnpicklingError):
-                self._own.child = None
+                channel.write(call)
+                channel.flush()
+                result, error = pickle.load(channel)
+            except (EOFError, ConnectionError, pickle.UnpicklingError):
+                self._own.worker = None
                 if self._closing:
                     break
                 continue
@@ -127,29 +129,31 @@ class LocalExecutor:
                               f'last with code {child.wait()}')
 
     def _start(self):
-        path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
-        self._own.child = subprocess.Popen(
-            [sys.executable, '-c', f'from {__name__} import serve; serve()'],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            env={**os.environ, **_ONE_THREAD, 'PYTHONPATH': path})
-        self._children.append(self._own.child)
-        return self._own.child
+        # Not its standard streams: anything that is imported may print to them.
+        ours, theirs = socket.socketpair()
+        with ours, theirs:
+            number = theirs.fileno()
+            child = start_python(f'from {__name__} import serve; serve({number})',
+                                 env=_ONE_THREAD, pass_fds=[number], stdin=subprocess.DEVNULL,
+                                 stdout=2)  # what it prints goes to standard error
+            self._own.worker = child, ours.makefile('rwb')
+        self._workers.append(self._own.worker)
+        return self._own.worker
 
 
-def serve():
-    """Answer calls from standard input until it ends; what they print goes to standard error."""
+def serve(number):
+    """Answer calls from the socket with this file descriptor until it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it, too, and ends this process
-    with os.fdopen(os.dup(1), 'wb') as answers:
-        os.dup2(2, 1)
+    with socket.socket(fileno=number) as connection, connection.makefile('rwb') as channel:
         while True:
             try:
-                function, arguments = pickle.load(sys.stdin.buffer)
-            except EOFError:
+                function, arguments = pickle.load(channel)
+            except (EOFError, ConnectionError):
                 return
             result, error = None, None
             try:
                 result = function(*arguments)
             except Exception as raised:  # the caller raises it again
                 error = raised
-            pickle.dump((result, error), answers)
-            answers.flush()
+            pickle.dump((result, error), channel)
+            channel.flush()

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 import numpy as np
 from PIL import Image
 
+from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.view.plot import COLOURS, draw_floor
 from timo_sim.view.track import FPS
@@ -79,8 +80,9 @@ def animate(tracks, path, fps=_MOST_FPS):
             arm.draw(plane, time)
         frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).quantize(
             _COLOURS_PER_FRAME))
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=round(1e3 / fps),
-                   loop=0)
+    with whole_file(path) as part:
+        frames[0].save(part, save_all=True, append_images=frames[1:], duration=round(1e3 / fps),
+                       loop=0)
 
 
 class _Arm:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from timo_sim.scene.files import whole_file
 from timo_sim.view.entities import (
     ABOUT, log_curves, log_floor, log_frame_of_plane, Plane, send_curves, TRAIL)
 from timo_sim.view.panels import blueprint, Panel
@@ -52,10 +53,15 @@ def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
 
     """
     stream = rr.RecordingStream('timo_sim')
-    try:
-        stream.save(path)
-    except RuntimeError as error:  # which says why and where
-        raise OSError(error) from None
+    with whole_file(path) as part:
+        # Not `stream.save`, which prints some errors of a full disk and waits for ever at others.
+        content = stream.binary_stream()
+        bounds = _send(stream, tracks, fps, report, at)
+        part.write_bytes(content.read())
+    return bounds
+
+
+def _send(stream, tracks, fps, report, at):
     frames = [track.frames(fps, at) for track in tracks]
     bounds, largest = _extent(tracks, frames)
     log_frame_of_plane(stream, bounds)
@@ -84,7 +90,6 @@ def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
     if 'balance' in panels:  # so that a balance that closes looks flat, not like magnified noise
         panels['balance'].least = 1e-3 * max(panels['energy'].high, -panels['energy'].low)
     stream.send_blueprint(blueprint(panels, bounds, len(tracks)))
-    stream.disconnect()
     return bounds
 
 

@@ -72,10 +72,11 @@ class Stream:
         self._stream.flush(timeout_sec=_PATIENCE)
 
 
-def main(url, name, values):
-    """Stream samples from standard input until its end; `values` are those of a scene, JSON."""
-    scene, waiting, ended = load_scene(json.loads(values)), deque(maxlen=_MOST_WAITING), (
-        threading.Event())
+def main(url, name, number):
+    """Stream samples from standard input; file descriptor `number` has a scene's values, JSON."""
+    with open(int(number)) as values:
+        scene = load_scene(json.load(values))
+    waiting, ended = deque(maxlen=_MOST_WAITING), threading.Event()
 
     def work():
         stream = Stream(url, name, scene)
@@ -93,7 +94,3 @@ def main(url, name, values):
     ended.set()
     worker.join(_PATIENCE)
     os._exit(0)  # at once: rerun would wait for a viewer that does not answer
-
-
-if __name__ == '__main__':
-    main(*sys.argv[1:])

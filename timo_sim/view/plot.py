@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 import numpy as np
 
+from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.view.floor import floor_of
 from timo_sim.view.track import body_of
@@ -84,7 +85,8 @@ def draw_floor(axes, floor):
 def write(figure, path):
     """Write a figure in the format of the file's suffix; an unknown one is a ParameterError."""
     try:
-        figure.savefig(path, dpi=100)
+        with whole_file(path) as part:
+            figure.savefig(part, dpi=100)
     except ValueError as error:
         raise ParameterError(f'{path} cannot be drawn: {error}') from None
 

@@ -21,13 +21,14 @@ import time
 import rerun_cli
 from tqdm import tqdm
 
+from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameter import Parameter, ParameterError
 from timo_sim.view.convert import write
 from timo_sim.view.track import FPS
 
 _AT = Parameter('--at', 0.0, 's', 'sim time of the picture')
 _LOOPBACK = '127.0.0.1'
-_PATIENCE = 60.0  # [s] until a viewer must have loaded a file
+_PATIENCE = 300.0  # [s] until a viewer must have loaded a file: a longer wait is a hang
 _OBEDIENCE = 5.0  # [s] until a viewer must have ended
 
 
@@ -90,13 +91,13 @@ def _show(path, web):
             os.environ.get('DISPLAY') or os.environ.get('WAYLAND_DISPLAY')):
         raise ViewerError('there is no screen (DISPLAY is not set): take --png, --save or --web')
     port, web_port = _free_port(), _free_port()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     process = _viewer(subprocess.Popen, '--port', str(port), *(
         ['--web-viewer', '--web-viewer-port', str(web_port)] if web else []), path)
-    if web:
-        print(f'http://{_LOOPBACK}:{web_port}?url=rerun%2Bhttp://{_LOOPBACK}:{port}/proxy'
-              ' shows the run; Ctrl-C ends', flush=True)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
+        if web:
+            print(f'http://{_LOOPBACK}:{web_port}?url=rerun%2Bhttp://{_LOOPBACK}:{port}/proxy'
+                  ' shows the run; Ctrl-C ends', flush=True)
         code = process.wait()
     except KeyboardInterrupt:
         stop(process)
@@ -135,10 +136,16 @@ def picture(path, png, at=None, size=(1600, 1000), view=None):
         end = max(line.end for line in state.recordings[0].timelines if line.name == 'sim_time')
         client.set_time('sim_time', duration=end * 1e-9 if at is None else at,
                         play_state='paused')
-        time.sleep(1.0)  # the viewer moves its axes to their places gradually
         only = next((each.view_id for each in state.views
                      if view is not None and each.name.startswith(view)), None)
-        client.save_screenshot(str(Path(png).absolute()), only)
+        with whole_file(png) as part:
+            before, now = b'at first', b''
+            while now != before:  # the viewer moves its axes to their places gradually
+                time.sleep(0.5)
+                client.save_screenshot(str(part.absolute()), only)
+                before, now = now, part.read_bytes() if part.exists() else b''
+            if now[-8:-4] != b'IEND':
+                raise ViewerError(f'{png} cannot be written to its end: is the disk full?')
     finally:
         stop(process)
         process.communicate()

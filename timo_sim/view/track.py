@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.log.payloads import payloads_of
+from timo_sim.messages.commands import COMMANDS
 from timo_sim.physics.layout import rotate
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameter import Parameter
@@ -125,7 +126,7 @@ def of_recording(recording, name):
     that the shape needs are missing.
     """
     scene, series = recording.scene, recording.read(
-        'joint_states', '~/modal_state', *_UNSEEN)
+        'joint_states', '~/modal_state', *(command.name for command in COMMANDS))
     joints = series.get('joint_states')
     if joints is None or not len(joints.ns):
         raise TrackError(f'{recording.path} has no joint_states: there is nothing to show')
@@ -142,15 +143,20 @@ def of_recording(recording, name):
     driven = scene.values['motor.shaft'] == 'driven'
     unseen = any(topic in series and len(series[topic].ns)
                  for topic in (_UNSEEN if driven else _UNSEEN[:1]))
+    # A limited rate makes a straight line of the jump that a command would be.
+    limited = np.isfinite([scene.values['carrier.force_rate_limit'],
+                           scene.values['motor.torque_rate_limit']]).any()
+    commands = [] if limited else [
+        series[command.name].step for command in COMMANDS if command.name in series]
     return of_motion(name, scene, ns, motion, joints.values[place, 6:9],
                      resets[(0 < resets) & (resets < len(ns))],
                      not (recording.changes or unseen
                           or driven and recording.facts.get('timo_sim') == '0.1.0'),
-                     payloads=payloads_of(recording))
+                     payloads=payloads_of(recording), commands=np.concatenate([[], *commands]))
 
 
 def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=None,
-              payloads=()):
+              payloads=(), commands=()):
     """
     Return the track of a known motion.
 
@@ -173,6 +179,8 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
         What Coulomb friction has dissipated so far [J]; where it acts, the balance needs it.
     payloads : sequence of (int, float, float)
         See `Run`; a balance is not computed then.
+    commands : array_like of int
+        Steps at which forces and torques jump besides those of the scene's loads.
 
     Returns
     -------
@@ -190,16 +198,19 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
         *_joint_traces(ns, motion[:, :3], motion[:, half:half + 3], effort)]
     if half > 3:
         traces.append(Trace('modal', tuple(f'q{n}' for n in range(1, half - 2)), ns, modal))
-    energy = np.concatenate([
-        _in_blocks(model.energy, motion[part]) for model, part in pieces(
-            scene, np.rint(1e-9 * ns / scene.step).astype(int), payloads)])
+    steps = np.rint(1e-9 * ns / scene.step).astype(int)
+    energy = np.concatenate([_in_blocks(model.energy, motion[part])
+                             for model, part in pieces(scene, steps, payloads)])
     # The effort of a driven shaft is that of its drive; a load's torque on it is not in there.
     unseen = 'torque' if scene.values['motor.shaft'] == 'driven' else 'tip'
     pushed = any(scene.load.terms[channel] for channel in CHANNELS
                  if channel.startswith(('tip', unseen)))
     known = heat is not None or not scene.friction.any()
     if balanced and known and not pushed and not payloads:
-        done = work(ns, motion[:, :3], motion[:, half:half + 3], effort)
+        jumps = np.rint([time / scene.step for terms in scene.load.terms.values()
+                         for term in terms for time in term.jumps()])
+        jumps = np.isin(steps, np.concatenate([jumps, commands]))[:, np.newaxis]
+        done = work(ns, motion[:, :3], motion[:, half:half + 3], effort, jumps)
         done -= integral(ns, _in_blocks(formulation.dissipation, motion))
         done -= 0.0 if heat is None else np.diff(heat)
         gained = np.diff(energy)
