@@ -16,7 +16,7 @@ from timo_sim.scene.parameters import PARAMETERS
 
 _TIP = 'end_effector.mass', 'end_effector.inertia'
 # 0.2.0 renamed these. Before 0.2.0 a limit of 0 meant no limit; now it is refused.
-SPLIT = 'integrator.tolerance'  # split steps until 0.2; logs that have it are read without it
+SPLIT = 'integrator.tolerance'  # 0.2.0 and earlier split steps by it; logs are read without it
 _RENAMED = {'motor.dc.gear': 'motor.dc.gear_ratio', 'step_count': 'steps_per_call'}
 _LIMITS = [name for name, parameter in PARAMETERS.items() if not parameter.finite]
 
