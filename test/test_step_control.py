@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Errors of steps: their estimate, splitting to stay below a tolerance, warnings, divergence."""
+"""Errors of steps: their estimate, warnings, divergence."""
 
 import tracemalloc
 import warnings
@@ -15,88 +15,7 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.physics.layout import LOADS, TORQUE
 from timo_sim.simulation.simulator import Simulator
-
-FAST = {'initial.shaft_velocity': 20.0, 'initial.modal_rates': [5.0, 1.0, 0.0]}
-DURATION, PERIOD = 2.0, 0.02
-
-
-def tip(simulator, motions):
-    """Return positions of the tip in the world, shape (n, 2) [m]."""
-    formulation = simulator.model
-    return formulation.world(motions, formulation.at([2.0]))[:, 0]
-
-
-def path(step, tolerance=0.0, **values):
-    """Return simulator and path of the tip over 2 s, every 20 ms."""
-    simulator = Simulator(timo_sim.load_scene({
-        'integrator.step': step, 'integrator.tolerance': tolerance, **FAST, **values}))
-    motions, _ = simulator.advance(round(DURATION / step), sample_every=round(PERIOD / step))
-    return simulator, tip(simulator, motions)
-
-
-@pytest.mark.parametrize('formulation', ['exact', 'newton'])
-def test_the_error_follows_the_tolerance(formulation):
-    exact = path(1e-4, **{'model.formulation': formulation})[1]
-    for tolerance in (1e-4, 1e-6, 1e-8):
-        for step in (0.02, 0.005):
-            simulator, run = path(step, tolerance, **{'model.formulation': formulation})
-            assert np.abs(run - exact).max() <= 10.0 * tolerance
-            integration = simulator.integration
-            assert (step < 0.02 or integration.splits) and not integration.unresolved
-            assert 0.01 * tolerance < integration.largest_error <= tolerance
-
-
-def test_with_a_tolerance_that_no_step_exceeds_the_run_is_that_of_the_halves():
-    # It is other machine code, in which the compiler may sum in another order.
-    (_, halves), (simulator, bound) = path(0.001), path(0.002, 1.0)
-    assert simulator.integration.splits == 0
-    np.testing.assert_allclose(bound, halves, atol=1e-11)
-
-
-@pytest.mark.parametrize('every', [1, 7])
-def test_bits_depend_neither_on_batches_nor_on_samples(every):
-    whole = path(0.02, 1e-6)[0]
-    pieces = Simulator(whole.scene)
-    command = np.zeros(LOADS)
-    command[TORQUE] = 30.0
-    motions, _ = whole.advance(140, command, every)
-    pieces.advance(100)
-    found = [pieces.motion.values]
-    for _ in range(140 // every):
-        pieces.advance(every, command)
-        found.append(pieces.motion.values)
-    assert np.array(found).tobytes() == motions.tobytes()
-    assert pieces.integration.splits == whole.integration.splits > 200
-
-
-def test_each_part_of_a_split_step_has_its_own_loads():
-    # With ten periods in a step the torque is zero at the ends and the middle of the step.
-    torque = {'load.torque.harmonic.amplitude': [100.0],
-              'load.torque.harmonic.frequency': [500.0], 'initial.shaft_velocity': 5.0}
-    drive = {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 1.0],
-             'motor.drive.angle': [0.0, 3.0], 'motor.drive.speed': [20.0, 20.0],
-             'motor.drive.acceleration': [0.0, 0.0], 'initial.shaft_velocity': 0.0}
-    for load in (torque, drive):
-        exact = path(1e-4 if load is drive else 1e-5, **load)[1]
-        run = path(0.02, 1e-10, **load)[1]
-        assert np.abs(run - exact).max() < 1e-5
-
-
-def test_steps_above_the_tolerance_in_the_smallest_parts_are_kept_with_a_warning():
-    simulator, run = path(0.02, 1e-14)
-    assert simulator.integration.unresolved == simulator.integration.splits == 100
-    assert np.abs(run - path(1e-4)[1]).max() < 1e-6
-    assert 'integrator.tolerance = 1e-14 m even when done in 64 parts' in simulator.warning
-
-
-def test_splitting_prevents_a_divergence():
-    wild = {'initial.shaft_velocity': 100.0, 'initial.modal_rates': [40.0, 0.0, 0.0]}
-    with pytest.raises(timo_sim.DivergenceError):
-        path(0.02, **wild)
-    run = path(0.02, 1e-6, **wild)[1]
-    assert np.abs(run - path(1e-4, **wild)[1]).max() < 1e-5
 
 
 def error_of(step, every, duration=4.0, **values):
@@ -105,9 +24,8 @@ def error_of(step, every, duration=4.0, **values):
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', timo_sim.ModelWarning)
         run = timo_sim.simulate(scene, duration, every, compare=False)
-        fine = timo_sim.simulate(timo_sim.load_scene({
-            **values, 'integrator.step': step / 8, 'integrator.tolerance': 0.0}), duration,
-            8 * every)
+        fine = timo_sim.simulate(timo_sim.load_scene({**values, 'integrator.step': step / 8}),
+                                 duration, 8 * every, compare=False)
     error = np.linalg.norm(run.position(2.0) - fine.position(2.0), axis=1).max()
     return error, run.stats['step_error_m'], run
 
@@ -120,7 +38,6 @@ SHAKEN = {'load.torque.harmonic.amplitude': [50.0], 'load.torque.harmonic.freque
 @pytest.mark.parametrize('values', [
     TORQUE_STEPS, SHAKEN, {**SHAKEN, **TORQUE_STEPS, 'carrier.held': 'x'},
     {**SHAKEN, 'carrier.held': 'both', 'initial.shaft_velocity': 5.0},
-    {**TORQUE_STEPS, 'integrator.tolerance': 1e-6},
     {'load.torque.table.time': [0.0, 0.203, 1.1, 1.517, 2.0],
      'load.torque.table.value': [0.0, 60.0, -60.0, 20.0, 0.0]},
     {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 1.0, 2.03],
@@ -152,7 +69,8 @@ def test_commands_that_change_often_are_estimated_by_some_steps():
             simulator = Simulator(timo_sim.load_scene({'integrator.step': 0.005 / parts}))
             for torque in commands:
                 simulator.step(torque=torque, duration=0.005 * steps)
-            paths.append(tip(simulator, simulator.motion.values[np.newaxis])[0])
+            model = simulator.model
+            paths.append(model.world(simulator.motion.values[np.newaxis], model.tip_point)[0, 0])
             if parts == 1:
                 estimate = simulator.integration.errors.tip if simulator.estimated_error else 0.0
         error = np.linalg.norm(paths[0] - paths[1])
@@ -214,7 +132,7 @@ def test_a_load_that_is_too_fast_for_the_step_gives_a_warning():
 def test_divergence_names_place_time_and_remedy_and_keeps_the_last_good_state():
     scene = timo_sim.load_scene({'integrator.step': 0.02, 'initial.shaft_velocity': 300.0})
     told = (r'diverges after t = \S+ s \(step \d+\), at [a-z ]+\d* = \S+ with the arm bent by '
-            r'\S+ m: take a smaller integrator.step, an integrator.tolerance')
+            r'\S+ m: take a smaller integrator.step')
     single, block = Simulator(scene), Simulator(scene)
     with pytest.raises(timo_sim.DivergenceError, match=told) as first:
         while True:
@@ -227,3 +145,8 @@ def test_divergence_names_place_time_and_remedy_and_keeps_the_last_good_state():
     assert single.motion.values.tobytes() == block.motion.values.tobytes()
     reach, length = block.model.reach, 2.0
     assert np.abs(block.motion.values[3:6]) @ reach[3:] < 10.0 * length
+
+
+def test_steps_are_not_split_any_more():
+    with pytest.raises(timo_sim.ParameterError, match='any more: .* smaller integrator.step'):
+        timo_sim.load_scene({'integrator.tolerance': 1e-6})

@@ -153,13 +153,13 @@ def test_the_two_references_agree_and_see_too_few_modes_and_stretch(monkeypatch)
     assert elements.distance(finer.path) < 2e-6
     monkeypatch.setattr(truth, '_Elements', lambda *_: elements)
     found = [each['error'] for each in truth.judge(cell)]
-    assert found == pytest.approx(found[:1] * 4, rel=0.1) and found[0] > 1e-4
+    assert found == pytest.approx(found[:1] * 2, rel=0.1) and found[0] > 1e-4
 
 
 @pytest.mark.usefixtures('any_size')
 def test_an_unstable_motion_is_no_silent_error():
     """A push along the arm beyond Euler's load: the arm may buckle to either side."""
-    cell = plain(bend=0.0, **{
+    cell = plain(bend=0.0, step=0.0005, steps=4000, **{
         'carrier.mass': 1e5, 'initial.shaft': 0.0, 'initial.shaft_velocity': 0.0,
         'load.tip_force_x.piecewise.time': [0.0],
         'load.tip_force_x.piecewise.value': [-2000.0]})

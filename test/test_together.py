@@ -134,7 +134,7 @@ def test_a_warning_comes_when_an_estimate_is_large(paper, more):
 def test_runs_whose_errors_are_estimated_otherwise_are_done_alone(paper):
     close = {'load.torque.piecewise': {'time': [0.5, 0.53], 'value': [1.0, 0.0]}}
     for more in (close, {'carrier.held': 'x'}, {'model.formulation': 'newton'},
-                 {'integrator.tolerance': 1e-6}, {'model.modes': 0}):
+                 {'model.modes': 0}):
         assert kind_of(scene_of(paper, **more), 200) is None
     assert kind_of(scene_of(paper), 5) is None
     assert kind_of(scene_of(paper, **PULSES), 200).edges == (0, 50, 100, 200)

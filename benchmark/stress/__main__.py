@@ -28,9 +28,9 @@ Random scenes in which all parameters vary (`benchmark/stress/scenes.py`, a scen
 besides what is drawn for all of them, some have knots of tables and drives inside steps, 1 to 200
 steps, samples at odd steps, one axis held, shafts that are locked or driven, thin arms that spin,
 little stiffness in shear, an arm that stretches by speed, a heavy tip, a resonance, dry friction,
-or the ends of the ranges. Each is run with its step and with `integrator.tolerance` = 1e-6 of the
-arm's length, as `simulate` does, and compared (`benchmark/stress/truth.py`) with a finer run of
-`exact`: twelve modes, a tenth of the step, a tighter tolerance, and an arm that stretches; one
+or the ends of the ranges. Each is run as `simulate` does, and compared
+(`benchmark/stress/truth.py`) with a finer run of `exact`: twelve modes, a tenth of the step, and
+an arm that stretches; one
 round in sixteen with finite elements of an arm that stretches, too. Accurate: within 1/1000 of the
 arm's length. Flagged: not so, but the run warns. Refused: an error says why. Silent: none of
 these, a defect. Open: the reference itself is not known to a third of the distance;
@@ -47,7 +47,7 @@ HARD = """\
 Scenes of more than 2048 steps in which errors grow (`benchmark/stress/hard.py`): arms that buckle,
 are pressed or stand near their critical load, vibrate in resonance, bend far, or pick up loads at
 rest, and ordinary scenes that run long. As `simulate` does by itself, runs in doubt are compared
-with finer ones. The reference has twelve modes, one axial mode and an eighth of the step."""
+with finer ones."""
 _HARD_CELLS = 504
 PARTS = [
     ('Node', node, """Real processes over real DDS (`benchmark/stress/node.py`). Survived:
@@ -65,7 +65,7 @@ def numerics_part(quick):
     """Return the text of the part that compares runs with references."""
     return '\n\n'.join([
         NUMERICS.rstrip(),
-        table(['equations', 'against', 'steps', 'tried', *numerics.VERDICTS, 'remark'],
+        table(['equations', 'against', 'tried', *numerics.VERDICTS, 'remark'],
               numerics.rows(quick)),
         'Frequency responses of arms with heavy tips (`linearize`), up to the second clamped '
         'frequency, against linear finite elements: relative error, median and largest.',
@@ -79,14 +79,14 @@ def numerics_part(quick):
 def laden_part(quick):
     """Return the text of the part in gravity and with loads that change."""
     return LADEN + '\n\n' + table(
-        ['equations', 'against', 'steps', 'tried', *numerics.VERDICTS, 'remark'],
+        ['equations', 'against', 'tried', *numerics.VERDICTS, 'remark'],
         numerics.rows(quick, count=_LADEN_CELLS // (4 if quick else 1), change=laden))
 
 
 def hard_part(quick):
     """Return the text of the part in which errors grow."""
     return HARD + '\n\n' + table(
-        ['equations', 'against', 'steps', 'tried', *numerics.VERDICTS, 'remark'],
+        ['equations', 'against', 'tried', *numerics.VERDICTS, 'remark'],
         numerics.rows(quick, count=_HARD_CELLS // (12 if quick else 1), change=hard_cell))
 
 

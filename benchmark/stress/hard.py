@@ -34,7 +34,7 @@ def hard_cell(number, seed=1):
                    'model.axial_modes': 0})
     if kind in ('long', 'resonance'):
         values.pop('initial.modal_coordinates', None)
-        return Cell(number, kind, values, steps, steps // 20, False, True)
+        return Cell(number, kind, values, steps, steps // 20, False)
     length, height = values['arm.length'], values['arm.height']
     area = height * values['arm.width']
     stiffness = values['arm.young_modulus'] * area * height**2 / 12.0
@@ -73,4 +73,4 @@ def hard_cell(number, seed=1):
             'load.torque.piecewise.time': [0.0],
             'load.torque.piecewise.value': [random.uniform(0.05, 0.5) * stiffness / length]})
     return Cell(number, kind, {name: np.asarray(value).tolist() for name, value in values.items()},
-                steps, steps // 20, False, True)
+                steps, steps // 20, False)

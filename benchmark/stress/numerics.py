@@ -69,7 +69,7 @@ def judged(number, seed=1, change=None):
     try:
         found = judge(changed_cell(number, seed, change))
     except Exception as error:
-        found = [{'number': number, 'kind': 'crash', 'family': 'exact', 'steps': 'as given',
+        found = [{'number': number, 'kind': 'crash', 'family': 'exact',
                   'against': 'finer', 'verdict': 'silent', 'error': math.inf, 'estimate': math.nan,
                   'doubt': 0.0, 'warning': f'{type(error).__name__}: {error}',
                   'sensitive': False}]
@@ -113,7 +113,7 @@ def rows(quick=False, seed=1, count=None, processes=2, change=None):
             file.flush()
     groups = {}
     for each in found:
-        groups.setdefault((each['family'], each['against'], each['steps']), []).append(each)
+        groups.setdefault((each['family'], each['against']), []).append(each)
     for names, group in sorted(groups.items()):
         yield *names, len(group), *_counts(group), _remark(group)
 
@@ -234,12 +234,12 @@ def main():
         return
     begun = time.monotonic()
     _show(rows(given.quick, given.seed, given.cells, given.processes, change))
-    print(f'{time.monotonic() - begun:.0f} s; to be looked at (number, kind, against, steps, '
+    print(f'{time.monotonic() - begun:.0f} s; to be looked at (number, kind, against, '
           f'verdict, error, estimate [lengths]):')
     for line in LISTED.read_text(encoding='utf-8').splitlines():
         each = json.loads(line)
         if is_listed(each):
-            print(each['number'], each['kind'], each['against'], each['steps'], each['verdict'],
+            print(each['number'], each['kind'], each['against'], each['verdict'],
                   f'{each["error"]:.1e} {each["estimate"]:.1e}', sep=', ')
     _show(linear_rows(given.quick, given.seed))
     _show(long_rows(given.quick))

@@ -38,7 +38,6 @@ class Cell(NamedTuple):
     steps: int
     every: int
     elements: bool  # whether finite elements can do it
-    long: bool = False  # a hard one of thousands of steps: a reference without split steps
 
 
 class _Draw:

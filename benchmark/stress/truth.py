@@ -9,11 +9,10 @@
 """
 Judges the scenes of the stress test by references.
 
-A scene is run with its step, and with an `integrator.tolerance`; its tip is compared with
+A scene is run with its step; its tip is compared with
 
-- finer: `exact` equations with twelve modes (a rigid arm stays one), steps of a tenth that are
-  split to a hundredth of the tolerance (with dry friction steps of a twentieth), and an arm that
-  stretches;
+- finer: `exact` equations with twelve modes (a rigid arm stays one), steps of a tenth (with dry
+  friction of a twentieth), and an arm that stretches;
 - elements: spectral elements of an arm that stretches (`test/oracles/spectral_elements.py`).
 
 A run is
@@ -38,12 +37,11 @@ import timo_sim
 from timo_sim.runs.sampled import sampled_run
 from timo_sim.runs.second_run import compared, in_doubt
 
-ACCURATE, SEEN, TOLERANCE = 1e-3, 1e-6, 1e-6  # [lengths]
+ACCURATE, SEEN = 1e-3, 1e-6  # [lengths]
 VERDICTS = ['accurate', 'flagged', 'refused', 'silent', 'open']
 _PUSH, _SENSITIVE = 1e-9, 1e-5  # [lengths]
 # Modes in bending and axial ones of the reference, and of the run that shows its error.
-_MODES, _FEWER = (12, 3), (8, 3)
-_LONG_MODES, _LONG_FEWER = (12, 1), (8, 1)
+_MODES, _FEWER = (12, 1), (8, 1)
 _ORDER, _LOWER, _ELEMENTS = 10, 8, 2  # the same for spectral elements, by order; their number
 _MOST_STEPS = 1e7  # of the spectral elements for a scene
 
@@ -60,23 +58,18 @@ def judge(cell):
     Returns
     -------
     list of dict
-        For steps as given and with a tolerance, against each reference: 'number', 'kind',
-        'family', 'steps', 'against', 'verdict', 'error', 'estimate', 'doubt' about the error
-        [lengths], 'warning' or None, and 'sensitive', whether the scene is.
+        Against each reference: 'number', 'kind', 'family', 'against', 'verdict', 'error',
+        'estimate', 'doubt' about the error [lengths], 'warning' or None, and 'sensitive', whether
+        the scene is.
 
     """
-    length = cell.values['arm.length']
-    runs = {'as given': _run(cell, {}, looked_at=True)}
-    if not cell.long:
-        runs['with a tolerance'] = _run(
-            cell, {} if _is_dry(cell) else {'integrator.tolerance': TOLERANCE * length},
-            looked_at=True)
+    run = _run(cell, {}, looked_at=True)
     references = {'finer': _Finer(cell)}
     if cell.elements and _element_steps(cell) < _MOST_STEPS:
         references['elements'] = _Elements(cell, references['finer'])
-    return [{'number': cell.number, 'kind': cell.kind, 'family': family(cell), 'steps': steps,
+    return [{'number': cell.number, 'kind': cell.kind, 'family': family(cell),
              'against': against, **_verdict(cell, reference, *run)}
-            for against, reference in references.items() for steps, run in runs.items()]
+            for against, reference in references.items()]
 
 
 def _verdict(cell, reference, path, stats, warning):
@@ -116,14 +109,12 @@ class _Finer:
 
     def __init__(self, cell):
         self._cell = cell
-        self.parts = 8 if cell.long else 20 if _is_dry(cell) else 10  # of a step
-        self._split = not (cell.long or _is_dry(cell))
-        self._modes, self._fewer = (_LONG_MODES, _LONG_FEWER) if cell.long else (_MODES, _FEWER)
+        self.parts = 20 if 'motor.coulomb_friction' in cell.values else 10  # of a step
 
     @cached_property
     def path(self):
         """Where the tip is, shape (n, 2) [m], or None if the reference fails."""
-        return self.path_of(self._modes, self.parts)
+        return self.path_of(_MODES, self.parts)
 
     def distance(self, path, other=None):
         """Return the largest distance of a path, (n, 2) [m], in lengths; nan if there is none."""
@@ -135,10 +126,10 @@ class _Finer:
     @cached_property
     def doubt(self):
         """How far the reference may be off [lengths], and whether the scene is sensitive."""
-        doubt = self.distance(self.path_of(self._fewer, self.parts // 2, _PUSH))
+        doubt = self.distance(self.path_of(_FEWER, self.parts // 2, _PUSH))
         if doubt < _SENSITIVE:
             return doubt, False
-        pushed = self.path_of(self._modes, self.parts, _PUSH)
+        pushed = self.path_of(_MODES, self.parts, _PUSH)
         return doubt, not self.distance(pushed) < _SENSITIVE
 
     def path_of(self, size, parts, push=0.0):
@@ -150,9 +141,7 @@ class _Finer:
         rest[:1] = values.get('initial.modal_coordinates', [0.0])[0]
         changes = {'model.formulation': 'exact', 'model.modes': modes, 'model.axial_modes': axial,
                    'initial.modal_coordinates': rest.tolist(),
-                   'integrator.step': values['integrator.step'] / parts,
-                   'integrator.tolerance': self._split * (
-                       1e-2 * TOLERANCE * values['arm.length'] * 10 / parts)}
+                   'integrator.step': values['integrator.step'] / parts}
         if push and modes:
             reach = timo_sim.load_scene({**values, **changes}).build().reach[3]
             rest[0] += push * values['arm.length'] / reach
@@ -196,10 +185,6 @@ def _run(cell, changes, parts=1, looked_at=False):
         return run.position(cell.values['arm.length']), run.stats, run.warning
     except (timo_sim.ParameterError, timo_sim.DivergenceError) as error:
         return None, None, str(error)
-
-
-def _is_dry(cell):
-    return 'motor.coulomb_friction' in cell.values  # whose steps cannot be split
 
 
 def _element_steps(cell):

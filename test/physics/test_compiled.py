@@ -78,8 +78,7 @@ def test_a_step_allocates_nothing(paper, formulation):
     assert allocations(60) == allocations(10)
 
 
-@pytest.mark.parametrize('values', [{}, {'integrator.tolerance': 1e-6},
-                                    {'motor.coulomb_friction': 1.0}], ids=str)
+@pytest.mark.parametrize('values', [{}, {'motor.coulomb_friction': 1.0}], ids=str)
 def test_loads_and_states_of_other_shapes_are_refused(values):
     simulator = Simulator(timo_sim.load_scene(values))
     steps, state, load = simulator.integration, simulator._state, simulator.load

@@ -20,7 +20,6 @@ from timo_sim.physics.equations import FORMULATIONS
 from timo_sim.physics.integrate import friction
 from timo_sim.physics.integrate.steps import Steps
 from timo_sim.physics.layout import FORCE_X, FORCE_Y, LOADS, TORQUE
-from timo_sim.scene.parameter import ParameterError
 from timo_sim.simulation.simulator import DivergenceError, Simulator
 from timo_sim.view.track import of_run
 
@@ -327,9 +326,3 @@ def test_scenes_without_friction_do_not_compute_it(monkeypatch):
     assert locked.vary({**ALL, 'carrier.held': 'y'}).friction.tolist() == [2.0, 0.0, 0.0]
     held = {**ALL, 'carrier.held': 'both', 'motor.shaft': 'free'}
     assert locked.vary(held).friction.tolist() == [0.0, 0.0, 1.0]
-
-
-@pytest.mark.parametrize('name', ['carrier.coulomb_friction', 'motor.coulomb_friction'])
-def test_friction_and_split_steps_exclude_each_other(name):
-    with pytest.raises(ParameterError, match='integrator.tolerance must be 0 with coulomb_fricti'):
-        timo_sim.load_scene({name: 1.0, 'integrator.tolerance': 1e-6})

@@ -146,14 +146,13 @@ def test_a_step_in_which_a_force_reaches_its_goal_has_its_integral_and_moments()
             assert moments(loads[step:step + 1, :3, column])[:, 0] == pytest.approx(truth)
 
 
-@pytest.mark.parametrize('tolerance', [0.0, 1e-6])
 @pytest.mark.parametrize('time, value', [
     ([0.502, 0.503, 0.504], [0.0, 2000.0, 0.0]), ([0.5011, 0.5016, 0.5021], [0.0, 4000.0, 0.0]),
     ([0.4999, 0.5, 0.5003], [0.0, 20000.0, 0.0])])
-def test_a_spike_inside_a_step_gives_its_impulse(time, value, tolerance):
+def test_a_spike_inside_a_step_gives_its_impulse(time, value):
     scene = timo_sim.load_scene({
-        'integrator.step': 0.01, 'integrator.tolerance': tolerance, 'carrier.held': 'both',
-        'model.modes': 0, 'load.torque.table.time': time, 'load.torque.table.value': value})
+        'integrator.step': 0.01, 'carrier.held': 'both', 'model.modes': 0,
+        'load.torque.table.time': time, 'load.torque.table.value': value})
     run = timo_sim.simulate(scene, 1.0)
     impulse = 0.5 * (time[2] - time[0]) * value[1]
     assert run.momentum()[-1, 2] == pytest.approx(impulse, rel=1e-12)
@@ -170,11 +169,10 @@ def test_a_spike_inside_a_step_gives_its_impulse(time, value, tolerance):
      'motor.drive.acceleration': [0.0, 0.0, 0.0]}])
 def test_an_arm_moves_as_its_load_inside_a_step_demands(values):
     tips = []
-    for step, tolerance in ((1e-4, 0.0), (0.01, 0.0), (0.01, 1e-6)):
-        scene = timo_sim.load_scene({
-            **values, 'integrator.step': step, 'integrator.tolerance': tolerance})
+    for step in (1e-4, 0.01):
+        scene = timo_sim.load_scene({**values, 'integrator.step': step})
         tips.append(timo_sim.simulate(scene, 1.0, round(0.5 / step)).position(2.0)[-1])
-    truth, *found = tips
+    truth, found = tips
     assert np.abs(found - truth).max() < 5e-6
 
 

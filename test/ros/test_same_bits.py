@@ -41,8 +41,6 @@ SCENES = {
     'free, with friction': {
         'initial.shaft_velocity': 1.0, 'carrier.coulomb_friction': 2.0,
         'motor.coulomb_friction': 0.5},
-    'split steps': {'integrator.tolerance': 1e-9, 'integrator.step': 0.005,
-                    'initial.shaft_velocity': 3.0},
     'newton, held, driven': {
         'model.formulation': 'newton', 'carrier.held': "'y'", 'motor.shaft': 'driven',
         'motor.drive.time': [0.0, 0.5], 'motor.drive.angle': [0.0, 0.3],

@@ -26,7 +26,7 @@ from timo_sim.messages.cdr import CdrError
 from timo_sim.messages.commands import COMMANDS
 from timo_sim.messages.outputs import outputs
 from timo_sim.scene.parameter import ParameterError
-from timo_sim.scene.values import current, frame_names
+from timo_sim.scene.values import current, frame_names, SPLIT
 from timo_sim.scene.scene import load_scene
 
 _WRAP = 2**32  # sequence numbers are steps modulo this, or all 0 if a tool has not kept them
@@ -109,10 +109,19 @@ class Recording:
     @cached_property
     def parameters(self):
         """All logged parameters of the node by present name, not checked."""
+        return current(self._logged_parameters)
+
+    @cached_property
+    def _logged_parameters(self):
         parameters = json.loads(self.facts.get('parameters', 'null'))
         if not isinstance(parameters, dict):
             raise ValueError('its parameters are no dictionary')
-        return current(parameters)
+        return parameters
+
+    @property
+    def split_steps(self):
+        """Whether an earlier version may have split steps of this run, which is done no more."""
+        return bool(self.facts and self._logged_parameters.get(SPLIT))
 
     @cached_property
     def scene(self):

@@ -26,7 +26,7 @@ from timo_sim.replay.segments import late_steps, segments_of
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.parameters import PARAMETERS
-from timo_sim.scene.values import check, frame_names
+from timo_sim.scene.values import check, frame_names, SPLIT
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.resolution import resolved
@@ -121,6 +121,8 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
     ground = other_ground(recording.facts)
     if ground:
         show(f'logged with {ground}: last bits may differ')
+    if recording.split_steps:
+        show(f'logged with {SPLIT}, which is no more: its steps are not split again')
     if log:
         show(f'new log: {log.path}')
     if again.diverged:

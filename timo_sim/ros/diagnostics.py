@@ -57,8 +57,7 @@ class Health:
             'failed_calls': self.failed_calls,
             'missed_commands': self._loop.gate.missed,
             'mismatched_commands': self._commands.mismatched,
-            'foreign_joints': self._commands.foreign,
-            'unresolved_steps': self._simulator.integration.unresolved}
+            'foreign_joints': self._commands.foreign}
 
     def report(self, now):
         """Publish the health if a period is over at a wall time [s]."""
@@ -99,7 +98,7 @@ class Health:
                 node.get_logger().warning(text)
 
     def _message(self, snapshot, pace):
-        counters, integration = self.counters(), self._simulator.integration
+        counters = self.counters()
         error = self._simulator.estimated_error  # first, because this may set the warning
         grown = [name for name, count in counters.items() if count > self._before.get(name, 0)
                  and name != 'foreign_joints']  # no fault: a command may be for several robots
@@ -124,7 +123,6 @@ class Health:
             'real_time_factor': f'{pace:.4f}',
             'energy_J': snapshot.energy,
             'estimated_tip_error_m': f'{error:.2g}',
-            'split_steps': integration.splits,
             'log': self._log.path or 'off',
             **counters}.items()]
         message = DiagnosticArray(status=[status])

@@ -39,7 +39,6 @@ def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=No
                  'step_error_m': integration.errors.tip,
                  'modes_error_m': integration.errors.modes.tip,
                  'stretch_error_m': simulator.stretch.tip,
-                 'split_steps': integration.splits, 'unresolved_steps': integration.unresolved,
                  'friction_drift_m': integration.friction_drift,
                  'impact_loss_J': simulator.tip_load.lost}
         return Run(scene, scene.build(), np.arange(samples.stop) * sample_every * scene.step,

@@ -26,10 +26,8 @@ from timo_sim.scene.scene import scene_from
 from timo_sim.simulation import model_warnings
 
 MORE_MODES, MORE_AXIAL, MOST_AXIAL = 3, 1, 3
-# Parts of a step, and the tolerance of steps [arm lengths], of each try.
-TRIES = (2, 0.0), (8, 0.0), (8, 1e-6)
-# Steps with dry friction cannot be split, and their own error estimate can miss errors.
-DRY_TRIES = (8, 0.0), (32, 0.0)
+TRIES = 2, 8, 32   # parts of a step
+DRY_TRIES = 8, 32  # with dry friction, whose own estimate can miss errors
 _OWN_SHARE = 0.3      # largest part of the distance that steps of the second run may cause
 DOUBT = 5e-6          # estimated error above which a run is compared [arm lengths]
 COMPILED = 300_000    # steps from which on a second run saves more time than compilation takes
@@ -62,12 +60,8 @@ def _unresolved_axial_vibration(scene):
     return scene.step * scene.build().modes.omega[-axial:].min() > math.pi
 
 
-def finer(scene, parts, tolerance=0.0):
-    """
-    Return the scene with more modes, its step divided by `parts`, and the `exact` formulation.
-
-    Its integrator.tolerance is the smaller one of the scene's and the given [m]; 0 means none.
-    """
+def finer(scene, parts):
+    """Return the scene with more modes, its step divided by `parts`, and `exact` equations."""
     values = scene.values
     bending, axial = values['model.modes'], values['model.axial_modes']
     more = min(MORE_AXIAL, MOST_AXIAL - axial) if bending else 0
@@ -82,9 +76,7 @@ def finer(scene, parts, tolerance=0.0):
     return scene_from({**values, **lists, 'model.formulation': 'exact', 'model.accuracy': 0.0,
                        'model.static_modes': 'none',
                        'model.modes': bending + further, 'model.axial_modes': axial + more,
-                       'integrator.step': scene.step / parts, 'integrator.tolerance': min(
-                           values['integrator.tolerance'] or tolerance,
-                           tolerance or values['integrator.tolerance'])})
+                       'integrator.step': scene.step / parts})
 
 
 def compared(run, tell=None):
@@ -112,9 +104,9 @@ def compared(run, tell=None):
     if bent or len(run.t) < 2:
         return run
     second, error = None, 0.0
-    for parts, tolerance in DRY_TRIES if scene.friction.any() else TRIES:
+    for parts in DRY_TRIES if scene.friction.any() else TRIES:
         try:
-            second = _run(finer(scene, parts, tolerance * length), parts, run, tell)
+            second = _run(finer(scene, parts), parts, run, tell)
         except model_warnings.DivergenceError:
             continue
         error = float(np.linalg.norm(

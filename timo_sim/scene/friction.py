@@ -31,17 +31,13 @@ def speeds(values, limit):
 
 
 def check_friction(scene):
-    """Raise ParameterError if one joint sticks and another does not, or steps can be split."""
+    """Raise ParameterError if one joint sticks and another does not."""
     values, rubbing, slow = scene.values, scene.friction > 0.0, scene.friction_speed
     if slow.any() and not slow[rubbing].all():
         raise ParameterError('carrier.coulomb_speed and motor.coulomb_speed must both be 0 or '
                              'both > 0 where both have Coulomb friction, got '
                              f'{values["carrier.coulomb_speed"]:g} and '
                              f'{values["motor.coulomb_speed"]:g}')
-    if rubbing.any() and values['integrator.tolerance']:
-        raise ParameterError('integrator.tolerance must be 0 with coulomb_friction, because steps '
-                             'with friction cannot be split, got '
-                             f'{values["integrator.tolerance"]:g}')
 
 
 def check_slope(scene):

@@ -179,8 +179,6 @@ _ALL = [
     _not_negative('model.accuracy', 0.0, 'm', 'tip error for which model.modes and '
                   'integrator.step are chosen; 0: their given values are used'),
     Parameter('integrator.step', 0.001, 's', 'time step', low=1e-9, high=1000.0),
-    _not_negative('integrator.tolerance', 0.0, 'm', 'estimated tip error of a step above which '
-                  'it is split into 2 to 64 parts; 0: steps are never split'),
     *_load('force_x', 'N', 'force on the carrier along world x'),
     *_load('force_y', 'N', 'force on the carrier along world y'),
     *_load('torque', 'N m', 'torque on the shaft'),

@@ -16,6 +16,7 @@ from timo_sim.scene.parameters import PARAMETERS
 
 _TIP = 'end_effector.mass', 'end_effector.inertia'
 # 0.2.0 renamed these. Before 0.2.0 a limit of 0 meant no limit; now it is refused.
+SPLIT = 'integrator.tolerance'  # 0.2.0 and earlier split steps by it; logs are read without it
 _RENAMED = {'motor.dc.gear': 'motor.dc.gear_ratio', 'step_count': 'steps_per_call'}
 _LIMITS = [name for name, parameter in PARAMETERS.items() if not parameter.finite]
 
@@ -29,6 +30,9 @@ def check(values, source):
     """
     checked = {}
     for name, value in values.items():
+        if name == SPLIT:
+            raise ParameterError(f'{SPLIT} is not a parameter any more: steps are not split, take '
+                                 f'a smaller integrator.step ({source})')
         if name not in PARAMETERS:
             raise ParameterError(f'{short(name, str)} = {short(value)} is not a parameter of '
                                  f'timo_sim ({source}){did_you_mean(name, PARAMETERS)}')
@@ -76,7 +80,7 @@ def check_runtime(values, later):
 def current(values):
     """Return values that an older version logged, with their present names and meanings."""
     return {_RENAMED.get(name, name): math.inf if name in _LIMITS and value == 0.0 else value
-            for name, value in values.items()}
+            for name, value in values.items() if name != SPLIT}
 
 
 def changed(values):

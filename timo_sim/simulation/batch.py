@@ -60,8 +60,8 @@ class Batch:
     ------
     ParameterError
         If the scenes differ in size, or have what a batch cannot do: Coulomb friction, a carrier
-        that is held along one axis beside a free or driven shaft, `integrator.tolerance`,
-        `model.accuracy`, payloads that change.
+        that is held along one axis beside a free or driven shaft, `model.accuracy`, payloads that
+        change.
 
     Examples
     --------
@@ -300,7 +300,7 @@ def refusal(scene):
             'carrier.held', 'motor.shaft'))
     if scene.friction.any():
         return 'Coulomb friction'
-    for name in ('integrator.tolerance', 'model.accuracy', 'payload.time'):
+    for name in ('model.accuracy', 'payload.time'):
         if values[name]:
             return f'{name} = {values[name]}'
     return ''

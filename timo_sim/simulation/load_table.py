@@ -125,7 +125,7 @@ def advance_by_pieces(integration, table, actuators, state, load, first, count, 
     """
     errors, tabulate = integration.errors, table.tabulate(actuators)
     for begin, number, breaks, smooth in table.pieces(first, count, actuators):
-        smooth = smooth and integration.least < CHUNK
+        smooth = smooth and integration.keeps_states
         if breaks:
             errors.cut(state, load)
         if not smooth or errors.unseen >= CHUNK:

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.physics.integrate.split import FINEST
 from timo_sim.physics.layout import Motion
 
 # Phase of the first axial vibration in a step with which no tested arm diverged [rad].
@@ -24,7 +23,7 @@ _MOST_OF_A_PERIOD = 0.25
 _MOST_LEFT_OUT = 1e-3
 _MOST_APART = 7e-4  # largest distance from a second run, which has errors, too [arm lengths]
 NO_SECOND_RUN = ('finer runs of the scene diverge, so that the error of this one is not known: '
-                 'take a smaller integrator.step or an integrator.tolerance')
+                 'take a smaller integrator.step')
 # Largest drift of joints with dry friction; largest error of the tip by steps, and by modes.
 _MOST_DRIFT = _MOST_ERROR = 3e-4  # [arm lengths]
 
@@ -85,8 +84,6 @@ def after_steps(scene, steps, stretch, time, state, load, motions, warning):
     errors, length = steps.errors, scene.manipulator.arm.length
     if not errors.tip <= _MOST_ERROR * length:
         return _inaccurate_steps(scene, errors.tip, errors.by_load, time)
-    if steps.unresolved:
-        return _unresolved_steps(steps, time)
     # Steps are too long to resolve events, or to hold a joint still: doc/theory.md, (T44).
     if steps.friction_drift > _MOST_DRIFT * length:
         return _friction_drift(steps, time)
@@ -141,8 +138,7 @@ def after_second_run(scene, finer, error, parts, warning):
 
 
 def _inaccurate_steps(scene, error, by_load, time):
-    remedy = '' if scene.friction.any() else ', or let them be split by an integrator.tolerance'
-    cause = ''
+    cause = remedy = ''
     if by_load:
         cause = ', or vibrations beyond the modes when the load at the tip changed,'
         remedy = ' or more model.modes'
@@ -185,12 +181,6 @@ def _left_out(scene, model, time, share, motions):
             'model.formulation exact')
 
 
-def _unresolved_steps(steps, time):
-    return (f'before t = {time:.6g} s the error of a step was above integrator.tolerance = '
-            f'{steps.tolerance:g} m even when done in {2**(FINEST + 1)} parts: take a smaller '
-            'integrator.step or fewer model.modes')
-
-
 def _friction_drift(steps, time):
     return (f'before t = {time:.6g} s joints that Coulomb friction stops or holds have drifted by '
             f'{steps.friction_drift:.2g} m, as seen at the tip and summed up: take a smaller '
@@ -219,7 +209,6 @@ def divergence(scene, step, motion, reach, bend, warning):
     largest = np.argmax(np.abs(motion[:len(reach)]) * reach)
     name = (['carrier x', 'carrier y', 'shaft angle'] + [
         f'modal coordinate {n + 1}' for n in range(len(reach) - 3)])[largest]
-    splitting = '' if scene.friction.any() else ' an integrator.tolerance,'
     smaller = 'a smaller integrator.step'
     axial = scene.values['model.axial_modes']
     if axial:
@@ -230,6 +219,6 @@ def divergence(scene, step, motion, reach, bend, warning):
             smaller = (f'integrator.step = {step:.6g} s or less, which resolves axial '
                        'vibrations, model.axial_modes 0')
     return (f'the state diverges after t = {step * scene.step:.6g} s (step {step}), at {name} = '
-            f'{motion[largest]:.3g} with the arm bent by {bend:.3g} m: take {smaller},'
-            f'{splitting} fewer model.modes or model.formulation exact' + (
+            f'{motion[largest]:.3g} with the arm bent by {bend:.3g} m: take {smaller}, '
+            f'fewer model.modes or model.formulation exact' + (
                 f'; {warning}' if warning else ''))

@@ -79,8 +79,7 @@ class Simulator(Readings):
 
     def _take(self, scene, model):
         self.scene, self.model = scene, model.packed_by(self._pack or model.pack)
-        self.integration = steps_of(self.model, scene.step, scene.values['integrator.tolerance'],
-                                    scene.friction, scene.friction_speed)
+        self.integration = steps_of(self.model, scene.step, scene.friction, scene.friction_speed)
         self.stretch = StretchError(self.model)
 
     def __repr__(self):

@@ -15,11 +15,10 @@ declared functions and `Formulation`.
 
 from timo_sim.physics.integrate.friction import FrictionSteps
 from timo_sim.physics.integrate.smooth_friction import SmoothFrictionSteps
-from timo_sim.physics.integrate.split import SplitSteps
 from timo_sim.physics.integrate.steps import Steps
 
 
-def steps_of(model, step, tolerance=0.0, friction=None, slow=None):
+def steps_of(model, step, friction=None, slow=None):
     """
     Return the time steps of a model.
 
@@ -28,8 +27,6 @@ def steps_of(model, step, tolerance=0.0, friction=None, slow=None):
     model : Formulation
     step : float
         [s]
-    tolerance : float
-        Largest estimated error of a step [m]; 0: none is split. Not used with friction.
     friction : ndarray, shape (3,), optional
         Largest Coulomb friction of carrier x, y [N] and shaft [N m].
     slow : ndarray, shape (3,), optional
@@ -44,4 +41,4 @@ def steps_of(model, step, tolerance=0.0, friction=None, slow=None):
         if slow is not None and slow.any():
             return SmoothFrictionSteps(model, step, friction, slow)
         return FrictionSteps(model, step, friction)
-    return SplitSteps(model, step, tolerance) if tolerance else Steps(model, step)
+    return Steps(model, step)

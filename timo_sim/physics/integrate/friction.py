@@ -15,8 +15,6 @@ slide through the whole step, a few more if a joint comes to rest, is held or br
 depends on earlier steps, so that it does not matter how many steps are done at once.
 """
 
-import sys
-
 import numpy as np
 
 from timo_sim.jit.constants import local, pack
@@ -188,8 +186,7 @@ class FrictionSteps(Steps):
 
     """
 
-    keeps_states = False
-    least = sys.maxsize  # no estimate by defects: rates jump where a joint stops or breaks away
+    keeps_states = False  # no estimate by defects: rates jump where a joint stops or breaks away
 
     def __init__(self, model, step, limit):
         super().__init__(model, step)

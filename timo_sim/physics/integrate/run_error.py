@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from timo_sim.physics.integrate.global_error import GlobalError
+from timo_sim.physics.integrate.global_error import GlobalError, LEAST
 from timo_sim.physics.integrate.kept import kept
 from timo_sim.physics.integrate.modes_error import ModesError
 from timo_sim.physics.layout import ANGLE, LOADS, rotate, START
@@ -92,7 +92,7 @@ class RunError:
 
     @property
     def rest(self):
-        """Arrays for y and n of (T38) of coming steps, or their error in `SplitSteps`, (k, m)."""
+        """Arrays for y and n of (T38) of coming steps, (k, m)."""
         return self._states[self._open:], self._rates[self._open:]
 
     def count(self, done, state, load):
@@ -119,7 +119,7 @@ class RunError:
         """
         self._look_at_modes(state, load, _STEPS_PER_LOOK)
         count, self._open = self._open, 0
-        if not (smooth and count >= self._steps.least and self._pay()):
+        if not (smooth and self._steps.keeps_states and count >= LEAST and self._pay()):
             self.unseen += count * smooth
             self._error.grow(count)
             return

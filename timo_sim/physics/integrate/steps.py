@@ -6,13 +6,12 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Equal time steps of a model, none of them split, with an estimate of their error."""
+"""Equal time steps of a model, with an estimate of their error."""
 
 import numpy as np
 
 from timo_sim.physics.integrate import etdrk4
 from timo_sim.physics.integrate.flow import flow
-from timo_sim.physics.integrate.global_error import LEAST
 from timo_sim.physics.integrate.kept import kept
 from timo_sim.physics.integrate.propagator import propagators
 from timo_sim.physics.integrate.run_error import RunError
@@ -40,7 +39,7 @@ class LinearPart:
 
 class Steps:
     """
-    Equal steps of a model, each done once.
+    Equal steps of a model.
 
     Parameters
     ----------
@@ -56,21 +55,14 @@ class Steps:
         Estimated error of the steps so far.
     kept : dict
         What depends on model and step alone, see `kept`.
-    splits : int
-        Number of steps that were split.
-    unresolved : int
-        Number of steps whose error was above the tolerance even in the smallest parts.
 
     """
 
-    tolerance = 0.0
     keeps_states = True  # whether y and n of (T38) at each step's start go to `errors.rest`
-    least = LEAST  # least number of steps between breaks of the load to estimate their error
 
     def __init__(self, model, step):
         self.model, self.step = model, step
         self.memory = np.zeros(0)
-        self.splits, self.unresolved = 0, 0
         self.kept = model.kept(step)
         self._no_samples = np.empty((0, model.size)), np.zeros(0)
         self.errors, self._constant = RunError(self), np.empty((1, STEP_LOADS, LOADS))
@@ -100,9 +92,8 @@ class Steps:
         self.errors.reset()
 
     def follow(self, earlier):
-        """Take over memory, counts and errors from the steps of a model of the same size."""
-        self.memory, self.splits, self.unresolved = (
-            earlier.memory, earlier.splits, earlier.unresolved)
+        """Take over memory and errors from the steps of a model of the same size."""
+        self.memory = earlier.memory
         self.errors.go_on(earlier.errors)
 
     @property
