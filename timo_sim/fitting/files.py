@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from timo_sim.extras import optional
 from timo_sim.fitting.from_log import read_log
 from timo_sim.fitting.quantities import INPUTS, OUTPUTS, unit_of, UNITS
 from timo_sim.fitting.record import Channel, Record
@@ -209,7 +210,8 @@ def _column(table, column):
 def _table(path):
     """Return the columns of a file by name."""
     if path.suffix == '.parquet':
-        import pyarrow.parquet
+        with optional():
+            import pyarrow.parquet
         found = pyarrow.parquet.read_table(path)
         return {name: found[name].to_numpy(zero_copy_only=False) for name in found.column_names}
     if path.suffix == '.mat':
