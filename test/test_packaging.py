@@ -10,6 +10,7 @@
 
 import ast
 from importlib.util import find_spec
+import os
 from pathlib import Path
 import re
 import subprocess
@@ -190,3 +191,15 @@ for use in (lambda: run.plot(), lambda: run.view(), lambda: run.to_pandas(),
     for package, extra in extras._EXTRAS.items():
         name = DISTRIBUTIONS.get(package, package).replace('_', '-')
         assert any(name in line for line in EXTRAS[extra]), package
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='elsewhere there is a screen without DISPLAY')
+def test_make_view_without_a_screen_is_an_error_with_one_line_that_make_can_follow():
+    environment = {name: value for name, value in os.environ.items()
+                   if name not in ('DISPLAY', 'WAYLAND_DISPLAY')}
+    make = ['make', '-o', '.venv/.gallery', 'view']  # rerun need not be installed
+    done = subprocess.run(make, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.returncode == 2 and 'make view VIEW=--web' in done.stderr
+    assert done.stderr.count('\n') == 2  # the last is make's own
+    done = subprocess.run([*make, '-n', 'VIEW=--web'], cwd=ROOT, capture_output=True, text=True)
+    assert 'timo_sim view run/paper.mcap --web\n' in done.stdout
