@@ -10,6 +10,7 @@
 
 import ast
 from importlib.util import find_spec
+import os
 from pathlib import Path
 import re
 import subprocess
@@ -21,6 +22,7 @@ from conftest import NEED
 from packaging.requirements import Requirement
 import pytest
 import timo_sim
+from timo_sim import extras
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -152,3 +154,52 @@ def test_a_run_that_leaves_tests_out_says_so_in_its_last_line():
 def test_the_workflow_leaves_out_no_test_on_a_machine_with_ros():
     ros = (ROOT / '.github/workflows/test.yml').read_text().partition('container: ros:jazzy')[2]
     assert f"python -c 'import {', '.join(sorted({*NEED.values()}))}'" in ros
+
+
+def test_what_is_missing_is_named_with_the_command_that_installs_it(tmp_path):
+    """Also in Python; extras that are named have the package among their requirements."""
+    code = """
+import sys
+from timo_sim import extras
+class Missing:
+    def find_spec(self, name, *_):
+        if name in extras._EXTRAS:
+            raise ModuleNotFoundError(name=name)
+sys.meta_path.insert(0, Missing())
+import timo_sim
+run = timo_sim.simulate('paper', 0.1)
+for use in (lambda: run.plot(), lambda: run.view(), lambda: run.to_pandas(),
+            lambda: run.save('run.parquet'), lambda: timo_sim.linearize('paper').to_control(),
+            lambda: timo_sim.read_record('in.parquet', {'time': 't', 'columns': {'s': 'shaft'}}),
+            lambda: __import__('timo_sim.gym'),
+            lambda: timo_sim.simulate_many('paper', [{}], 0.1, scheduler='tcp://localhost:1')):
+    try:
+        use()
+    except ModuleNotFoundError as error:
+        print(error)
+"""
+    (tmp_path / 'in.parquet').touch()
+    done = subprocess.run([sys.executable, '-W', 'ignore', '-c', code], cwd=tmp_path, text=True,
+                          capture_output=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [
+        f"{package} is missing: pip install 'timo_sim[{extra}]'" for package, extra in (
+            ('matplotlib', 'plot'), ('rerun_cli', 'view'), ('pandas', 'pandas'),
+            ('pyarrow', 'sweep'), ('control', 'control'), ('pyarrow', 'sweep'),
+            ('gymnasium', 'rl'), ('distributed', 'cluster'))]
+    assert [*tmp_path.iterdir()] == [tmp_path / 'in.parquet']
+    for package, extra in extras._EXTRAS.items():
+        name = DISTRIBUTIONS.get(package, package).replace('_', '-')
+        assert any(name in line for line in EXTRAS[extra]), package
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='elsewhere there is a screen without DISPLAY')
+def test_make_view_without_a_screen_is_an_error_with_one_line_that_make_can_follow():
+    environment = {name: value for name, value in os.environ.items()
+                   if name not in ('DISPLAY', 'WAYLAND_DISPLAY')}
+    make = ['make', '-o', '.venv/.gallery', 'view']  # rerun need not be installed
+    done = subprocess.run(make, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.returncode == 2 and 'make view VIEW=--web' in done.stderr
+    assert done.stderr.count('\n') == 2  # the last is make's own
+    done = subprocess.run([*make, '-n', 'VIEW=--web'], cwd=ROOT, capture_output=True, text=True)
+    assert 'timo_sim view run/paper.mcap --web\n' in done.stdout

@@ -13,6 +13,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 import timo_sim
 
@@ -77,6 +78,12 @@ def spin_up():
         lambda t: 0.4 * (t**2 / 2 + (math.cos(rate * t) - 1) / rate**2) if t < 15 else 6 * t - 45,
         lambda t: 0.4 * (t - math.sin(rate * t) / rate) if t < 15 else 6.0,
         lambda t: 0.4 * (1 - math.cos(rate * t)) if t < 15 else 0.0)
+
+
+def peak(t, values):
+    """Return the largest absolute value of a cubic spline through samples 10 ms apart."""
+    fine = np.linspace(t[0], t[-1], 20 * len(t) - 19)
+    return np.abs(CubicSpline(t, values)(fine)).max()
 
 
 def simulate(formulation, modes, period=PERIOD):

@@ -16,10 +16,9 @@ import warnings
 
 import click
 
+from timo_sim.extras import optional
 from timo_sim.version import __version__
 
-_EXTRAS = {'pyarrow': 'sweep', 'distributed': 'cluster', 'geometry_msgs': 'ros',
-           'rerun': 'view', 'rerun_cli': 'view', 'matplotlib': 'plot'}
 # Errors by name, because most of their modules are not imported here.
 _WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError', 'TrackError'
 
@@ -55,7 +54,7 @@ class _Command(click.Command):
     def invoke(self, context):
         """Run it; exit with 2 for wrong input, 1 for a failed import, MemoryError or OSError."""
         try:
-            with warnings.catch_warnings():
+            with warnings.catch_warnings(), optional():
                 warnings.showwarning = _shown
                 super().invoke(context)
             sys.stdout.flush()
@@ -67,8 +66,6 @@ class _Command(click.Command):
             code, text = 1, str(error)
             if type(error).__name__ in _WRONG_INPUT:
                 code = 2
-            elif isinstance(error, ModuleNotFoundError) and error.name in _EXTRAS:
-                text = f"{error.name} is missing: pip install 'timo_sim[{_EXTRAS[error.name]}]'"
             elif not isinstance(error, (ImportError, MemoryError, OSError)):
                 raise
         click.echo('timo_sim: ' + ' '.join(text.split()), err=True)
@@ -262,6 +259,13 @@ def simulate(scene, duration, settings, output, rate, compare, view, png):
     from timo_sim.scene.scene import load_scene
     from timo_sim.simulation.resolution import resolved
     from timo_sim.simulation.model_warnings import DivergenceError
+    # If these are missing, fail before minutes are spent on the run.
+    if png:
+        from timo_sim.view import plot
+    if view:
+        import rerun  # noqa: F401
+    if output and output.endswith('.parquet'):
+        import pyarrow  # noqa: F401
     scene, steps = resolved(load_scene(scene, parsed(settings)), duration, click.echo)
     if rate:
         every = whole_ratio('1/integrator.step', 1.0 / scene.step, '--rate', rate)
@@ -278,7 +282,6 @@ def simulate(scene, duration, settings, output, rate, compare, view, png):
     if output:
         click.echo(f'{run.save(output)} is written')
     if png:
-        from timo_sim.view import plot
         plot.write(run.plot(), png)
         click.echo(f'{png} is drawn')
     if view:

@@ -56,7 +56,8 @@ def fit(record, more, scene, free, bounds, settings, mapping, outputs,
     from timo_sim.fitting.fit import fit, read
     from timo_sim.scene.parameter import ModelWarning
     from timo_sim.scene.scene import load_scene
-    from timo_sim.view.plot import write
+    if png:
+        from timo_sim.view.plot import write
     changes, ends = parsed(settings), _bounds(bounds)
     scene, record = read(scene, record, mapping)
     if outputs:

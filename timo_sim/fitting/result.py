@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import yaml
 
+from timo_sim.extras import optional
 from timo_sim.fitting.quantities import unit_of
 from timo_sim.fitting.record import Record
 from timo_sim.runs.run import Run
@@ -175,7 +176,8 @@ class Fit:
 
     def plot(self) -> Figure:
         """Draw measured and predicted outputs, and their difference; needs matplotlib."""
-        from timo_sim.fitting.picture import plot
+        with optional():
+            from timo_sim.fitting.picture import plot
         return plot(self)
 
     def save(self, path: str | Path) -> Path:

@@ -14,6 +14,7 @@ import csv
 
 import numpy as np
 
+from timo_sim.extras import optional
 from timo_sim.scene.parameter import ParameterError, short
 
 SUFFIXES = '.csv', '.txt', '.dat', '.tsv', '.parquet', '.mat'
@@ -95,8 +96,9 @@ def _series(matrix):
 
 
 def _parquet(path):
-    import pyarrow
-    import pyarrow.parquet
+    with optional():
+        import pyarrow
+        import pyarrow.parquet
     try:
         found = pyarrow.parquet.read_table(path).flatten()
         return [([name], values.to_numpy())

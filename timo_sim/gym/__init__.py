@@ -12,7 +12,10 @@ Environments of gymnasium, for reinforcement learning: the extra `rl`.
 Importing it registers `timo_sim/Reach-v0`. It may import `simulation` and what is below it.
 """
 
-import gymnasium
+from timo_sim.extras import optional
+
+with optional():
+    import gymnasium
 
 from timo_sim.gym.reach import ReachEnv
 from timo_sim.gym.reach_vector import ReachVectorEnv

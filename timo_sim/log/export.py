@@ -15,6 +15,7 @@ import shutil
 
 import numpy as np
 
+from timo_sim.extras import optional
 from timo_sim.log.index import Index
 from timo_sim.log.records import LogError, printable
 from timo_sim.log.recording import Recording
@@ -116,8 +117,9 @@ def table(recording, topic=None):
 
 
 def _parquet(columns, path):
-    import pyarrow
-    import pyarrow.parquet
+    with optional():
+        import pyarrow
+        import pyarrow.parquet
     arrays = {name: pyarrow.array(np.ascontiguousarray(values), from_pandas=True)
               for name, values in columns.items()}
     with open(path, 'wb') as stream:

@@ -16,6 +16,7 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from timo_sim.extras import optional
 from timo_sim.physics.equations.base import Formulation
 from timo_sim.physics.layout import LOADS, MotionFields
 from timo_sim.runs.tables import Tables
@@ -229,12 +230,14 @@ class Run(MotionFields, Tables):
 
     def plot(self) -> Figure:
         """Draw the tip, carrier and shaft over time and the arm in the plane; needs matplotlib."""
-        from timo_sim.view.plot import plot
+        with optional():
+            from timo_sim.view.plot import plot
         return plot(self)
 
     def view(self, web: bool = False) -> None:
         """Show the run in rerun until its window, or the browser, is closed; needs rerun-sdk."""
-        from timo_sim.view.show import show_tracks
+        with optional():
+            from timo_sim.view.show import show_tracks
         from timo_sim.view.track import of_run
         show_tracks([lambda: of_run(self)], web=web)
 

@@ -15,6 +15,7 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from timo_sim.extras import optional
 from timo_sim.messages.outputs import outputs, with_angles
 from timo_sim.physics.layout import FORCE_X, FORCE_Y, LOADS, TORQUE
 from timo_sim.scene.parameters import PARAMETERS
@@ -46,7 +47,8 @@ class Tables:
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return `columns` as a pandas.DataFrame with the time as index."""
-        import pandas
+        with optional():
+            import pandas
         return pandas.DataFrame(self.columns()).set_index('time_s')
 
     def save(self, path: str | Path) -> Path:

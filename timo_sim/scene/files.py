@@ -157,7 +157,8 @@ class _Loader(yaml.SafeLoader):
 def read_yaml(path):
     """Return the content of a YAML file, or raise ParameterError."""
     path = Path(path)
-    if not stat.S_ISREG(path.stat().st_mode):  # a pipe might never end
+    if not stat.S_ISREG(mode := path.stat().st_mode) and not stat.S_ISDIR(mode):
+        # A pipe might never end; a folder is refused by the system.
         raise ParameterError(f'{path} is not a file')
     return parse_yaml(path.read_bytes(), path)
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from timo_sim.extras import optional
 from timo_sim.scene.parameter import did_you_mean, Parameter, ParameterError
 from timo_sim.scene.summary import html_table
 
@@ -85,7 +86,8 @@ class LinearModel:
 
     def to_control(self):
         """Return the model as a `control.StateSpace` of python-control, names included."""
-        from control import ss
+        with optional():
+            from control import ss
         return ss(self.A, self.B, self.C, self.D, self.dt or 0, states=list(self.states),
                   inputs=list(self.inputs), outputs=list(self.outputs))
 

@@ -18,6 +18,7 @@ import subprocess
 import threading
 
 from timo_sim.child import start_python
+from timo_sim.extras import optional
 from timo_sim.scene.parameter import Parameter, ParameterError
 from timo_sim.version import __version__
 
@@ -40,8 +41,9 @@ def cluster_executor(address):
     gives one result. Raises ConnectionError if the scheduler cannot be reached, or a worker has
     another version of this package.
     """
-    from distributed import Client
-    from distributed.comm import get_address_host_port
+    with optional():
+        from distributed import Client
+        from distributed.comm import get_address_host_port
     try:
         get_address_host_port(address)  # a Client reports a malformed address too late
         client = Client(address, set_as_default=False)

@@ -89,7 +89,8 @@ def _show(path, web):
     """Show a rerun file until the viewer, in a window or the browser, is closed."""
     if not web and sys.platform == 'linux' and not (
             os.environ.get('DISPLAY') or os.environ.get('WAYLAND_DISPLAY')):
-        raise ViewerError('there is no screen (DISPLAY is not set): take --png, --save or --web')
+        raise ViewerError('there is no screen (DISPLAY is not set): add --web for a browser, '
+                          '--png OUT.png for a picture or --save OUT.rrd for a file')
     port, web_port = _free_port(), _free_port()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     process = _viewer(subprocess.Popen, '--port', str(port), *(

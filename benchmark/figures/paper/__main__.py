@@ -22,7 +22,7 @@ from benchmark.figures.paper.motion import histories, wrong_axial
 from benchmark.figures.paper.style import FIGURES, MODES
 from benchmark.report import table
 from oracles import slips
-from oracles.references import LENGTH, read, simulate, station, STATIONS, STEP
+from oracles.references import LENGTH, peak, read, simulate, station, STATIONS, STEP
 
 PAGE = ROOT / 'doc' / 'paper.md'
 
@@ -41,20 +41,17 @@ def main():
     figure_11, verdicts_11 = error_histories(t, runs, truth)
     figure_12, verdict_12 = errors_over_modes(truth)
     figure_13, verdict_13 = wrong_axial(t, fem, runs['newton'])
-    peak = {}
-    for name in runs:
-        run = simulate(name, MODES, STEP)
-        peak[name] = (1e3 * np.abs(run.deflection(LENGTH)[:, 1]).max(), np.degrees(max(
-            np.abs(run.rotation(share * LENGTH)).max() for share in STATIONS.values())))
-    w_fem = 1e3 * np.abs(fem['w_l_m']).max()
+    peaks = {name: (1e3 * peak(t, run.deflection(LENGTH)[:, 1]), np.degrees(max(
+        peak(t, run.rotation(share * LENGTH)) for share in STATIONS.values())))
+        for name, run in runs.items()}
     verdicts = [
         verdict_2, verdict_4,
-        ('Fig. 9: tip deflection', 'about 80 mm', f'{peak["newton"][0]:.2f} mm',
-         f'{peak["exact"][0]:.2f} mm', 'reads a tenth low: finite elements give '
-         f'{w_fem:.2f} mm at samples 10 ms apart'),
-        ('Fig. 10: section rotation', '< 4.5 deg', f'{peak["newton"][1]:.3f} deg',
-         f'{peak["exact"][1]:.3f} deg', 'agrees' if max(
-             each[1] for each in peak.values()) < 4.5 else 'does not agree'),
+        ('Fig. 9: tip deflection', 'about 80 mm', f'{peaks["newton"][0]:.2f} mm',
+         f'{peaks["exact"][0]:.2f} mm', 'reads a tenth low: finite elements give '
+         f'{1e3 * peak(t, fem["w_l_m"]):.2f} mm'),
+        ('Fig. 10: section rotation', '< 4.5 deg', f'{peaks["newton"][1]:.3f} deg',
+         f'{peaks["exact"][1]:.3f} deg', 'agrees' if max(
+             each[1] for each in peaks.values()) < 4.5 else 'does not agree'),
         *verdicts_11, verdict_12, verdict_13]
     claims = table(['what', 'paper', 'newton', 'exact', 'verdict'], verdicts)
     PAGE.write_text(f"""# The paper, reproduced
@@ -68,7 +65,8 @@ said otherwise. The finite-element side is a geometrically exact model in exudyn
 
 An error in per cent is the largest absolute error over 10 s, divided by the largest absolute value
 that the same quantity has at the same section in the finite-element run. The paper does not say
-how it normalises.
+how it normalises. Peaks are those of cubic splines through samples 10 ms apart, which alone miss
+0.6 % of the largest deflection.
 
 ## Claims
 

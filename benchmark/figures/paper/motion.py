@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmark.figures.paper.style import BLACK, COLOURS, MODES, NAMES, save
-from oracles.references import LENGTH, motion_of, simulate, STATIONS
+from oracles.references import LENGTH, motion_of, peak, simulate, STATIONS
 
 
 def histories(t, runs, truth, fem):
@@ -51,7 +51,7 @@ def histories(t, runs, truth, fem):
         figure, axes = plt.subplots(2, 2, figsize=(9, 4.8), sharex=True)
         for axis, name in zip(axes.flat, inner):
             draw(axis, theirs(name), {key: ours(run, name) for key, run in runs.items()},
-                 f'xi = {NAMES[name]}, peak {np.abs(theirs(name)).max():.2f}')
+                 f'xi = {NAMES[name]}, peak {peak(t, theirs(name)):.2f}')
         for axis in axes[1]:
             axis.set_xlabel('t [s]')
         for axis in axes[:, 0]:

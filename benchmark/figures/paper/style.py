@@ -8,8 +8,12 @@
 
 """Colours and style of the figures of doc/paper.md, and how they are saved."""
 
+from io import BytesIO
+
 import matplotlib
 import matplotlib.pyplot as plt
+import numpy as np
+from PIL import Image
 
 from benchmark import ROOT
 from timo_sim.physics.equations import FORMULATIONS
@@ -27,9 +31,18 @@ plt.rcParams.update({'font.size': 9, 'axes.grid': True, 'grid.alpha': 0.3,
                      'path.simplify_threshold': 1.0})
 
 
+def same_picture(old, new):
+    """Return whether two pictures differ by round-off alone, which shades edges of lines."""
+    pixels = [np.asarray(Image.open(each).convert('RGB'), dtype=int) for each in (old, new)]
+    return pixels[0].shape == pixels[1].shape and np.abs(np.subtract(*pixels)).max() <= 16
+
+
 def save(figure, number, text):
-    """Save a figure as PNG and SVG; return its Markdown."""
-    figure.savefig(FIGURES / f'fig{number}.png', dpi=110)
-    figure.savefig(FIGURES / f'fig{number}.svg', metadata={'Date': None})
+    """Save a figure as PNG and SVG unless it is there already; return its Markdown."""
+    path, new = FIGURES / f'fig{number}.png', BytesIO()
+    figure.savefig(new, dpi=110)
+    if not path.exists() or not same_picture(path, new):
+        path.write_bytes(new.getvalue())
+        figure.savefig(path.with_suffix('.svg'), metadata={'Date': None})
     plt.close(figure)
     return f'![{text}](paper/fig{number}.png)\n\n*{text}* ([SVG](paper/fig{number}.svg))\n'

@@ -1,0 +1,33 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Optional packages, and the extras of this package that install them."""
+
+from contextlib import contextmanager
+
+_EXTRAS = {
+    'PIL': 'plot', 'control': 'control', 'distributed': 'cluster', 'geometry_msgs': 'ros',
+    'gymnasium': 'rl', 'matplotlib': 'plot', 'pandas': 'pandas', 'pyarrow': 'sweep',
+    'rclpy': 'ros', 'rerun': 'view', 'rerun_cli': 'view'}
+
+
+class MissingPackage(ModuleNotFoundError):
+    """An optional package is not installed; the text says how to install it."""
+
+
+@contextmanager
+def optional():
+    """Import inside of this: a missing package is a MissingPackage."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name not in _EXTRAS:
+            raise
+        raise MissingPackage(
+            f"{error.name} is missing: pip install 'timo_sim[{_EXTRAS[error.name]}]'",
+            name=error.name) from None
