@@ -167,10 +167,11 @@ class Missing:
             raise ModuleNotFoundError(name=name)
 sys.meta_path.insert(0, Missing())
 import timo_sim
+RECORD = {'time': {'column': 't'}, 'columns': {'s': 'shaft'}}
 run = timo_sim.simulate('paper', 0.1)
 for use in (lambda: run.plot(), lambda: run.view(), lambda: run.to_pandas(),
             lambda: run.save('run.parquet'), lambda: timo_sim.linearize('paper').to_control(),
-            lambda: timo_sim.read_record('in.parquet', {'time': 't', 'columns': {'s': 'shaft'}}),
+            lambda: timo_sim.read_record('in.parquet', RECORD),
             lambda: __import__('timo_sim.gym'),
             lambda: timo_sim.simulate_many('paper', [{}], 0.1, scheduler='tcp://localhost:1')):
     try:
