@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from importlib.util import find_spec
 import os
 from pathlib import Path
+import signal
 import subprocess
 import sys
 import sysconfig
@@ -31,6 +32,8 @@ PAPER = ROOT / 'config' / 'paper.yaml'
 
 # Nodes of one test process must not see those of other runs or of other processes of pytest-xdist.
 os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(own_domain()))
+# Under nohup nodes would inherit that SIGHUP is ignored, and not end by it.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.hookimpl(hookwrapper=True)
