@@ -222,5 +222,5 @@ def divergence(scene, step, motion, reach, bend, warning):
                        'vibrations, model.axial_modes 0')
     return (f'the state diverges after t = {step * scene.step:.6g} s (step {step}), at {name} = '
             f'{motion[largest]:.3g} with the arm bent by {bend:.3g} m: take {smaller}, '
-            f'fewer model.modes or model.formulation exact' + (
+            'fewer model.modes or model.formulation exact' + (
                 f'; {warning}' if warning else ''))
