@@ -240,11 +240,12 @@ def replay(file, settings, formulation, scene, output, start, duration, node):
     '_1, _2, ... is appended.'))
 @click.option('--rate', type=float, metavar='HZ', help=(
     'Samples per second of sim time; by default about 100, or one each step if these do not fit.'))
-@click.option('--compare', is_flag=True, help='Compare with a finer run, also if the run is long.')
+@click.option('--estimate/--no-estimate', default=True, show_default=True,
+              help='Measure the error by a finer run.')
 @click.option('--view', is_flag=True, help='Show the run in rerun.')
 @click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
               help='Picture to write: curves over time, and the arm in the plane.')
-def simulate(scene, duration, settings, output, rate, compare, view, png):
+def simulate(scene, duration, settings, output, rate, estimate, view, png):
     r"""
     Simulate SCENE, a parameter file or the name of an installed scene, without ROS.
 
@@ -275,7 +276,7 @@ def simulate(scene, duration, settings, output, rate, compare, view, png):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)  # `run.message` has its text
-            run, diverged = simulate(scene, duration, every, compare or None), None
+            run, diverged = simulate(scene, duration, every, estimate), None
     except DivergenceError as error:
         run, diverged = error.run, error
     click.echo(run.message)

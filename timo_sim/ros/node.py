@@ -76,7 +76,7 @@ def _prepared(node):
     steps_each = steps_between_messages(values, scene.step)
     end = whole_ratio('duration', values['duration'], 'integrator.step',
                       scene.step) or math.floor(LATEST / scene.step)
-    simulator = Simulator(scene)
+    simulator = Simulator(scene, values['estimate_error'])
     simulator.warm_up(node.get_logger().info, messages=True)
     return simulator, values, steps_each, end
 
@@ -213,7 +213,9 @@ class SimNode(ParameterNode):
         self._loop.poll()
         if self._live:
             self._live.offer(now, self._simulator, lambda: self._loop.snapshot().effort)
-        return self._loop.tick(now, self._stop)
+        wait = self._loop.tick(now, self._stop)
+        # The error is measured while nothing else is due.
+        return 0.0 if wait > 0.0 and self._simulator.measure_error(1) else wait
 
     def _close(self, wall_time):
         error = self._simulator.estimated_error

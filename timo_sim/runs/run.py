@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+import math
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
@@ -52,10 +53,8 @@ class Run(MotionFields, Tables):
     warning : str or None
         Why the run should not be trusted, and what to do.
     stats : dict
-        Steps, wall time, steps that were split, and the largest estimated error of the tip [m],
-        `estimated_tip_error_m`: the sum of `step_error_m`, `modes_error_m`, `friction_drift_m` and
-        `stretch_error_m`. Effects that the formulation neglects are not included. With `compared`
-        it is instead the largest distance to the tip of a second, finer run.
+        Steps, wall time, and `estimated_tip_error_m`, the largest distance of the tip from that of
+        a finer run [m], see `simulation.finer`; NaN if it was not measured.
     recording : Recording or None
         The log that the run was read from, with all its topics, commands included.
     payloads : tuple of (int, float, float)
@@ -91,9 +90,9 @@ class Run(MotionFields, Tables):
         """One sentence about the run: its warning, or that there is none."""
         found = 'no warnings' if self.recording is None else (
             'read from a log, which does not say whether there were warnings')
-        if 'compared' in self.stats:
-            found += (f', the tip {self.stats["estimated_tip_error_m"]:.1g} m at most from that '
-                      'of a finer run')
+        error = self.stats.get('estimated_tip_error_m', math.nan)
+        if not math.isnan(error):
+            found += f', the tip {error:.1g} m at most from that of a finer run'
         return self.warning or f'{len(self.t)} samples until t = {self.t[-1]:.6g} s, {found}'
 
     def __repr__(self) -> str:

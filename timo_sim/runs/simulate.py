@@ -16,8 +16,8 @@ import sys
 from tqdm import tqdm
 
 from timo_sim.runs.run import Run
+from timo_sim.runs.error import measured, samples_between
 from timo_sim.runs.sampled import sampled_run
-from timo_sim.runs.second_run import compared, in_doubt, samples_between
 from timo_sim.scene.parameter import Parameter, ParameterError, warn
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.model_warnings import DivergenceError
@@ -27,14 +27,12 @@ _EVERY = Parameter('sample_every', 1, '', 'steps between samples', low=1)
 
 
 def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
-             compare: bool | None = None) -> Run:
+             estimate: bool = True) -> Run:
     """
     Simulate a scene under its own loads.
 
-    On a terminal, a progress bar appears when the run takes more than a second. A run that has a
-    warning, an estimated error above 5e-6 of the arm's length, another formulation than `exact`,
-    or axial vibrations that its steps do not resolve, is compared with a second, finer one, which
-    takes some twenty times as long, see `Run.stats`.
+    On a terminal, a progress bar appears when the run takes more than a second. The error of the
+    tip is measured by a finer run, which takes some twenty times as long, see `Run.stats`.
 
     Parameters
     ----------
@@ -44,8 +42,8 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
         Sim time [s], a whole multiple of the time step.
     sample_every : int
         Steps between samples; divides the number of steps.
-    compare : bool, optional
-        Whether the run is compared with a finer one; by default as described above.
+    estimate : bool
+        Whether the error is measured.
 
     Returns
     -------
@@ -64,8 +62,8 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     Warns
     -----
     ModelWarning
-        With the text of `Run.warning`, if there is one: an estimated error is large, the shaft is
-        too fast for the formulation, or a harmonic load is too fast for the step.
+        With the text of `Run.warning`, if there is one: the error is large, the shaft is too fast
+        for the formulation, or a harmonic load is too fast for the step.
 
     Examples
     --------
@@ -83,7 +81,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
               leave=False) as bar:
         try:
-            between = 1 if compare is False else samples_between(steps, sample_every)
+            between = samples_between(steps, sample_every) if estimate else 1
             run = sampled_run(scene, steps, sample_every // between, bar.update, _tell)
         except DivergenceError as error:
             error.run = _thinned(error.run, between)
@@ -91,9 +89,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
         except MemoryError:
             raise MemoryError(f'{1 + steps // sample_every} samples do not fit into memory: take '
                               f'sample_every > {sample_every}') from None
-        if in_doubt(run) if compare is None else compare:
-            run = compared(run, tell=_tell)
-        run = _thinned(run, between)
+        run = _thinned(measured(run) if estimate else run, between)
     if run.warning:
         warn(run.warning)
     return run

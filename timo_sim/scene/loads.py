@@ -25,7 +25,7 @@ import numpy as np
 from timo_sim.physics.layout import (
     ACCELERATION, AFTER, ANGLE, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TIP_TORQUE,
     TIP_X, TIP_Y, TORQUE)
-from timo_sim.scene.moments import around, on_boundaries, parabolas
+from timo_sim.scene.moments import on_boundaries, parabolas
 
 CHANNELS = {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE, 'tip_force_x': TIP_X,
             'tip_force_y': TIP_Y, 'tip_torque': TIP_TORQUE}
@@ -53,25 +53,18 @@ def _of_stages(values):
     return found
 
 
-_NO_BREAKS = np.zeros(0)
-
-
 class Term:
     """
     A term of a load, as a function of time.
 
     `jumps()` returns the times at which it jumps [s]. The other methods are for `count` steps of
     size `step` [s], from step `first` on. `stages` returns values at start, middle and end of each
-    step, shape (count, 3), or (count, 1) if these are the same. `breaks` returns where it jumps or
-    has a kink in and around these steps, counted in steps from t = 0, ascending. `parabolas`
-    returns which steps have a kink inside, and what replaces their stages, see `moments`.
+    step, shape (count, 3), or (count, 1) if these are the same. `parabolas` returns which steps
+    have a kink inside, and what replaces their stages, see `moments`.
     """
 
     def jumps(self):
         return ()
-
-    def breaks(self, first, count, step):
-        return _NO_BREAKS
 
     def parabolas(self, first, count, step):
         return (), None
@@ -109,9 +102,6 @@ class Piecewise(Term):
         begin = np.searchsorted(time, (first - 1) * step)
         end = np.searchsorted(time, (first + count + 1) * step, side='right')
         return begin, np.rint(time[begin:end] / step)
-
-    def breaks(self, first, count, step):
-        return self._jumps(first, count, step)[1]
 
     def stages(self, first, count, step):
         begin, jumps = self._jumps(first, count, step)
@@ -153,9 +143,6 @@ class Table(Term):
         span = knots[high] - knots[low]
         share = np.where(span > 0.0, (times - knots[low]) / np.where(span > 0.0, span, 1.0), 0.0)
         return value[low] + share * (value[high] - value[low])
-
-    def breaks(self, first, count, step):
-        return on_boundaries(self._pieces(first, count, step)[0] / step)
 
     def parabolas(self, first, count, step):
         knots, value = self._pieces(first, count, step)
@@ -199,12 +186,9 @@ class Drive(Term):
         """Return angle, speed and acceleration at the stages of steps, shape (count, 3, 3)."""
         return self._at(_of_stages(_instants(first, count, step)))
 
-    def breaks(self, first, count, step):
-        return on_boundaries(np.array(self.time) / step)
-
     def parabolas(self, first, count, step):
-        return parabolas(lambda at: self._at(at * step), self.breaks(first, count, step), 5, first,
-                         count)
+        breaks = on_boundaries(np.array(self.time) / step)
+        return parabolas(lambda at: self._at(at * step), breaks, 5, first, count)
 
 
 @dataclass(frozen=True)
@@ -234,11 +218,6 @@ class Load:
         """Return the highest frequency of a harmonic term [Hz] and its channel, or (0, '')."""
         return max(((term.frequency, channel) for channel, terms in self.terms.items()
                     for term in terms if isinstance(term, Harmonic)), default=(0.0, ''))
-
-    def breaks(self, first, count, step):
-        """Return those starts of `count` steps that are at or next to a jump or kink, a list."""
-        found = [term.breaks(first, count, step) for _, terms in self._columns for term in terms]
-        return around(np.concatenate(found), first, count) if any(map(len, found)) else []
 
     def stages(self, first, count, step, room=None):
         """

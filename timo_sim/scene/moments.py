@@ -34,13 +34,6 @@ def on_boundaries(position):
     return np.where(np.abs(position - whole) <= NEAR, whole, position)
 
 
-def around(breaks, first, count):
-    """Return those starts of `count` steps that are at or next to a break, a sorted list."""
-    near = breaks[(first - 1 < breaks) & (breaks < first + count)]
-    found = np.concatenate([np.floor(near), np.ceil(near)])
-    return sorted({int(at) for at in found if first <= at < first + count})
-
-
 def parabolas(function, breaks, degree, first, count):
     """
     Return the parabolas that replace a piecewise polynomial in steps with a break inside.

@@ -110,8 +110,8 @@ class Scene:
         body = self.manipulator if tip is None else replace(
             self.manipulator, end_effector_mass=tip[0], end_effector_inertia=tip[1])
         if body == self.manipulator == (basis or body):
-            return self._formulation
-        return self._model(self._about_straight_arm.damping, body, basis or self.manipulator)
+            return self._own_model
+        return self._model(self._own_model.damping, body, basis or self.manipulator)
 
     def _model(self, damping, body, basis=None):
         values = self.values
@@ -122,13 +122,7 @@ class Scene:
             tuple(values['gravity']), basis or body)
 
     @cached_property
-    def _formulation(self):
-        if self.values['initial.equilibrium']:
-            return self._about_straight_arm.about(self._initial_motion)
-        return self._about_straight_arm
-
-    @cached_property
-    def _about_straight_arm(self):
+    def _own_model(self):
         values, damping = self.values, np.array(self.values['arm.damping_ratio'] or 0.0)
         if values['arm.damping_of'] == 'clamped' or not damping.any():
             return self._model(damping, self.manipulator)
@@ -210,13 +204,13 @@ class Scene:
 
     def initial_motion(self, model: Formulation | None = None) -> np.ndarray:
         """Return the motion at t = 0, shape (2 (3 + N),), of the scene's or another model."""
-        if model in (None, self._formulation):
+        if model in (None, self._own_model):
             return self._initial_motion.copy()
         return initial_motion(self, model)
 
     @cached_property
     def _initial_motion(self):
-        return initial_motion(self, self._about_straight_arm)
+        return initial_motion(self, self._own_model)
 
     def load_at_start(self) -> np.ndarray:
         """Return the scene's own load at t = 0, shape (14,), see `physics.layout`."""

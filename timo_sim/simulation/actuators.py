@@ -16,7 +16,7 @@ from timo_sim.physics.layout import (
     AFTER, END, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TIP_TORQUE, TIP_X,
     TIP_Y, TORQUE, VOLTAGE)
 from timo_sim.scene.build import motor_constants
-from timo_sim.scene.moments import around, on_boundaries, parabolas
+from timo_sim.scene.moments import on_boundaries, parabolas
 from timo_sim.scene.parameter import ParameterError, short
 
 # Columns of a load with a limit, and the parameters of the limit and of the largest rate.
@@ -116,40 +116,34 @@ class Actuators:
         self._given, self._goal = b'', self._start
 
     def command(self, commanded, first):
-        """Take the commands from step `first` on, shape (14,); return whether they are new."""
+        """Take the commands from step `first` on, shape (14,)."""
         given = commanded.tobytes()
         if given == self._given:
-            return False
+            return
         goal = np.clip(commanded, -self.limit, self.limit)
         if len(self.slow) and not np.array_equal(goal, self._goal):
             self._start, self._since = self.reached(first), first
         self._given, self._goal = given, goal
-        return True
 
-    def breaks(self, first, count):
-        """Return the boundaries of some steps at or next to which a goal is reached."""
-        return around(self._since + self._ends(1), first, count) if len(self.slow) else []
-
-    def _ends(self, parts):
-        # When lines reach their goals, counted in parts of steps since they began.
+    def _ends(self):
+        # When lines reach their goals, counted in steps since they began.
         way = np.abs(self._goal - self._start)[self.slow]
-        return on_boundaries(way / (self._rate[self.slow] * self._period / parts))
+        return on_boundaries(way / (self._rate[self.slow] * self._period))
 
     def reached(self, step):
         """Return what acts of the commands at a step, (14,); a voltage is not yet a torque."""
         return self._at(np.array((step - self._since) * self._period))
 
-    def loads(self, first, count, parts=1):
-        """Return what acts in parts of some steps, shape (14,) or (count parts, 4, 14)."""
+    def loads(self, first, count):
+        """Return what acts in some steps, shape (14,) or (count, 4, 14)."""
         if self._ideal:
             return self._goal
-        begin, number, period = parts * (first - self._since), parts * count, self._period / parts
-        acting = np.empty((number, STEP_LOADS, LOADS))
+        begin, period = first - self._since, self._period
+        acting = np.empty((count, STEP_LOADS, LOADS))
         acting[:, :STAGES] = self._at(
-            (np.arange(begin, begin + number)[:, np.newaxis] + [0.0, 0.5, 1.0]) * period)
+            (np.arange(begin, begin + count)[:, np.newaxis] + [0.0, 0.5, 1.0]) * period)
         acting[:, AFTER] = acting[:, END]
-        steps, seen = parabolas(lambda at: self._at(at * period), self._ends(parts), 1, begin,
-                                number)
+        steps, seen = parabolas(lambda at: self._at(at * period), self._ends(), 1, begin, count)
         acting[steps, :STAGES] = seen
         acting[..., TORQUE] += self.gain * acting[..., VOLTAGE]
         return acting

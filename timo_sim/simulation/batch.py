@@ -17,7 +17,7 @@ import numpy as np
 
 from timo_sim.jit.code_store import compiling
 from timo_sim.physics.integrate.lane_steps import from_lanes, LaneSteps, to_lanes
-from timo_sim.physics.integrate.run_error import CHUNK
+from timo_sim.physics.integrate.steps import CHUNK
 from timo_sim.physics.layout import LOADS, Motion, rotate
 from timo_sim.scene.parameter import Parameter, ParameterError
 from timo_sim.scene.values import steps_in

@@ -10,7 +10,7 @@
 
 import numpy as np
 
-from timo_sim.physics.integrate.run_error import CHUNK
+from timo_sim.physics.integrate.steps import CHUNK
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.simulator import Simulator
 

@@ -19,13 +19,11 @@ from timo_sim.physics.layout import Motion
 _AXIAL_PHASE = 0.5
 # Longest step, in periods of a harmonic load; a step sees three values of the load.
 _MOST_OF_A_PERIOD = 0.25
-# Largest shift of the tip by what `newton`, or an arm without stretch, leaves out [arm lengths].
-_MOST_LEFT_OUT = 1e-3
-_MOST_APART = 7e-4  # largest distance from a second run, which has errors, too [arm lengths]
-NO_SECOND_RUN = ('finer runs of the scene diverge, so that the error of this one is not known: '
-                 'take a smaller integrator.step')
-# Largest drift of joints with dry friction; largest error of the tip by steps, and by modes.
-_MOST_DRIFT = _MOST_ERROR = 3e-4  # [arm lengths]
+# Largest shift of the tip by what `newton` leaves out, and largest distance from a finer run, which
+# has errors, too [arm lengths].
+_MOST_LEFT_OUT, MOST_APART = 1e-3, 7e-4
+NO_FINER_RUN = ('finer runs of the scene diverge, so that the error of this one is not known: '
+                'take a smaller integrator.step')
 
 
 class DivergenceError(ArithmeticError):
@@ -52,112 +50,47 @@ def unseen_load(scene):
             f'{_MOST_OF_A_PERIOD / frequency:.2g} s')
 
 
-def after_steps(scene, steps, stretch, time, state, load, motions, warning):
+def after_steps(scene, model, share, time, motions):
     """
-    Return the warning of a run after some steps, or None.
+    Return the warning that some motions of a run call for, or None.
 
-    An earlier warning stays, but one of an unstable shaft speed replaces all others, and one of
-    stretch gives way to all others.
+    Only `newton` has conditions of its own: speeds at which it is unstable, and effects that it
+    leaves out.
 
     Parameters
     ----------
     scene : Scene
-    steps : Steps
-    stretch : StretchError
+    model : Formulation
+    share : float
+        Share by which the axial force changes the stiffness, see `Formulation.axial_share`.
     time : float
-        Time at the end of the steps [s].
-    state : ndarray, shape (m,)
-    load : ndarray, shape (14,)
-        Both at the end of the steps.
+        Time of the last motion [s].
     motions : ndarray, shape (n, 2 (3 + N))
-        Samples of the steps.
-    warning : str or None
-        Warning of the run before the steps.
 
     """
-    if not math.isinf(steps.model.speed_limit):
-        motions = np.vstack([motions, steps.motion(state, load)])
-        warning = _fast_shaft(scene, steps.model, motions) or warning or _left_out(
-            scene, steps.model, time, steps.model.axial_share(state, steps.acting(load)), motions)
-    if warning and warning != stretch.told:  # an error by steps matters more than by stretch
-        return warning
-    errors, length = steps.errors, scene.manipulator.arm.length
-    if not errors.tip <= _MOST_ERROR * length:
-        return _inaccurate_steps(scene, errors.tip, errors.by_load, time)
-    # Steps are too long to resolve events, or to hold a joint still: doc/theory.md, (T44).
-    if steps.friction_drift > _MOST_DRIFT * length:
-        return _friction_drift(steps, time)
-    return _of_model(scene, errors.modes.tip, stretch, time)
+    return _fast_shaft(scene, model, motions) or _left_out(scene, model, time, share, motions)
 
 
-def in_lanes(scene, step_error, modes_error, stretch, time, warning):
+def inaccurate(scene, error, remedy=None):
     """
-    Return the warning of a run in lanes after some steps, or None, see `after_steps`.
-
-    `step_error` and `modes_error` are distances of the tip [m].
-    """
-    if warning and warning != stretch.told:
-        return warning
-    if not step_error <= _MOST_ERROR * scene.manipulator.arm.length:
-        return _inaccurate_steps(scene, step_error, False, time)
-    return _of_model(scene, modes_error, stretch, time)
-
-
-def _of_model(scene, modes_error, stretch, time):
-    if not modes_error <= _MOST_ERROR * scene.manipulator.arm.length:
-        return _few_modes(scene, modes_error, time)
-    if not stretch.told and stretch.tip > _MOST_LEFT_OUT * scene.manipulator.arm.length:
-        stretch.told = _stretching(scene, stretch, time)
-    return stretch.told
-
-
-def after_second_run(scene, finer, error, parts, warning):
-    """
-    Return the warning of a run that was compared with a finer one, or None.
+    Return the warning of a run whose tip is far from that of a finer run, or None.
 
     Parameters
     ----------
-    scene, finer : Scene
-        Scenes of the run and of the finer one.
+    scene : Scene
     error : float
-        Largest distance between the tips of both [m].
-    parts : dict of str to float
-        Parts of the run's estimated error, named as in `Run.stats`.
-    warning : str or None
-        Warning of the run alone.
+        Distance of the tips [m].
+    remedy : str, optional
+        What moves the tip most; by default all remedies are named.
 
     """
-    if error <= _MOST_APART * scene.manipulator.arm.length:
-        # What a formulation leaves out may make a motion unstable that both runs do not leave.
-        exact = scene.values['model.formulation'] == 'exact'
-        return unseen_load(finer) if exact else warning or unseen_load(finer)
-    remedies = {'step_error_m': 'a smaller integrator.step', 'modes_error_m': 'more model.modes',
-                'stretch_error_m': 'model.axial_modes 1'}
-    remedy = remedies[max(remedies, key=lambda name: parts[name])]
-    if scene.values['model.formulation'] != 'exact':
-        remedy = f'model.formulation exact or {remedy}'
-    return warning or f'the tip is {error:.1g} m from that of a finer run: take {remedy}'
-
-
-def _inaccurate_steps(scene, error, by_load, time):
-    cause = remedy = ''
-    if by_load:
-        cause = ', or vibrations beyond the modes when the load at the tip changed,'
-        remedy = ' or more model.modes'
-    return (f'by t = {time:.6g} s the steps{cause} have put the tip about '
-            f'{error:.1g} m off: take a smaller integrator.step{remedy}')
-
-
-def _few_modes(scene, error, time):
-    return (f'by t = {time:.6g} s what {scene.values["model.modes"]} modes leave out has put the '
-            f'tip about {error:.1g} m off: take more model.modes')
-
-
-def _stretching(scene, stretch, time):
-    exact = scene.values['model.formulation'] == 'exact'
-    return (f'by t = {time:.6g} s the tip is about {stretch.tip:.1g} m from that of an arm that '
-            f'stretches: take {"" if exact else "model.formulation exact with "}'
-            'model.axial_modes 1')
+    if error <= MOST_APART * scene.manipulator.arm.length:
+        return None
+    if remedy is None:
+        remedy = 'a smaller integrator.step, more model.modes or model.axial_modes 1'
+        if scene.values['model.formulation'] != 'exact':
+            remedy = f'model.formulation exact, {remedy}'
+    return f'the tip is {error:.1g} m from that of a finer run: take {remedy}'
 
 
 def _fast_shaft(scene, model, motions):
@@ -181,12 +114,6 @@ def _left_out(scene, model, time, share, motions):
             f'changes the stiffness of the arm by {round(100.0 * share)} %: model.formulation '
             f'{scene.values["model.formulation"]} leaves out both effects, take '
             'model.formulation exact')
-
-
-def _friction_drift(steps, time):
-    return (f'before t = {time:.6g} s joints that Coulomb friction stops or holds have drifted by '
-            f'{steps.friction_drift:.2g} m, as seen at the tip and summed up: take a smaller '
-            'integrator.step or fewer model.modes')
 
 
 def divergence(scene, step, motion, reach, bend, warning):

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.physics.layout import ANGLE, Motion
+from timo_sim.physics.layout import Motion
 from timo_sim.simulation.sensors import Sensors
 from timo_sim.simulation.snapshot import Snapshot
 
@@ -68,10 +68,6 @@ class Readings:
     def tip_acceleration(self):
         """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
         return self.integration.tip_acceleration(self._state, self.integration.acting(self.load))
-
-    @property
-    def _angle(self):
-        return self.load[ANGLE] if self.model.first else self._state[len(self.model.axes)]
 
     def _bend(self):
         # Deflection by all modes together [m].

@@ -196,7 +196,7 @@ def _path(scene, modes, step, span, axial=0):
     load is too fast for the step, or the run diverges. No code is compiled for each size.
     """
     try:
-        simulator = Simulator(_resolved(scene, modes, step, axial), of_any_size)
+        simulator = Simulator(_resolved(scene, modes, step, axial), pack=of_any_size)
     except ParameterError:  # a load that jumps inside such a step
         return None
     if simulator.warning:

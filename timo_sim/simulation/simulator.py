@@ -8,23 +8,25 @@
 
 """The simulator: a scene advanced in time, with tables of loads, time steps and warnings."""
 
+import math
 import threading
 
 import numpy as np
 
 from timo_sim.jit.code_store import compiling, is_compiled, place_of
+from timo_sim.jit.constants import of_any_size
 from timo_sim.physics.integrate import steps_of
-from timo_sim.physics.integrate.run_error import CHUNK
+from timo_sim.physics.integrate.steps import CHUNK
+from timo_sim.physics.layout import AFTER
 from timo_sim.scene.parameter import Parameter
 from timo_sim.scene.values import check_runtime, steps_in
 from timo_sim.scene.scene import load_scene
 from timo_sim.simulation import model_warnings
 from timo_sim.simulation.actuators import Actuators, commanded_load
-from timo_sim.simulation.joints import accelerations_of
-from timo_sim.simulation.load_table import advance_by_pieces, LoadTable
+from timo_sim.simulation.finer import finer, has_finer, parts_of, tip_distance
+from timo_sim.simulation.load_table import LoadTable
 from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.readings import Readings
-from timo_sim.simulation.stretch import StretchError
 from timo_sim.simulation.tip_load import TipLoad
 
 COMPILING = 'compiling once for a model of this size, this takes some seconds'
@@ -32,6 +34,7 @@ COMPILING = 'compiling once for a model of this size, this takes some seconds'
 MOST_BENT = 10.0
 COUNT = Parameter('count', 1, '', 'number of steps', low=0)
 SAMPLE_EVERY = Parameter('sample_every', 1, '', 'steps between samples, 0: none', low=0)
+_MOST_UNMEASURED = 256  # most calls of `advance` that the finer run may be behind
 _WARM = set()  # sizes whose functions this process has, with or without those of messages
 
 
@@ -42,6 +45,9 @@ class Simulator(Readings):
     Parameters
     ----------
     scene : Scene, or what `load_scene` takes
+    estimate : bool
+        Whether a finer run is advanced beside this one, to estimate its error, see
+        `simulation.finer`. It takes some twenty times as long as the run alone.
     pack : function, optional
         Packs the constants of compiled functions, see `Formulation.packed_by`.
 
@@ -50,7 +56,7 @@ class Simulator(Readings):
     scene : Scene
     model : Formulation
     integration : Steps
-        The time steps of the model, with their counts and estimated error.
+        The time steps of the model.
     steps : int
         Steps done since the start; sim time is `steps * scene.step`.
     load : ndarray, shape (14,)
@@ -70,17 +76,18 @@ class Simulator(Readings):
 
     """
 
-    def __init__(self, scene, pack=None):
+    def __init__(self, scene, estimate=False, pack=None):
         self.steps, self._warm, scene = 0, False, load_scene(scene)
         self._lock = threading.RLock()  # threads take turns; a diverged advance calls another
         self.tip_load, self._pack = TipLoad(scene), pack
         self._take(scene, scene.build())
+        self._estimate = estimate and has_finer(scene)
+        self._finer = None
         self.reset()
 
     def _take(self, scene, model):
         self.scene, self.model = scene, model.packed_by(self._pack or model.pack)
         self.integration = steps_of(self.model, scene.step, scene.friction, scene.friction_speed)
-        self.stretch = StretchError(self.model)
 
     def __repr__(self):
         return f'<Simulator at t = {self.t:.6g} s (step {self.steps}) of {self.scene!r}>'
@@ -96,7 +103,6 @@ class Simulator(Readings):
         motion = self.scene.initial_motion(self.model)
         self._state = self.model.state(motion)
         self.integration.reset()
-        self.stretch.reset()
         # Without speeds, deflection, loads, drive and gravity nothing changes until a command.
         self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any()
                              or self.model.gravity.any())
@@ -104,6 +110,12 @@ class Simulator(Readings):
         self._table, self._actuators = LoadTable(self.scene), Actuators(self.scene.values)
         self.load = self._table.at_start()
         self.warning = model_warnings.unseen_load(self.scene)
+        self._error, self._unmeasured = 0.0 if self._estimate else math.nan, []
+        if self._finer:
+            self._finer.reset()
+        elif self._estimate:
+            self._parts = parts_of(self.scene)[0]
+            self._finer = Simulator(finer(self.scene, self._parts), pack=of_any_size)
 
     def change(self, scene):
         """
@@ -120,28 +132,25 @@ class Simulator(Readings):
             self._change(scene)
 
     def _change(self, scene):
+        self.measure_error()
+        if self._finer:
+            self._finer.change(finer(scene, self._parts))
         first = self.steps - self._origin
         self._actuators = Actuators(scene.values, first, self._actuators.reached(first))
-        self._go_on(scene, self.tip_load.of_change(self.scene, scene))
+        self._continue_with(scene, self.tip_load.of_change(self.scene, scene))
         self._resting = self._resting and not scene.load
         self._table = LoadTable(scene)
         self.warning = model_warnings.unseen_load(scene)
 
-    def _go_on(self, scene, tip):
-        """Go on with another scene, and a mass and inertia at the tip."""
-        earlier, stretch, motion = self.integration, self.stretch, self.motion.values
-        earlier.errors.cut(self._state, self.load)
-        added, accelerations = self.tip_load.add(tip), None
-        if added is not None:
-            accelerations = accelerations_of(earlier, self._state, earlier.acting(self.load))
+    def _continue_with(self, scene, tip):
+        # Go on with another scene, and a mass and inertia at the tip.
+        earlier, motion = self.integration, self.motion.values
+        added = self.tip_load.add(tip)
         self._take(scene, self.tip_load.model(scene))
-        self.integration.follow(earlier)
-        self.stretch.follow(stretch)
+        self.integration.continue_from(earlier)
         if added is not None:
-            motion, error = self.tip_load.picked_up(scene, self.model, motion, accelerations,
-                                                    added)
+            motion = self.tip_load.picked_up(scene, self.model, motion, added)
             self._state = self.model.state(motion)
-            self.integration.errors.add(self.model.state(motion + error) - self._state)
 
     def warm_up(self, tell=None, messages=False):
         """
@@ -150,6 +159,8 @@ class Simulator(Readings):
         With `messages`, also those that messages and sensors need. `tell`, a function(str), is
         called before a compilation, which takes some seconds.
         """
+        if self._finer:
+            self._finer.warm_up(tell)
         constants, self._warm = self.integration.constants, True
         done = place_of(*constants), messages
         if done in _WARM:
@@ -162,11 +173,8 @@ class Simulator(Readings):
             self.integration.warm_up(self._state, self.load)
             if messages:
                 self.model.tip(motion)
-            # Estimates, warnings and efforts need these; a node has no time to compile them later.
-            rate = self.integration.rate(self._state, self.integration.acting(self.load))
-            if messages:
-                self.integration.errors.modes.look(self._state, self.load, rate, 0)
-                self.integration.errors.modes.reset()
+            # Warnings and efforts need it; a node has no time to compile it later.
+            self.integration.rate(self._state, self.integration.acting(self.load))
         _WARM.add(done)
 
     def step(self, torque=0.0, force=(0.0, 0.0), tip_force=(0.0, 0.0), tip_torque=0.0,
@@ -246,53 +254,81 @@ class Simulator(Readings):
         if not self._warm:
             self.warm_up()
         before = (self._state.copy(), self.load, self.integration.memory.copy(),
-                  self.tip_load.kept(), self.model, self.integration, self.stretch)
+                  self.tip_load.copy(), self.model, self.integration)
         first = self.steps - self._origin
         actuators = None if commanded is None else self._actuators
-        if actuators and actuators.command(commanded, first):
-            self.integration.errors.cut(self._state, self.load)
+        if actuators:
+            actuators.command(commanded, first)
         (motions, heat), done = self.integration.samples(count, sample_every), 0
         while done < count:
             sample = self._change_tip(first + done)
             part = min(count - done, CHUNK, self.tip_load.next_step - first - done)
-            angle = self._angle
-            reached, self.load = advance_by_pieces(
-                self.integration, self._table, actuators, self._state, self.load, first + done,
-                part, sample_every, done, motions, heat)
+            loads = self._table.stages(first + done, part, actuators)
+            reached = self.integration.advance(self._state, self.load, loads, sample_every, done,
+                                               motions, heat)
             if sample is not None and sample_every and done % sample_every == 0:
                 motions[done // sample_every] = sample  # that before the load changes
+            self.load = loads[-1, AFTER].copy()
             done += reached
             if reached < part or not (
                     self._bend() <= MOST_BENT * self.model.manipulator.arm.length):
                 self._give_up(before, count, commanded)
-            self.stretch.add(self._angle - angle, part * self.scene.step,
-                             self.integration.errors.modes.stretch)
         self.steps += count
-        self.load = self.load.copy()
-        self._look_for_warnings(motions)
+        self._note(count, commanded, sample_every, motions)
         return motions, heat
+
+    def _note(self, count, commanded, sample_every, motions):
+        # Look for warnings, and keep what `measure_error` needs.
+        if not math.isinf(self.model.speed_limit):
+            seen = np.vstack([motions, self.motion.values])
+            share = self.model.axial_share(self._state, self.integration.acting(self.load))
+            self.warning = self.warning or model_warnings.after_steps(
+                self.scene, self.model, share, self.t, seen)
+        if self._finer and count:
+            seen = motions[1:] if sample_every else self.motion.values[np.newaxis]
+            self._unmeasured.append((count, None if commanded is None else commanded.copy(),
+                                     sample_every or count, seen))
+            if len(self._unmeasured) >= _MOST_UNMEASURED:
+                self.measure_error()
 
     def _change_tip(self, number):
         # The loads that the scene changes at a step; return the motion before, if there are any.
         before = None
         while self.tip_load.next_step <= number:
             before = self.motion.values if before is None else before
-            self._go_on(self.scene, self.tip_load.take_next())
+            self._continue_with(self.scene, self.tip_load.take_next())
         return before
 
     @property
     def estimated_error(self):
-        """Estimated error of the tip so far, by steps, modes, friction and stretch [m]."""
-        if not self._resting:
-            tabulate, number = self._table.tabulate(self._actuators), self.steps - self._origin
-            self.integration.errors.conclude(self._state, self.load, tabulate, number)
-            self._look_for_warnings(np.empty((0, self.model.size)))
-        return self.integration.errors.total + self.integration.friction_drift + self.stretch.tip
+        """Estimated error of the tip so far [m]; NaN without `estimate`, or if it is not known."""
+        with self._lock:
+            self.measure_error()
+            return self._error
 
-    def _look_for_warnings(self, motions):
-        self.warning = model_warnings.after_steps(
-            self.scene, self.integration, self.stretch, self.t, self._state, self.load, motions,
-            self.warning)
+    def measure_error(self, most=_MOST_UNMEASURED):
+        """
+        Advance the finer run, and measure how far apart the tips of both runs are.
+
+        At most as many calls of `advance` are followed as `most` says; return whether one was.
+        """
+        with self._lock:
+            part, self._unmeasured = self._unmeasured[:most], self._unmeasured[most:]
+            for count, commanded, every, motions in part:
+                self._measure(self._parts * count, commanded, self._parts * every, motions)
+            return bool(part)
+
+    def _measure(self, count, commanded, every, motions):
+        if self._finer is None:
+            return
+        try:
+            others = self._finer.advance(count, commanded, every)[0][1:]
+        except DivergenceError:
+            self._finer, self._error = None, math.nan
+            self.warning = self.warning or model_warnings.NO_FINER_RUN
+            return
+        self._error = max(self._error, tip_distance(self.model, motions, self._finer.model, others))
+        self.warning = self.warning or model_warnings.inaccurate(self.scene, self._error)
 
     def _rests(self, count, commanded):
         # Whether these steps would not change the state, not even in the last bit.
@@ -304,13 +340,13 @@ class Simulator(Readings):
         if sample_every:
             motions[:] = self.motion.values
         self.steps += count
+        if self._finer:  # which rests, too
+            self._finer.advance(self._parts * count)
         return motions, heat
 
     def _give_up(self, before, count, commanded):  # return to the last good state and raise
-        self._state, self.load, memory, kept, *parts = before
-        self.model, self.integration, self.stretch = parts
-        self.integration.memory, self.tip_load = memory, kept
-        self.integration.errors.give_up()
+        self._state, self.load, memory, tip_load, self.model, self.integration = before
+        self.integration.memory, self.tip_load = memory, tip_load
         if count > 1:
             for part in (count // 2, count - count // 2):
                 self.advance(part, commanded)

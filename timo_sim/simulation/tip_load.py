@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from timo_sim.physics.equations.pick_up import pick_up, unresolved
+from timo_sim.physics.equations.pick_up import pick_up
 
 
 class TipLoad:
@@ -41,7 +41,7 @@ class TipLoad:
         self._first = self.tip = _own(scene)
         self._payloads, self._next, self.lost = scene.payloads, 0, 0.0
 
-    def kept(self):
+    def copy(self):
         """Return a copy as it is now."""
         return copy(self)
 
@@ -75,13 +75,13 @@ class TipLoad:
         return scene.build(replace(scene.manipulator, end_effector_mass=mass,
                                    end_effector_inertia=inertia), self.tip)
 
-    def picked_up(self, scene, model, motion, accelerations, added):
-        """Return the motion after mass and inertia are added, and its estimated error."""
+    def picked_up(self, scene, model, motion, added):
+        """Return the motion after mass and inertia are added."""
         taken = [max(change, 0.0) for change in added]
         if scene.values['end_effector.pick_up'] == 'at_rest' and any(taken):
             motion, lost = pick_up(model, motion, *taken)
             self.lost += lost
-        return motion, unresolved(model, motion, accelerations, *added)
+        return motion
 
 
 def pieces(scene, steps, payloads):

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.jit.lanes import WIDTH
+from timo_sim.runs.error import measured
 from timo_sim.runs.sampled import sampled_run
 from timo_sim.scene.files import flatten
 from timo_sim.scene.parameter import ParameterError
@@ -28,6 +29,7 @@ from timo_sim.sweep.together import kind_of, Together
 # second, so that little is lost if a worker dies, and all workers end at about the same time.
 _STEPS, _RUNS, _FEWEST_JOBS = 100_000, 96, 32
 _FAILURES = ArithmeticError, ValueError, MemoryError  # of a run, not of the program
+_MEASURED = 256  # runs from one whose error is measured to the next
 _MANY = 64  # least number of runs of a sweep for which the machine code of lanes pays
 
 
@@ -48,6 +50,7 @@ SUMMARY = (
     Column('final_carrier_x', 'm', 'carrier position at the end'),
     Column('final_carrier_y', 'm', 'carrier position at the end'),
     Column('final_shaft', 'rad', 'shaft angle at the end, not wrapped'),
+    Column('tip_error', 'm', 'distance of the tip from that of a finer run; NaN if not measured'),
 )
 
 
@@ -82,14 +85,15 @@ def _summary(run):
     size = np.abs(deflection)
     peak = np.argmax(size)
     return (size[peak], run.t[peak], np.sqrt(np.mean(deflection**2)), deflection[-1],
-            np.abs(rotation).max(), *run.carrier[-1], run.shaft[-1])
+            np.abs(rotation).max(), *run.carrier[-1], run.shaft[-1],
+            run.stats['estimated_tip_error_m'])
 
 
 def _summaries(runs, steps):
     # The numbers of `SUMMARY` for each of some runs that were done together.
     return np.column_stack([
         runs.peak, runs.peak_time, np.sqrt(runs.squares / (steps + 1)),
-        runs.deflection, runs.rotation, runs.motion[:, :3]])
+        runs.deflection, runs.rotation, runs.motion[:, :3], np.full(len(runs.peak), np.nan)])
 
 
 def run_job(job):
@@ -125,6 +129,10 @@ def run_job(job):
                 for run in runs:
                     with _reasons(table['reason'], [run[0]]):
                         _fill(table, numbers, kind, [run], job.duration)
+        for (kind, _), runs in found.items():
+            for row, scene in runs:
+                if (job.first + row) % _MEASURED == 0 and not table['reason'][row]:
+                    _measure(table, numbers, row, scene, job.duration)
         failed = table['reason'] != ''
         numbers[failed], table['warning'][failed] = np.nan, ''
     return table
@@ -137,11 +145,18 @@ def _fill(table, numbers, kind, runs, duration):
         done = Together(scenes, kind)
         table['reason'][rows] = done.reasons
         table['warning'][rows] = [text or '' for text in done.warnings]
-        numbers[rows] = _summaries(done, kind.edges[-1])
+        numbers[rows] = _summaries(done, kind.count)
     else:
         run = sampled_run(scenes[0], steps_in(duration, scenes[0].step))
         table['warning'][rows] = run.warning or ''
         numbers[rows] = _summary(run)
+
+
+def _measure(table, numbers, row, scene, duration):
+    """Measure the error of a run, and fill it in with the warning that it calls for."""
+    run = measured(sampled_run(scene, steps_in(duration, scene.step)))
+    numbers[row, -1] = run.stats['estimated_tip_error_m']
+    table['warning'][row] = run.warning or ''
 
 
 @contextmanager

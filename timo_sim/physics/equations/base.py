@@ -25,9 +25,6 @@ from timo_sim.physics.equations.functions import rate_once, tip_once
 from timo_sim.physics.equations.observables import Observables
 
 
-_TURN = 1e-5  # largest turn of a section in differences [rad]
-
-
 class Points(NamedTuple):
     """Points of the centre line, with the integration weights and mode shapes there."""
 
@@ -78,8 +75,7 @@ class Formulation(Observables):
 
     """
 
-    sectors, speed_limit, rest = 0, math.inf, None
-    arrays: tuple[str, ...] = ()  # names of arrays that `centre_line` needs besides `tables`
+    sectors, speed_limit = 0, math.inf
 
     def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
                  static=(), axial=0, gravity=(0.0, 0.0), basis=None):
@@ -158,52 +154,16 @@ class Formulation(Observables):
 
     @cached_property
     def reach(self):
-        """Travel of the tip per x_c, y_c, theta [m/rad] and q_n, shape (3 + N,), see `about`."""
-        if self.rest is None:
-            return self._straight_reach()
-        half, travel = self.size // 2, []
-        for step, shift in zip(_TURN / np.append(np.ones(3), self.section_turn),
-                               np.eye(self.size)[:half]):
-            ends = self.world(self.rest + step * np.array([[-1.0], [1.0]]) * shift, self.tip_point)
-            travel.append(np.linalg.norm(ends[1, 0] - ends[0, 0]) / (2.0 * step))
-        return np.array(travel)
-
-    def _straight_reach(self):
+        """Travel of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, (3 + N,)."""
         length = self.manipulator.arm.length
         return np.concatenate([[1.0, 1.0, length], np.abs(self.modes.deflection([length]))[0]])
-
-    def about(self, equilibrium):
-        """
-        Return the same equations, with the tip's travel linearised about an equilibrium.
-
-        By default it is linearised about the straight arm.
-
-        Parameters
-        ----------
-        equilibrium : ndarray, shape (2 (3 + N),)
-            A motion.
-
-        Returns
-        -------
-        Formulation
-
-        """
-        model = self._copy()
-        model.rest = equilibrium
-        model.__dict__.pop('reach', None)
-        return model
 
     def packed_by(self, pack):
         """Return the same equations, whose constants `pack` packs for compiled functions."""
         if pack is self.pack:
             return self
-        model = self._copy()
-        model.pack, model.packed = pack, pack(self.tables)
-        return model
-
-    def _copy(self):
         model = copy.copy(self)
-        model._kept = {}
+        model.pack, model.packed, model._kept = pack, pack(self.tables), {}
         return model
 
     @cached_property
@@ -221,21 +181,6 @@ class Formulation(Observables):
         xi, modes = self.points.xi, self.modes
         turn = np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
         return np.max(turn + np.abs(modes.stretch(xi)) if self.axial else turn, axis=0)
-
-    def tip_shift(self):
-        """
-        Return the matrix from an error of the state to shifts of the tip, see `about`, (m, m).
-
-        The first m / 2 shifts [m] are those by each coordinate. The others are those by the rates
-        of carrier and shaft within a second, and of a mode within a radian of its vibration.
-        """
-        half, count = len(self.linear) // 2, len(self.modes)
-        reach = np.concatenate([self.reach[:len(self.axes)], self.reach[2 + self.first:]])
-        duration = np.concatenate([np.ones(half - count), 1.0 / self.modes.omega])
-        shift = np.zeros_like(self.linear)
-        shift[:half, :half] = np.diag(reach)
-        shift[half:, half:] = (reach * duration)[:, np.newaxis] * self.linear[:half, half:]
-        return shift
 
     def tip(self, motion):
         """Return the tip's position in the arm frame [m], rotation from the shaft [rad], (3,)."""

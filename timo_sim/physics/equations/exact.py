@@ -58,7 +58,6 @@ from timo_sim.physics.layout import ANGLE, LOADS, SPEED, tip_force, TIP_TORQUE
 class Exact(Formulation):
     """The `exact` formulation, see the module's text."""
 
-    arrays = ('_stretch',)
 
     def build(self):
         """Return the tables and the linear part, that of the straight arm."""

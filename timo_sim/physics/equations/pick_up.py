@@ -10,9 +10,6 @@
 
 import numpy as np
 
-# Speed of the tip that modes leave out, over that by the last one, which decays from mode to mode.
-_LEFT_OUT = 0.5
-
 
 def pick_up(model, motion, mass, inertia):
     """
@@ -58,39 +55,3 @@ def pick_up(model, motion, mass, inertia):
         lost = 0.5 * (rates @ before @ rates - after @ matrix @ after) + given @ (
             matrix @ after - before @ rates)
     return np.concatenate([motion[:half], after]), float(lost)
-
-
-def unresolved(model, motion, accelerations, mass, inertia):
-    """
-    Return an estimate of what the tip's vibrations beyond the modes do when its load changes.
-
-    A load takes or brings the momentum of its velocity. What the modes leave out of that is taken
-    for half the speed with which the last mode in bending vibrates, its acceleration over its
-    frequency; the rest of its speed follows the load.
-
-    Parameters
-    ----------
-    model : Formulation
-        With the load at its tip.
-    motion : ndarray, shape (2 (3 + N),)
-    accelerations : ndarray, shape (3 + N,)
-        Before the change.
-    mass, inertia : float
-        Change of the load [kg], [kg m2].
-
-    Returns
-    -------
-    ndarray, shape (2 (3 + N),)
-        Change of the motion, of its rates alone.
-
-    """
-    half, last = model.size // 2, len(model.modes) - model.axial - 1
-    change = np.zeros(model.size)
-    if last < 0:
-        return change
-    matrix, tip = model.mass_matrix(motion)
-    speed = _LEFT_OUT * abs(accelerations[3 + last]) / model.modes.omega[last]
-    momentum = tip.T @ (np.array([mass, mass, inertia]) * tip[:, 3 + last] * speed)
-    free = np.setdiff1d(np.arange(half), np.flatnonzero(model.constrained))
-    change[half + free] = np.linalg.solve(matrix[np.ix_(free, free)], momentum[free])
-    return change

@@ -110,7 +110,7 @@ def one_step(tables, propagator, now, start, middle, end, half, following, combi
 
 
 @entry_point
-def advance(tables, propagator, state, load, loads, sample_every, done, samples, states, rates):
+def advance(tables, propagator, state, load, loads, sample_every, done, samples, remainder):
     """
     Integrate over some equal steps, as long as the linear part of the tables is valid.
 
@@ -134,8 +134,8 @@ def advance(tables, propagator, state, load, loads, sample_every, done, samples,
         Steps since the first sample.
     samples : ndarray, shape (n, 2 (3 + N))
         Receives the motions `sample_every`, 2 `sample_every`, ... steps after the first sample.
-    states, rates : ndarray, shape (steps, m)
-        Receive the state at the start of each step, and n there.
+    remainder : ndarray, shape (m,)
+        Receives n at the start of the last step that was done.
 
     Returns
     -------
@@ -162,8 +162,7 @@ def advance(tables, propagator, state, load, loads, sample_every, done, samples,
         if not is_finite(stage):
             copy(now, state)
             return k
-        copy(now, states[k])
-        copy(rate_0, rates[k])
+        copy(rate_0, remainder)
         copy(stage, now)
         load = loads[k, AFTER]
         if k + 1 < len(loads) and not holds(tables, now, load):

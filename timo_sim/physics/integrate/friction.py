@@ -26,8 +26,7 @@ from timo_sim.physics.integrate.friction_events import (
 from timo_sim.physics.integrate.steps import Steps
 from timo_sim.physics.layout import AFTER, LOADS, STAGES
 
-# Places in `Steps.memory`: friction of each joint, heat, drift of each joint; size of all.
-_HEAT, _DRIFT, _KEPT = JOINTS, JOINTS + 1, 2 * JOINTS + 1
+_HEAT = JOINTS  # place in `Steps.memory`, after the friction of each joint
 # Most trial steps; the first and one for each joint identify the linear model.
 _TRIALS = 12
 
@@ -80,14 +79,6 @@ def _add_heat(joints, motion, place, speed, r, slope, friction):
                             + slope[i] * joints.step * (motion[rates + i] - speed[i]) / 12.0)
 
 
-@inlined
-def _add_drift(joints, side, travel, path, friction):
-    """Add the drift of joints that came to rest or were held, from travel and path."""
-    for i in range(JOINTS):
-        if joints.limit[i] > 0.0 and side[i] == 0.0:
-            friction[_DRIFT + i] += abs(travel[i] - path[i]) * joints.step
-
-
 @entry_point
 def advance(tables, propagator, joints, friction, state, load, loads, first, sample_every, done,
             samples, heat):
@@ -98,10 +89,9 @@ def advance(tables, propagator, joints, friction, state, load, loads, first, sam
     ----------
     joints : packed constants
         Of `Joints`.
-    friction : ndarray, shape (7,)
-        Friction on carrier x, y [N] and shaft [N m] at the end of the last step; its heat [J];
-        drift of carrier x, y [m] and shaft [rad]: how far joints that came to rest, turned round
-        or were held went from where straight speeds lead, summed up over steps. Advanced in place.
+    friction : ndarray, shape (4,)
+        Friction on carrier x, y [N] and shaft [N m] at the end of the last step; its heat [J].
+        Advanced in place.
     heat : ndarray, shape (n,)
         Receives the heat with each sample.
     first : int
@@ -163,8 +153,6 @@ def advance(tables, propagator, joints, friction, state, load, loads, first, sam
         if not is_finite(stage):
             copy(now, state)
             return k
-        if trial > 0:
-            _add_drift(joints, side, travel, path, friction)
         copy(stage, now)
         copy(acting, friction[:JOINTS])
         load = loads[k, AFTER]
@@ -186,12 +174,10 @@ class FrictionSteps(Steps):
 
     """
 
-    keeps_states = False  # no estimate by defects: rates jump where a joint stops or breaks away
-
     def __init__(self, model, step, limit):
         super().__init__(model, step)
         self._joints = pack(Joints(limit, step))
-        self.memory = np.zeros(_KEPT)
+        self.memory = np.zeros(JOINTS + 1)
 
     @property
     def constants(self):
@@ -208,19 +194,15 @@ class FrictionSteps(Steps):
         """Heat of Coulomb friction since the initial motion [J]."""
         return float(self.memory[_HEAT])
 
-    @property
-    def friction_drift(self):
-        """Drift of joints in steps with events of friction, summed up, as at the tip [m]."""
-        return float(self.memory[_DRIFT:] @ [1.0, 1.0, self.model.manipulator.arm.length])
-
     def warm_up(self, state, load):
         """Compile, or load from disk, the functions that `motion` does not call."""
-        # Steps without friction, which estimates of the error use.
+        # A step without friction, for rates.
         self._observe(state[np.newaxis], load[np.newaxis])
 
-    def _integrate(self, state, load, loads, sample_every, sampled, motions, heat):
-        return self._by_sectors(state, load, loads, 0, lambda part, first, load: advance(
-            part.packed, part.propagator(), self._joints, self.memory, state, load, loads, first,
+    def advance(self, state, load, loads, sample_every, sampled, motions, heat):
+        """Integrate over equal steps, see `Steps.advance`."""
+        return self._by_sectors(state, load, loads, lambda part, first, load: advance(
+            part.packed, part.propagator, self._joints, self.memory, state, load, loads, first,
             sample_every, sampled, motions, heat))
 
     def acting(self, load):

@@ -17,13 +17,9 @@ from timo_sim.jit.constants import local, pack, pack_lanes
 from timo_sim.jit.decorators import entry_point, inlined, inner
 from timo_sim.jit.lanes import as_lanes, as_shared, WIDTH
 from timo_sim.physics.equations.functions import observe, tip
-from timo_sim.physics.equations.stack import of_all
 from timo_sim.physics.integrate.etdrk4 import copy, one_step
 from timo_sim.physics.integrate.propagator import Propagator, propagator
 from timo_sim.physics.layout import AFTER, END, LOADS, MIDDLE, STAGES, START, STEP_LOADS
-
-
-_ALL = np.arange(LOADS)
 
 
 class Own(NamedTuple):
@@ -44,7 +40,7 @@ def _vary(own, columns, varying, row):
 
 @inlined
 def _advance(tables, propagator, own, columns, varying, state, progress, end_motion, end_tip,
-             sample_every, done, samples, history):
+             sample_every, done, samples, tips):
     """Integrate some lanes over equal steps, see `advance_each`."""
     size = propagator.whole
     now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
@@ -69,15 +65,11 @@ def _advance(tables, propagator, own, columns, varying, state, progress, end_mot
             _vary(own, columns, varying[k + 1], row)
         one_step(tables, propagator, now, load[START], load[MIDDLE], load[END], half, following,
                  combined, rate_0, rate_a, rate_b, rate_c, stage)
-        if k < len(history):
-            for i in range(len(now)):
-                history[k, i] = now[i]
-                history[k, len(now) + i] = rate_0[i]
+        if k < len(tips):
             for i in range(len(own.reach)):
                 motion[3 + i] = now[modal + i]
             tip(tables, motion, end_tip)
-            for i in range(len(end_tip)):
-                history[k, 2 * len(now) + i] = end_tip[i]
+            copy(end_tip, tips[k])
         spoilt = 0.0
         bend = 0.0
         for i in range(len(now)):
@@ -96,18 +88,18 @@ def _advance(tables, propagator, own, columns, varying, state, progress, end_mot
 
 @entry_point
 def advance_alike(tables, propagator, own, columns, varying, state, progress, motion, place,
-                  sample_every, done, samples, history):
+                  sample_every, done, samples, tips):
     """Do what `advance_each` does for lanes with the same packed constants."""
     for g in range(len(own)):
         _advance(as_shared(tables), as_shared(propagator), as_lanes(own[g]), columns,
                  as_lanes(varying[g]), as_lanes(state[g]), as_lanes(progress[g]),
                  as_lanes(motion[g]), as_lanes(place[g]), sample_every, done,
-                 as_lanes(samples[g]), as_lanes(history[g]))
+                 as_lanes(samples[g]), as_lanes(tips[g]))
 
 
 @entry_point
 def advance_each(tables, propagator, own, columns, varying, state, progress, motion, place,
-                 sample_every, done, samples, history):
+                 sample_every, done, samples, tips):
     """
     Integrate groups of lanes over equal steps.
 
@@ -131,16 +123,15 @@ def advance_each(tables, propagator, own, columns, varying, state, progress, mot
         See `etdrk4.advance`.
     samples : ndarray, shape (groups, n, 2 (3 + N), WIDTH)
         Receives motions.
-    history : ndarray, shape (groups, rows, 2 m + 3, WIDTH)
-        Receives the state at the start of each step, n there, and what `tip` returns; of as many
-        steps as it has rows for.
+    tips : ndarray, shape (groups, rows, 3, WIDTH)
+        Receives what `tip` returns at the start of each step; of as many steps as it has rows for.
 
     """
     for g in range(len(own)):
         _advance(as_lanes(tables[g]), as_lanes(propagator[g]), as_lanes(own[g]), columns,
                  as_lanes(varying[g]), as_lanes(state[g]), as_lanes(progress[g]),
                  as_lanes(motion[g]), as_lanes(place[g]), sample_every, done,
-                 as_lanes(samples[g]), as_lanes(history[g]))
+                 as_lanes(samples[g]), as_lanes(tips[g]))
 
 
 def to_lanes(values, numbers=None):
@@ -169,6 +160,11 @@ def from_lanes(values, count):
     if len(rows) == 1:  # else `reshape` copies
         rows = rows.copy()
     return rows.reshape(len(values) * WIDTH, *rows.shape[2:])[:count]
+
+
+def _of_all(tuples):
+    # NamedTuples as one, whose arrays have another first axis.
+    return tuples[0]._make(np.array(arrays) for arrays in zip(*tuples))
 
 
 def _turned(linear, step):
@@ -210,7 +206,7 @@ class LaneSteps:
         else:
             self._advance = advance_each
             linear = np.array([model.linear for model in padded])
-            self._constants = (pack_lanes(of_all([model.tables for model in padded])),
+            self._constants = (pack_lanes(_of_all([model.tables for model in padded])),
                                pack_lanes(_turned(linear, step)))
         self.own = pack_lanes(Own(
             np.zeros((lanes, LOADS)), np.zeros((lanes, STEP_LOADS, LOADS)),
@@ -230,41 +226,9 @@ class LaneSteps:
         """Return an array for so many vectors of a length in each lane."""
         return np.empty((len(self.own), number, length, WIDTH))
 
-    def advance(self, columns, varying, sample_every=0, done=0, samples=None, history=None):
+    def advance(self, columns, varying, sample_every=0, done=0, samples=None, tips=None):
         """Advance all lanes, see `advance_each`."""
-        self._do(self.state, self.progress, self.motion, self.tip, columns, varying, sample_every,
-                 done, samples, history)
-
-    def _do(self, state, progress, motion, place, columns, varying, sample_every=0, done=0,
-            samples=None, history=None):
         none = self.room(0, 1)
-        self._advance(*self._constants, self.own, columns, varying, state, progress, motion, place,
-                      sample_every, done, none if samples is None else samples,
-                      none if history is None else history)
-
-    def rates(self, columns, load):
-        """
-        Return n of the state under a load that does not vary, shape (groups, m, WIDTH).
-
-        Parameters
-        ----------
-        columns : ndarray, shape (c,)
-        load : ndarray, shape (groups, c, WIDTH)
-            What acts besides `own['base']`.
-
-        """
-        size = self.state.shape[1]
-        history = self.room(1, 2 * size + 3)
-        varying = np.repeat(np.repeat(load[:, np.newaxis, np.newaxis], 2, 1), STEP_LOADS, 2)
-        # A by-product of a step, so that nothing else is compiled.
-        self._do(self.state.copy(), self.progress.copy(), self.motion.copy(), self.tip.copy(),
-                 columns, varying, history=history)
-        return history[:, 0, size:2 * size]
-
-    def motions(self, states, loads):
-        """Return the motions of other states, (n, m), under loads, (n, 14): (n, 2 (3 + N))."""
-        varying = np.zeros((len(self.own), 1, STEP_LOADS, LOADS, WIDTH))
-        varying[:, 0, AFTER] = to_lanes(loads - from_lanes(self.own['base'], self.count))
-        motion = np.empty_like(self.motion)
-        self._do(to_lanes(states), self.progress.copy(), motion, self.tip.copy(), _ALL, varying)
-        return from_lanes(motion, self.count)
+        self._advance(*self._constants, self.own, columns, varying, self.state, self.progress,
+                      self.motion, self.tip, sample_every, done,
+                      none if samples is None else samples, none if tips is None else tips)

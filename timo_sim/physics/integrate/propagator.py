@@ -38,13 +38,8 @@ class Propagator(NamedTuple):
 
 
 def propagator(linear, step):
-    """Return the matrices of a step, a Propagator, see `propagators`."""
-    return propagators(linear, step)[0]
-
-
-def propagators(linear, step):
     """
-    Return the matrices of a step and, at little more cost, those of a step half as long.
+    Return the matrices of a step.
 
     Parameters
     ----------
@@ -55,16 +50,13 @@ def propagators(linear, step):
 
     Returns
     -------
-    list of Propagator
+    Propagator
 
     """
-    whole, half, quarter = _of_balanced(_phi, step, linear)
-    return [_combined(step, whole, half), _combined(0.5 * step, half, quarter)]
-
-
-def phi_functions(linear, step, order):
-    """Return phi_0 to phi_order of h L, (..., m, m), see `Propagator`: (1 + order, ..., m, m)."""
-    return _of_balanced(lambda z, doublings: _phi_to(order, z, doublings), step, linear)
+    (whole, phi_1, phi_2, phi_3), half = _of_balanced(_phi, step, linear)
+    return Propagator(whole, half[0], 0.5 * step * half[1],
+                      step * (phi_1 - 3.0 * phi_2 + 4.0 * phi_3),
+                      step * (2.0 * phi_2 - 4.0 * phi_3), step * (4.0 * phi_3 - phi_2))
 
 
 def _of_balanced(function, step, linear):
@@ -96,38 +88,13 @@ def _of_balanced(function, step, linear):
     return results.reshape(*results.shape[:-3], *linear.shape)
 
 
-def _phi_to(order, z, doublings):
-    """Return phi_0 to phi_order of z, doubled so often, shape (1 + order, n, m, m)."""
-    place = np.arange(z.shape[-1])
-    series = np.broadcast_to(np.eye(len(place)) / float(math.factorial(_TERMS + order)), z.shape)
-    phi = np.empty((1 + order, *z.shape))
-    for k in reversed(range(_TERMS + order)):
-        series = z @ series
-        series[:, place, place] += 1.0 / math.factorial(k)
-        phi[min(k, order)] = series
-    # share[k, j]: weight of phi_j(z) in 2^k phi_k(2 z), besides phi_0(z) phi_k(z), see `_phi`.
-    share = np.array([[1.0 / math.factorial(k - j) if 0 < j <= k else 0.0
-                       for j in range(1 + order)] for k in range(1 + order)])
-    half = 0.5 ** np.arange(1 + order)[:, np.newaxis, np.newaxis, np.newaxis]
-    for _ in range(doublings):
-        phi = half * (phi[0] @ phi + np.tensordot(share, phi, axes=1))
-    return phi
-
-
-def _combined(step, whole, half):
-    _, phi_1, phi_2, phi_3 = whole
-    return Propagator(whole[0], half[0], 0.5 * step * half[1],
-                      step * (phi_1 - 3.0 * phi_2 + 4.0 * phi_3),
-                      step * (2.0 * phi_2 - 4.0 * phi_3), step * (4.0 * phi_3 - phi_2))
-
-
 def _phi(z, doublings):
     """
-    Return phi_0 to phi_3 of matrices that are doubled, of their halves and of their quarters.
+    Return phi_0 to phi_3 of matrices that are doubled, and of their halves.
 
     First the series of phi_3 is summed up; then the argument is doubled:
     `2^k phi_k(2 z) = phi_0(z) phi_k(z) + sum_j phi_j(z) / (k - j)!`, j = 1..k. Source: Skaflestad
-    and Wright, Appl. Numer. Math. 59 (2009) 783-799. Shape (3, 4, n, m, m).
+    and Wright, Appl. Numer. Math. 59 (2009) 783-799. Shape (2, 4, n, m, m).
     """
     one = np.eye(z.shape[-1])
     place = np.arange(len(one))
@@ -143,4 +110,4 @@ def _phi(z, doublings):
         found.insert(0, np.array([
             phi_0 @ phi_0, 0.5 * (phi_0 @ phi_1 + phi_1), 0.25 * (phi_0 @ phi_2 + phi_1 + phi_2),
             0.125 * (phi_0 @ phi_3 + 0.5 * phi_1 + phi_2 + phi_3)]))
-    return np.array(found[:3])
+    return np.array(found[:2])

@@ -66,7 +66,7 @@ def _keep(tables, joints, state, load, motion, memory):
 
 @entry_point
 def advance(tables, propagator, joints, memory, state, load, loads, sample_every, done, samples,
-            heat, states, rates):
+            heat, remainder):
     """
     Integrate over some equal steps with friction, as `etdrk4.advance` does without.
 
@@ -118,8 +118,7 @@ def advance(tables, propagator, joints, memory, state, load, loads, sample_every
         if not is_finite(stage):
             break
         memory[_HEAT] += joints.step * power / 6.0
-        copy(now, states[k])
-        copy(rate_0, rates[k])
+        copy(rate_0, remainder)
         copy(stage, now)
         load = loads[k, AFTER]
     if k:
@@ -148,25 +147,17 @@ class SmoothFrictionSteps(Steps):
         self._limit, self._slow = limit, np.where(limit > 0.0, slow, 1.0)
         self._joints = pack(SmoothJoints(self._limit, self._slow, self.step))
         self.memory = np.zeros(JOINTS + 1)
-        # Where friction and heat go in steps that are no part of the run.
-        self._aside = self._kept = np.zeros(JOINTS + 1), np.zeros(1)
 
     @property
     def constants(self):
         """The packed constants for whose sizes machine code is needed, a list."""
         return [*super().constants, self._joints]
 
-    def _integrate(self, state, load, loads, sample_every, sampled, motions, heat):
-        self._kept = self.memory, heat
-        try:
-            return super()._integrate(state, load, loads, sample_every, sampled, motions, heat)
-        finally:
-            self._kept = self._aside
-
-    def _run(self, part, level, state, load, loads, sample_every, sampled, motions, *kept):
-        memory, heat = self._kept
-        return advance(part.packed, part.propagator(level), self._joints, memory, state, load,
-                       loads, sample_every, sampled, motions, heat, *kept)
+    def advance(self, state, load, loads, sample_every, sampled, motions, heat):
+        """Integrate over equal steps, see `Steps.advance`."""
+        return self._by_sectors(state, load, loads, lambda part, first, load: first + advance(
+            part.packed, part.propagator, self._joints, self.memory, state, load, loads[first:],
+            sample_every, sampled + first, motions, heat, self._remainder))
 
     @property
     def friction(self):

@@ -6,19 +6,20 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Equal time steps of a model, with an estimate of their error."""
+"""Equal time steps of a model."""
+
+from functools import cached_property
 
 import numpy as np
 
 from timo_sim.physics.integrate import etdrk4
 from timo_sim.physics.integrate.flow import flow
 from timo_sim.physics.integrate.kept import kept
-from timo_sim.physics.integrate.propagator import propagators
-from timo_sim.physics.integrate.run_error import RunError
-from timo_sim.physics.layout import AFTER, LOADS, START, STEP_LOADS
+from timo_sim.physics.integrate.propagator import propagator
+from timo_sim.physics.layout import AFTER, LOADS, STEP_LOADS
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
-_LONG = 64  # least number of steps at once whose most strained state is worth a look
+CHUNK = 2048  # most steps at once, for which loads are tabulated
 
 
 class LinearPart:
@@ -26,15 +27,12 @@ class LinearPart:
 
     def __init__(self, pack, packed, linear, step):
         self._pack, self.packed, self.linear = pack, packed, linear
-        self._step, self._propagators = step, {}
+        self._step = step
 
-    def propagator(self, level=0):
-        """Return the matrices of a step divided by 2^level, packed constants."""
-        if level not in self._propagators:
-            pair = propagators(self.linear, self._step / 2**level)
-            for number, matrices in enumerate(pair, start=level):
-                self._propagators[number] = self._pack(matrices)
-        return self._propagators[level]
+    @cached_property
+    def propagator(self):
+        """The matrices of a step, packed constants."""
+        return self._pack(propagator(self.linear, self._step))
 
 
 class Steps:
@@ -51,21 +49,18 @@ class Steps:
     ----------
     memory : ndarray
         What is kept from step to step besides the state; a caller may copy it and put it back.
-    errors : RunError
-        Estimated error of the steps so far.
     kept : dict
         What depends on model and step alone, see `kept`.
 
     """
-
-    keeps_states = True  # whether y and n of (T38) at each step's start go to `errors.rest`
 
     def __init__(self, model, step):
         self.model, self.step = model, step
         self.memory = np.zeros(0)
         self.kept = model.kept(step)
         self._no_samples = np.empty((0, model.size)), np.zeros(0)
-        self.errors, self._constant = RunError(self), np.empty((1, STEP_LOADS, LOADS))
+        self._constant = np.empty((1, STEP_LOADS, LOADS))
+        self._remainder = np.zeros(len(model.linear))
 
     @property
     def friction(self):
@@ -77,29 +72,22 @@ class Steps:
         """Heat of Coulomb friction since the initial motion [J]."""
         return 0.0
 
-    @property
-    def friction_drift(self):
-        """Drift of joints in steps with events of friction, summed up, as at the tip [m]."""
-        return 0.0
-
     def acting(self, load):
         """Return a load plus the friction at the end of the last step, shape (14,)."""
         return load
 
     def reset(self):
-        """Forget friction, heat and errors of earlier steps."""
+        """Forget friction and heat of earlier steps."""
         self.memory[:] = 0.0
-        self.errors.reset()
 
-    def follow(self, earlier):
-        """Take over memory and errors from the steps of a model of the same size."""
+    def continue_from(self, earlier):
+        """Take over the memory from the steps of a model of the same size."""
         self.memory = earlier.memory
-        self.errors.go_on(earlier.errors)
 
     @property
     def constants(self):
         """The packed constants for whose sizes machine code is needed, a list."""
-        return [self.model.packed, self._part.propagator()]
+        return [self.model.packed, self._part.propagator]
 
     def warm_up(self, state, load):
         """Compile, or load from disk, the functions that `motion` does not call."""
@@ -121,9 +109,9 @@ class Steps:
         size = 1 + count // sample_every
         return np.empty((size, self.model.size)), np.zeros(size)
 
-    def advance(self, state, load, tabulate, first, count, sample_every, sampled, motions, heat):
+    def advance(self, state, load, loads, sample_every, sampled, motions, heat):
         """
-        Integrate over equal steps, at most `errors.room`.
+        Integrate over equal steps.
 
         Parameters
         ----------
@@ -131,53 +119,24 @@ class Steps:
             Advanced in place.
         load : ndarray, shape (14,)
             Load at the start.
-        tabulate : function(int, int, int) -> ndarray
-            Takes the number of the first step, the number of steps and the parts of each; returns
-            the loads of these parts, shape (parts count, 4, 14), see `physics.layout`.
-        first, count : int
-            Number of the first step, and number of steps.
+        loads : ndarray, shape (count, 4, 14)
+            Loads of the steps, see `physics.layout`.
         sample_every : int
             Steps between samples; 0: none are taken.
         sampled : int
-            Number of steps from the first sample to the step `first`.
+            Number of steps from the first sample to these steps.
         motions, heat : ndarray
             Receive the samples, see `samples`.
 
         Returns
         -------
-        done : int
+        int
             Steps done; fewer than `count` if the state is no longer finite.
-        load : ndarray, shape (14,)
-            Load at the end of step `first + count - 1`, done or not.
 
         """
-        done, load = self._do(state, load, tabulate, first, count, sample_every, sampled, motions,
-                              heat)
-        self.errors.count(done, state, load)
-        return done, load
-
-    def _do(self, state, load, tabulate, first, count, *samples):
-        loads = tabulate(first, count, 1)
-        done = self._integrate(state, load, loads, *samples)
-        if done >= _LONG and self.keeps_states:
-            self.errors.modes.look_for_peak(self.errors.rest[0][:done], loads[:done, START])
-        return done, loads[-1, AFTER].copy() if count else load
-
-    def _integrate(self, state, load, loads, sample_every, sampled, motions, heat):
-        return self._step(0, state, load, loads, sample_every, sampled, motions,
-                          *self.errors.rest)
-
-    def _step(self, level, state, load, loads, sample_every, sampled, motions, states, rates):
-        def integrate(part, first, load):
-            done = first + self._run(part, level, state, load, loads[first:], sample_every,
-                                     sampled + first, motions, states[first:], rates[first:])
-            if part is not self._part:  # n is kept for the linear part of the whole model
-                rates[first:done] += states[first:done] @ (part.linear - self.model.linear).T
-            return done
-        return self._by_sectors(state, load, loads, 0, integrate)
-
-    def _run(self, part, level, *arguments):
-        return etdrk4.advance(part.packed, part.propagator(level), *arguments)
+        return self._by_sectors(state, load, loads, lambda part, first, load: first + etdrk4.advance(
+            part.packed, part.propagator, state, load, loads[first:], sample_every,
+            sampled + first, motions, self._remainder))
 
     @kept
     def _part(self):
@@ -187,13 +146,14 @@ class Steps:
     def _sectors(self):
         return {}
 
-    def _by_sectors(self, state, load, loads, done, integrate):
+    def _by_sectors(self, state, load, loads, integrate):
         """
         Integrate, with the linear part of each sector through which the shaft turns.
 
         `integrate`, a function(LinearPart, int, ndarray) -> int, takes the number of steps done
         and the load there, and returns the new number; a call that does no step is the last.
         """
+        done = 0
         while True:
             begun, done = done, integrate(self._part_for(state, load), done, load)
             if not self.model.sectors or done in (begun, len(loads)):
@@ -210,52 +170,19 @@ class Steps:
                 self.model.pack, self.model.pack(tables), linear, self.step)
         return self._sectors[number]
 
-    def follow_errors(self, error, states, rates, load, weight):
-        """
-        Follow the error of the state over steps, from what `advance` has kept of them.
-
-        Parameters
-        ----------
-        error : GlobalError
-        states, rates : ndarray, shape (steps + 1, m)
-            y and n of (T38) at the start of each step and at the end; the last n is not set yet.
-        load : ndarray, shape (14,)
-            Load at the end of these steps.
-        weight : float
-            See `GlobalError.follow`.
-
-        Returns
-        -------
-        errors : ndarray, shape (k, m)
-            At some boundaries between steps.
-        numbers : list of int
-            Numbers of these boundaries.
-
-        """
-        # n at the end, under the load of these steps, is a by-product of one step more.
-        self._constant[:] = load
-        self.step_once(0, states[-1].copy(), self._constant, states[-1:], rates[-1:])
-        return error.follow(states, rates, weight)
-
-    def step_once(self, level, state, loads, states=None, rates=None):
-        """Advance a state in place by steps divided by 2^level under their loads."""
-        if states is None:
-            states, rates = np.empty((2, len(loads), len(state)))
-        self._step(level, state, loads[0, START], loads, 0, 0, self._no_samples[0], states, rates)
-
     def rate(self, state, load):
         """Return the rate of a state under a load that acts, linear part included, shape (m,)."""
-        part, (states, rates) = self._part_for(state, load), np.empty((2, 1, len(state)))
+        part = self._part_for(state, load)
         self._constant[:] = load
-        done = etdrk4.advance(part.packed, part.propagator(), state.copy(), load, self._constant,
-                              0, 0, self._no_samples[0], states, rates)
+        done = etdrk4.advance(part.packed, part.propagator, state.copy(), load, self._constant,
+                              0, 0, self._no_samples[0], self._remainder)
         # n is a by-product of a step, so that nothing else is compiled unless the step diverges.
-        return part.linear @ state + rates[0] if done else self.model.rate(state, load)
+        return part.linear @ state + self._remainder if done else self.model.rate(state, load)
 
     def motion(self, state, load):
         """Return the motion of a state under a load, shape (2 (3 + N),)."""
         motions, heat = self.samples(0, 1)
-        self._integrate(state, load, NO_LOADS, 1, 0, motions, heat)
+        self.advance(state, load, NO_LOADS, 1, 0, motions, heat)
         return motions[0]
 
     def tip_acceleration(self, state, load):
@@ -276,5 +203,7 @@ class Steps:
 
     def _observe(self, state, load):
         motions = np.empty((1, self.model.size))
-        self._step(0, state[0], load[0], NO_LOADS, 1, 0, motions, *self.errors.rest)
+        part = self._part_for(state[0], load[0])
+        etdrk4.advance(part.packed, part.propagator, state[0], load[0], NO_LOADS, 1, 0, motions,
+                       self._remainder)
         return motions

@@ -1,0 +1,103 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Finer runs of a scene, from whose tip the error of a run is measured.
+
+A finer run has three more modes in bending and one more axial mode, `exact` equations, and a step
+of half the length, or less where it must resolve more. The distance between the tips of both runs
+is the estimated error: nothing about the motion is assumed, so it also holds where errors grow.
+"""
+
+import numpy as np
+
+from timo_sim.scene.scene import scene_from
+from timo_sim.simulation.model_warnings import unseen_load
+
+MORE_MODES, MORE_AXIAL, MOST_AXIAL = 3, 1, 3
+PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
+# A load that is picked up excites modes without end: there the error falls as 1/N.
+_MODES_OF_IMPACT = 3
+# Largest phase of the first axial vibration in a step of the finer run [rad].
+_AXIAL_PHASE = 4.0
+_LISTS = 'initial.modal_coordinates', 'initial.modal_rates', 'arm.damping_ratio'
+
+
+def finer(scene, parts, modes=None, axial=MORE_AXIAL, formulation='exact'):
+    """
+    Return a finer scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    parts : int
+        Number of its steps for each step of the scene.
+    modes, axial : int, optional
+        Further modes in bending, by default three, or twice the present ones where loads are
+        picked up; further axial modes.
+    formulation : str
+
+    Returns
+    -------
+    Scene
+
+    """
+    values = scene.values
+    bending, stretching = values['model.modes'], values['model.axial_modes']
+    if modes is None:
+        modes = (_MODES_OF_IMPACT - 1) * bending if scene.payloads else MORE_MODES
+    axial = min(axial, MOST_AXIAL - stretching)
+    if not bending:
+        modes = axial = 0  # a rigid arm stays rigid
+    lists = {}
+    for name in _LISTS:
+        if len(values[name]) > (name == 'arm.damping_ratio'):  # a single ratio is for all modes
+            along, across = values[name][bending:], values[name][:bending]
+            ratio = name == 'arm.damping_ratio'  # further modes have the ratio of the last one
+            lists[name] = [*across, *modes * [ratio * (across or along)[-1]], *along,
+                           *axial * [ratio * (along or across)[-1]]]
+    return scene_from({**values, **lists, 'model.formulation': formulation,
+                       'model.accuracy': 0.0, 'model.static_modes': 'none',
+                       'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
+                       'integrator.step': scene.step / parts})
+
+
+def has_finer(scene):
+    """Return whether a scene has a finer one: the coordinates of static modes have no meaning."""
+    return scene.values['model.static_modes'] == 'none' or not any(
+        any(scene.values[name]) for name in _LISTS[:2])
+
+
+def parts_of(scene):
+    """Return the parts of a step that may do for a finer run, a tuple of int, fewest first."""
+    # Events of dry friction are found to the first order of the step only.
+    dry = scene.friction.any() and not scene.friction_speed.any()
+    least = next((parts for parts in PARTS[int(dry):] if _resolves(finer(scene, parts))), PARTS[-1])
+    return tuple(parts for parts in PARTS if parts >= least)
+
+
+def _resolves(scene):
+    # Whether steps see the loads and the first axial vibration.
+    axial = scene.values['model.axial_modes']
+    return unseen_load(scene) is None and not (
+        axial and scene.step * scene.build().modes.omega[-axial:].min() > _AXIAL_PHASE)
+
+
+def tip_distance(model, motions, other, others):
+    """
+    Return the largest distance between two tips [m].
+
+    Parameters
+    ----------
+    model, other : Formulation
+    motions, others : ndarray, shapes (n, 2 (3 + N)) and (n, 2 (3 + M))
+        At the same times.
+
+    """
+    apart = model.world(motions, model.tip_point) - other.world(others, other.tip_point)
+    return float(np.linalg.norm(apart[:, 0], axis=1).max(initial=0.0))
