@@ -30,7 +30,9 @@ _STILL = 1e-9
 
 def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     """
-    Return the linear model of a scene about a state of rest, without its Coulomb friction.
+    Return the linear model of a scene about a state of rest, without its dry friction.
+
+    Friction that builds up over a speed is viscous about rest: its limit over that speed.
 
     Parameters
     ----------
@@ -75,6 +77,9 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     length = formulation.manipulator.arm.length
     steps = np.tile(_SHIFT * np.concatenate(
         [[length, length, 1.0], 1.0 / formulation.section_turn]), 2)
+    # Coulomb friction is to be linear within differences of the speeds.
+    speeds = np.array([speed for _, speed in formulation.manipulator.coulomb])[[0, 0, 1]]
+    steps[half:half + 3] = np.minimum(steps[half:half + 3], _SHIFT * speeds)
 
     def jacobian(function):
         return _jacobian(function, at, steps, free)

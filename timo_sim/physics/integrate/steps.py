@@ -69,12 +69,12 @@ class Steps:
 
     @property
     def friction(self):
-        """Friction on carrier x, y [N], shaft [N m] at the end of the last step, shape (3,)."""
+        """Dry friction on carrier x, y [N], shaft [N m] at the end of the last step, (3,)."""
         return np.zeros(3)
 
     @property
     def heat(self):
-        """Heat of Coulomb friction since the initial motion [J]."""
+        """Heat of dry friction since the initial motion [J]."""
         return 0.0
 
     @property
@@ -83,7 +83,7 @@ class Steps:
         return 0.0
 
     def acting(self, load):
-        """Return a load plus the friction at the end of the last step, shape (14,)."""
+        """Return a load plus the dry friction at the end of the last step, shape (14,)."""
         return load
 
     def reset(self):
@@ -113,7 +113,7 @@ class Steps:
         motions : ndarray, shape (1 + count // sample_every, 2 (3 + N))
             For motions at the start and after each `sample_every` steps; if that is 0, empty.
         heat : ndarray, shape (1 + count // sample_every,)
-            For the heat of Coulomb friction so far [J].
+            For the heat of dry friction so far [J].
 
         """
         if not sample_every:
@@ -169,15 +169,13 @@ class Steps:
 
     def _step(self, level, state, load, loads, sample_every, sampled, motions, states, rates):
         def integrate(part, first, load):
-            done = first + self._run(part, level, state, load, loads[first:], sample_every,
-                                     sampled + first, motions, states[first:], rates[first:])
+            done = first + etdrk4.advance(
+                part.packed, part.propagator(level), state, load, loads[first:], sample_every,
+                sampled + first, motions, states[first:], rates[first:])
             if part is not self._part:  # n is kept for the linear part of the whole model
                 rates[first:done] += states[first:done] @ (part.linear - self.model.linear).T
             return done
         return self._by_sectors(state, load, loads, 0, integrate)
-
-    def _run(self, part, level, *arguments):
-        return etdrk4.advance(part.packed, part.propagator(level), *arguments)
 
     @kept
     def _part(self):
