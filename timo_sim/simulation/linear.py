@@ -77,9 +77,10 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     length = formulation.manipulator.arm.length
     steps = np.tile(_SHIFT * np.concatenate(
         [[length, length, 1.0], 1.0 / formulation.section_turn]), 2)
-    # Coulomb friction is to be linear within differences of the speeds.
-    speeds = np.array([speed for _, speed in formulation.manipulator.coulomb])[[0, 0, 1]]
-    steps[half:half + 3] = np.minimum(steps[half:half + 3], _SHIFT * speeds)
+    # Coulomb friction must be linear within the differences of speeds.
+    joints = formulation.size // 2 + np.arange(3)
+    speeds = np.array(formulation.manipulator.coulomb)[[0, 0, 1], 1]
+    steps[joints] = np.minimum(steps[joints], _SHIFT * speeds)
 
     def jacobian(function):
         return _jacobian(function, at, steps, free)
