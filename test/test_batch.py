@@ -171,7 +171,7 @@ def test_momentum_is_constant():
     ([{}, {'integrator.step': 0.005}], 'integrator.step must be the same'),
     ([{}, HELD], 'carrier.held must be the same'),
     ([{'carrier.held': 'x'}], 'carrier.held = x with motor.shaft = free is not possible'),
-    ([{'motor.coulomb_friction': 1.0}], 'Coulomb friction without a coulomb_speed is not possible'),
+    ([{'motor.coulomb_friction': 1.0}], 'Coulomb friction without a coulomb_speed is not'),
     ([], 'at least one')])
 def test_what_a_batch_cannot_do(scenes, text):
     """The error names the parameter."""

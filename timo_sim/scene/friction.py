@@ -12,7 +12,7 @@ import numpy as np
 
 from timo_sim.scene.parameter import ParameterError
 
-# A step is stable up to 2.785 over the rate at which friction brakes joints, as it is measured for 0
+# A step is stable up to 2.785 over the rate at which friction brakes joints, as is measured for 0
 # to 5 modes; the mobility of joints may grow a little in a run.
 _STABLE = 2.5
 

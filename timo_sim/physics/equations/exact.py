@@ -91,8 +91,8 @@ class Exact(Formulation):
         self._kernel, self._slope = kernel, rotation + shear
         tables = Tables(self.mass, kernel if one_axis else kernel[:1], lever, rotation.T, shear.T,
                         rotary, np.empty(0), damping, self.manipulator.carrier_friction,
-                        np.array(self.manipulator.coulomb), self.axes, self.anchor, self.points.integral[:, -1], at_points[-1],
-                        self.mass * self.gravity)
+                        np.array(self.manipulator.coulomb), self.axes, self.anchor,
+                        self.points.integral[:, -1], at_points[-1], self.mass * self.gravity)
         tables, linear = self._with_linear_part(tables, locked if one_axis else None)
         if self.sectors and self.axial:
             self._band = BAND * modes.omega[0]
@@ -126,8 +126,8 @@ class Exact(Formulation):
         return tables._replace(sector=number), linear
 
     def _about_turning(self, angle, speed):
-        # The rate's derivatives by the state of a straight arm that turns. Without Coulomb friction
-        # it is quadratic in speeds and momenta; truncation by other differences is some 1e-8.
+        # The rate's derivatives by the state of a straight arm that turns. Without friction that
+        # builds up it is quadratic in speeds and momenta; other differences are good to 1e-8.
         model = copy(self)
         model._of_any_size = of_any_size(self.tables._replace(coulomb=np.zeros((2, 2))))
         motion, load = np.zeros(self.size), np.zeros(LOADS)

@@ -26,8 +26,7 @@ class Observables(ABC):
     point_inertia: np.ndarray
     damping: np.ndarray
     gravity: np.ndarray
-    axes: np.ndarray
-    first: int
+    constrained: np.ndarray
     size: int
 
     @abstractmethod
