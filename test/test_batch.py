@@ -26,6 +26,9 @@ SCENES = {
     'driven, held': {**HELD, 'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.3, 0.8],
                      'motor.drive.angle': [0.0, 0.4, 0.1], 'motor.drive.speed': [0.0, 0.5, 0.0],
                      'motor.drive.acceleration': [0.0, 2.0, 0.0], 'gravity': [0.0, -9.81]},
+    'friction that builds up': {
+        **SWING, 'motor.coulomb_friction': 3.0, 'motor.coulomb_speed': 0.3,
+        'carrier.coulomb_friction': 2.0, 'carrier.coulomb_speed': 0.1},
     'stretches': {**SWING, 'model.axial_modes': 1, 'initial.shaft_velocity': 6.0},
     'limits': {'motor.torque_limit': 12.0, 'carrier.force_limit': 30.0},
     'limits of rates': {'motor.torque_limit': 12.0, 'motor.torque_rate_limit': 170.0,
@@ -168,7 +171,7 @@ def test_momentum_is_constant():
     ([{}, {'integrator.step': 0.005}], 'integrator.step must be the same'),
     ([{}, HELD], 'carrier.held must be the same'),
     ([{'carrier.held': 'x'}], 'carrier.held = x with motor.shaft = free is not possible'),
-    ([{'motor.coulomb_friction': 1.0}], 'Coulomb friction is not possible'),
+    ([{'motor.coulomb_friction': 1.0}], 'Coulomb friction without a coulomb_speed is not'),
     ([], 'at least one')])
 def test_what_a_batch_cannot_do(scenes, text):
     """The error names the parameter."""

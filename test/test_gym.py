@@ -55,7 +55,8 @@ def test_it_is_what_gymnasium_makes_of_single_environments(mode):
 
 
 def test_what_it_observes_is_what_the_simulator_does():
-    variations = [{}, {'end_effector.mass': 3.0}]
+    variations = [{}, {'end_effector.mass': 3.0, 'motor.coulomb_friction': 2.0,
+                       'motor.coulomb_speed': 0.3}]
     environments = ReachVectorEnv(2, FREE, variations, force=30.0)
     environments.reset(seed=1, options={'goal': [0.5, -0.2]})
     simulators = [timo_sim.Simulator(timo_sim.load_scene(FREE, each)) for each in variations]

@@ -86,8 +86,8 @@ def test_all_parameters_vary_and_a_number_is_the_same_scene():
     names = set().union(*(cell.values for cell in cells))
     bodies = [name for name in timo_sim.load_scene({}).values
               if name.startswith(('arm.', 'carrier.', 'motor.', 'end_effector.'))]
-    # Limits and motors act on commands only; profiles would need machine code for further sizes,
-    # as would friction with a speed, which test_smooth_friction.py compares with DOP853.
+    # Limits and motors act on commands only; profiles would need machine code for further sizes;
+    # test_smooth_friction.py compares friction with a speed with DOP853.
     assert {name for name in bodies if name not in names} == {
         name for name in bodies if any(part in name for part in (
             'limit', '.dc.', 'profile', 'coulomb_speed'))} | {'arm.damping_of'}

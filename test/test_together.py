@@ -40,7 +40,8 @@ def variations():
     found += [{**PULSES, 'arm.length': length} for length in np.linspace(1.5, 2.5, 9)]
     found += [*BAD, DIVERGES, {}, {'carrier.held': 'x'}, {'model.modes': 0},
               {'payload': {'time': [1.0], 'mass': [2.1], 'inertia': [0.51]}},
-              {'model.formulation': 'newton'}, {'motor.coulomb_friction': 0.5}]
+              {'model.formulation': 'newton'}, {'motor.coulomb_friction': 0.5},
+              {'motor.coulomb_friction': 0.5, 'motor.coulomb_speed': 0.2}]
     return found
 
 

@@ -26,7 +26,7 @@ from timo_sim.jit import code_store
 from timo_sim.jit.code_store import is_compiled, lock, size_mark, store_directory
 from timo_sim.jit.decorators import entry_point, FASTMATH
 from timo_sim.physics.equations.functions import rate_once
-from timo_sim.physics.equations.sincos import sincos
+from timo_sim.physics.equations.sincos import sincos, tanh
 from timo_sim.simulation.load_table import LoadTable
 from timo_sim.simulation.simulator import Simulator
 
@@ -54,6 +54,22 @@ def test_sine_and_cosine_of_infinity_are_nan():
     sines, cosines = np.zeros(3), np.zeros(3)
     _sincos(angles, sines, cosines)
     assert np.isnan(sines).all() and np.isnan(cosines).all()
+
+
+@numba.njit(fastmath=FASTMATH)
+def _tanh(values, out):
+    for j in range(len(values)):
+        out[j] = tanh(values[j])
+
+
+def test_hyperbolic_tangent():
+    values = np.concatenate([np.linspace(-25.0, 25.0, 100001), np.geomspace(1e-300, 25.0, 10001)])
+    ours, ends = np.empty_like(values), np.array([np.inf, -np.inf, 0.0, np.nan])
+    _tanh(values, ours)
+    _tanh(ends, ends)
+    # Six doublings add up to 8.3 units of the last place.
+    assert (np.abs(ours - np.tanh(values)) <= 10.0 * np.spacing(np.abs(ours))).all()
+    assert ends == pytest.approx([1.0, -1.0, 0.0, np.nan], rel=1e-15, abs=0.0, nan_ok=True)
 
 
 @pytest.mark.parametrize('formulation', ['exact', 'newton'])

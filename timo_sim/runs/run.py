@@ -48,8 +48,8 @@ class Run(MotionFields, Tables):
     values : ndarray, shape (n, 2 (3 + N))
         The motion, see `physics.layout`; `carrier`, `shaft`, `q` and their rates are parts of it.
     friction_heat : ndarray, shape (n,)
-        Heat that Coulomb friction has produced since the start [J]; NaN for the log of a scene
-        with Coulomb friction, which does not contain it.
+        Heat that dry friction has produced since the start [J]; NaN for the log of a scene with
+        dry friction, which does not contain it.
     warning : str or None
         Why the run should not be trusted, and what to do.
     stats : dict
@@ -141,8 +141,9 @@ class Run(MotionFields, Tables):
 
     def dissipated(self) -> np.ndarray:
         """
-        Return the energy dissipated by viscous friction and modal damping so far, shape (n,) [J].
+        Return the energy dissipated by friction and modal damping so far, shape (n,) [J].
 
+        Dry friction is not part of it, but friction that builds up over a speed is.
         If samples are several steps apart, the run is simulated again to integrate between them.
         This is not possible for a run with commands or resets: its samples alone are integrated,
         with a ModelWarning if they are too far apart for a relative error of 1e-3.

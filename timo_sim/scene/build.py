@@ -42,7 +42,14 @@ def manipulator_of(values):
         _arm(values), values['carrier.mass'], values['motor.mass'], values['motor.shaft_inertia'],
         values['end_effector.mass'], values['end_effector.inertia'],
         values['carrier.viscous_friction'],
-        values['motor.viscous_friction'] + motor_constants(values)[1])
+        values['motor.viscous_friction'] + motor_constants(values)[1],
+        tuple(_smooth_coulomb(values, body) for body in ('carrier', 'motor')))
+
+
+def _smooth_coulomb(values, body):
+    # Coulomb friction without a speed is dry: joints stick.
+    speed = values[f'{body}.coulomb_speed']
+    return (values[f'{body}.coulomb_friction'], speed) if speed else (0.0, 1.0)
 
 
 def load_of(values):

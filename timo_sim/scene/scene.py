@@ -27,7 +27,7 @@ from timo_sim.scene.build import (
     check_counts, check_finite, check_initial, constraints_of, implausible, load_of,
     manipulator_of, modal_count, payloads_of)
 from timo_sim.scene.files import flatten, read_parameter_file
-from timo_sim.scene.friction import check_friction, check_slope, largest, speeds
+from timo_sim.scene.friction import check_slope, largest
 from timo_sim.scene.initial import initial_motion, state_of
 from timo_sim.scene.loads import Load
 from timo_sim.scene.parameter import ParameterError, SCENE, short, warn, whole_ratio
@@ -142,13 +142,8 @@ class Scene:
 
     @property
     def friction(self) -> np.ndarray:
-        """Largest Coulomb friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,)."""
+        """Largest dry friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,)."""
         return largest(self.values, self.constraints)
-
-    @property
-    def friction_speed(self) -> np.ndarray:
-        """Speeds over which it builds up [m/s], [m/s], [rad/s]; 0 for joints that stick, (3,)."""
-        return speeds(self.values, self.friction)
 
     def vary(self, overrides: Mapping[str, Any]) -> Scene:
         """
@@ -285,7 +280,6 @@ def scene_from(values):
     for name in DELAYS:
         whole_ratio(name, values[name], 'integrator.step', step)
     scene = Scene(manipulator_of(values), constraints_of(values), load_of(values), step, values)
-    check_friction(scene)
     check_finite(scene)
     check_slope(scene)
     return scene

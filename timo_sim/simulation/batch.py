@@ -59,7 +59,7 @@ class Batch:
     Raises
     ------
     ParameterError
-        If the scenes differ in size, or have what a batch cannot do: Coulomb friction, a carrier
+        If the scenes differ in size, or have what a batch cannot do: dry friction, a carrier
         that is held along one axis beside a free or driven shaft, `model.accuracy`, payloads that
         change.
 
@@ -299,7 +299,7 @@ def refusal(scene):
         return ' with '.join(f'{name} = {values[name]}' for name in (
             'carrier.held', 'motor.shaft'))
     if scene.friction.any():
-        return 'Coulomb friction'
+        return 'Coulomb friction without a coulomb_speed'
     for name in ('model.accuracy', 'payload.time'):
         if values[name]:
             return f'{name} = {values[name]}'

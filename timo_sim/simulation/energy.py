@@ -88,7 +88,7 @@ def integral(ns, power):
 
 def dissipated(scene, t, motions):
     """
-    Return the energy that viscous friction and modal damping dissipate since the first sample.
+    Return what friction that is not dry, and modal damping, dissipate since the first sample.
 
     If samples are some steps apart, the run is repeated and its power integrated over each step.
     If the repeated motions differ, because commands acted, the given samples are integrated.

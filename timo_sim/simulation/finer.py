@@ -76,8 +76,8 @@ def has_finer(scene):
 def parts_of(scene):
     """Return the parts of a step that may do for a finer run, a tuple of int, fewest first."""
     # Events of dry friction are found to the first order of the step only.
-    dry = scene.friction.any() and not scene.friction_speed.any()
-    least = next((parts for parts in PARTS[int(dry):] if _resolves(finer(scene, parts))), PARTS[-1])
+    tried = PARTS[1:] if scene.friction.any() else PARTS
+    least = next((parts for parts in tried if _resolves(finer(scene, parts))), PARTS[-1])
     return tuple(parts for parts in PARTS if parts >= least)
 
 

@@ -38,7 +38,7 @@ class Joints:
         See `physics.layout`.
     accelerations : ndarray, shape (n, 3 + N)
     loads : ndarray, shape (n, 14)
-        Loads that act, Coulomb friction included.
+        Loads that act, dry friction included.
 
     """
 
@@ -56,19 +56,19 @@ class Joints:
         """
         Force on the carrier, world axes [N], and torque on the shaft [N m] by constraints, (n, 3).
 
-        Loads are not part of it. For a joint that is free it is the viscous friction.
+        Loads are not part of it. For a joint that is free it is the friction of the equations.
         """
         return self._needed - self._applied
 
     @property
     def root_moment(self):
         """Moment in the arm at its root, from the shaft's own balance (T46), shape (n,) [N m]."""
-        model, body, half = self._model, self._model.manipulator, self._motions.shape[1] // 2
+        model = self._model
         if model.constrained[2]:
             torque = self._needed[:, 2]
         else:
-            torque = self._applied[:, 2] - body.shaft_friction * self._motions[:, half + 2]
-        return body.shaft_inertia * self._accelerations[:, 2] - torque
+            torque = self._applied[:, 2] - model.friction(self._motions)[:, 2]
+        return model.manipulator.shaft_inertia * self._accelerations[:, 2] - torque
 
     @property
     def root_strain(self):
@@ -108,7 +108,7 @@ def joints_of_run(scene, model, motions, loads):
     """
     Return the Joints of sampled motions of a scene.
 
-    Where Coulomb friction holds a joint, it is what cancels the joint's acceleration.
+    Where dry friction holds a joint, it is what cancels the joint's acceleration.
 
     Parameters
     ----------
@@ -116,17 +116,15 @@ def joints_of_run(scene, model, motions, loads):
     model : Formulation
     motions : ndarray, shape (n, 2 (3 + N))
     loads : ndarray, shape (n, 14)
-        Without friction.
+        Without dry friction.
 
     """
-    integration, limit, slow = Steps(model, scene.step), scene.friction, scene.friction_speed
+    integration, limit = Steps(model, scene.step), scene.friction
     accelerations, acting = np.empty((len(motions), motions.shape[1] // 2)), loads.copy()
     speeds = motions[:, motions.shape[1] // 2:][:, :3]
     for k, motion in enumerate(motions):
         accelerate = partial(accelerations_of, integration, integration.model.state(motion))
-        if slow.any():
-            acting[k, _FRICTION] -= limit * np.tanh(speeds[k] / np.where(limit > 0.0, slow, 1.0))
-        elif limit.any():
+        if limit.any():
             acting[k, _FRICTION] += _friction(accelerate, loads[k], speeds[k], limit)
         accelerations[k] = accelerate(acting[k])
     return Joints(integration.model, motions, accelerations, acting)

@@ -30,7 +30,9 @@ _STILL = 1e-9
 
 def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     """
-    Return the linear model of a scene about a state of rest, without its Coulomb friction.
+    Return the linear model of a scene about a state of rest, without its dry friction.
+
+    Friction that builds up over a speed is viscous about rest: its limit over that speed.
 
     Parameters
     ----------
@@ -75,6 +77,10 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     length = formulation.manipulator.arm.length
     steps = np.tile(_SHIFT * np.concatenate(
         [[length, length, 1.0], 1.0 / formulation.section_turn]), 2)
+    # Coulomb friction must be linear within the differences of speeds.
+    joints = formulation.size // 2 + np.arange(3)
+    speeds = np.array(formulation.manipulator.coulomb)[[0, 0, 1], 1]
+    steps[joints] = np.minimum(steps[joints], _SHIFT * speeds)
 
     def jacobian(function):
         return _jacobian(function, at, steps, free)

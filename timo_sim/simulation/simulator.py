@@ -87,7 +87,7 @@ class Simulator(Readings):
 
     def _take(self, scene, model):
         self.scene, self.model = scene, model.packed_by(self._pack or model.pack)
-        self.integration = steps_of(self.model, scene.step, scene.friction, scene.friction_speed)
+        self.integration = steps_of(self.model, scene.step, scene.friction)
 
     def __repr__(self):
         return f'<Simulator at t = {self.t:.6g} s (step {self.steps}) of {self.scene!r}>'
@@ -232,7 +232,7 @@ class Simulator(Readings):
         motions : ndarray, shape (1 + count // sample_every, 2 (3 + N))
             At the start and after each `sample_every` steps; with sample_every = 0 empty.
         heat : ndarray, shape (1 + count // sample_every,)
-            Heat of Coulomb friction since the initial motion, at the samples [J].
+            Heat of dry friction since the initial motion, at the samples [J].
 
         Raises
         ------

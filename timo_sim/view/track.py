@@ -176,7 +176,7 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
         Whether to compute the balance of energy, work and losses. It is not known if a command
         acted on the tip, or parameters such as friction were set during the run.
     heat : ndarray, shape (n,), optional
-        What Coulomb friction has dissipated so far [J]; where it acts, the balance needs it.
+        What dry friction has dissipated so far [J]; where it acts, the balance needs it.
     payloads : sequence of (int, float, float)
         See `Run`; a balance is not computed then.
     commands : array_like of int

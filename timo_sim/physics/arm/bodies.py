@@ -149,6 +149,9 @@ class Manipulator:
     carrier_friction, shaft_friction : float
         Viscous friction of the carrier along either axis, c_c [N s/m], and of the shaft, c_s
         [N m s/rad].
+    coulomb : tuple of (float, float)
+        Limits of the Coulomb friction of carrier [N] and shaft [N m] that builds up over a speed,
+        each with this speed [m/s], [rad/s].
 
     """
 
@@ -160,6 +163,7 @@ class Manipulator:
     end_effector_inertia: float
     carrier_friction: float = 0.0
     shaft_friction: float = 0.0
+    coulomb: tuple = ((0.0, 1.0), (0.0, 1.0))
 
     @property
     def base_mass(self):

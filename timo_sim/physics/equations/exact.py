@@ -33,9 +33,11 @@ separates from the coordinates q_i and their momenta p_i = M_ij q_j', with
 Q_i is the generalised force of the shaft torque, of the forces on carrier and tip about the mass
 centre, and of the torque on the tip times `Phi_i(l)`; F is the sum of both forces (T32). Viscous
 friction of the carrier is a force on it; the coefficient of the shaft's friction takes the place
-of `2 zeta_0 omega_0` (T33). The momenta of a free manipulator, P and p_0 (spin about the mass
-centre), are constant by construction. Nodal values enter through two constant arrays: `d = D^T m`,
-and for either axis a kernel, `K = D^T diag(m) D - d d^T / m_t` of the masses about their centre.
+of `2 zeta_0 omega_0`. Coulomb friction that builds up over a speed is part of the force on the
+carrier and of the shaft torque (T33). The momenta of a free manipulator, P and p_0 (spin about the
+mass centre), are constant by construction. Nodal values enter through two constant arrays:
+`d = D^T m`, and for either axis a kernel, `K = D^T diag(m) D - d d^T / m_t` of the masses about
+their centre.
 
 Along an axis on which the carrier is held, the mass centre's coordinate and momentum are removed,
 and the kernel is the one about the root, without `d d^T / m_t` (T30). With one axis held the
@@ -44,10 +46,12 @@ kernels differ, T depends on the shaft angle too, and the state has rates q_i' i
 share `M_i0 q_0'` (T31); its acceleration is needed only where the state has rates.
 """
 
+from copy import copy
 import math
 
 import numpy as np
 
+from timo_sim.jit.constants import of_any_size
 from timo_sim.physics.equations.base import Formulation
 from timo_sim.physics.equations import exact_functions  # noqa: F401: ties them to the tables
 from timo_sim.physics.equations.exact_tables import (
@@ -85,9 +89,9 @@ class Exact(Formulation):
         self.sectors = SECTORS if one_axis and self._rates and locked is None else 0
         self._kernel, self._slope = kernel, rotation + shear
         tables = Tables(self.mass, kernel if one_axis else kernel[:1], lever, rotation.T, shear.T,
-                        rotary, np.empty(0), damping, self.manipulator.carrier_friction, self.axes,
-                        self.anchor, self.points.integral[:, -1], at_points[-1],
-                        self.mass * self.gravity)
+                        rotary, np.empty(0), damping, self.manipulator.carrier_friction,
+                        np.array(self.manipulator.coulomb), self.axes, self.anchor,
+                        self.points.integral[:, -1], at_points[-1], self.mass * self.gravity)
         tables, linear = self._with_linear_part(tables, locked if one_axis else None)
         if self.sectors and self.axial:
             self._band = BAND * modes.omega[0]
@@ -121,8 +125,10 @@ class Exact(Formulation):
         return tables._replace(sector=number), linear
 
     def _about_turning(self, angle, speed):
-        # The rate's derivatives by the state of a straight arm that turns. It is quadratic in
-        # speeds and momenta; truncation by the other differences is some 1e-8.
+        # The rate's derivatives by the state of a straight arm that turns. Without friction that
+        # builds up it is quadratic in speeds and momenta; other differences are good to 1e-8.
+        model = copy(self)
+        model._of_any_size = of_any_size(self.tables._replace(coulomb=np.zeros((2, 2))))
         motion, load = np.zeros(self.size), np.zeros(LOADS)
         motion[2] = load[ANGLE] = angle
         motion[self.size // 2 + 2] = load[SPEED] = speed
@@ -130,7 +136,7 @@ class Exact(Formulation):
         half = len(state) // 2
         shift[len(self.axes):half] = 1e-4 / np.append(1.0, self.section_turn)[self.first:]
         return np.column_stack([
-            (self.rate(state + change, load) - self.rate(state - change, load)) / (2.0 * size)
+            (model.rate(state + change, load) - model.rate(state - change, load)) / (2.0 * size)
             for change, size in zip(np.diag(shift), shift)])
 
     def _with_linear_part(self, tables, angle):

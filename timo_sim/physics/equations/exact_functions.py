@@ -113,6 +113,12 @@ def _carrier_rate(tables, state, k, slope_rates, speed):
 
 
 @inlined
+def _resistance(tables, speed):
+    """Return the friction against a speed of the carrier."""
+    return tables.drag * speed + functions.coulomb(tables, 0, speed)
+
+
+@inlined
 def _translate(tables, state, load, angle, c1, c2, speed, out):
     """
     Write the rates of the mass centre; return x, y of the force on the carrier and of the tip's.
@@ -124,22 +130,23 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
     turned_y, turned_x = sincos(angle)
     tip_x = load[TIP_X] + turned_x * load[TIP_I] - turned_y * load[TIP_II]
     tip_y = load[TIP_Y] + turned_y * load[TIP_I] + turned_x * load[TIP_II]
+    rubs = some((tables.drag != 0.0) | (tables.coulomb[0, 0] != 0.0))
     for k in range(len(axes)):
         if axes[k] == 0:
             push_x = load[FORCE_X] + turned_x * load[FORCE_I] - turned_y * load[FORCE_II] + tip_x
-            if some(tables.drag != 0.0):
-                push_x -= tables.drag * _carrier_rate(tables, state, k, c1, speed)
+            if rubs:
+                push_x -= _resistance(tables, _carrier_rate(tables, state, k, c1, speed))
         else:
             push_y = load[FORCE_Y] + turned_y * load[FORCE_I] + turned_x * load[FORCE_II] + tip_y
-            if some(tables.drag != 0.0):
-                push_y -= tables.drag * _carrier_rate(tables, state, k, c2, speed)
+            if rubs:
+                push_y -= _resistance(tables, _carrier_rate(tables, state, k, c2, speed))
         out[k] = 0.0  # X' = P / m_t is in the linear part
         out[half + k] = push_x + weight[0] if axes[k] == 0 else push_y + weight[1]
     return push_x, push_y, tip_x, tip_y
 
 
 @inlined
-def _set_moments(tables, load, forces, cosine, sine, a, b, image_1, image_2, speed, script_a,
+def _set_moments(tables, torque, forces, cosine, sine, a, b, image_1, image_2, speed, script_a,
                  script_b):
     """
     Set A_j and B_j of (T29); return the moment of torque and forces about the shaft.
@@ -149,7 +156,7 @@ def _set_moments(tables, load, forces, cosine, sine, a, b, image_1, image_2, spe
     """
     lever, reach, rotation, shear = tables.lever, tables.reach, tables.rotation, tables.shear
     push_x, push_y, tip_x, tip_y = forces
-    moment = load[TORQUE]
+    moment = torque
     for j in range(len(lever)):
         g1 = 0.0
         g2 = 0.0
@@ -194,21 +201,22 @@ def _rate(tables, state, load, out):
         out[coordinates + i] = total
 
     forces = _translate(tables, state, load, coordinate[0], c1, c2, speed, out)
+    torque = load[TORQUE] - functions.coulomb(tables, 1, speed[0])
     script_a, script_b = local((lever,)), local((lever,))
-    moment = _set_moments(tables, load, forces, cosine, sine, a, b, image_1, image_2, speed,
+    moment = _set_moments(tables, torque, forces, cosine, sine, a, b, image_1, image_2, speed,
                           script_a, script_b)
     for i in range(first, count - rated(tables)):
         # Unless one axis is held, T does not depend on the shaft angle; that sum would only give
         # round-off and is left out.
         total = moment
         if i or len(tables.axes) == 1:
-            total = 0.0 if i else load[TORQUE]
+            total = 0.0 if i else torque
             for j in range(nodes):
                 total += rotation[i, j] * script_a[j] + shear[i, j] * script_b[j]
         total += tables.turn[i] * load[TIP_TORQUE]
         out[momenta + i] = total - tables.damping[i] * out[coordinates + i]
-    stretch_forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordinate,
-                   speed, factors, out)
+    stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2,
+                   coordinate, speed, factors, out)
     leave_out_turning(tables, state, out)
 
 

@@ -21,7 +21,7 @@ from timo_sim.physics.equations import functions
 from timo_sim.physics.equations.exact_tables import (
     BANDS, RateTables, SECTORS, TurningTables)
 from timo_sim.physics.equations.sincos import sincos
-from timo_sim.physics.layout import ACCELERATION, ANGLE, SPEED, TIP_TORQUE, TORQUE
+from timo_sim.physics.layout import ACCELERATION, ANGLE, SPEED, TIP_TORQUE
 
 
 @inner
@@ -59,8 +59,8 @@ def rated(tables):
 
 
 @optional
-def stretch_forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordinate, speed,
-                   factors, out):
+def stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2,
+                   coordinate, speed, factors, out):
     """Add the terms of the axial strain to dT/dq (T29); write the accelerations (T35)."""
 
 
@@ -134,8 +134,8 @@ def _rates(tables, state, mass, inverse, speed, factors):
 
 
 @stretch_forces.of(RateTables, TurningTables)
-def _forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordinate, speed,
-            factors, out):
+def _forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2, coordinate,
+            speed, factors, out):
     rotation, shear, stretch, lever = tables.rotation, tables.shear, tables.stretch, tables.lever
     count, nodes = rotation.shape
     first, axial, momenta = count - len(tables.straight), count - len(stretch), len(out) - count
@@ -176,7 +176,7 @@ def _forces(tables, load, forces, cosine, sine, c1, c2, image_1, image_2, coordi
         total += (tables.turn[i] * load[TIP_TORQUE] - tables.stiffness[i] * coordinate[i]
                   - tables.damping[i] * speed[i])
         if i == 0:
-            total += load[TORQUE]
+            total += torque
         for j in range(first):
             total -= factors[i, j] * load[ACCELERATION]
         force[i] = total

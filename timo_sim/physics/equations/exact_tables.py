@@ -26,6 +26,7 @@ class Tables(NamedTuple):
     straight: np.ndarray   # M^-1 of the straight arm, (n, n)
     damping: np.ndarray    # c_s, then 2 zeta_i omega_i, (1 + N,)
     drag: float            # c_c
+    coulomb: np.ndarray    # `Manipulator.coulomb`, (2, 2)
     axes: np.ndarray       # axes along which the carrier is free
     anchor: np.ndarray     # position at which it is held, (2,)
     reach: np.ndarray      # from nodal values to their integral over the arm, (n_g,)

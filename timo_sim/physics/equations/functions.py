@@ -13,7 +13,9 @@ An integrator calls `rate` and `observe` by these names. numba chooses the body 
 constants, for which `@rate.of(Tables)` registers it.
 """
 
-from timo_sim.jit.decorators import dispatch, entry_point, optional
+from timo_sim.jit.choices import some
+from timo_sim.jit.decorators import dispatch, entry_point, inlined, optional
+from timo_sim.physics.equations.sincos import tanh
 
 
 @dispatch
@@ -41,6 +43,15 @@ def holds(tables, state, load):
 @dispatch
 def observe(tables, state, load, out):
     """Write the motion (see `base.Formulation`) that belongs to a state and a load."""
+
+
+@inlined
+def coulomb(tables, joint, speed):
+    """Return the Coulomb friction against a speed of the carrier, joint 0, or of the shaft, 1."""
+    friction = 0.0
+    if some(tables.coulomb[joint, 0] != 0.0):
+        friction = tables.coulomb[joint, 0] * tanh(speed / tables.coulomb[joint, 1])
+    return friction
 
 
 @dispatch

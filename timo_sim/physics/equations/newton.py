@@ -145,7 +145,8 @@ class Newton(Formulation):
             across, per_stress[0], reaction, in_linear, laws.softening, laws.shear_row,
             laws.shear_softening, laws.axial, stiffness, damping,
             np.array([self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
-            self.axes, self.anchor, self.manipulator.arm.length, laws.tip_share,
+            np.array(self.manipulator.coulomb), self.axes, self.anchor,
+            self.manipulator.arm.length, laws.tip_share,
             self.points.deflection[:, -1], self.points.rotation[:, -1], self.gravity)
         return tables, linear
 

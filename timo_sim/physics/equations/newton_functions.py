@@ -46,6 +46,7 @@ class Tables(NamedTuple):
     stiffness: np.ndarray       # omega_n^2, (N,)
     damping: np.ndarray         # 2 zeta_n omega_n, (N,)
     drag: np.ndarray            # c_c of the carrier, c_s of the shaft, (2,)
+    coulomb: np.ndarray         # `Manipulator.coulomb`, (2, 2)
     axes: np.ndarray            # axes along which the carrier is free
     anchor: np.ndarray          # position at which it is held, (2,)
     length: float               # l
@@ -64,6 +65,12 @@ def _dot(left, right):
 
 
 @inlined
+def _resistance(tables, joint, speed):
+    """Return the friction against a speed of the carrier, joint 0, or of the shaft, 1."""
+    return tables.drag[joint] * speed + functions.coulomb(tables, joint, speed)
+
+
+@inlined
 def _set_z_0(tables, q, theta_rate, load, tip_2, tip_moment, force, z):
     """Set z_0: theta'' and q'' at beta = 0, without the modal stress (in the linear part)."""
     inverse, softening = tables.inverse, tables.softening
@@ -73,7 +80,7 @@ def _set_z_0(tables, q, theta_rate, load, tip_2, tip_moment, force, z):
         if i:
             force[i] = tables.sway[i - 1] * tip_2 + tables.turn[i - 1] * load[TIP_TORQUE]
         else:
-            force[i] = load[TORQUE] - tables.drag[1] * theta_rate + tip_moment
+            force[i] = load[TORQUE] - _resistance(tables, 1, theta_rate) + tip_moment
         for n in range(count):
             force[i] += theta_rate**2 * softening[i, n] * q[n]
         if first == 1:
@@ -94,9 +101,9 @@ def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
     force_y = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
     for k in range(len(axes)):
         if axes[k] == 0:
-            force_x -= tables.drag[0] * state[half + k]
+            force_x -= _resistance(tables, 0, state[half + k])
         else:
-            force_y -= tables.drag[0] * state[half + k]
+            force_y -= _resistance(tables, 0, state[half + k])
     beta = 0.0
     if len(axes) == 2:
         force_1 = cosine * force_x + sine * force_y

@@ -26,8 +26,7 @@ class Observables(ABC):
     point_inertia: np.ndarray
     damping: np.ndarray
     gravity: np.ndarray
-    axes: np.ndarray
-    first: int
+    constrained: np.ndarray
     size: int
 
     @abstractmethod
@@ -90,14 +89,24 @@ class Observables(ABC):
                 'p,npi->ni', self.point_mass, self.world(motions, self.points))) @ self.gravity
         return energy
 
+    def friction(self, motions):
+        """
+        Return the friction of the equations against carrier [N] and shaft [N m], shape (n, 3).
+
+        It is the viscous one and the Coulomb friction that builds up over a speed; coordinates
+        that are held, locked or driven have none.
+        """
+        speeds, body = motions[:, self.size // 2:][:, :3], self.manipulator
+        viscous = np.array([body.carrier_friction, body.carrier_friction, body.shaft_friction])
+        limit, slow = np.array(body.coulomb)[[0, 0, 1]].T
+        return np.where(self.constrained, 0.0,
+                        viscous * speeds + limit * np.tanh(speeds / slow))
+
     def dissipation(self, motions):
-        """Return the power that viscous friction and modal damping take, shape (n,) [W]."""
-        half, body = self.size // 2, self.manipulator
-        rates = motions[:, half:]**2
-        # Coordinates that are held, locked or driven have no viscous friction in the equations.
-        return (body.carrier_friction * rates[:, self.axes].sum(axis=1)
-                + (1 - self.first) * body.shaft_friction * rates[:, 2]
-                + rates[:, 3:] @ (2.0 * self.damping * self.modes.omega))
+        """Return the power that this friction and modal damping take, shape (n,) [W]."""
+        rates = motions[:, self.size // 2:]
+        return (np.sum(self.friction(motions) * rates[:, :3], axis=1)
+                + rates[:, 3:]**2 @ (2.0 * self.damping * self.modes.omega))
 
     def mass_matrix(self, motion):
         """

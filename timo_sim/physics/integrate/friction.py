@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Coulomb friction of the joints: of the carrier along world x and y, and of the shaft.
+Dry friction of the joints: of the carrier along world x and y, and of the shaft.
 
 In each step the friction of a joint is a straight line in time, a mean R and a slope R', which is
 added to the load. It is found by trial steps, see doc/theory.md (T41)-(T43): one if all joints
@@ -162,7 +162,7 @@ def advance(tables, propagator, joints, friction, state, load, loads, first, sam
 
 class FrictionSteps(Steps):
     """
-    Steps of a model with Coulomb friction in its joints.
+    Steps of a model with dry friction in its joints.
 
     Parameters
     ----------

@@ -64,16 +64,16 @@ class Steps:
 
     @property
     def friction(self):
-        """Friction on carrier x, y [N], shaft [N m] at the end of the last step, shape (3,)."""
+        """Dry friction on carrier x, y [N], shaft [N m] at the end of the last step, (3,)."""
         return np.zeros(3)
 
     @property
     def heat(self):
-        """Heat of Coulomb friction since the initial motion [J]."""
+        """Heat of dry friction since the initial motion [J]."""
         return 0.0
 
     def acting(self, load):
-        """Return a load plus the friction at the end of the last step, shape (14,)."""
+        """Return a load plus the dry friction at the end of the last step, shape (14,)."""
         return load
 
     def reset(self):
@@ -101,7 +101,7 @@ class Steps:
         motions : ndarray, shape (1 + count // sample_every, 2 (3 + N))
             For motions at the start and after each `sample_every` steps; if that is 0, empty.
         heat : ndarray, shape (1 + count // sample_every,)
-            For the heat of Coulomb friction so far [J].
+            For the heat of dry friction so far [J].
 
         """
         if not sample_every:
