@@ -125,16 +125,18 @@ def _minor(matrix, i, j, k):
     return matrix[i, j] * matrix[i + 1, k] - matrix[i, k] * matrix[i + 1, j]
 
 
+# Columns of a minor of the first two rows, and of the last two in the order that gives the sign.
+_LAPLACE = ((0, 1, 2, 3), (0, 2, 3, 1), (0, 3, 1, 2), (1, 2, 0, 3), (1, 3, 2, 0), (2, 3, 0, 1))
+
+
 @strict
 def _determinant(arm, omega, matrix, scale):
     """Return the determinant of the boundary conditions at a frequency."""
     boundary_conditions(arm, omega, matrix, scale)
-    return (_minor(matrix, 0, 0, 1) * _minor(matrix, 2, 2, 3)
-            - _minor(matrix, 0, 0, 2) * _minor(matrix, 2, 1, 3)
-            + _minor(matrix, 0, 0, 3) * _minor(matrix, 2, 1, 2)
-            + _minor(matrix, 0, 1, 2) * _minor(matrix, 2, 0, 3)
-            - _minor(matrix, 0, 1, 3) * _minor(matrix, 2, 0, 2)
-            + _minor(matrix, 0, 2, 3) * _minor(matrix, 2, 0, 1))
+    total = 0.0
+    for j, k, m, n in _LAPLACE:  # a loop, because numba would compile each call by its columns
+        total += _minor(matrix, 0, j, k) * _minor(matrix, 2, m, n)
+    return total
 
 
 @entry_point
@@ -161,17 +163,28 @@ def bisect(arm, limits, omega):
     matrix, scale = np.empty((4, 4)), np.empty(4)
     for n in range(len(omega)):
         low, high = limits[n], limits[n + 1]
-        at_low = _determinant(arm, low, matrix, scale)
-        if not at_low * _determinant(arm, high, matrix, scale) < 0.0:
-            return n
-        middle = 0.5 * (low + high)
-        while low < middle < high:
-            if at_low * _determinant(arm, middle, matrix, scale) > 0.0:
-                low = middle
+        at_low = at_high = 0.0
+        point = low
+        # The determinant has one place in this loop, because it is compiled for each place.
+        while True:
+            value = _determinant(arm, point, matrix, scale)
+            if at_low == 0.0:
+                at_low, point = value, high
+                if value == 0.0:
+                    return n
+                continue
+            if at_high == 0.0:
+                at_high = value
+                if not at_low * value < 0.0:
+                    return n
+            elif at_low * value > 0.0:
+                low = point
             else:
-                high = middle
-            middle = 0.5 * (low + high)
-        omega[n] = middle
+                high = point
+            point = 0.5 * (low + high)
+            if not low < point < high:
+                break
+        omega[n] = point
     return len(omega)
 
 
