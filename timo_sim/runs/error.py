@@ -75,7 +75,8 @@ def _remedy(run, parts):
     """Return the change of the scene that moves the tip most: of steps, modes or formulation."""
     scene = run.scene
     own = scene.values['model.formulation']
-    changes = {'a smaller integrator.step': (parts, 0, 0, own), 'more model.modes': (1, None, 0, own)}
+    changes = {'a smaller integrator.step': (parts, 0, 0, own),
+               'more model.modes': (1, None, 0, own)}
     if own == 'exact':
         changes['model.axial_modes 1'] = 1, 0, 1, own
     else:

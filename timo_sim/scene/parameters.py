@@ -217,7 +217,8 @@ _ALL = [
     *[Parameter(f'frame.{name}', name, '', f'name of the frame {name} in messages',
                 form=(_FRAME, 'a name without blanks that does not begin with /'), scope=NODE)
       for name in FRAMES],
-    Parameter('estimate_error', True, '', 'whether a finer run measures the error of the tip', scope=NODE),
+    Parameter('estimate_error', True, '', 'whether a finer run measures the error of the tip',
+              scope=NODE),
     Parameter('record', True, '', 'whether the run is logged to an MCAP file', scope=NODE),
     Parameter('record_file', '', '', 'path of the log; empty: timo_sim_DATE_TIME.mcap in the '
               'working directory', scope=NODE),

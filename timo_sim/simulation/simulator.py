@@ -327,7 +327,8 @@ class Simulator(Readings):
             self._finer, self._error = None, math.nan
             self.warning = self.warning or model_warnings.NO_FINER_RUN
             return
-        self._error = max(self._error, tip_distance(self.model, motions, self._finer.model, others))
+        self._error = max(self._error, tip_distance(
+            self.model, motions, self._finer.model, others))
         self.warning = self.warning or model_warnings.inaccurate(self.scene, self._error)
 
     def _rests(self, count, commanded):

@@ -62,7 +62,6 @@ from timo_sim.physics.layout import ANGLE, LOADS, SPEED, tip_force, TIP_TORQUE
 class Exact(Formulation):
     """The `exact` formulation, see the module's text."""
 
-
     def build(self):
         """Return the tables and the linear part, that of the straight arm."""
         modes, nodes = self.modes, self.quadrature.nodes

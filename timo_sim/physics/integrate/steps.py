@@ -134,9 +134,11 @@ class Steps:
             Steps done; fewer than `count` if the state is no longer finite.
 
         """
-        return self._by_sectors(state, load, loads, lambda part, first, load: first + etdrk4.advance(
-            part.packed, part.propagator, state, load, loads[first:], sample_every,
-            sampled + first, motions, self._remainder))
+        def integrate(part, first, load):
+            return first + etdrk4.advance(
+                part.packed, part.propagator, state, load, loads[first:], sample_every,
+                sampled + first, motions, self._remainder)
+        return self._by_sectors(state, load, loads, integrate)
 
     @kept
     def _part(self):
