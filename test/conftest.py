@@ -50,7 +50,7 @@ def pytest_collection():
 # The longest files begin first; files that wait for nodes stand between those that compute.
 LONGEST = [f'test_{name}.py' for name in (
     'examples equations accuracy sync stress storm style node batch stretch compiled tutorial '
-    'sweep_command second_run same_bits smooth_friction recover formulations payload '
+    'sweep_command estimated_error same_bits smooth_friction recover formulations payload '
     'ros2_control log fit lock_step friction command_line gravity view sensitivities sweep '
     'one_axis_held fit_statistics parameters peers looking start step_control').split()]
 

@@ -72,7 +72,7 @@ def test_the_stated_error_holds(name, goal, source, request):
     scene = timo_sim.load_scene(source[name], {'model.accuracy': goal})
     choice = choose_resolution(scene, SCENES[name])
     run = timo_sim.simulate(choice.scene, SCENES[name],
-                            sample_every=round(PERIOD / choice.scene.step), compare=False)
+                            sample_every=round(PERIOD / choice.scene.step), estimate=False)
     reference = tip_of_reference(name, scene.manipulator.arm.length)
     error = np.linalg.norm(tip_of(run) - reference, axis=2).max()
     assert error <= goal
@@ -93,9 +93,9 @@ def tip_of(run):
 def test_the_estimate_agrees_with_a_much_finer_run(values, goal):
     choice = choose_resolution(timo_sim.load_scene({'model.accuracy': goal, **values}), 2.0)
     finer = {'model.modes': 16, 'integrator.step': 5e-5}  # more modes than the choice tries
-    run = timo_sim.simulate(choice.scene, 2.0, round(PERIOD / choice.scene.step), compare=True)
+    run = timo_sim.simulate(choice.scene, 2.0, round(PERIOD / choice.scene.step), estimate=True)
     truth = choice.scene.vary(finer)
-    truth = timo_sim.simulate(truth, 2.0, round(PERIOD / truth.step), compare=False)
+    truth = timo_sim.simulate(truth, 2.0, round(PERIOD / truth.step), estimate=False)
     error = np.linalg.norm(tip_of(run) - tip_of(truth), axis=2).max()
     assert error < goal and error / 5.0 < choice.estimate < 5.0 * error
     assert choice.warning or run.warning is None and run.stats['estimated_tip_error_m'] < goal
@@ -106,7 +106,7 @@ def test_the_estimate_with_one_axis_held_agrees_with_spectral_elements():
     scene = timo_sim.load_scene({
         'model.accuracy': 2e-4, **HEAVY, 'carrier.held': 'x', 'end_effector.inertia': 5.0})
     choice = choose_resolution(scene, 2.0)
-    run = timo_sim.simulate(choice.scene, 2.0, round(PERIOD / choice.scene.step), compare=False)
+    run = timo_sim.simulate(choice.scene, 2.0, round(PERIOD / choice.scene.step), estimate=False)
     truth = spectral_elements.simulate(scene, PERIOD, 100, order=8)[2]
     error = np.linalg.norm(run.position(2.0) - truth, axis=1).max()
     assert error < 2e-4 and error / 5.0 < choice.estimate < 5.0 * error
@@ -120,7 +120,7 @@ def test_the_estimate_covers_a_long_run_to_its_end():
     choice = choose_resolution(scene, end)
     assert choice.scene.values['model.modes'] == 5 and choice.looked_at == end < choice.until
     run, truth, coarse = (tip_of(timo_sim.simulate(scene, end, round(PERIOD / scene.step),
-                                                   compare=False))
+                                                   estimate=False))
                           for scene in (choice.scene, choice.scene.vary(
                               {'model.modes': 12, 'integrator.step': 0.001}),
                               choice.scene.vary({'integrator.step': 0.01})))
@@ -142,7 +142,7 @@ def test_stretch_that_few_rounds_per_second_cause_is_measured():
     scene = timo_sim.load_scene({'model.accuracy': 1e-5, 'initial.shaft_velocity': 4.0,
                                  'carrier.held': 'both'})
     choice = choose_resolution(scene, 2.0)
-    run = timo_sim.simulate(choice.scene, 2.0, round(PERIOD / choice.scene.step), compare=False)
+    run = timo_sim.simulate(choice.scene, 2.0, round(PERIOD / choice.scene.step), estimate=False)
     truth = spectral_elements.simulate(choice.scene, PERIOD, 100, order=8)[2]
     error = np.linalg.norm(run.position(2.0) - truth, axis=1).max()
     assert error > 1e-5 and 'model.axial_modes 1' in choice.warning

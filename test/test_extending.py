@@ -30,14 +30,14 @@ scene = timo_sim.load_scene('paper', {
     'sensor.tachometer.noise': 0.0, 'sensor.tachometer.bias': 0.5,
     # The modes of an arm with a profile need no compiled function.
     'arm.profile.position': [0.0, 2.0], 'arm.profile.height': [0.02, 0.02]})
-run = timo_sim.simulate(scene, 1.0, 2, compare=False)
+run = timo_sim.simulate(scene, 1.0, 2, estimate=False)
 simulator = timo_sim.Simulator(scene)
 simulator.step(torque=1.0)
 print(simulator.sensors.tachometer - simulator.motion.shaft_velocity)
 velocity = run.columns()['carrier_velocity_y_m_per_s']
 print(abs(velocity - run.carrier_velocity[:, 1]).max(), abs(velocity).max())
 newton = timo_sim.simulate(
-    scene.vary({'model.formulation': 'newton'}), 1.0, 2, compare=False)
+    scene.vary({'model.formulation': 'newton'}), 1.0, 2, estimate=False)
 print(newton.q[-1, 0], run.q[-1, 0])
 """
 

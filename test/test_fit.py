@@ -87,7 +87,7 @@ def test_held_values_give_a_rigid_shaft_their_impulse():
 def test_values_joined_by_lines_are_the_table_of_a_scene():
     t, torque = [0.0, 0.01, 0.5, 3.0], [0.0, 0.05, -0.02, 0.0]
     scene = timo_sim.load_scene({**ARM, 'load.torque.table': {'time': t, 'value': torque}})
-    run = timo_sim.simulate(scene, T[-1], compare=False)
+    run = timo_sim.simulate(scene, T[-1], estimate=False)
     channel = Channel(np.array(t), np.array(torque), hold='linear')
     record = predicted(ARM, {'torque': channel}, ['shaft'])
     assert record.outputs['shaft'].values == pytest.approx(run.shaft, abs=1e-9)
@@ -122,7 +122,7 @@ def test_a_driven_shaft_follows_the_samples():
     scene = timo_sim.load_scene(ARM, {'motor.shaft': 'driven', 'motor.drive': {
         'time': points, 'angle': drive(points), 'speed': speed(points),
         'acceleration': [*acceleration(points[:-1]), 0.0]}})
-    run = timo_sim.simulate(scene, T[-1], compare=False)
+    run = timo_sim.simulate(scene, T[-1], estimate=False)
     record = predicted(ARM, {'drive': (T, angle)}, ['shaft', 'tip_transverse'])
     whole = slice(0, 1200)  # the last piece of motor.drive ends without acceleration
     assert record.outputs['shaft'].values == pytest.approx(angle, abs=1e-12)
@@ -143,7 +143,7 @@ def test_strain_and_acceleration_are_those_of_the_sensors(more):
         strain.append(simulator.sensors.root_strain)
         acceleration.append(simulator.sensors.tip_acceleration[1])
         simulator.advance(1)
-    run = timo_sim.simulate(scene, T[500], compare=False)
+    run = timo_sim.simulate(scene, T[500], estimate=False)
     inner = slice(5, 495)  # a spline is less accurate at its ends
     for name, wanted in ('root_strain', strain), ('tip_acceleration', acceleration):
         found = OUTPUTS[name].of_run(run)[:500]

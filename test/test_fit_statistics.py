@@ -30,7 +30,7 @@ def clean(values):
     """Return what sensors without noise show, with the torque as a load of the scene."""
     run = timo_sim.simulate(SCENE.vary({
         **values, 'load.torque.piecewise.time': T, 'load.torque.piecewise.value': TORQUE}),
-        DURATION, compare=False)
+        DURATION, estimate=False)
     return {'shaft': run.shaft[:-1], 'tip_transverse': run.deflection(0.42)[:-1, 1]}
 
 

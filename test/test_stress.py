@@ -126,7 +126,7 @@ def without_warnings(monkeypatch):
     speaking = truth.sampled_run
     monkeypatch.setattr(truth, 'sampled_run', lambda *arguments: replace(
         speaking(*arguments), warning=None))
-    monkeypatch.setattr(truth, 'compared', lambda run: run)
+    monkeypatch.setattr(truth, 'measured', lambda run: run)
 
 
 @pytest.mark.usefixtures('any_size')

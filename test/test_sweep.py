@@ -112,7 +112,7 @@ def test_a_run_with_a_warning_has_it_in_its_row(scene):
     fast = {'model.formulation': 'newton', 'initial.shaft_velocity': 20.0}
     table = timo_sim.simulate_many(scene, [fast, {}], 0.1, workers=1)
     with pytest.warns(timo_sim.ModelWarning) as caught:
-        timo_sim.simulate(scene.vary(fast), 0.1, compare=False)  # sweeps run once
+        timo_sim.simulate(scene.vary(fast), 0.1, estimate=False)  # sweeps run once
     assert table['warning'].tolist() == [str(caught[0].message), '']
 
 

@@ -8,8 +8,6 @@
 
 """Runs of a sweep that are done together: rows, reasons, warnings and estimates as from one."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -66,7 +64,7 @@ def test_rows_are_those_of_simulate(table, paper):
             continue
         try:
             scene = scene_of(paper).vary(variation)
-            run = timo_sim.simulate(scene, DURATION, compare=False)
+            run = timo_sim.simulate(scene, DURATION, estimate=False)
         except (timo_sim.ParameterError, timo_sim.DivergenceError) as error:
             # What an estimate warned of just before a divergence is not in it.
             assert table['reason'][row] == ' '.join(str(error).split()).partition('; by t')[0]
@@ -100,45 +98,26 @@ def test_bits_do_not_depend_on_the_other_runs(table, paper, jobs):
         'acceleration': [0.0, 0.0]}, 'gravity': [0.0, -9.81]},
      [{'end_effector.mass': mass} for mass in (1.0, 2.0)])],
     ids=['masses', 'speeds', 'pulses', 'driven'])
-def test_estimates_are_those_of_simulate(paper, base, variation):
-    """That by steps is as large as the error; that by stretch looks at speeds more often."""
+def test_motions_are_those_of_simulate(paper, base, variation):
     scenes = [scene_of(paper, **base).vary(each) for each in variation]
     steps = round(DURATION / 0.01)
     kind, = {kind_of(scene, steps) for scene in scenes}
     found = Together(scenes, kind)
     for k, scene in enumerate(scenes):
         run = sampled_run(scene, steps)
-        fine = sampled_run(scene.vary({'integrator.step': 0.001}), 10 * steps, 10)
-        length = scene.values['arm.length']
-        error = np.linalg.norm(run.position(length) - fine.position(length), axis=1).max()
         assert found.motion[k] == pytest.approx(run.motion[-1], rel=1e-10, abs=1e-11)
-        # Measured: 1 to 4.8 times, 10 % more, 1 to 4.1 times.
-        assert error / 5.0 < found.step_error[k] < 6.0 * error
-        assert found.modes_error[k] == pytest.approx(run.stats['modes_error_m'], rel=0.25)
-        assert found.stretch_error[k] > 0.99 * run.stats['stretch_error_m']
-        assert found.stretch_error[k] < 6.0 * run.stats['stretch_error_m']
 
 
-@pytest.mark.parametrize('more', [
-    {'integrator.step': 0.02, 'load.torque.harmonic.amplitude': [200.0]},
-    {'initial.shaft_velocity': 6.0, 'arm.young_modulus': 2e9, 'arm.shear_modulus': 1e9},
-    {'load.torque.harmonic.frequency': [30.0]}], ids=['steps', 'stretch', 'load'])
-def test_a_warning_comes_when_an_estimate_is_large(paper, more):
-    scene = scene_of(paper, **more)
-    steps = round(DURATION / scene.step)
-    with np.errstate(all='ignore'):
-        together, = Together([scene], kind_of(scene, steps)).warnings
-    text = re.sub('^by t = .* s the', 'the', together)
-    assert text == re.sub('^by t = .* s the', 'the', sampled_run(scene, steps).warning)
+def test_a_load_that_is_too_fast_gives_a_warning(paper):
+    scene = scene_of(paper, **{'load.torque.harmonic.frequency': [30.0]})
+    together, = Together([scene], kind_of(scene, 200)).warnings
+    assert together == sampled_run(scene, 200).warning and 'too high' in together
 
 
-def test_runs_whose_errors_are_estimated_otherwise_are_done_alone(paper):
-    close = {'load.torque.piecewise': {'time': [0.5, 0.53], 'value': [1.0, 0.0]}}
-    for more in (close, {'carrier.held': 'x'}, {'model.formulation': 'newton'},
+def test_runs_that_lanes_do_not_know_are_done_alone(paper):
+    for more in ({'carrier.held': 'x'}, {'model.formulation': 'newton'},
                  {'model.modes': 0}):
         assert kind_of(scene_of(paper, **more), 200) is None
-    assert kind_of(scene_of(paper), 5) is None
-    assert kind_of(scene_of(paper, **PULSES), 200).edges == (0, 50, 100, 200)
 
 
 def test_an_error_of_one_run_is_not_that_of_the_others(paper, monkeypatch):

@@ -90,7 +90,7 @@ def outputs(truth, duration):
     scene['arm.damping_ratio'] = np.ravel(scene['arm.damping_ratio'])
     run = timo_sim.simulate({
         **scene, 'integrator.step': STEP / FINER, 'load.torque.piecewise.time': t,
-        'load.torque.piecewise.value': torque(scene, volts)}, duration, compare=False)
+        'load.torque.piecewise.value': torque(scene, volts)}, duration, estimate=False)
     tip = CubicSpline(run.t, run.deflection(scene['arm.length'])[:, 1])
     return t, {'shaft': CubicSpline(run.t, run.shaft)(t),
                'tip_transverse': tip(np.maximum(t - truth[DELAY], 0.0))}

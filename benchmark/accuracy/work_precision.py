@@ -49,7 +49,7 @@ PAPER = "import timo_sim; scene = timo_sim.load_scene('config/paper.yaml'); "
 CLAMPED = ('import timo_sim; from oracles.references import CANTILEVER; '
            'scene = timo_sim.load_scene(CANTILEVER); ')
 COLD = {
-    'timo_sim': ('', PAPER + 'timo_sim.simulate(scene, 0.1, compare=False)'),
+    'timo_sim': ('', PAPER + 'timo_sim.simulate(scene, 0.1, estimate=False)'),
     ENGINE: (PAPER, 'from oracles import finite_elements; '
                     'finite_elements.simulate(scene, 20, 1e-3, 0.1, 10)'),
     CHAIN: (PAPER, 'from benchmark.accuracy import rivals; '

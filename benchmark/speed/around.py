@@ -22,7 +22,6 @@ from benchmark.speed.timing import timed
 import timo_sim
 from timo_sim.physics.arm.modes import UniformModes
 from timo_sim.physics.equations.base import Formulation
-from timo_sim.physics.integrate.run_error import RunError
 from timo_sim.scene import scene as scenes
 from timo_sim.simulation.simulator import Simulator
 
@@ -36,7 +35,7 @@ for modes in (3, 4):
     with event.install_timer('numba:compile', print):
         begun = time.perf_counter()
         timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': modes}), 0.01,
-                          compare=False)
+                          estimate=False)
         print(time.perf_counter() - begun)
 """
 BLOCK = 40  # variations or runs that are timed together
@@ -86,12 +85,11 @@ def rows(quick=False):
     anew = {name: 1e3 * span / number for name, span in anew.items()}  # [ms] a run
     prepared = Prepared(scene)
     steps = timed(lambda: [prepared.run(every=1) for _ in range(BLOCK)], BLOCK, rounds)
-    whole = timed(lambda: [timo_sim.simulate(scene, 10.0, compare=False) for _ in range(BLOCK)],
+    whole = timed(lambda: [timo_sim.simulate(scene, 10.0, estimate=False) for _ in range(BLOCK)],
                   BLOCK, rounds)
-    with clocks(estimate=(RunError, '__init__', 'count', 'cut', 'look', 'conclude'),
-                begin=(Simulator, '__init__')) as parts:
+    with clocks(begin=(Simulator, '__init__')) as parts:
         for _ in range(BLOCK):
-            timo_sim.simulate(scene, 10.0, compare=False)
+            timo_sim.simulate(scene, 10.0, estimate=False)
     own, least = whole.middle - steps.middle, whole.least - steps.least
     everything, compiled, further, again = first_runs()
     return [
@@ -105,9 +103,8 @@ def rows(quick=False):
          f'{anew["model"] - anew["modes"]:.2f} ms'),
         ('`simulate` of a checked scene, beside its steps', '0.3 ms',
          f'{1e3 * own:.2f} ms (min {1e3 * least:.2f})', own <= TARGETS['simulate'],
-         f'10 s at 10 ms, every step sampled; the estimate of its error takes '
-         f'{1e3 * parts["estimate"] / BLOCK:.2f} ms of it, the `Simulator` '
-         f'{1e3 * parts["begin"] / BLOCK:.2f} ms, the rest are loads, samples and the Run'),
+         f'10 s at 10 ms, every step sampled; the `Simulator` takes '
+         f'{1e3 * parts["begin"] / BLOCK:.2f} ms of it, the rest are loads, samples and the Run'),
         ('first run of a size', '5 s', f'{further:.1f} s', further <= TARGETS['compilation'],
          f'N = 4, with no machine code of that size: numba compiles for {again:.1f} s; the very '
          f'first run, N = 3, {everything:.1f} s, of which {compiled:.1f} s')]

@@ -51,7 +51,7 @@ def tip(scene, **overrides):
     """Return the tip of the torque's run each 20 ms, (n, 2) [m]."""
     scene = scene.vary(overrides)
     every = round(PERIOD / scene.step)
-    run = timo_sim.simulate(scene, DURATION, sample_every=every, compare=False)
+    run = timo_sim.simulate(scene, DURATION, sample_every=every, estimate=False)
     return run.position(scene.manipulator.arm.length)[1:]
 
 

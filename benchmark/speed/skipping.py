@@ -69,9 +69,9 @@ def accuracy_row():
     full = timo_sim.load_scene(PAPER, {'model.modes': 5})
     times = []
     for scene in (lean, full):
-        timo_sim.simulate(scene, 10.0, compare=False)
+        timo_sim.simulate(scene, 10.0, estimate=False)
         start = time.perf_counter()
-        timo_sim.simulate(scene, 10.0, compare=False)
+        timo_sim.simulate(scene, 10.0, estimate=False)
         times.append(time.perf_counter() - start)
     values = lean.values
     return ('modes and steps beyond `model.accuracy`',

@@ -48,14 +48,14 @@ class Prepared:
         self.steps = steps
         self._start = self.model.state(scene.initial_motion())
         self._loads = scene.load.stages(0, steps, scene.step)
-        self._kept = np.empty((2, steps, len(self._start)))
+        self._remainder = np.empty(len(self._start))
         self._propagator = pack(propagator(self.model.linear, scene.step))
 
     def run(self, every=0):
         """Do the steps; return motions at the start and after each `every` of them."""
         samples = np.empty((1 + len(self._loads) // every if every else 0, self.model.size))
         etdrk4.advance(self.model.packed, self._propagator, self._start.copy(),
-                       self._loads[0, 0], self._loads, every, 0, samples, *self._kept)
+                       self._loads[0, 0], self._loads, every, 0, samples, self._remainder)
         return samples
 
     def time_of_step(self, rounds=25):
@@ -88,7 +88,7 @@ def run_rows():
     scene = paper()
     prepared = Prepared(scene)
     compiled = timed(lambda: prepared.run(every=1), 1)
-    compared = timed(lambda: timo_sim.simulate(scene, 10.0, compare=True), 1)
+    compared = timed(lambda: timo_sim.simulate(scene, 10.0, estimate=True), 1)
     return [
         ('10 s of the paper, 10 ms, every step sampled', '2 ms', compiled.shown(1e-3, 'ms'),
          compiled.middle <= 2e-3, 'the compiled part'),
@@ -104,7 +104,7 @@ def exponent(x, y):
 def run_time(horizon):
     """Return the time of a run of the paper's scene with a sample every second [s]."""
     scene, start = paper(), time.perf_counter()
-    timo_sim.simulate(scene, horizon, sample_every=100, compare=False)
+    timo_sim.simulate(scene, horizon, sample_every=100, estimate=False)
     return time.perf_counter() - start
 
 

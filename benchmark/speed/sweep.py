@@ -31,7 +31,6 @@ from benchmark.speed.clocks import clocks
 from benchmark.speed.timing import product
 import timo_sim
 from timo_sim.physics.arm.modes import UniformModes
-from timo_sim.physics.integrate.lane_errors import LaneErrors
 from timo_sim.physics.integrate.lane_steps import LaneSteps
 from timo_sim.simulation.lane_loads import LaneLoads
 from timo_sim.sweep.jobs import jobs_of, run_job
@@ -100,17 +99,14 @@ def parts(scene, kind):
         jobs = list(jobs_of(scene, DURATION, 960, variations(960, kind == 'bodies differ'), []))
         start = time.perf_counter()
         with clocks(scene=(timo_sim.Scene, 'vary'), modes=(UniformModes, '__init__'),
-                    steps=(LaneSteps, 'advance'), estimates=(LaneErrors, '__init__', 'follow'),
-                    matrices=(LaneSteps, '__init__'),
-                    loads=(LaneLoads, 'varying')) as spent:
+                    steps=(LaneSteps, 'advance'), matrices=(LaneSteps, '__init__'), loads=(LaneLoads, 'varying')) as spent:
             for job in jobs:
                 run_job(job)
         whole = time.perf_counter() - start
     ms = {name: 1e3 * span / 960 for name, span in spent.items()}
     rest = 1e3 * whole / 960 - sum(ms.values()) + ms['modes']
     return (f'scene and tables {ms["scene"]:.2f} ms (modes {ms["modes"]:.2f}), '
-            f'steps {ms["steps"]:.2f}, estimates {ms["estimates"]:.2f}, '
-            f'matrices {ms["matrices"]:.2f}, loads {ms["loads"]:.2f}, rest {rest:.2f}')
+            f'steps {ms["steps"]:.2f}, matrices {ms["matrices"]:.2f}, loads {ms["loads"]:.2f}, rest {rest:.2f}')
 
 
 def by_dask(scene, count, kind, cores):
@@ -142,10 +138,10 @@ def rows(quick=False):
     cores = len(os.sched_getaffinity(0))
     few = variations(96)
     table = timo_sim.simulate_many(scene, few, DURATION)  # and machine code of lanes
-    timo_sim.simulate(scene, DURATION, compare=False)
+    timo_sim.simulate(scene, DURATION, estimate=False)
     start = time.perf_counter()
     # Runs of a sweep are not compared with finer ones either.
-    runs = [timo_sim.simulate(timo_sim.load_scene(scene.values, values), DURATION, compare=False)
+    runs = [timo_sim.simulate(timo_sim.load_scene(scene.values, values), DURATION, estimate=False)
             for values in few]
     loop = (time.perf_counter() - start) / len(few)
     assert all(np.isclose(table['final_shaft'][k], run.shaft[-1], rtol=1e-10)

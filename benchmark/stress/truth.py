@@ -34,8 +34,8 @@ import numpy as np
 
 from oracles import spectral_elements
 import timo_sim
+from timo_sim.runs.error import measured
 from timo_sim.runs.sampled import sampled_run
-from timo_sim.runs.second_run import compared, in_doubt
 
 ACCURATE, SEEN = 1e-3, 1e-6  # [lengths]
 VERDICTS = ['accurate', 'flagged', 'refused', 'silent', 'open']
@@ -179,9 +179,8 @@ def _run(cell, changes, parts=1, looked_at=False):
     try:
         scene = timo_sim.load_scene({**cell.values, **changes})
         run = sampled_run(scene, parts * cell.steps, parts * cell.every)
-        if looked_at and in_doubt(run):  # as `simulate` does
-            run = compared(run)
-        # The estimate of an error is concluded with the run's statistics.
+        if looked_at:  # as `simulate` does
+            run = measured(run)
         return run.position(cell.values['arm.length']), run.stats, run.warning
     except (timo_sim.ParameterError, timo_sim.DivergenceError) as error:
         return None, None, str(error)

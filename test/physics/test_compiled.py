@@ -129,9 +129,9 @@ def test_code_for_any_size_gives_the_same_motion(values, request):
     scene = timo_sim.load_scene({
         'initial.shaft_velocity': 3.0, 'load.torque.harmonic.amplitude': [40.0],
         'load.torque.harmonic.frequency': [1.3], **values})
-    own = timo_sim.simulate(scene, 1.0, 100, compare=False)
+    own = timo_sim.simulate(scene, 1.0, 100, estimate=False)
     request.getfixturevalue('any_size')
-    other = timo_sim.simulate(scene.vary({}), 1.0, 100, compare=False)
+    other = timo_sim.simulate(scene.vary({}), 1.0, 100, estimate=False)
     assert other.model.pack is not own.model.pack
     assert other.motion == pytest.approx(own.motion, abs=1e-11)
 
@@ -143,7 +143,7 @@ for modes in {}:
         'model.modes': modes, 'model.formulation': 'newton', 'initial.shaft_velocity': 3.0,
         # The modes of an arm with a profile call no compiled function.
         'arm.profile.position': [0.0, 2.0], 'arm.profile.height': [0.02, 0.02]}})
-    print(timo_sim.simulate(scene, 0.1, compare=False).motion[-1].tobytes().hex())
+    print(timo_sim.simulate(scene, 0.1, estimate=False).motion[-1].tobytes().hex())
 """
 
 
@@ -174,7 +174,7 @@ scene = timo_sim.load_scene('paper', {
     'model.formulation': 'newton', 'carrier.held': 'y', 'motor.shaft': 'driven',
     'motor.drive': {'time': [0.0, 1.0], 'angle': [0.0, 1.0], 'speed': [0.0, 0.0],
                     'acceleration': [0.0, 0.0]}})
-print(timo_sim.simulate(scene, 1.5, compare=False).motion.tobytes().hex())
+print(timo_sim.simulate(scene, 1.5, estimate=False).motion.tobytes().hex())
 """
 
 

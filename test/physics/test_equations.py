@@ -238,7 +238,7 @@ FEWER = ['free', 'x held', 'carrier held', 'shaft driven, x held', 'shaft locked
     for constraints in (CONSTRAINTS if formulation == 'exact' else FEWER)])
 def test_formulation_agrees_with_its_equations(formulation, constraints):
     scene = scene_of(formulation, constraints)
-    run = timo_sim.simulate(scene, DURATION, sample_every=40, compare=False)
+    run = timo_sim.simulate(scene, DURATION, sample_every=40, estimate=False)
     truth, forces = solve(scene, EQUATIONS[formulation])
     # The deflection is large, and shear makes a good part of it.
     assert np.abs(run.deflection(2.0)[:, 1]).max() > 0.04
@@ -260,7 +260,7 @@ def test_an_arm_that_stretches_agrees_with_its_equations(
     scene = scene_of('exact', constraints, **STRETCHING, **{
         'model.modes': modes, 'model.axial_modes': axial_modes,
         'initial.modal_rates': [1.0, 0.3, -0.1] + [0.0] * (modes + axial_modes - 3)})
-    run = timo_sim.simulate(scene, DURATION, sample_every=40, compare=False)
+    run = timo_sim.simulate(scene, DURATION, sample_every=40, estimate=False)
     truth, forces = solve(scene, exact)
     model, axial = scene.build(), run.q.copy()
     axial[:, :modes] = 0.0
@@ -282,5 +282,5 @@ def test_exact_conserves_energy_when_shear_matters():
         ('tip_torque', 'harmonic', 'amplitude'), ('tip_torque', 'harmonic', 'frequency'))}
     free |= {'carrier.viscous_friction': 0.0, 'motor.viscous_friction': 0.0}
     scene = timo_sim.load_scene(scene_of('exact', 'free', damping=0.0).values, free)
-    energy = timo_sim.simulate(scene, 2.0, compare=False).energy()
+    energy = timo_sim.simulate(scene, 2.0, estimate=False).energy()
     assert np.abs(energy / energy[0] - 1).max() < 1e-8

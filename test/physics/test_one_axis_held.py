@@ -94,13 +94,13 @@ def test_the_linear_part_of_a_locked_shaft_is_that_of_the_equations(angle):
 @pytest.mark.parametrize('held, limit', [('x', 1e-6), ('y', 2e-4)])
 def test_a_heavy_tip_does_not_need_small_steps(held, limit):
     """With momenta in the state, runs at 5 ms would diverge within a few steps."""
-    tips = [timo_sim.simulate(scene_of(held, step, HEAVY), 0.3, compare=False).position(2.0)[-1]
+    tips = [timo_sim.simulate(scene_of(held, step, HEAVY), 0.3, estimate=False).position(2.0)[-1]
             for step in (0.005, 0.0005)]
     assert np.linalg.norm(tips[1] - tips[0]) < limit
 
 
 def test_steps_are_of_fourth_order_through_the_sectors():
-    tips = [timo_sim.simulate(scene_of('x', step, SPINNING), 1.0, compare=False).position(2.0)[-1]
+    tips = [timo_sim.simulate(scene_of('x', step, SPINNING), 1.0, estimate=False).position(2.0)[-1]
             for step in (0.004, 0.002, 0.0002)]
     errors = [np.linalg.norm(tip - tips[-1]) for tip in tips[:-1]]
     assert errors[0] < 1e-5

@@ -37,13 +37,13 @@ BOTH = {'payload.time': [0.2, 0.5], 'payload.mass': [5.0, 1.0], 'payload.inertia
     ids=['held', 'free', 'dropped'])
 def test_a_load_that_changes_in_flight_against_spectral_elements(values):
     scene = timo_sim.load_scene({**values, 'model.modes': 5, 'model.axial_modes': 1})
-    run = timo_sim.simulate(scene, 1.0, sample_every=100, compare=False)
+    run = timo_sim.simulate(scene, 1.0, sample_every=100, estimate=False)
     carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 10)
     assert np.abs(run.carrier - carrier).max() < 1e-6
     assert np.abs(run.position(2.0) - tip).max() < 3e-6
     # What it would be without the change is far from it.
     same = timo_sim.simulate(scene.vary({'payload.time': [], 'payload.mass': [],
-                                         'payload.inertia': []}), 1.0, 100, compare=False)
+                                         'payload.inertia': []}), 1.0, 100, estimate=False)
     assert np.abs(same.position(2.0) - tip).max() > 1e-3
 
 
@@ -52,20 +52,10 @@ def test_the_estimate_knows_of_vibrations_that_the_modes_leave_out():
     """Let go in gravity all modes vibrate; a load takes the momentum of all at the tip."""
     scene = timo_sim.load_scene({**HELD, **PICKED, 'gravity': [0.0, -9.81], 'model.modes': 5,
                                  'model.axial_modes': 1})
-    run = timo_sim.simulate(scene, 1.0, sample_every=100, compare=False)
+    run = timo_sim.simulate(scene, 1.0, sample_every=100)
     error = np.abs(run.position(2.0) - spectral_elements.simulate(scene, 0.1, 10)[2]).max()
     assert error < 5e-5
-    assert 0.2 < run.stats['estimated_tip_error_m'] / error < 5.0
-
-
-def test_a_warning_after_a_change_of_load_names_the_modes():
-    scene = timo_sim.load_scene({**FREE, **BOTH})
-    assert 'or more model.modes' in timo_sim.simulate(scene, 0.7, 10, compare=False).warning
-    simulator = Simulator(scene)
-    simulator.advance(300)
-    assert simulator.integration.errors.by_load
-    simulator.reset()
-    assert not simulator.integration.errors.by_load
+    assert 0.5 < run.stats['estimated_tip_error_m'] / error < 2.0
 
 
 @pytest.mark.usefixtures('any_size')
@@ -74,7 +64,7 @@ def test_a_load_picked_up_from_rest_against_spectral_elements():
     scene = timo_sim.load_scene({
         'initial.shaft_velocity': 0.5, **PICKED, 'end_effector.pick_up': 'at_rest',
         'model.modes': 5, 'model.axial_modes': 1})
-    run = timo_sim.simulate(scene, 0.6, sample_every=100, compare=False)
+    run = timo_sim.simulate(scene, 0.6, sample_every=100, estimate=False)
     carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 6)
     assert np.abs(run.carrier - carrier).max() < 1e-5
     assert np.abs(run.position(2.0) - tip).max() < 2e-5
@@ -89,7 +79,7 @@ def test_a_rigid_arm_picks_up_a_load_at_rest():
     inertia = (body.shaft_inertia + section.mass_per_length * 8.0 / 3.0
                + section.inertia_per_length * 2.0 + body.end_effector_inertia + 8.0)
     added = 0.1 + 2.0 * 4.0
-    run = timo_sim.simulate(scene, 0.6, compare=False)
+    run = timo_sim.simulate(scene, 0.6, estimate=False)
     speed = 2.0 * inertia / (inertia + added)
     # The sample of the impact is from before it.
     assert run.shaft_velocity[300] == pytest.approx(2.0, rel=1e-12)
@@ -113,7 +103,7 @@ def test_the_energy_lost_in_an_impact_is_that_of_two_bodies():
     excess = []
     for modes in (5, 10, 20):
         scene = timo_sim.load_scene({**PLASTIC, 'gravity': [0.0, 0.0], 'model.modes': modes})
-        run = timo_sim.simulate(scene, 0.25, compare=False)
+        run = timo_sim.simulate(scene, 0.25, estimate=False)
         velocity, spin = (part[0, 0] for part in run.model.velocities(
             run.motion[400:401], run.model.tip_point))
         lost = 0.5 * (2.0 / 3.0 * velocity @ velocity + 0.05 * 0.1 / 0.15 * spin**2)
@@ -125,15 +115,15 @@ def test_the_energy_lost_in_an_impact_is_that_of_two_bodies():
     assert 0.4 < excess[1] / excess[0] < 0.6 and 0.4 < excess[2] / excess[1] < 0.6
 
 
-def test_the_estimate_of_a_plastic_impact_is_not_replaced_by_a_lower_one():
-    """Five and eight modes agree better with each other than with forty."""
+def test_the_estimate_of_a_plastic_impact():
+    """Errors fall as 1/N: three times the modes see two thirds of the error."""
     scene = timo_sim.load_scene({**PLASTIC, 'model.modes': 5, 'integrator.step': 0.001})
     fine = timo_sim.load_scene({**PLASTIC, 'model.modes': 40, 'integrator.step': 0.00025})
-    with pytest.warns(timo_sim.ModelWarning, match='when the load at the tip changed'):
+    with pytest.warns(timo_sim.ModelWarning, match='take more model.modes'):
         run = timo_sim.simulate(scene, 0.8, 10)
     true = sampled_run(fine, 3200, 40, pack=of_any_size)
     error = np.linalg.norm(run.position(2.0) - true.position(2.0), axis=1).max()
-    assert 0.5 * error < run.stats['estimated_tip_error_m'] < 20.0 * error
+    assert 0.5 * error < run.stats['estimated_tip_error_m'] < 2.0 * error
 
 
 @pytest.mark.parametrize('values', [{}, {'carrier.held': 'x'}, {'motor.shaft': 'locked'}],
@@ -142,7 +132,7 @@ def test_momentum_is_kept_by_an_impact(values):
     scene = timo_sim.load_scene({
         'initial.carrier_y_velocity': 0.4, 'initial.modal_rates': [0.5, 0.1, 0.0], **PICKED,
         'end_effector.pick_up': 'at_rest', **values})
-    run = timo_sim.simulate(scene, 0.4, compare=False)
+    run = timo_sim.simulate(scene, 0.4, estimate=False)
     momentum = run.momentum()
     kept = [axis for axis in range(2) if values.get('carrier.held') != 'xy'[axis]]
     kept += [2] * (not values)
@@ -233,7 +223,7 @@ def test_energy_is_balanced_between_impacts(values):
     scene = timo_sim.load_scene({**FREE, **BOTH, 'gravity': [0.5, -1.0], **values, **{
         'initial.shaft_velocity': 0.0 if 'motor.shaft' in values else 1.0,
         'load.torque.harmonic.amplitude': [0.0 if 'motor.shaft' in values else 5.0]}})
-    run = timo_sim.simulate(scene, 0.7, compare=False)
+    run = timo_sim.simulate(scene, 0.7, estimate=False)
     energy = run.energy() + run.friction_heat
     done = work(np.rint(run.t * 1e9), run.motion[:, :3],
                 np.column_stack([run.carrier_velocity, run.shaft_velocity]), run.effort)
@@ -244,7 +234,7 @@ def test_energy_is_balanced_between_impacts(values):
 
 
 def test_a_saved_run_knows_its_loads(tmp_path):
-    run = timo_sim.simulate({**FREE, **BOTH}, 0.7, sample_every=10, compare=False)
+    run = timo_sim.simulate({**FREE, **BOTH}, 0.7, sample_every=10, estimate=False)
     again = timo_sim.open_log(run.save(tmp_path / 'run.mcap'))
     assert again.payloads == run.payloads == ((200, 5.0, 0.5), (500, 1.0, 0.5))
     np.testing.assert_array_equal(again.energy(), run.energy())

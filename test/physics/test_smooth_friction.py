@@ -39,7 +39,7 @@ def inertia_of(scene):
 def test_a_rigid_arm_stops_as_the_closed_form():
     scene = timo_sim.load_scene(RIGID)
     inertia = inertia_of(scene)
-    run = timo_sim.simulate(scene, 20.0, 10, compare=False)
+    run = timo_sim.simulate(scene, 20.0, 10, estimate=False)
     speed = coasting(inertia, run.t)
     assert run.shaft_velocity == pytest.approx(speed, abs=1e-11)
     assert run.dissipated() == pytest.approx(0.5 * inertia * (1.5**2 - speed**2), abs=1e-9)
@@ -104,7 +104,7 @@ def test_over_a_large_speed_it_is_viscous():
     smooth = timo_sim.load_scene('paper', {
         'motor.coulomb_friction': 0.7e5, 'motor.coulomb_speed': 1e5,
         'carrier.coulomb_friction': 1.3e5, 'carrier.coulomb_speed': 1e5})
-    one, other = (timo_sim.simulate(scene, 2.0, 20, compare=False) for scene in (viscous, smooth))
+    one, other = (timo_sim.simulate(scene, 2.0, 20, estimate=False) for scene in (viscous, smooth))
     assert other.motion == pytest.approx(one.motion, abs=1e-9)
     assert other.dissipated() == pytest.approx(one.dissipated(), abs=1e-7)
 
@@ -114,7 +114,7 @@ def test_over_a_small_speed_it_is_dry_friction():
     def run(speed, step):
         scene = timo_sim.load_scene('paper', {
             **BOTH, 'motor.coulomb_speed': speed, 'integrator.step': step})
-        return timo_sim.simulate(scene, 2.0, round(0.02 / step), compare=False).shaft
+        return timo_sim.simulate(scene, 2.0, round(0.02 / step), estimate=False).shaft
     dry = run(0.0, 0.001)
     far, near = (np.abs(run(speed, 0.001) - dry).max() for speed in (0.02, 0.004))
     assert near < 0.4 * far < 0.01
@@ -123,7 +123,7 @@ def test_over_a_small_speed_it_is_dry_friction():
 def test_energy_is_the_heat_of_friction():
     scene = timo_sim.load_scene({**BOTH, 'initial.shaft_velocity': 2.0,
                                  'initial.carrier_x_velocity': 0.5, 'model.modes': 3})
-    run = timo_sim.simulate(scene, 4.0, 4, compare=False)
+    run = timo_sim.simulate(scene, 4.0, 4, estimate=False)
     heat = run.dissipated()
     total = run.energy() + heat
     assert total == pytest.approx(np.full(len(run.t), total[0]), rel=1e-9)
@@ -136,10 +136,10 @@ def test_sensors_and_efforts_know_it():
     for _ in range(100):
         simulator.advance(5)
         strain.append(simulator.sensors.root_strain)
-    run = timo_sim.simulate(scene, 0.5, 5, compare=False)
+    run = timo_sim.simulate(scene, 0.5, 5, estimate=False)
     assert run.root_strain()[1:] == pytest.approx(strain, abs=1e-9)
     body = scene.manipulator  # the shaft's own balance, with its friction
-    before, after = (timo_sim.simulate(scene, t, compare=False).shaft_velocity[-1]
+    before, after = (timo_sim.simulate(scene, t, estimate=False).shaft_velocity[-1]
                      for t in (0.499, 0.501))
     moment = run.root_moment()[-1]
     friction = -2.0 * np.tanh(run.shaft_velocity[-1] / 0.3)

@@ -215,7 +215,7 @@ def test_energy_balance_closes(run, paper):
                    {**driven.values, 'load.force_x.piecewise.time': [0.0, 0.5],
                     'load.force_x.piecewise.value': [5.0, -35.0]}):
         for every in 1, 5:
-            jumping = timo_sim.simulate(values, 2.0, every, compare=False)
+            jumping = timo_sim.simulate(values, 2.0, every, estimate=False)
             assert worst(jumping) < 2e-6 * every**4
     pushed = driven.vary({'load.torque.piecewise': {'time': [0.0], 'value': [1.0]}})
     assert of_run(timo_sim.simulate(pushed, 0.1)).trace('balance') is None

@@ -6,8 +6,9 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A doubtful run is compared with a finer one, whose distance is that from finite elements."""
+"""The distance from a finer run is the error, by finite elements and by finer steps."""
 
+import math
 import warnings
 
 import numpy as np
@@ -15,7 +16,8 @@ from oracles import spectral_elements
 import pytest
 import timo_sim
 from timo_sim.jit.constants import pack
-from timo_sim.runs import second_run
+from timo_sim.runs.sampled import sampled_run
+from timo_sim.simulation.finer import finer
 
 # A free arm that turns fast, a stroke on the tip of an arm with one mode, an axial force.
 STROKE = {'load.tip_torque.piecewise.time': [0.1, 0.12],
@@ -87,35 +89,24 @@ def test_the_error_is_the_distance_from_finite_elements(name):
     run = quietly(SCENES[name], 0.5)
     tip = spectral_elements.simulate(run.scene, 0.005, 100)[2]
     error = np.linalg.norm(run.position(2.0) - tip, axis=1).max()
-    assert run.stats['compared'] and error > second_run.DOUBT
+    assert error > 1e-5
     # Three further modes and one axial mode give most, but not all, of the error.
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.2)
     assert (run.warning is not None) == (error > 1.4e-3)  # 7e-4 of the arm's length
 
 
-def test_runs_that_are_not_doubtful_have_no_second_run():
-    assert 'compared' not in quietly('paper', 1.0).stats
-    assert 'compared' not in quietly({**SCENES['stretch'], 'model.modes': 0}, 0.5).stats  # rigid
-    rigid = {'model.modes': 0, 'model.formulation': 'newton', 'initial.shaft_velocity': 1.0}
-    assert 'compared' not in quietly(rigid, 0.5).stats
-
-
 @pytest.mark.usefixtures('any_size')
-def test_steps_that_do_not_resolve_axial_vibrations_are_compared():
-    """Their own estimate misses nine tenths of the error of an arm that starts at full speed."""
+def test_steps_that_do_not_resolve_axial_vibrations():
     run = quietly(ABRUPT, 2.0)
     tip = spectral_elements.simulate(run.scene, 0.025, 80)[2]
     error = np.linalg.norm(run.position(2.0) - tip, axis=1).max()
-    assert run.stats['compared'] and run.stats['step_error_m'] < 0.2 * error
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.5)
-    resolved = quietly({**ABRUPT, 'integrator.step': 0.001}, 0.5)
-    assert 'compared' not in resolved.stats
 
 
 @pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('name', GROWS)
 def test_errors_that_grow_are_measured(name):
-    """Against spectral elements; the run's own estimate is ten times too low."""
+    """Against spectral elements, in a run and beside one."""
     values, steps = GROWS[name]
     scene = timo_sim.load_scene(values)
     length, every = scene.values['arm.length'], steps // 20
@@ -124,8 +115,13 @@ def test_errors_that_grow_are_measured(name):
                                      order=8)[2]
     error = np.linalg.norm(run.position(length) - tip, axis=1).max()
     assert error > 1e-3 * length and run.warning and steps > 2048
-    assert run.stats['step_error_m'] + run.stats['modes_error_m'] < 0.1 * error
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.3)
+    simulator = timo_sim.Simulator(scene, estimate=True)
+    for _ in range(20):
+        simulator.advance(every)
+    if math.isfinite(simulator.estimated_error):
+        assert simulator.estimated_error == pytest.approx(error, rel=0.3)
+    assert simulator.warning
 
 
 def test_the_measured_error_does_not_depend_on_the_samples_asked_for():
@@ -138,67 +134,91 @@ def test_the_measured_error_does_not_depend_on_the_samples_asked_for():
 def test_a_comparison_changes_no_model_that_others_use():
     """A later scene of the same bodies has the bits of one that nothing came before."""
     before, _ = timo_sim.Simulator(SHARED).advance(50, sample_every=10)
-    finer = second_run.finer(timo_sim.load_scene(SHARED), 2)
-    quietly(SHARED, 0.05, compare=True)
-    assert finer.build().pack is pack
-    assert isinstance(finer.build().packed, np.void)
+    fine = finer(timo_sim.load_scene(SHARED), 2)
+    quietly(SHARED, 0.05, estimate=True)
+    assert fine.build().pack is pack
+    assert isinstance(fine.build().packed, np.void)
     again, _ = timo_sim.Simulator(SHARED).advance(50, sample_every=10)
     np.testing.assert_array_equal(again, before)
 
 
-def test_an_equilibrium_changes_no_model_that_others_use():
-    straight = timo_sim.load_scene({'gravity': [0.0, -9.81], 'carrier.held': 'both',
-                                    'motor.shaft': 'locked', 'initial.shaft': 0.0})
-    model, reach = straight.build(), straight.build().reach.copy()
-    bent = straight.vary({'initial.equilibrium': True})
-    assert (bent.build().reach != reach).any()
-    bent.initial_motion(model)
-    assert straight.build() is model and (model.reach == reach).all() and model.rest is None
-
-
-def test_compare_overrides_the_choice():
-    assert quietly('paper', 0.5, compare=True).stats['compared']
-    once, twice = (quietly(SCENES['stretch'], 0.5, compare=choice) for choice in (False, None))
-    assert 'compared' not in once.stats
+@pytest.mark.usefixtures('any_size')
+def test_an_error_is_measured_only_if_asked_for():
+    once, twice = (quietly(SCENES['stretch'], 0.5, estimate=choice) for choice in (False, True))
+    assert math.isnan(once.stats['estimated_tip_error_m'])
     np.testing.assert_array_equal(once.motion, twice.motion)
+    assert math.isnan(timo_sim.Simulator('paper').estimated_error)
 
 
-def test_a_false_alarm_is_withdrawn(monkeypatch):
-    monkeypatch.setattr(second_run, 'DOUBT', 0.0)
+@pytest.mark.usefixtures('any_size')
+@pytest.mark.parametrize('values, remedy', [
+    (SCENES['stretch'], 'model.axial_modes 1'), (SCENES['modes'], 'more model.modes'),
+    (SCENES['formulation'], 'model.formulation exact'),
+    ({'integrator.step': 0.02, 'load.torque.harmonic.amplitude': [200.0],
+      'load.torque.harmonic.frequency': [3.0]}, 'a smaller integrator.step')])
+def test_the_warning_names_what_moves_the_tip_most(values, remedy):
+    assert quietly(values, 1.0).warning.endswith(f'take {remedy}')
+
+
+@pytest.mark.usefixtures('any_size')
+def test_the_error_under_commands_is_that_from_finer_steps():
+    """Random torques, one for each call; the finer run is followed in parts and at once."""
+    random, paths, found = np.random.default_rng(1), [], []
+    torques = random.normal(0.0, 200.0, 100)
+    for parts, estimate in ((1, True), (16, False)):
+        simulator = timo_sim.Simulator({'integrator.step': 0.02 / parts, 'model.modes': 6},
+                                       estimate)
+        path = []
+        for torque in torques:
+            simulator.step(torque=torque, duration=0.02)
+            path.append(simulator.model.world(simulator.motion.values[np.newaxis],
+                                              simulator.model.tip_point)[0, 0])
+            if estimate and len(path) % 7 == 0:
+                assert simulator.measure_error(3)
+        paths.append(path)
+        found.append(simulator.estimated_error)
+    error = np.linalg.norm(np.subtract(*paths), axis=1).max()
+    assert error > 1e-4 and found[0] == pytest.approx(error, rel=0.3)
+
+
+@pytest.mark.usefixtures('any_size')
+def test_the_finer_run_follows_changes_and_resets():
+    """A change of the scene that both runs make is no error; a reset begins anew."""
     scene = timo_sim.load_scene('paper')
-    run = second_run.sampled_run(scene, 100)
-    alarmed = second_run.replace(run, warning='the steps are too long')
-    assert second_run.in_doubt(alarmed)
-    assert second_run.compared(alarmed).warning is None
+    simulator = timo_sim.Simulator(scene, estimate=True)
+    simulator.advance(200)
+    simulator.change(scene.vary({'end_effector.mass': 3.0, 'carrier.friction': 5.0}))
+    simulator.advance(300)
+    assert 0.0 < simulator.estimated_error < 1e-4
+    simulator.reset()
+    assert simulator.estimated_error == 0.0
+    simulator.advance(500)
+    assert 0.0 < simulator.estimated_error < 1e-4
 
 
 def test_lists_of_modes_grow_with_the_modes():
     scene = timo_sim.load_scene({
         'model.modes': 2, 'model.axial_modes': 1, 'arm.damping_ratio': [0.1, 0.2, 0.3],
         'initial.modal_coordinates': [1e-3, 2e-3, 3e-6], 'initial.modal_rates': [4.0, 5.0, 6.0]})
-    finer = second_run.finer(scene, 2)
-    assert finer.values['arm.damping_ratio'] == (0.1, 0.2, 0.2, 0.2, 0.2, 0.3, 0.3)
-    motion = scene.initial_motion(), finer.initial_motion()
-    tips = [each.build().tip(initial) for each, initial in zip((scene, finer), motion)]
+    fine = finer(scene, 2)
+    assert fine.values['arm.damping_ratio'] == (0.1, 0.2, 0.2, 0.2, 0.2, 0.3, 0.3)
+    motion = scene.initial_motion(), fine.initial_motion()
+    tips = [each.build().tip(initial) for each, initial in zip((scene, fine), motion)]
     np.testing.assert_allclose(*tips, atol=1e-15)
 
 
 @pytest.mark.usefixtures('any_size')
-def test_one_mode_has_a_second_run_too():
-    values = {'model.modes': 1, 'initial.modal_coordinates': [0.2], 'arm.damping_ratio': [0.01]}
-    assert quietly(values, 0.1, compare=True).stats['compared']
+def test_one_mode_has_a_finer_run_but_what_starts_bent_in_static_modes_has_none():
+    one = {'model.modes': 1, 'initial.modal_coordinates': [0.2], 'arm.damping_ratio': [0.01]}
+    static = {**SCENES['stretch'], 'model.static_modes': 'force'}
+    bent = {**static, 'initial.modal_coordinates': [1e-3, 0.0, 0.0]}
+    found = [quietly(values, 0.1).stats['estimated_tip_error_m'] for values in (one, static, bent)]
+    assert found[0] > 0.0 and found[1] > 0.0 and math.isnan(found[2])
 
 
-def test_a_run_that_starts_bent_in_static_modes_has_no_second_run():
-    values = {**SCENES['stretch'], 'model.static_modes': 'force'}
-    assert quietly(values, 0.1, compare=True).stats['compared']
-    bent = {**values, 'initial.modal_coordinates': [1e-3, 0.0, 0.0]}
-    assert 'compared' not in quietly(bent, 0.1, compare=True).stats
-
-
+@pytest.mark.usefixtures('any_size')
 def test_steps_with_dry_friction_are_fine_enough():
-    """A second run at half the step is 1e3 times further off than the first, and cannot see it."""
-    run = quietly(DRY, 2.0, compare=True)
-    fine = second_run._run(second_run.finer(run.scene, 16), 16, run, None)
+    run = quietly(DRY, 2.0)
+    fine = sampled_run(finer(run.scene, 16), 16 * run.stats['steps'], 16 * 5)
     error = np.linalg.norm(run.position(0.329) - fine.position(0.329), axis=1).max()
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.1)
