@@ -18,13 +18,14 @@ import timo_sim
 from timo_sim.simulation.simulator import Simulator
 
 
-def error_of(step, every, duration=4.0, **values):
-    """Return the true error of the tip by steps, the estimate and the run."""
+def error_of(step, every, duration=4.0, axial=1, **values):
+    """Return the true error of the tip, the estimate and the run."""
     scene = timo_sim.load_scene({'integrator.step': step, 'model.modes': 8, **values})
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', timo_sim.ModelWarning)
         run = timo_sim.simulate(scene, duration, every)
-        fine = timo_sim.simulate(scene.vary({'integrator.step': step / 8}), duration, 8 * every,
+        finest = {'integrator.step': 0.001, 'model.modes': 12, 'model.axial_modes': axial}
+        fine = timo_sim.simulate(scene.vary(finest), duration, round(1000 * step) * every,
                                  estimate=False)
     error = np.linalg.norm(run.position(2.0) - fine.position(2.0), axis=1).max()
     return error, run.stats['estimated_tip_error_m'], run
@@ -51,14 +52,12 @@ def test_the_estimate_is_the_error_where_steps_cause_it(values):
 
 
 @pytest.mark.usefixtures('any_size')
-def test_errors_of_short_runs_and_single_events_are_estimated():
-    # First 20 steps, one of them at rest; then 100 steps, with a spike inside one.
-    for values, duration in (
-            ({'load.torque.piecewise.time': [0.01], 'load.torque.piecewise.value': [2000.0]}, 0.2),
-            ({'load.torque.table.time': [0.501, 0.504, 0.508],
-              'load.torque.table.value': [0.0, 15000.0, 0.0], 'carrier.held': 'both'}, 1.0)):
-        error, estimate, run = error_of(0.01, 1, duration, **values)
-        assert error > 2e-3 and estimate > 0.5 * error and 'the tip is' in run.warning
+def test_the_error_of_a_single_event_is_estimated():
+    """A spike inside one of 100 steps."""
+    error, estimate, run = error_of(0.01, 1, 1.0, axial=0, **{
+        'load.torque.table.time': [0.501, 0.504, 0.508], 'model.modes': 3,
+        'load.torque.table.value': [0.0, 15000.0, 0.0], 'carrier.held': 'both'})
+    assert error > 2e-3 and estimate > 0.5 * error and 'the tip is' in run.warning
 
 
 def test_memory_does_not_grow_with_the_steps():

@@ -158,25 +158,6 @@ def test_a_model_about_an_equilibrium_is_a_small_motion():
         simulator.snapshot().root_strain - still.root_strain, rel=1e-3)
 
 
-def test_travels_of_the_tip_are_those_at_the_equilibrium():
-    """Of an arm that hangs from its bend the tip moves along the chord, and little by modes."""
-    bent = timo_sim.load_scene({**CLAMPED, 'arm.height': 0.005, 'end_effector.mass': 0.3,
-                                'end_effector.inertia': 0.0, 'initial.shaft': 0.3,
-                                'motor.shaft': 'free', 'load.torque.piecewise.time': [0.0],
-                                'load.torque.piecewise.value': [0.0]})
-    straight = bent.vary({'initial.equilibrium': False}).build().reach
-    # It hangs straight; the nodes integrate the third mode to 1e-4.
-    assert bent.build().reach == pytest.approx(straight, rel=1e-3)
-    bent = bent.vary({'motor.shaft': 'locked'})
-    model, rest = bent.build(), bent.initial_motion()
-    place = model.world(rest[np.newaxis], model.tip_point)[0, 0]
-    assert model.reach[2] == pytest.approx(np.linalg.norm(place), rel=1e-8)
-    moved = rest + 1e-4 / model.section_turn[1] * np.eye(model.size)[4]
-    shift = np.linalg.norm(model.world(moved[np.newaxis], model.tip_point)[0, 0] - place)
-    assert model.reach[4] * 1e-4 / model.section_turn[1] == pytest.approx(shift, rel=1e-2)
-    assert not model.reach[4] == pytest.approx(straight[4], rel=0.1)
-
-
 def test_equilibria_are_stable_ones():
     upright = {**HANGING, 'initial.shaft': np.pi / 2, 'initial.equilibrium': True}
     # The shaft tips over; a locked one bears its straight arm until it buckles.

@@ -22,7 +22,7 @@ from timo_sim.simulation.model_warnings import unseen_load
 MORE_MODES, MORE_AXIAL, MOST_AXIAL = 3, 1, 3
 PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
 # A load that is picked up excites modes without end: there the error falls as 1/N.
-_MODES_OF_IMPACT = 3
+_MODES_OF_IMPACT, _MOST_MODES = 4, 40
 # Largest phase of the first axial vibration in a step of the finer run [rad].
 _AXIAL_PHASE = 4.0
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates', 'arm.damping_ratio'
@@ -38,8 +38,8 @@ def finer(scene, parts, modes=None, axial=MORE_AXIAL, formulation='exact'):
     parts : int
         Number of its steps for each step of the scene.
     modes, axial : int, optional
-        Further modes in bending, by default three, or twice the present ones where loads are
-        picked up; further axial modes.
+        Further modes in bending, by default three, or three times the present ones where loads
+        are picked up, too; further axial modes.
     formulation : str
 
     Returns
@@ -50,7 +50,8 @@ def finer(scene, parts, modes=None, axial=MORE_AXIAL, formulation='exact'):
     values = scene.values
     bending, stretching = values['model.modes'], values['model.axial_modes']
     if modes is None:
-        modes = (_MODES_OF_IMPACT - 1) * bending if scene.payloads else MORE_MODES
+        modes = min((_MODES_OF_IMPACT if scene.payloads else 1) * bending + MORE_MODES,
+                    _MOST_MODES) - bending
     axial = min(axial, MOST_AXIAL - stretching)
     if not bending:
         modes = axial = 0  # a rigid arm stays rigid
