@@ -211,5 +211,6 @@ def test_an_error_names_a_step_with_which_an_arm_that_stretches_does_not_diverge
     with pytest.raises(timo_sim.DivergenceError) as error:
         timo_sim.simulate(scene, until, compare=False)
     step = float(re.search('integrator.step = (.*?) s', str(error.value))[1])
+    assert re.search(r'\(step [0-9]+\)', str(error.value))
     run = timo_sim.simulate(scene.vary({'integrator.step': step}), until, 40, compare=False)
     assert run.t[-1] == pytest.approx(until) and np.abs(run.q[:, 0]).max() > 0.05

@@ -217,8 +217,8 @@ def divergence(scene, step, motion, reach, bend, warning):
         resolved = _AXIAL_PHASE / scene.build().modes.omega[-axial:].min()
         if scene.step > resolved:
             decade = 10.0**math.floor(math.log10(resolved))
-            step = max(k for k in (1, 2, 5) if k * decade <= resolved) * decade
-            smaller = (f'integrator.step = {step:.6g} s or less, which resolves axial '
+            shorter = max(k for k in (1, 2, 5) if k * decade <= resolved) * decade
+            smaller = (f'integrator.step = {shorter:.6g} s or less, which resolves axial '
                        'vibrations, model.axial_modes 0')
     return (f'the state diverges after t = {step * scene.step:.6g} s (step {step}), at {name} = '
             f'{motion[largest]:.3g} with the arm bent by {bend:.3g} m: take {smaller}, '
