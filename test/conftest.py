@@ -49,10 +49,10 @@ def pytest_collection():
 
 # The longest files begin first; files that wait for nodes stand between those that compute.
 LONGEST = [f'test_{name}.py' for name in (
-    'examples equations accuracy sync stress storm style node batch stretch compiled tutorial '
+    'project examples equations accuracy sync stress storm node batch stretch compiled tutorial '
     'sweep_command estimated_error same_bits smooth_friction recover formulations payload '
-    'ros2_control log fit lock_step friction command_line gravity view sensitivities sweep '
-    'one_axis_held fit_statistics parameters peers looking start step_control').split()]
+    'ros2_control log fit lock_step friction start gravity view sensitivities sweep '
+    'one_axis_held fit_statistics parameters peers looking step_control').split()]
 
 
 def pytest_collection_modifyitems(items):

@@ -61,4 +61,7 @@ class ForkedNode:
         self._process.join(timeout)
         if self.poll() is None:
             raise subprocess.TimeoutExpired('sim_node', timeout)
-        return Path(self._output.name).read_text(), None
+        return self.output(), None
+
+    def output(self):
+        return Path(self._output.name).read_text()

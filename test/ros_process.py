@@ -8,6 +8,7 @@
 
 """Fixtures: a real node in its own process and a real client, over DDS."""
 
+from contextlib import contextmanager
 from pathlib import Path
 import re
 import signal
@@ -23,9 +24,29 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from forked_node import ForkedNode
+from timo_sim.replay.replay import replay
 
 # [s] A longer wait is a hang. No test takes that long, also on a machine with ten times the load.
 PATIENCE = 300.0
+
+
+def nanoseconds(message):
+    """Return the sim time of a message, also of one of /clock [ns]."""
+    stamp = message.header.stamp if hasattr(message, 'header') else message.clock
+    return 10**9 * stamp.sec + stamp.nanosec
+
+
+def facts(health):
+    """Return the newest of the collected diagnostics as a dictionary, empty if there are none."""
+    return {pair.key: pair.value for message in health[-1:] for pair in message.status[0].values}
+
+
+def replayed(log, changes=None, **options):
+    """Replay a log, check that all bits are the same, and return the lines of the report."""
+    lines = []
+    assert replay(log, changes, show=lines.append, **options), lines
+    assert changes or any('same to the last bit' in line for line in lines), lines
+    return lines
 
 
 class Client(Node):
@@ -117,8 +138,8 @@ class Process:
 
     def __init__(self, folder, *arguments, record=True, fresh=False, preexec_fn=None,
                  **parameters):
-        self.log = Path(folder) / 'run.mcap'
-        values = {'record': record, 'record_file': str(self.log), **parameters}
+        values = {'record': record, 'record_file': str(Path(folder) / 'run.mcap'), **parameters}
+        self.log = Path(values['record_file'])
         arguments = ['--ros-args', *arguments]
         for name, value in values.items():
             shown = str(value).lower() if isinstance(value, bool) else value
@@ -141,6 +162,10 @@ class Process:
     def _status(self, name):
         status = Path(f'/proc/{self._process.pid}/status').read_text()
         return re.search(rf'{name}:\s*(\w+)', status)[1]
+
+    def output(self):
+        """Return what a forked node has printed so far."""
+        return self._process.output()
 
     def memory(self):
         """Return the memory that the process has in use [B]."""
@@ -168,8 +193,24 @@ class Process:
     def kill(self):
         """End the process if it still runs."""
         if self.runs():
-            self._process.kill()
-            print(self._process.communicate()[0])  # which pytest shows of a test that fails
+            self._process.send_signal(signal.SIGINT)  # it leaves the graph, unlike when killed
+            try:
+                output, _ = self._process.communicate(timeout=10.0)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                output, _ = self._process.communicate()
+            print(output)  # which pytest shows of a test that fails
+
+
+@contextmanager
+def shared_node(folder, *arguments, **parameters):
+    """Start a node that several tests share, and a client; both end with the block."""
+    client, node = Client(), Process(folder, *arguments, **parameters)
+    try:
+        yield node, client
+    finally:
+        node.kill()
+        client.close()
 
 
 @pytest.fixture

@@ -6,26 +6,24 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A client steps the node over DDS and gets the motion of `simulate` to the last bit."""
+"""Steps at a call give the motion of `simulate` to the last bit; the pacing of other runs."""
 
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
-from mcap_ros2.reader import read_ros2_messages
 import numpy as np
+import pytest
+from ros_process import nanoseconds
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 import timo_sim
-
-
-def stamp(message):
-    """Return the time of a message [s]."""
-    return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+from timo_sim.log.recording import Recording
+from timo_sim.ros.pacing import Pace
 
 
 def once(messages):
     """Return the last message of each stamp, in the order of their times."""
-    return list({stamp(message): message for message in messages}.values())
+    return list({nanoseconds(message): message for message in messages}.values())
 
 
 class LockStep:
@@ -46,7 +44,11 @@ class LockStep:
             self.step()
             effort = self._received[0][-1].effort.tolist()
         assert client.service(Trigger, '/timo_sim/reset')().success
-        self.first = round(stamp(self.states[-1]) / h)
+        self.first = self.step_of(self.states[-1])
+
+    def step_of(self, message):
+        """Return the step of a message."""
+        return round(1e-9 * nanoseconds(message) / self.h)
 
     @property
     def states(self):
@@ -75,17 +77,31 @@ class LockStep:
         assert response.success
         step = int(response.message.removeprefix('at step '))
         for received in self._received:
-            self.client.wait(lambda: received and round(stamp(received[-1]) / self.h) == step,
+            self.client.wait(lambda: received and self.step_of(received[-1]) == step,
                              'the state after a step')
 
 
 def test_constant_force_gives_momentum_force_times_time(start, client):
+    """Commands are logged with the step at which they act."""
     node = start(start_paused=True, steps_per_call=10)
     stepper = LockStep(client)
     stepper.push(x=4.0, y=-1.0)
     for _ in range(50):
         stepper.step()
+    states, tips = stepper.states[-50:], stepper.tips[-50:]
+    stepper.turn(1.5)
+    stepper.step()
+    stepper.push(x=2.0)
+    stepper.turn(-1.0)
+    stepper.step()
     assert node.end()[0] == 0
+
+    first = stepper.first
+    for topic, steps in (('motor_torque', [500, 510]), ('carrier_wrench', [0, 510])):
+        series = Recording(node.log).topics[f'~/{topic}']
+        acting = series.step >= first
+        assert (series.step[acting] - first).tolist() == steps
+        assert np.array_equal(series.log_ns[acting], 1000000 * series.step[acting])
 
     scene = timo_sim.load_scene({
         'load.force_x.piecewise.time': [0.0], 'load.force_x.piecewise.value': [4.0],
@@ -94,14 +110,13 @@ def test_constant_force_gives_momentum_force_times_time(start, client):
     momentum = run.momentum()[:, :2]
     assert np.abs(momentum - np.outer(run.t, [4.0, -1.0])).max() < 1e-12
     # The client received that run, to the last bit.
-    states = stepper.states[-50:]
     assert [state.effort.tolist() for state in states] == [[4.0, -1.0, 0.0]] * 50
     assert np.array_equal([state.position for state in states],
                           np.column_stack([run.carrier, run.shaft])[1:])
     assert np.array_equal([state.velocity for state in states],
                           np.column_stack([run.carrier_velocity, run.shaft_velocity])[1:])
     # Deflections of one and of many samples are summed in different order.
-    tips = [[tip.vector.x, tip.vector.y] for tip in stepper.tips[-50:]]
+    tips = [[tip.vector.x, tip.vector.y] for tip in tips]
     assert np.abs(tips - run.deflection(2.0)[1:]).max() < 1e-15
 
 
@@ -121,7 +136,7 @@ def test_paper_loads_from_a_client_give_the_finite_element_reference(start, clie
     assert node.end()[0] == 0
 
     tips, states = stepper.tips[-2000:], stepper.states[-2000:]
-    assert round(stamp(tips[-1]) / h) == stepper.first + 2000
+    assert stepper.step_of(tips[-1]) == stepper.first + 2000
     # On a busy machine a service call may overtake a message: some commands act a step later.
     applied = np.array([state.effort for state in states])
     assert np.mean(np.all(applied == commands, axis=1)) > 0.95
@@ -155,22 +170,80 @@ def test_forces_in_the_arm_frame_turn_with_the_shaft(start, client):
         assert np.allclose(state.effort, [2 * c - s, 2 * s + c, 0.0], rtol=0, atol=1e-14)
 
 
-def test_commands_are_logged_with_the_step_at_which_they_act(start, client):
-    node = start(start_paused=True, steps_per_call=10)
-    stepper = LockStep(client)
-    stepper.step()
-    stepper.turn(1.5)
-    stepper.step()
-    stepper.push(x=2.0)
-    stepper.turn(-1.0)
-    stepper.step()
+def test_a_command_to_a_manipulator_at_rest_acts_at_its_step(start, client):
+    node = start(start_paused=True, steps_per_call=20)
+    states = client.collect(JointState, '/joint_states')
+    torque = client.command(Float64, '/timo_sim/motor_torque')
+    step = client.service(Trigger, '/timo_sim/step')
+    acting = []
+    while not acting:  # a publisher discovers its subscriber before the reverse
+        torque.publish(Float64(data=2.0))
+        end = int(step().message.removeprefix('at step '))
+        client.wait(lambda: states and nanoseconds(states[-1]) == 1000000 * end, 'the state then')
+        acting = [state for state in states if state.effort[2] == 2.0]
+    for _ in range(10):
+        end = int(step().message.removeprefix('at step '))
+    client.wait(lambda: nanoseconds(states[-1]) == 1000000 * end, 'the last state')
     assert node.end()[0] == 0
 
-    commands = [(message.channel.topic, message.sequence_count, message.log_time_ns)
-                for message in read_ros2_messages(str(node.log))
-                if message.channel.topic.endswith(('torque', 'wrench'))]
-    first = stepper.first
-    assert [command for command in commands if command[1] > first] == [
-        ('/timo_sim/motor_torque', first + 10, (first + 10) * 1000000),
-        ('/timo_sim/carrier_wrench', first + 20, (first + 20) * 1000000),
-        ('/timo_sim/motor_torque', first + 20, (first + 20) * 1000000)]
+    begin = Recording(node.log).topics['~/motor_torque'].step[0]
+    assert begin % 20 == 0
+    scene = timo_sim.load_scene({'load.torque.piecewise.time': [begin * 0.001],
+                                 'load.torque.piecewise.value': [2.0]})
+    run = timo_sim.simulate(scene, end * 0.001)
+    for state in states:
+        k = nanoseconds(state) // 1000000
+        assert state.position.tolist() == run.motion[k, :3].tolist()
+        assert state.effort.tolist() == [0.0, 0.0, 2.0 if k > begin else 0.0]
+
+
+def pace_of(step, factor=1.0, limit=0.1):
+    pace = Pace(step)
+    pace.set(factor, limit, 0, 100.0)
+    return pace
+
+
+def test_every_deadline_gives_one_step_without_drift():
+    pace, steps = pace_of(0.001), 0
+    for tick in range(1, 100001):
+        assert pace.deadline(steps) == pytest.approx(100.0 + tick * 0.001, abs=1e-9)
+        assert pace.due(steps, pace.deadline(steps)) == 1
+        steps += 1
+    assert (pace.overruns, pace.dropped_steps) == (0, 0)
+
+
+def test_ticks_are_at_least_a_millisecond_apart():
+    """Short steps, and those of a fast run, are done ten at a time."""
+    for step, factor, steps, period in ((0.0001, 1.0, 10, 0.001), (0.001, 10.0, 10, 0.001),
+                                        (0.001, 0.1, 1, 0.010), (0.02, 1.0, 1, 0.020)):
+        pace = pace_of(step, factor)
+        assert pace.deadline(0) == pytest.approx(100.0 + period)
+        assert pace.due(0, pace.deadline(0)) == steps
+
+
+def test_a_delay_is_caught_up_and_counted_and_what_is_too_long_is_dropped():
+    pace = pace_of(0.001)
+    assert pace.due(0, 100.0501) == 50
+    assert (pace.overruns, pace.dropped_steps) == (1, 0)
+    assert pace.due(50, 100.0504) == 0
+    assert pace.deadline(50) == pytest.approx(100.051)
+    pace = pace_of(0.001, limit=0.1)
+    assert pace.due(0, 102.0) == 100
+    assert pace.dropped_steps == 1900
+    # Sim time now lags wall time by the dropped time, and goes on at its pace.
+    assert pace.due(100, 102.001) == 1
+    assert pace.due(101, 103.001) == 100 and pace.dropped_steps == 1900 + 900
+    # Nothing is counted where time waits for others.
+    pace = Pace(0.001, waits=True)
+    pace.set(1.0, 0.1, 0, 100.0)
+    assert pace.due(0, 102.0) == 100 and pace.due(100, 102.001) == 1
+    assert (pace.overruns, pace.dropped_steps) == (0, 0)
+
+
+def test_a_new_limit_alone_keeps_the_deadlines():
+    pace = pace_of(0.001)
+    pace.set(1.0, 0.5, 0, 100.0007)
+    assert pace.due(0, 100.001) == 1
+    pace.set(2.0, 0.5, 1, 100.0017)
+    assert pace.due(1, 100.0027) == 2
+    assert pace_of(0.001, factor=0.0).free and not pace.free

@@ -8,14 +8,10 @@
 
 """Views of a running node: stream to rerun, marker for RViz, frames on /tf; all optional."""
 
-import ast
-import os
 from pathlib import Path
 import re
-import runpy
 import socket
 import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -27,8 +23,6 @@ from timo_sim.messages.outputs import TRANSFORMS
 from timo_sim.ros.node import no_live_feed
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.simulation.simulator import Simulator
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def free_port():
@@ -77,8 +71,9 @@ def test_a_running_node_is_streamed(start, client, listener, paper):
 
 
 def test_neither_a_missing_viewer_nor_a_long_table_stops_the_node(start, tmp_path):
-    # 20 000 points are more than one argument of a process can hold.
-    table = {'time': [1e-3 * k for k in range(20_000)], 'value': [0.1] * 20_000}
+    # 6000 points are more than the 128 kB that one argument of a process can hold.
+    table = {'time': [1e-3 * k for k in range(6000)], 'value': [1.0 / 3.0] * 6000}
+    assert len(str(table)) > 131072
     (tmp_path / 'long.yaml').write_text(yaml.safe_dump({'timo_sim': {'ros__parameters': {
         'load': {'torque': {'table': table}}}}}))
     code, output = start('--params-file', 'long.yaml', record=False, duration=1.0,
@@ -88,22 +83,9 @@ def test_neither_a_missing_viewer_nor_a_long_table_stops_the_node(start, tmp_pat
     assert 'Error' not in output
 
 
-def test_an_invalid_live_address_is_refused(start):
-    code, output = start(record=False, rerun_live='127.0.0.1').wait()
-    assert code == 2
-    assert "rerun_live must be the address of a viewer of rerun, got '127.0.0.1'" in output
-
-
 def test_a_node_without_a_stream_refuses_an_address():
     with pytest.raises(ParameterError, match='^rerun_live = .*:9876.* needs the executable'):
         no_live_feed(None, 'rerun+http://127.0.0.1:9876/proxy', '/timo_sim')
-
-
-def test_views_that_are_off_are_not_imported():
-    code = ('import sys, timo_sim.cli.sim_node, timo_sim.ros.process; '
-            'assert not {"rerun", "visualization_msgs", "tf2_msgs", "timo_sim.view"} & '
-            'set(sys.modules)')
-    subprocess.run([sys.executable, '-c', code], check=True)
 
 
 def test_the_arm_has_its_shape_in_rviz(start, client, paper):
@@ -136,28 +118,3 @@ def test_the_frames_of_tf_lead_from_the_world_to_the_bent_tip(paper):
     angle = run.shaft[-1] + run.rotation(2.0)[-1]
     assert np.allclose(turn(*arm) @ turn(tip_z, tip_w) @ [1.0, 0.0],
                        [np.cos(angle), np.sin(angle)], atol=1e-14)
-
-
-def test_tf_without_its_messages_ends_with_one_line_and_code_2(start, tmp_path, monkeypatch):
-    (tmp_path / 'tf2_msgs.py').write_text(
-        'raise ModuleNotFoundError("not here", name="tf2_msgs")')
-    monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
-    code, output = start(fresh=True, publish_tf=True, record=False).wait()
-    assert code == 2 and 'Traceback' not in output
-    assert ('timo_sim: publish_tf needs tf2_msgs, which is not installed: apt-get install '
-            'ros-jazzy-tf2-msgs\n') in output
-
-
-def test_launch_files_are_python_and_installed(monkeypatch):
-    installed = {}
-    monkeypatch.setattr('setuptools.setup',
-                        lambda **options: installed.update(options['data_files']))
-    monkeypatch.chdir(ROOT)
-    runpy.run_path('setup.py')
-    for path in (ROOT / 'launch').glob('*.py'):
-        names = {node.name for node in ast.parse(path.read_text()).body
-                 if isinstance(node, ast.FunctionDef)}
-        assert 'generate_launch_description' in names
-        assert f'launch/{path.name}' in installed['share/timo_sim/launch']
-    for path in (ROOT / 'urdf').glob('timo_sim.*'):
-        assert f'urdf/{path.name}' in installed['share/timo_sim/urdf']

@@ -6,78 +6,109 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The node over DDS: topics, services, refused and stale commands, parameters, diagnostics."""
+"""The running node: services, refused and stale commands, diagnostics, states for latecomers."""
+
+import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Vector3Stamped, WrenchStamped
+from mcap.reader import NonSeekingReader
 import numpy as np
 import pytest
-from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, SetParameters
-from rclpy.parameter import Parameter
+from ros_process import facts, nanoseconds, PATIENCE, shared_node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import Marker
 
 import timo_sim
+from timo_sim.log.recording import Recording
+from timo_sim.ros.topics import Outlet
 from timo_sim.scene.parameters import RATES
 
 
-def seconds(stamp):
-    """Return a builtin_interfaces/Time in seconds."""
-    return stamp.sec + 1e-9 * stamp.nanosec
+def reached(service):
+    """Step by a service; return the step that the node has reached."""
+    return int(service().message.removeprefix('at step '))
 
 
-def values(status):
-    """Return the key-value pairs of a diagnostic status."""
-    return {pair.key: pair.value for pair in status.values}
+@pytest.fixture(scope='module')
+def running(ros, tmp_path_factory):
+    """Return node, client, states and diagnostics of a running node, apart from other nodes."""
+    with shared_node(tmp_path_factory.mktemp('running'), '-r', '__ns:=/running', '-r',
+                     '/diagnostics:=/running/diagnostics', record=False) as (node, client):
+        yield (node, client, client.collect(JointState, '/running/joint_states'),
+               client.collect(DiagnosticArray, '/running/diagnostics'))
+        assert node.end()[0] == 0
 
 
-def test_topics_carry_the_physics(start, client, paper):
-    node = start('--params-file', str(paper), record=False)
-    joints = client.collect(JointState, '/joint_states')
-    modes = client.collect(JointState, '/timo_sim/modal_state')
-    deflections = client.collect(Vector3Stamped, '/timo_sim/tip_deflection')
-    tips = client.collect(PoseStamped, '/timo_sim/tip_pose')
-    carriers = client.collect(PoseStamped, '/timo_sim/carrier_pose')
-    for received in (joints, modes, deflections, tips, carriers):
-        client.wait(lambda: len(received) >= 100, 'a second of messages')
+def test_own_clock_with_use_sim_time_does_not_deadlock(start, client):
+    node = start(record=False, publish_clock=True, use_sim_time=True)
+    clocks = client.collect(Clock, '/clock')
+    client.wait(lambda: len(clocks) > 50, 'the clock')
     assert node.end()[0] == 0
+    assert np.all(np.diff([nanoseconds(clock) for clock in clocks]) == 10**7)
 
-    last = seconds(joints[-1].header.stamp)
-    run = timo_sim.simulate(timo_sim.load_scene(paper), round(last, 2) + 1.0, sample_every=10)
 
-    def at(message):
-        return round(seconds(message.header.stamp) * 100)
+def test_bad_commands_are_refused_counted_and_change_nothing(running):
+    node, client, states, health = running
+    wrench = client.command(WrenchStamped, '/running/timo_sim/carrier_wrench')
+    torque = client.command(Float64, '/running/timo_sim/motor_torque')
+    torque.publish(Float64(data=0.5))
+    client.wait(lambda: states and states[-1].effort[2] == 0.5, 'the torque acting')
+    begun = len(states)
+    for data in (np.nan, np.inf, -np.inf):
+        torque.publish(Float64(data=data))
+    message = WrenchStamped()
+    message.wrench.force.x = np.nan
+    wrench.publish(message)
+    message.wrench.force.x = 1.0
+    message.header.frame_id = 'map'
+    wrench.publish(message)
+    client.wait(lambda: facts(health).get('refused_commands') == '5', 'five refused commands')
+    assert health[-1].status[0].level == DiagnosticStatus.WARN
+    assert all(state.effort.tolist() == [0.0, 0.0, 0.5] for state in states[begun:])
+    assert 'data must be finite, got nan' in node.output()
+    # Warnings are throttled: there is one for each topic.
+    assert node.output().count('command refused') == 2
 
-    for joint in joints:
-        k = at(joint)
-        assert joint.name == ['carrier_x', 'carrier_y', 'shaft']
-        assert np.array_equal(joint.position, run.motion[k, :3])
-        assert np.array_equal(joint.velocity, run.motion[k, 6:9])
-        assert joint.effort == pytest.approx(
-            5 * np.sin(2 * np.pi * np.array([2, 3, 4]) * run.t[k]), abs=1e-12)
-    for mode in modes:
-        assert mode.name == ['mode_1', 'mode_2', 'mode_3'] and not mode.effort
-        assert np.array_equal(mode.position, run.q[at(mode)])
-        assert np.array_equal(mode.velocity, run.qdot[at(mode)])
-    across, rotation, position = run.deflection(2.0), run.rotation(2.0), run.position(2.0)
-    for deflection in deflections:
-        assert deflection.header.frame_id == 'arm'
-        assert (deflection.vector.x, deflection.vector.y) == pytest.approx(
-            across[at(deflection)], abs=1e-14)
-    for tip in tips:
-        k, z, w = at(tip), tip.pose.orientation.z, tip.pose.orientation.w
-        assert tip.header.frame_id == 'world'
-        assert (tip.pose.position.x, tip.pose.position.y) == pytest.approx(position[k], abs=1e-14)
-        assert 2 * np.arctan2(z, w) == pytest.approx(run.shaft[k] + rotation[k], abs=1e-14)
-    for carrier in carriers:
-        place = carrier.pose.position
-        assert (place.x, place.y) == tuple(run.carrier[at(carrier)])
-        assert carrier.pose.orientation.w == 1.0
-    stamps = [at(joint) for joint in joints]
-    assert stamps == list(range(stamps[0], stamps[0] + len(stamps)))
+
+def test_parts_of_a_wrench_without_effect_are_noticed_once(running):
+    node, client, states, _ = running
+    motor = client.command(Float64, '/running/timo_sim/motor_torque')
+    for topic, torque, words in (('carrier_wrench', 0.0, 'no effect of force.z, torque.z: '),
+                                 ('tip_wrench', 1.0, 'no effect of force.z: ')):
+        wrench, message = client.command(
+            WrenchStamped, f'/running/timo_sim/{topic}'), WrenchStamped()
+
+        def send(number):  # the torque on the motor shows that both have come
+            def acts():
+                wrench.publish(message)
+                motor.publish(Float64(data=number))
+                return states and states[-1].effort[2] == number
+            client.wait(acts, 'a command')
+
+        message.wrench.torque.z = torque  # of the tip's wrench it acts
+        send(1.0)
+        assert words not in node.output()
+        message.wrench.force.z, message.wrench.torque.z = 0.5, 1.0
+        send(2.0)
+        send(3.0)
+        client.wait(lambda: words in node.output(), 'a warning')
+        assert node.output().count('no effect of') == 1 + (topic == 'tip_wrench')
+
+
+def test_commands_go_stale(start, client):
+    node = start(record=False, command_timeout=0.2)
+    states = client.collect(JointState, '/joint_states')
+    client.command(Float64, '/timo_sim/motor_torque').publish(Float64(data=0.5))
+    client.wait(lambda: any(state.effort[2] == 0.5 for state in states), 'the torque acting')
+    client.wait(lambda: states[-1].effort[2] == 0.0, 'the torque falling to zero')
+    acted = [nanoseconds(state) for state in states if state.effort[2] == 0.5]
+    assert 0.18e9 <= acted[-1] - acted[0] <= 0.2e9  # sampled every 10 ms
+    code, output = node.end()
+    assert code == 0 and output.count('the shaft input falls to zero') == 1
 
 
 def test_nodes_in_namespaces_are_separate(start, client):
@@ -100,12 +131,12 @@ def test_pause_step_and_reset(start, client):
 
     assert step().message == 'at step 10' and step().message == 'at step 20'
     assert pause(data=False).success
-    client.wait(lambda: states and seconds(states[-1].header.stamp) > 0.1, 'time going on')
+    client.wait(lambda: states and nanoseconds(states[-1]) > 10**8, 'time going on')
     refused = step()
     assert not refused.success and 'paused' in refused.message
     assert pause(data=True).success
-    steps = int(step().message.removeprefix('at step '))
-    assert int(step().message.removeprefix('at step ')) == steps + 10
+    steps = reached(step)
+    assert reached(step) == steps + 10
 
     del states[:]
     assert reset().message == f'reset at step {steps + 10}'
@@ -114,61 +145,7 @@ def test_pause_step_and_reset(start, client):
     # The state is the initial one, and the clock goes on.
     assert states[-1].position.tolist() == pytest.approx([0.0, 0.0, np.pi / 4], abs=1e-15)
     assert states[-1].velocity.tolist() == pytest.approx([0.0, 0.0, 1.0], abs=1e-14)
-    assert round(seconds(states[-1].header.stamp) * 1000) == steps + 10
-
-
-def test_bad_commands_are_refused_counted_and_change_nothing(start, client):
-    node = start(record=False)
-    states = client.collect(JointState, '/joint_states')
-    health = client.collect(DiagnosticArray, '/diagnostics')
-    wrench = client.command(WrenchStamped, '/timo_sim/carrier_wrench')
-    torque = client.command(Float64, '/timo_sim/motor_torque')
-    torque.publish(Float64(data=0.5))
-    client.wait(lambda: states and states[-1].effort[2] == 0.5, 'the torque acting')
-    begun = len(states)
-
-    for data in (np.nan, np.inf, -np.inf):
-        torque.publish(Float64(data=data))
-    message = WrenchStamped()
-    message.wrench.force.x = np.nan
-    wrench.publish(message)
-    message.wrench.force.x = 1.0
-    message.header.frame_id = 'map'
-    wrench.publish(message)
-    client.wait(lambda: health and values(health[-1].status[0])['refused_commands'] == '5',
-                'five refused commands')
-    assert health[-1].status[0].level == DiagnosticStatus.WARN
-    assert all(state.effort.tolist() == [0.0, 0.0, 0.5] for state in states[begun:])
-    code, output = node.end()
-    assert code == 0
-    assert 'data must be finite, got nan' in output
-    # Warnings are throttled: there is one for each topic.
-    assert output.count('command refused') == 2
-
-
-@pytest.mark.parametrize('topic, torque', [('carrier_wrench', 1.0), ('tip_wrench', 0.0)])
-def test_parts_of_a_wrench_without_effect_are_noticed_once(start, client, topic, torque):
-    node = start(record=False)
-    states = client.collect(JointState, '/joint_states')
-    wrench, motor = (client.command(kind, f'/timo_sim/{name}') for kind, name in (
-        (WrenchStamped, topic), (Float64, 'motor_torque')))
-
-    def send(number):  # the torque on the motor shows that both have come
-        def acts():
-            wrench.publish(message)
-            motor.publish(Float64(data=float(number)))
-            return states and states[-1].effort[2] == number
-        client.wait(acts, 'a command')
-
-    message = WrenchStamped()
-    message.wrench.torque.z = 1.0 - torque  # of the tip's wrench it acts
-    send(1)
-    message.wrench.force.z, message.wrench.torque.z = 0.5, 1.0
-    for number in 2, 3:
-        send(number)
-    code, output = node.end()
-    assert code == 0 and output.count('no effect') == 1
-    assert f'no effect of {"force.z, torque.z" if torque else "force.z"}: ' in output
+    assert nanoseconds(states[-1]) == 10**6 * (steps + 10)
 
 
 def test_a_second_node_of_the_same_name_is_noticed(start, client):
@@ -177,7 +154,7 @@ def test_a_second_node_of_the_same_name_is_noticed(start, client):
         start('-r', f'__ns:={namespace}', record=False, **{'initial.shaft_velocity': speed})
         for namespace, speed in (('/twice', 0.0), ('/twice', 1.0), ('/once', 2.0)))
     health = client.collect(DiagnosticArray, '/diagnostics')
-    client.wait(lambda: len({values(message.status[0])['energy_J'] for message in health
+    client.wait(lambda: len({facts([message])['energy_J'] for message in health
                              if 'another node' in message.status[0].message}) == 2, 'warnings')
     assert all(message.status[0].name == 'twice/timo_sim: simulation' for message in health
                if 'another node' in message.status[0].message)
@@ -186,68 +163,11 @@ def test_a_second_node_of_the_same_name_is_noticed(start, client):
     assert 'another node' not in other.end()[1]
 
 
-def test_commands_go_stale(start, client):
-    node = start(record=False, command_timeout=0.2)
-    states = client.collect(JointState, '/joint_states')
-    torque = client.command(Float64, '/timo_sim/motor_torque')
-    torque.publish(Float64(data=0.5))
-    client.wait(lambda: any(state.effort[2] == 0.5 for state in states), 'the torque acting')
-    client.wait(lambda: states[-1].effort[2] == 0.0, 'the torque falling to zero')
-    acted = [state for state in states if state.effort[2] == 0.5]
-    span = seconds(acted[-1].header.stamp) - seconds(acted[0].header.stamp)
-    assert 0.18 <= span <= 0.2  # sampled every 10 ms
-    code, output = node.end()
-    assert code == 0 and output.count('the shaft input falls to zero') == 1
-
-
-def test_parameters_at_run_time(start, client):
-    start(record=False)
-    states = client.collect(JointState, '/joint_states')
-    set_parameters = client.service(SetParameters, '/timo_sim/set_parameters')
-
-    def set_one(name, value):
-        parameter = Parameter(name, value=value).to_parameter_msg()
-        return set_parameters(parameters=[parameter]).results[0]
-
-    assert set_one('rate.joint_states', 500).successful  # a whole number for a float
-    client.wait(lambda: len(states) > 1 and seconds(states[-1].header.stamp)
-                - seconds(states[-2].header.stamp) == pytest.approx(0.002), 'the new rate')
-    refused = set_one('rate.joint_states', 300.0)
-    assert not refused.successful and 'the ratio is 3.33333' in refused.reason
-    for name, value in (('command_timeout', -1.0), ('command_timeout', float('nan')),
-                        ('steps_per_call', 0), ('real_time_factor', 'fast')):
-        assert not set_one(name, value).successful
-    refused = set_one('arm.length', 3.0)
-    assert not refused.successful and 'read-only' in refused.reason
-    assert set_one('real_time_factor', 5.0).successful
-
-    describe = client.service(DescribeParameters, '/timo_sim/describe_parameters')
-    length, modes, loads = describe(
-        names=['arm.length', 'model.modes', 'load.torque.table.time']).descriptors
-    assert length.read_only and 'length of the arm [m]' in length.description
-    assert length.floating_point_range[0].from_value == 0.0
-    assert (modes.integer_range[0].from_value, modes.integer_range[0].to_value) == (0, 40)
-    assert loads.type == ParameterType.PARAMETER_DOUBLE_ARRAY
-    assert ParameterValue().type == ParameterType.PARAMETER_NOT_SET
-
-
-def test_own_clock_with_use_sim_time_does_not_deadlock(start, client):
-    node = start(record=False, publish_clock=True, use_sim_time=True)
-    clocks = client.collect(Clock, '/clock')
-    client.wait(lambda: len(clocks) > 50, 'the clock')
-    assert node.end()[0] == 0
-    steps = np.diff([round(seconds(clock.clock) * 100) for clock in clocks])
-    assert np.all(steps == 1)
-
-
-def test_a_free_run_drops_nothing(start):
+def test_free_runs_drop_nothing_and_end_at_the_largest_time_of_a_stamp(start):
+    rates = dict.fromkeys(RATES, 1e-6)
     code, output = start(real_time_factor=0.0, duration=20.0).wait()
     assert code == 0
     assert 'simulated 20 s' in output and ' 0 overruns, 0 s dropped' in output
-
-
-def test_a_run_without_end_ends_at_the_largest_time_of_a_stamp(start):
-    rates = dict.fromkeys(RATES, 1e-6)
     code, output = start(real_time_factor=0.0, **{'integrator.step': 1000.0}, **rates).wait()
     assert code == 0 and 'simulated 2.14748e+09 s' in output and 'Traceback' not in output
 
@@ -257,13 +177,13 @@ def test_diagnostics_report_state_energy_and_real_time_factor(start, client):
     health = client.collect(DiagnosticArray, '/diagnostics')
     client.wait(lambda: len(health) >= 2, 'diagnostics')
     status = health[-1].status[0]
-    facts = values(status)
+    found = facts(health)
     assert status.name == 'timo_sim: simulation'
-    assert facts['state'] == 'running' and facts['log'] == 'off'
-    assert 0.0 < float(facts['real_time_factor']) < 1.5  # a busy machine may be late
+    assert found['state'] == 'running' and found['log'] == 'off'
+    assert 0.0 < float(found['real_time_factor']) < 1.5  # a busy machine may be late
     # The energy of a rigid arm that turns about its root is constant.
     scene = timo_sim.load_scene({'model.modes': 0, 'initial.shaft_velocity': 1.0})
-    assert float(facts['energy_J']) == pytest.approx(
+    assert float(found['energy_J']) == pytest.approx(
         timo_sim.simulate(scene, 0.001).energy()[0], rel=1e-12)
 
 
@@ -293,11 +213,105 @@ def test_a_shaft_too_fast_for_its_formulation_is_a_warning(start, client):
 
 
 def test_a_driven_shaft_and_a_held_carrier_do_as_told(start, client, spin_up):
-    start('--params-file', str(spin_up), real_time_factor=0.0, duration=1.0, start_paused=True,
-          record=False)
+    start('--params-file', str(spin_up), start_paused=True, steps_per_call=100, record=False)
     states = client.collect(JointState, '/joint_states')
-    client.service(SetBool, '/timo_sim/pause')(data=False)
-    client.wait(lambda: states and states[-1].header.stamp.sec == 1, 'the last joint state')
+    assert reached(client.service(Trigger, '/timo_sim/step')) == 100
+    client.wait(lambda: states and nanoseconds(states[-1]) == 10**9, 'the state after the steps')
     assert list(states[-1].position)[:2] == [0.0, 0.0]
     assert states[-1].position[2] == pytest.approx(0.002907277335, abs=1e-11)
     assert states[-1].velocity[2] == pytest.approx(0.011595116307, abs=1e-11)
+
+
+def shown(client, message_type, topic):
+    """Subscribe to a topic; return the list of its messages as soon as some have come."""
+    messages = client.collect(message_type, topic)
+    client.wait(lambda: len(messages) > 1, f'{topic}, again')
+    return messages
+
+
+def test_a_paused_node_shows_its_state(start, client):
+    node = start(start_paused=True, steps_per_call=7, publish_clock=True, publish_arm_shape=True,
+                 **{'initial.shaft_velocity': 1.0})
+    step = client.service(Trigger, '/timo_sim/step')
+    assert step().message == 'at step 7'
+    for kind, topic in ((Clock, '/clock'), (Marker, '/timo_sim/arm_shape'),
+                        (PoseStamped, '/timo_sim/tip_pose'), (JointState, '/timo_sim/encoder')):
+        messages = shown(client, kind, topic)
+        assert {*map(nanoseconds, messages)} == {7000000}
+    states = shown(client, JointState, '/joint_states')
+    assert len({tuple(state.position) for state in states}) == 1
+    assert nanoseconds(states[-1]) == 7000000 and states[-1].velocity[2] > 0.99
+    assert step().message == 'at step 14'
+    client.wait(lambda: nanoseconds(states[-1]) == 14000000, 'the state after a step')
+    assert node.end()[0] == 0
+    topics = Recording(node.log).topics
+    assert topics['joint_states'].step.tolist() == topics['/clock'].step.tolist() == [0, 10]
+
+
+@pytest.mark.parametrize('watched', [True, False])
+def test_steps_and_a_pause_end_with_state_and_clock_and_the_log_is_the_same(
+        start, client, watched):
+    """Also between the marks of the rates; repeated states, 0.2 s later, are not waited for."""
+    node = start(start_paused=True, steps_per_call=7, publish_clock=True, **{
+        'initial.modal_rates': '[0.1, 0.0, 0.0]', 'sensor.root_strain.delay': 0.01})
+    kinds = {'/joint_states': JointState, '/clock': Clock, '/timo_sim/tip_deflection':
+             Vector3Stamped, '/timo_sim/encoder': JointState} if watched else {}
+    received = {topic: client.collect(kind, topic) for topic, kind in kinds.items()}
+    pause, step = (client.service(kind, f'/timo_sim/{name}') for kind, name in (
+        (SetBool, 'pause'), (Trigger, 'step')))
+    steps = [reached(step) for _ in range(20)]
+    assert steps == [*range(7, 141, 7)]
+    for paused in False, True:
+        assert pause(data=paused).success
+    last = reached(step)
+    steps += [last - 7, last]
+    for topic, messages in received.items():
+        client.wait(lambda: nanoseconds(messages[-1]) == 1000000 * steps[-1], f'the last {topic}')
+        assert {1000000 * number for number in steps} <= {*map(nanoseconds, messages)}
+    assert node.end()[0] == 0
+    recording = Recording(node.log)
+    deflections = recording.topics['~/tip_deflection']
+    for name in '/clock', 'joint_states', '~/tip_deflection':
+        assert recording.topics[name].step.tolist() == [*range(0, steps[-1] + 1, 10)]
+    if watched:  # the states between the marks are those of the run
+        run = timo_sim.simulate({'initial.modal_rates': [0.1, 0.0, 0.0]}, 1e-3 * steps[-1])
+        for state in received['/joint_states']:
+            assert [*state.position] == run.motion[nanoseconds(state) // 1000000, :3].tolist()
+    assert float(recording.summary['peak_tip_deflection_m']) == np.abs(
+        deflections.values[:, 1]).max()
+
+
+def test_a_state_is_repeated_only_for_new_subscribers(client):
+    """A client that steps slowly gets each state once."""
+    outlet = Outlet(client, 'joint_states', 'sensor_msgs/msg/JointState')
+    assert not outlet.watched_anew(time.monotonic())
+    client.collect(JointState, '/joint_states')
+    client.wait(lambda: outlet.watched_anew(time.monotonic()), 'a subscriber')
+    assert not outlet.watched_anew(time.monotonic() + 20.0)
+
+
+def test_a_node_that_waits_for_its_controller_shows_its_state(start, client):
+    """The controller has answered once and then takes a minute."""
+    node = start(sync='wait', sync_period=0.005, sync_timeout=PATIENCE, publish_clock=True)
+    torque = client.command(Float64, '/timo_sim/motor_torque')
+    states = client.collect(JointState, '/joint_states')
+
+    def answered():  # once or more often, until the node has found the publisher
+        if states and nanoseconds(states[-1]) == 1:
+            states.clear()
+            torque.publish(Float64(data=1.0))
+        return states and nanoseconds(states[-1]) > 1
+    client.wait(answered, 'a later state')
+    clocks = shown(client, Clock, '/clock')
+    poses = shown(client, PoseStamped, '/timo_sim/tip_pose')
+    client.wait(lambda: nanoseconds(clocks[-1]) == nanoseconds(poses[-1]), 'the same state')
+    assert node.end()[0] == 0
+    topics = Recording(node.log).topics
+    for name in '/clock', 'joint_states':
+        assert 1 < len(topics[name].step) < 100 and {*np.diff(topics[name].step)} == {5}
+    # The clock goes on before the states come that wake the controller.
+    with open(node.log, 'rb') as stream:
+        order = [(message.sequence, channel.topic) for _, channel, message in NonSeekingReader(
+            stream).iter_messages(log_time_order=False) if message.sequence % 5 == 0]
+    firsts = dict(reversed(order))
+    assert {firsts[step] for step in topics['/clock'].step} == {'/clock'}

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Parameters as `ros2 param` gets and sets them.
+Parameters of the node: from files, over its services as `ros2 param` does, while it runs.
 
 The tests use rclpy's AsyncParameterClient and `get_parameter_value`, as `ros2 param` does.
 """
@@ -19,16 +19,23 @@ import sys
 
 import numpy as np
 import pytest
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.parameter import get_parameter_value, parameter_value_to_python
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import get_parameter_value, Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
+from ros_process import nanoseconds, replayed, shared_node
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
 import yaml
 
+import timo_sim
+from timo_sim.log.info import info
 from timo_sim.log.recording import Recording
-from timo_sim.scene.files import flatten
+from timo_sim.scene.files import flatten, read_parameter_file, read_sections
 from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.scene.values import check
 
@@ -37,64 +44,149 @@ TYPES = {bool: ParameterType.PARAMETER_BOOL, int: ParameterType.PARAMETER_INTEGE
          float: ParameterType.PARAMETER_DOUBLE, str: ParameterType.PARAMETER_STRING,
          tuple: ParameterType.PARAMETER_DOUBLE_ARRAY}
 TIME, VALUE = 'load.torque.piecewise.time', 'load.torque.piecewise.value'
+MOTOR = {'motor.dc.resistance': 0.5, 'motor.dc.torque_constant': 0.06, 'motor.dc.gear_ratio': 50.0}
+
+SAME = {
+    'another namespace': '/other/timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
+                         '/timo_sim: {ros__parameters: {arm.width: 0.03}}',
+    'another node': 'timo_sim_2: {ros__parameters: {arm.length: 3.0}}\n'
+                    'timo_sim: {ros__parameters: {arm.width: 0.03}}',
+    'nested namespaces': '/: {timo_sim: {ros__parameters: {arm.length: 3.0}}}\n'
+                         'other: {timo_sim: {ros__parameters: {arm.length: 4.0}}}',
+    'one star': '/*: {ros__parameters: {arm.length: 3.0}}',
+    'one star more': '/*/timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
+                     '/**: {ros__parameters: {arm.width: 0.03}}',
+    'stars and a name': '/**/timo_sim: {ros__parameters: {arm.length: 3.0}}',
+    'stars, then a name': '/**: {timo_sim: {ros__parameters: {arm.length: 3.0}}}',
+    'stars that come last': 'timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
+                            '/**: {ros__parameters: {arm: {length: 4.0}}}',
+    'numbers': 'timo_sim: {ros__parameters: {arm.length: 010, arm.width: 2e-2, model.modes: 0x3}}',
+    "rclpy's own": 'timo_sim: {ros__parameters: {use_sim_time: false, arm.length: 3.0, '
+                   'qos_overrides: {/timo_sim/tip_pose: {publisher: {depth: 5}}}}}',
+    'a mark of UTF-8': '\ufefftimo_sim: {ros__parameters: {arm.length: 3.0}}'}
+# What load_scene says of files, which also refuse names that only begin like those of rclpy.
+REFUSED = {
+    'is given twice': (
+        'timo_sim: {ros__parameters: {arm.length: 3.0, arm.length: 4.0}}',
+        'timo_sim: {ros__parameters: {arm: {length: 3.0}, arm.length: 4.0}}',
+        'timo_sim: {ros__parameters: {arm: {length: 3.0}, arm: {width: 0.03}}}',
+        'timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
+        'timo_sim: {ros__parameters: {arm.width: 0.03}}',
+        'timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
+        '/timo_sim: {ros__parameters: {arm.length: 4.0}}'),
+    '^(?!.*is given twice)': (
+        'timo_sim: {ros__parameters: {arm: {<<: {length: 3.0}}}}',
+        'timo_sim: {ros__parameters: {arm.width: &a 0.03, arm.height: *a}}',
+        'timo_sim: {ros__parameters: {arm.length: 3.0}}\nversion: 3'),
+    'use_sim_times = True is not a parameter': (
+        'timo_sim: {ros__parameters: {use_sim_times: true}}',)}
 
 
-@pytest.fixture
-def namespace(request):
-    """Return a namespace for this test, because killed nodes stay in the graph for a while."""
-    return f'/{request.node.name}'
+def overrides(path, namespace='/'):
+    """Return the parameters that rclpy gives a node `timo_sim` from a file."""
+    context = rclpy.Context()
+    rclpy.init(args=['--ros-args', '--params-file', str(path)], context=context)
+    try:
+        node = Node('timo_sim', context=context, namespace=namespace, enable_rosout=False,
+                    start_parameter_services=False)
+        found = {name: each.value for name, each in node._parameter_overrides.items()}
+        node.destroy_node()
+        return found
+    finally:
+        context.try_shutdown()
 
 
-@pytest.fixture
-def parameters(client, namespace):
-    """Return a function that calls a method of a parameter client of the running node."""
-    remote = AsyncParameterClient(client, f'{namespace}/timo_sim')
-
-    def call(method, *arguments):
-        client.wait(remote.services_are_ready, 'the services of parameters')
-        return client.answer(lambda: getattr(remote, method)(*arguments), method)
-    call.wait_for_end = lambda: client.wait(lambda: not remote.services_are_ready(), 'the end')
-    return call
+def test_scene_and_node_take_the_same_sections(tmp_path):
+    path = tmp_path / 'scene.yaml'
+    own = 'use_sim_time', 'qos_overrides./timo_sim/tip_pose.publisher.depth'
+    for name, text in SAME.items():
+        path.write_text(text)
+        theirs = {name: value for name, value in overrides(path).items() if name not in own}
+        assert theirs and check(read_parameter_file(path), 'scene') == check(theirs, 'node'), name
+        timo_sim.load_scene(path)
 
 
-def dump(call, node):
-    """Return what `ros2 param dump NODE` prints."""
-    names = sorted(call('list_parameters').result.names)
-    values = [parameter_value_to_python(value) for value in call('get_parameters', names).values]
-    inside = {}
-    for name, value in zip(names, values):
-        *groups, last = name.split('.')
-        place = inside
-        for group in groups:
-            place = place.setdefault(group, {})
-        place[last] = value
-    return yaml.dump({node: {'ros__parameters': inside}}, default_flow_style=False)
+def test_files_that_are_ambiguous_or_for_others_are_refused(tmp_path):
+    path = tmp_path / 'scene.yaml'
+    for words, texts in REFUSED.items():
+        for text in texts:
+            path.write_text(text)
+            with pytest.raises(timo_sim.ParameterError, match=words) as caught:
+                timo_sim.load_scene(path)
+            assert '\n' not in str(caught.value) and str(path) in str(caught.value)
+    path.write_text('/other/timo_sim: {ros__parameters: {arm.length: 3.0}}')
+    assert overrides(path) == {} and [*read_sections(path)] == ['/other/timo_sim']
+    assert overrides(path, '/other') == {'arm.length': 3.0}
+    with pytest.raises(timo_sim.ParameterError, match='it has those of /other/timo_sim'):
+        timo_sim.load_scene(path)
 
 
-def set_one(call, name, text):
-    """Do what `ros2 param set /timo_sim NAME TEXT` does."""
-    parameter = Parameter(name=name, value=get_parameter_value(string_value=text))
-    return call('set_parameters', [parameter]).results[0]
+class Parameters:
+    """Does with the parameters of a node what `ros2 param` does."""
+
+    def __init__(self, client, node):
+        self._client, self.node = client, node
+        self._remote = AsyncParameterClient(client, node)
+
+    def __call__(self, method, *arguments):
+        """Call a method of the parameter client; return the answer."""
+        self._client.wait(self._remote.services_are_ready, 'the services of parameters')
+        return self._client.answer(lambda: getattr(self._remote, method)(*arguments), method)
+
+    def wait_for_end(self):
+        """Wait until the node has left."""
+        self._client.wait(lambda: not self._remote.services_are_ready(), 'the end')
+
+    def dump(self):
+        """Return what `ros2 param dump` prints."""
+        names = sorted(self('list_parameters').result.names)
+        inside = {}
+        for name, value in zip(names, self('get_parameters', names).values):
+            *groups, last = name.split('.')
+            place = inside
+            for group in groups:
+                place = place.setdefault(group, {})
+            place[last] = parameter_value_to_python(value)
+        return yaml.dump({self.node: {'ros__parameters': inside}}, default_flow_style=False)
+
+    def set_text(self, name, text):
+        """Do what `ros2 param set NODE NAME TEXT` does."""
+        parameter = ParameterMessage(name=name, value=get_parameter_value(string_value=text))
+        return self('set_parameters', [parameter]).results[0]
+
+    def set_each(self, values):
+        """Set values one by one; return the results."""
+        return self('set_parameters', [
+            Parameter(name, value=value) for name, value in values.items()]).results
+
+    def value(self, name):
+        """Return type and value of a parameter."""
+        value, = self('get_parameters', [name]).values
+        return value.type, parameter_value_to_python(value)
 
 
-def value_of(call, name):
-    """Return type and value of a parameter."""
-    value, = call('get_parameters', [name]).values
-    return value.type, parameter_value_to_python(value)
+@pytest.fixture(scope='module')
+def running(ros, tmp_path_factory):
+    """Return a client of a running node, its states and its parameters."""
+    with shared_node(tmp_path_factory.mktemp('running'), '-r', '__ns:=/running', '-r',
+                     '/diagnostics:=/running/diagnostics', record=False) as (_, client):
+        yield (client, client.collect(JointState, '/running/joint_states'),
+               Parameters(client, '/running/timo_sim'))
 
 
-def test_a_dump_starts_an_equal_node(start, client, parameters, namespace, tmp_path):
+def test_a_dump_starts_an_equal_node(start, client, tmp_path):
     """Its log has the same values, also modes and step that were chosen, and the same bits."""
+    name, dumped, states = '/dumped/timo_sim', [], []
     first = {'model.accuracy': 1e-3, 'initial.shaft_velocity': 1.0 / 3.0, 'duration': 1.0,
              'carrier.force_limit': '1e-300', 'carrier.mass': 5, 'start_paused': True,
              'carrier.held': 'y', 'arm.damping_ratio': '[0]', 'load.torque.table.time': '[]',
              'real_time_factor': 0.0, 'initial.carrier_x': '-0.0',
-             f'qos_overrides.{namespace}/timo_sim/tip_pose.publisher.depth': 5}
-    name, dumped, states = f'{namespace}/timo_sim', [], []
+             f'qos_overrides.{name}/tip_pose.publisher.depth': 5}
+    parameters = Parameters(client, name)
     for number, arguments, values in ((1, (), first), (2, ('--params-file', 'dump.yaml'), {})):
         log = tmp_path / f'{number}.mcap'
-        node = start(*arguments, '-r', f'__ns:={namespace}', record_file=str(log), **values)
-        shown = dump(parameters, name)
+        node = start(*arguments, '-r', '__ns:=/dumped', record_file=str(log), **values)
+        shown = parameters.dump()
         (tmp_path / 'dump.yaml').write_text(shown)
         shown = flatten(yaml.safe_load(shown)[name]['ros__parameters'])
         assert shown[f'qos_overrides.{name}/tip_pose.publisher.depth'] == 5
@@ -115,9 +207,9 @@ def test_a_dump_starts_an_equal_node(start, client, parameters, namespace, tmp_p
     assert states[0].values.tobytes() == states[1].values.tobytes()
 
 
-def test_types_and_ranges_are_those_of_the_rules(start, parameters, namespace):
+def test_types_and_ranges_are_those_of_the_rules(running):
     """Read back over the service."""
-    start('-r', f'__ns:={namespace}', record=False)
+    _, _, parameters = running
     found = parameters('describe_parameters', [*PARAMETERS]).descriptors
     assert [descriptor.name for descriptor in found] == [*PARAMETERS]
     for descriptor, rule in zip(found, PARAMETERS.values()):
@@ -132,14 +224,33 @@ def test_types_and_ranges_are_those_of_the_rules(start, parameters, namespace):
             assert ranges == [(rule.low, highest)], rule.name
         else:
             assert ranges == []
+    modes = found[[*PARAMETERS].index('model.modes')].integer_range[0]
+    assert (modes.from_value, modes.to_value) == (0, 40)
 
 
-def test_lists_that_belong_together_are_loaded_and_set(
-        start, client, parameters, namespace, tmp_path):
+def test_the_line_of_the_page_sets_two_lists_at_once(running):
+    client, states, parameters = running
+    line, = re.findall(r'set_parameters_atomically rcl_interfaces/srv/SetParametersAtomically \\\n'
+                       r' *"(.*)"$', CONTROL.read_text(), re.MULTILINE)
+    together = client.service(
+        SetParametersAtomically, f'{parameters.node}/set_parameters_atomically')
+    given = [ParameterMessage(name=each['name'], value=ParameterValue(**each['value']))
+             for each in yaml.safe_load(line)['parameters']]
+    assert together(parameters=given).result.successful
+    assert [each.name for each in given] == [TIME, VALUE]
+    assert parameters.value(VALUE)[1] == [*given[1].value.double_array_value]
+    client.wait(lambda: states and states[-1].effort[2] != 0.0, 'the torque')
+    none = [ParameterMessage(name=name, value=get_parameter_value('[]')) for name in (TIME, VALUE)]
+    assert not together(parameters=given[:1] + none[1:]).result.successful
+    assert together(parameters=none).result.successful
+    client.wait(lambda: states[-1].effort[2] == 0.0, 'no torque')
+
+
+def test_lists_that_belong_together_are_loaded_and_set(running, tmp_path):
     """`ros2 param` passes numbers such as 1 and 1.0e-05 as whole numbers and texts."""
-    start('-r', f'__ns:={namespace}', record=False)
-    states = client.collect(JointState, f'{namespace}/joint_states')
-    assert value_of(parameters, TIME) == (ParameterType.PARAMETER_DOUBLE_ARRAY, [])
+    client, states, parameters = running
+    doubles = ParameterType.PARAMETER_DOUBLE_ARRAY
+    assert parameters.value(TIME) == (doubles, [])
     (tmp_path / 'load.yaml').write_text(
         f'/timo_sim: {{ros__parameters: {{{VALUE}: [1, 1.0e-05], carrier.viscous_friction: 1.0e-05'
         f', {TIME}: [0, 1000.5], arm.length: 3.0, load.force_x.table.time: [1, 2], '
@@ -151,43 +262,70 @@ def test_lists_that_belong_together_are_loaded_and_set(
             'read-only', r'same length, got load.force_x.table.time: 2, load.force_x.table.value: '
             r'0', r'command_timeout must be .*>= 0 .* s, got -1', 'did you mean arm.length?')):
         assert re.search(words, reason)
-    assert value_of(parameters, TIME)[1] == [0.0, 1000.5]
-    assert value_of(parameters, VALUE) == (ParameterType.PARAMETER_DOUBLE_ARRAY, [1.0, 1e-5])
-    assert value_of(parameters, 'carrier.viscous_friction')[1] == 1e-5
+    assert parameters.value(TIME)[1] == [0.0, 1000.5]
+    assert parameters.value(VALUE) == (doubles, [1.0, 1e-5])
+    assert parameters.value('carrier.viscous_friction')[1] == 1e-5
     client.wait(lambda: states and states[-1].effort[2] == 1.0, 'the torque')
 
     for text, value in (('0.1', [0.1]), ('[1]', [1.0]), ('[0, 0.5, 1]', [0.0, 0.5, 1.0]),
                         ('[]', [])):
-        assert set_one(parameters, 'arm.damping_ratio', text).successful
-        assert value_of(parameters, 'arm.damping_ratio') == (
-            ParameterType.PARAMETER_DOUBLE_ARRAY, value)
+        assert parameters.set_text('arm.damping_ratio', text).successful
+        assert parameters.value('arm.damping_ratio') == (doubles, value)
     for name, text, words in (
             ('arm.damping_ratio', '[2]', 'arm.damping_ratio must be .* a list of .*, got'),
             ('arm.damping_ratio', '2.0', 'arm.damping_ratio must be .* a list of .*, got 2.0'),
             ('arm.damping_ratio', '[', 'arm.damping_ratio'), (TIME, '[]', 'the same length')):
-        refused = set_one(parameters, name, text)
+        refused = parameters.set_text(name, text)
         assert not refused.successful and re.search(words, refused.reason)
         assert '\n' not in refused.reason
     # `ros2 param delete` of a parameter that always has a value is refused.
     deleted, = parameters('delete_parameters', ['arm.damping_ratio']).results
-    assert not deleted.successful and value_of(parameters, 'arm.damping_ratio')[1] == []
+    assert not deleted.successful and parameters.value('arm.damping_ratio')[1] == []
 
 
-def test_the_line_of_the_page_sets_two_lists_at_once(start, client, parameters, namespace):
-    start('-r', f'__ns:={namespace}', record=False)
-    states = client.collect(JointState, f'{namespace}/joint_states')
-    line, = re.findall(r'set_parameters_atomically rcl_interfaces/srv/SetParametersAtomically \\\n'
-                       r' *"(.*)"$', CONTROL.read_text(), re.MULTILINE)
-    together = client.service(
-        SetParametersAtomically, f'{namespace}/timo_sim/set_parameters_atomically')
-    given = [Parameter(name=each['name'], value=ParameterValue(**each['value']))
-             for each in yaml.safe_load(line)['parameters']]
-    assert together(parameters=given).result.successful
-    assert [each.name for each in given] == [TIME, VALUE]
-    assert value_of(parameters, VALUE)[1] == [*given[1].value.double_array_value]
-    client.wait(lambda: states and states[-1].effort[2] != 0.0, 'the torque')
-    assert not together(parameters=given[:1] + [Parameter(
-        name=VALUE, value=get_parameter_value('[]'))]).result.successful
-    assert together(parameters=[Parameter(name=name, value=get_parameter_value('[]'))
-                                for name in (TIME, VALUE)]).result.successful
-    client.wait(lambda: states[-1].effort[2] == 0.0, 'no torque')
+def test_rates_and_pace_are_set_at_run_time(running):
+    client, states, parameters = running
+    rate, pace = parameters.set_each({'rate.joint_states': 500, 'real_time_factor': 5.0})
+    assert rate.successful and pace.successful  # a whole number for a float, too
+    client.wait(lambda: len(states) > 1 and nanoseconds(states[-1]) - nanoseconds(states[-2])
+                == 2000000, 'the new rate')
+    refused, = parameters.set_each({'rate.joint_states': 300.0})
+    assert not refused.successful and 'the ratio is 3.33333' in refused.reason
+    assert not any(result.successful for result in parameters.set_each(
+        {'command_timeout': math.nan, 'steps_per_call': 0, 'real_time_factor': 'fast'}))
+
+
+def test_loads_damping_and_limits_are_set_at_run_time(start, client):
+    """Also in the log, with a reset in between; replay gives the same bits."""
+    node = start(**MOTOR)
+    states = client.collect(JointState, '/joint_states')
+    parameters = Parameters(client, '/timo_sim')
+
+    def shows(effort):
+        client.wait(lambda: states and states[-1].effort[2] == effort, f'a torque of {effort}')
+
+    load = {TIME: [0.0], VALUE: [3.0]}
+    refused, = parameters.set_each({TIME: [0.0]})
+    assert not refused.successful and 'must have the same length' in refused.reason
+    assert parameters('set_parameters_atomically', [
+        Parameter(name, value=value) for name, value in load.items()]).result.successful
+    shows(3.0)
+    assert all(result.successful for result in parameters.set_each({
+        'arm.damping_ratio': [0.02], 'motor.viscous_friction': 2.0,
+        'motor.dc.voltage_limit': 10.0}))
+    client.command(Float64, '/timo_sim/motor_voltage').publish(Float64(data=12.0))
+    shows(3.0 + 50.0 * 0.06 / 0.5 * 10.0)
+    client.command(Float64, '/timo_sim/motor_torque').publish(Float64(data=4.0))
+    shows(7.0)
+    assert parameters.set_each({'motor.torque_limit': 1.0})[0].successful
+    shows(4.0)
+    assert client.service(Trigger, '/timo_sim/reset')().success
+    shows(3.0)
+    assert node.end()[0] == 0
+
+    changes = Recording(node.log).changes
+    assert [list(values) for _, _, values in changes] == [
+        list(load), ['arm.damping_ratio'], ['motor.viscous_friction'],
+        ['motor.dc.voltage_limit'], ['motor.torque_limit']]
+    assert f'at step {changes[0][0]}: {VALUE} = [3.0]' in '\n'.join(info(node.log))
+    replayed(node.log)

@@ -14,14 +14,13 @@ from xml.etree import ElementTree
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
-from ros_process import PATIENCE
+from ros_process import facts, nanoseconds, PATIENCE, replayed
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from timo_sim.log.recording import Recording
 from timo_sim.messages.commands import COMMANDS, JOINTS
-from timo_sim.replay.replay import replay
 from timo_sim.scene.files import read_sections
 from timo_sim.scene.values import check
 from topic_hardware import ControllerManager
@@ -73,8 +72,8 @@ def test_a_controller_manager_in_lock_step_gives_the_same_bits_twice(start, clie
         code, output = node.wait()
         manager.close()
         assert code == 0, output
-        recording, lines = Recording(log), []
-        assert replay(log, show=lines.append), lines
+        replayed(log)
+        recording = Recording(log)
         for count in 'missed', 'mismatched', 'refused':
             assert recording.summary[f'{count}_commands'] == '0'
         commands, states = recording.topics['~/joint_command'], recording.topics['joint_states']
@@ -99,18 +98,15 @@ def test_a_command_that_comes_before_a_state_does_not_answer_it(start, client):
     command = client.command(JointState, '/timo_sim/joint_command')
     step = client.service(Trigger, '/timo_sim/step')
 
-    def count(name):
-        return int({pair.key: pair.value for pair in health[-1].status[0].values}[name])
-
     def connected():
         command.publish(JointState())
-        return health and count('refused_commands') > 0
+        return health and int(facts(health)['refused_commands']) > 0
     client.wait(connected, 'a command that is refused')
     for number, reached in (1, 'at step 5'), (2, 'at step 10'), (3, 'at step 15'):
         if number == 3:  # the second came at step 5
             assert step().message == 'at step 10, which waits for a command'
         command.publish(JointState(name=['shaft', 'elbow'], effort=[1.0, 1.0]))
-        client.wait(lambda: count('foreign_joints') == number, 'a command')
+        client.wait(lambda: facts(health)['foreign_joints'] == str(number), 'a command')
         assert step().message == reached
         assert 'foreign_joints' not in health[-1].status[0].message  # no reason for a warning
 
@@ -134,15 +130,12 @@ def test_time_stands_when_the_controller_of_lock_step_has_left(start, client):
     states = client.collect(JointState, '/joint_states')
     health = client.collect(DiagnosticArray, '/diagnostics')
 
-    def nanoseconds():
-        return 10**9 * states[-1].header.stamp.sec + states[-1].header.stamp.nanosec
-
     def control(until):
         torque = client.command(Float64, '/timo_sim/motor_torque')
 
         def reached():
             torque.publish(Float64(data=0.1))
-            return states and nanoseconds() >= until
+            return states and nanoseconds(states[-1]) >= until
         client.wait(reached, f'the state at {until} ns')
         client.destroy_publisher(torque)
 
@@ -152,7 +145,7 @@ def test_time_stands_when_the_controller_of_lock_step_has_left(start, client):
             health[-1].status[0].message.startswith('waiting for a command')), 'that it waits')
         shown = len(states)
         client.wait(lambda: len(states) > shown, 'the state, again')
-        return nanoseconds()
+        return nanoseconds(states[-1])
 
     assert stands() == 1
     command = client.command(JointState, '/timo_sim/joint_command')

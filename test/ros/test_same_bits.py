@@ -22,6 +22,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
+from ros_process import replayed
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
@@ -106,8 +107,7 @@ def test_every_step_of_a_commanded_run_is_the_same_to_the_last_bit(name, start, 
     steps = recording.topics['~/modal_state'].step
     assert set(steps) == set(range(steps.max() + 1)) and steps.max() > 50
 
-    lines = []
-    assert replay(node.log, show=lines.append)  # in this process, not the node's
+    lines = replayed(node.log)  # in this process, not the node's
     count = sum(series.values.size for name, series in recording.topics.items()
                 if name not in commands)
     assert (f'{count} of {count} logged numbers compared: all are the same to the last bit'
@@ -146,9 +146,7 @@ def test_a_run_that_diverged_was_reset_and_killed_replays(start, client):
     node.send(signal.SIGKILL)
     node.wait()
     assert len(states) > 10
-    lines = []
-    assert replay(whole, show=lines.append)
-    assert '3 resets' in lines[0] and 'same to the last bit' in lines[1]
+    assert '3 resets' in replayed(whole)[0]
 
 
 def test_parameters_that_change_and_a_log_of_a_replay(start, client, paper, tmp_path):
@@ -170,16 +168,14 @@ def test_parameters_that_change_and_a_log_of_a_replay(start, client, paper, tmp_
     assert reset().success
     time.sleep(0.4)
     assert node.end()[0] == 0
-    lines = []
-    assert replay(node.log, output=tmp_path / 'again.mcap', show=lines.append)
-    assert 'same to the last bit' in lines[1]
+    replayed(node.log, output=tmp_path / 'again.mcap')
     first, second = (Recording(path) for path in (node.log, tmp_path / 'again.mcap'))
     assert first.scene == second.scene
     for name, series in first.topics.items():
         again = second.topics[name]
         assert np.array_equal(series.step, again.step) and series.data == again.data
         assert np.array_equal(series.values, again.values) and series.topic == again.topic
-    assert replay(tmp_path / 'again.mcap', show=lines.append)
+    replayed(tmp_path / 'again.mcap')
     look_at_loads(node.log, paper)
 
 
@@ -277,3 +273,27 @@ def test_a_plain_bag_of_a_run_with_a_reset_is_replayed_with_it(start, client, tm
     found = Recording(tmp_path / 'again.mcap').topics['joint_states'].values[-1, 2]
     # 30 ms of 3 N m turn the shaft by less than this from where it would be without.
     assert found == pytest.approx(last.position[2], abs=0.05)
+
+
+def test_commands_after_a_reset_act_in_a_record_when_the_log_says(start, client):
+    """A fit to a log: its record begins at the reset; commands and outputs have one clock."""
+    node = start(start_paused=True, steps_per_call=400, **{
+        'motor.viscous_friction': 0.8, 'integrator.step': 0.001, 'record_sensors': True,
+        'sensor.encoder.noise': 1e-4, 'rate.joint_states': 100.0, 'duration': 4.0})
+    torque = client.command(Float64, '/timo_sim/motor_torque')
+    step, reset = (client.service(Trigger, f'/timo_sim/{name}') for name in ('step', 'reset'))
+    for value in (3.0, -2.0, None, 2.0, -4.0, 1.0, 3.0, -1.0, 2.0, 0.0):
+        if value is None:
+            assert reset().success
+            continue
+        torque.publish(Float64(data=value))
+        client.wait(lambda: step().success, 'a step')
+    node.end()
+    record = timo_sim.read_record(node.log)
+    assert record.outputs['shaft'].t[0] == 0.0 and record.inputs['torque'].t[-1] < record.duration
+    assert record.outputs['shaft'].noise == pytest.approx(1e-4)
+    guess = timo_sim.load_scene({'motor.viscous_friction': 2.0, 'end_effector.mass': 2.5})
+    found = timo_sim.fit(guess, record, ['motor.viscous_friction', 'end_effector.mass'])
+    assert found.values == pytest.approx(
+        {'motor.viscous_friction': 0.8, 'end_effector.mass': 2.0}, rel=0.02)
+    assert np.isclose(found.errors['shaft'].rms, 1e-4, rtol=0.2)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from ros_process import nanoseconds, Process, replayed
 from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
 
@@ -33,7 +34,7 @@ MOVING = {'initial.shaft_velocity': 2.0, 'initial.modal_rates': [2.0, 0.5, 0.1]}
 
 def step_of(message):
     """Return the time step, of 1 ms, that the stamp of a message names."""
-    return round(1e3 * message.header.stamp.sec + 1e-6 * message.header.stamp.nanosec)
+    return nanoseconds(message) // 1000000
 
 
 def lateness(log, topic):
@@ -41,13 +42,6 @@ def lateness(log, topic):
     with open(log, 'rb') as stream:
         return {message.log_time // 1000000 - message.sequence
                 for _, _, message in make_reader(stream).iter_messages([topic])}
-
-
-def same_again(log, **options):
-    """Replay a log, check that the bits are the same, and return the line that says so."""
-    lines = []
-    assert replay(log, show=lines.append, **options), lines
-    return next(line for line in lines if 'same to the last bit' in line)
 
 
 def test_a_delayed_message_comes_later_with_the_time_of_measurement(start, client):
@@ -100,7 +94,7 @@ def test_a_delayed_message_comes_later_with_the_time_of_measurement(start, clien
     assert lateness(node.log, '/timo_sim/tip_imu/data_raw') == {3}
     # Nobody subscribed to the strain; a replay can compute it.
     assert found['~/root_strain'] == []
-    same_again(node.log)
+    replayed(node.log)
     again = node.log.with_name('again.mcap')
     replay(node.log, {'record_sensors': True}, output=again, show=lambda line: None)
     strain = Recording(again).topics['~/root_strain']
@@ -110,7 +104,6 @@ def test_a_delayed_message_comes_later_with_the_time_of_measurement(start, clien
 @pytest.fixture(scope='module')
 def log(tmp_path_factory):
     """Log half a second of all sensors, without subscribers."""
-    from ros_process import Process
     node = Process(tmp_path_factory.mktemp('sensors'), record_sensors=True, duration=0.503,
                    real_time_factor=0.0, **WRONG, **LATE, **MOVING, **{'rate.tip_imu': 500.0})
     assert node.wait()[0] == 0
@@ -124,7 +117,8 @@ def test_sensors_are_logged_without_subscribers_and_replayed_to_the_last_bit(log
     assert topics['~/encoder'].step.tolist() == list(range(0, 500, 10))
     assert topics['~/root_strain'].step.tolist() == list(range(0, 501, 10))
     count = sum(series.values.size for series in topics.values())
-    assert f'{count} of {count} logged numbers' in same_again(log, output=tmp_path / 'again.mcap')
+    assert f'{count} of {count} logged numbers' in '\n'.join(
+        replayed(log, output=tmp_path / 'again.mcap'))
     again = Recording(tmp_path / 'again.mcap')
     for name, series in topics.items():
         assert np.array_equal(series.values, again.topics[name].values)
@@ -139,6 +133,14 @@ def test_sensors_are_logged_without_subscribers_and_replayed_to_the_last_bit(log
     assert any(line.startswith('tip_imu turning_rad_per_s') for line in lines)
 
 
+@pytest.fixture(scope='module')
+def exact(log):
+    """Replay the log with perfect sensors."""
+    path = log.with_name('exact.mcap')
+    replayed(log, {name: 0.0 for name in WRONG if name != 'sensor.seed'}, output=path)
+    return path
+
+
 def imu_of(path):
     """Return vectors (2, n, 3) and covariances (2, n, 9) of acceleration and turning rate."""
     found = [message.ros_msg
@@ -149,11 +151,9 @@ def imu_of(path):
             np.array(covariances))
 
 
-def test_covariances_of_the_imu_are_those_of_its_errors(log, tmp_path):
+def test_covariances_of_the_imu_are_those_of_its_errors(log, exact):
     """REP 145: known covariances are given; all zeros mean that they are unknown."""
-    replay(log, {name: 0.0 for name in WRONG if name != 'sensor.seed'},
-           output=tmp_path / 'exact.mcap', show=lambda line: None)
-    (read, told), (truth, silent) = imu_of(log), imu_of(tmp_path / 'exact.mcap')
+    (read, told), (truth, silent) = imu_of(log), imu_of(exact)
     assert read.shape == truth.shape == (2, 251, 3) and not silent.any()
     for errors, matrices in zip(read - truth, told):
         assert (matrices == matrices[0]).all()
@@ -165,11 +165,9 @@ def test_covariances_of_the_imu_are_those_of_its_errors(log, tmp_path):
         assert np.diag(covariance)[noisy] == pytest.approx(variance[noisy], rel=0.27)
 
 
-def test_the_acceleration_integrated_twice_gives_the_position_of_the_tip(log, tmp_path):
+def test_the_acceleration_integrated_twice_gives_the_position_of_the_tip(exact):
     """From messages alone: IMU without noise, turned into world axes from the tip's first pose."""
-    replay(log, {name: 0.0 for name in WRONG if name != 'sensor.seed'},
-           output=tmp_path / 'clean.mcap', show=lambda line: None)
-    topics = Recording(tmp_path / 'clean.mcap').topics
+    topics = Recording(exact).topics
     imu = topics['~/tip_imu/data_raw'].values[:246]
     x, y, z, w = topics['~/tip_pose'].values[:50].T
     turned = 2.0 * np.unwrap(np.arctan2(z, w), period=2.0 * np.pi)

@@ -6,31 +6,82 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The start of the node: imports, the moment it appears in the graph, its first steps."""
+"""The process of a node: its start, what it refuses, signals, streams, its log."""
 
+from concurrent.futures import ThreadPoolExecutor
+import os
+import signal
 import subprocess
 import sys
+import time
 
-from mcap_ros2.reader import read_ros2_messages
+from mcap.reader import make_reader
 from rcl_interfaces.srv import GetParameters
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
-from std_srvs.srv import Trigger
 
 from ros_process import PATIENCE
-import timo_sim
+from timo_sim.ros.process import use_profiles
+
+TWICE = 'timo_sim: {ros__parameters: {arm: {length: 3.0}, arm.length: 4.0}}'
+TAG = 'timo_sim: {ros__parameters: {arm.length: !!python/object/apply:os.system [touch tag]}}'
+QOS = 'qos_overrides./timo_sim/tip_pos.publisher.depth'
+# Arguments of a node, and words of the line with which it ends.
+REFUSED = [
+    (['-p', argument], words) for argument, words in (
+        ('arm.length:=-2.0', 'arm.length must be a finite number > 0 m, got -2.0'),
+        ('arm.lenght:=2.0', 'arm.lenght = 2.0 is not a parameter of timo_sim'),
+        ('rate.tip_pose:=300.0', 'rate.tip_pose = 300, the ratio is 3.33333'),
+        ('load.torque.piecewise.time:=[1.0, 2]', 'load.torque.piecewise.time'),
+        ('carrier.held:=false', 'carrier.held must be one of none, x, y, both, got False'),
+        ('use_sim_time:=1', "'use_sim_time' to '1' of type 'INTEGER', expecting type 'BOOL'"),
+        ('integrator.step:=1e-320', 'integrator.step must be a finite number >= 1e-09'),
+        ('duration:=1.0e+300', 'duration must be a finite number >= 0 and <= 2.147'),
+        ('arm.length:=1.0e+300', 'too large or too small together'),
+        ('frame.arm:=a\udcff', "'utf-8' codec can't"),
+        ('rerun_live:=127.0.0.1',
+         "rerun_live must be the address of a viewer of rerun, got '127.0.0.1'"),
+        (f'{QOS}:=5', f'{QOS} = 5 is for no publisher or subscription whose QoS can be set; '
+         'did you mean /timo_sim/tip_pose?'))
+] + [
+    (['--params-file', 'invalid.yaml'], 'invalid.yaml'),
+    (['--params-file', 'tag.yaml'], 'tag'),
+    (['--params-file', 'twice.yaml'], 'arm.length is given twice (twice.yaml)'),
+    (['-r', f'__ns:=/{"x" * 230}'], 'topic length should not exceed')]
 
 
-def test_the_node_imports_only_what_it_needs(tmp_path):
-    code = (
-        'import sys; sys.modules["simulation_interfaces"] = None; '  # not installed
-        'from timo_sim.cli.sim_node import main; '
-        'assert main(["--ros-args", "-p", "duration:=0.05", "-p", "record_file:=run.mcap"]) == 0; '
-        'needless = {"rerun", "rclpy.action", "matplotlib", "tqdm", "pandas", "scipy.integrate", '
-        '"scipy.interpolate", "scipy.signal", "scipy.stats"} & set(sys.modules); '
-        'assert not needless, needless')
-    result = subprocess.run([sys.executable, '-c', code], cwd=tmp_path, capture_output=True,
-                            text=True)
+def test_what_is_refused_ends_a_node_with_one_line_and_code_2(start, tmp_path):
+    for name, text in (('twice', TWICE), ('tag', TAG),
+                       ('invalid', 'timo_sim: {ros__parameters: {arm: [')):
+        (tmp_path / f'{name}.yaml').write_text(text)
+    for node, words in [(start(*arguments), words) for arguments, words in REFUSED]:
+        code, output = node.wait()
+        ours = [line for line in output.splitlines() if line.startswith('timo_sim: ')]
+        assert code == 2 and len(ours) == 1 and words in ours[0], (words, output)
+        assert 'Traceback' not in output
+    assert not (tmp_path / 'tag').exists() and not [*tmp_path.glob('*.mcap')]
+
+
+WITHOUT_DOCSTRINGS = """
+import sys
+from importlib.machinery import SourceFileLoader
+get_code = SourceFileLoader.get_code
+def optimized(self, name):  # as python -OO, which would compile all libraries anew, too
+    return (self.source_to_code(self.get_data(self.path), self.path, _optimize=2)
+            if name.startswith('timo_sim') else get_code(self, name))
+SourceFileLoader.get_code = optimized
+sys.modules['simulation_interfaces'] = None  # not installed
+from timo_sim.cli.sim_node import main
+assert main.__doc__ is None
+assert main(['--ros-args', '-p', 'duration:=0.05', '-p', 'record_file:=run.mcap']) == 0
+needless = {'rerun', 'timo_sim.view', 'visualization_msgs', 'tf2_msgs', 'rclpy.action',
+            'matplotlib', 'tqdm', 'pandas', 'scipy.integrate', 'scipy.interpolate',
+            'scipy.signal', 'scipy.stats'} & {*sys.modules}
+assert not needless, needless
+"""
+
+
+def test_the_node_imports_only_what_it_needs_and_runs_without_docstrings(tmp_path):
+    result = subprocess.run([sys.executable, '-c', WITHOUT_DOCSTRINGS], cwd=tmp_path,
+                            capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
 
 
@@ -76,50 +127,92 @@ def test_the_node_is_in_the_graph_when_it_can_answer(client, tmp_path):
         '[late.timo_sim]: running: 3 modes, step 0.001 s, waiting for commands')
 
 
-def test_each_topic_has_its_rate_in_one_run(start):
-    rates = {'joint_states': 500.0, 'modal_state': 250.0, 'tip_deflection': 200.0,
-             'tip_pose': 1000.0, 'carrier_pose': 8.0, 'clock': 40.0}
-    node = start(real_time_factor=0.0, duration=1.0, publish_clock=True,
-                 **{f'rate.{topic}': rate for topic, rate in rates.items()})
-    assert node.wait()[0] == 0
-    steps = {topic: [] for topic in rates}
-    for message in read_ros2_messages(str(node.log)):
-        topic = message.channel.topic.rpartition('/')[2]
-        if topic in steps:
-            steps[topic].append(message.sequence_count)
-    assert steps == {topic: list(range(0, 1001, round(1000 / rate)))
-                     for topic, rate in rates.items()}
+def test_hints_are_given_and_the_node_goes_on(start, tmp_path):
+    """Odd numbers and implausible values, a file that names another node, a log nowhere."""
+    (tmp_path / 'a.yaml').write_text('timo_sim: {ros__parameters: {arm.length: 3.0}}\n'
+                                     '/left/timo_sim: {ros__parameters: {}}')
+    (tmp_path / 'b.yaml').write_text('/**: {timo_sim: {ros__parameters: {duration: 0.1}}}')
+    without_log = start('-r', '__ns:=/left', '--params-file', 'a.yaml', '--params-file', 'b.yaml',
+                        record=False, **{'initial.shaft': 45.0, 'arm.length': '2',
+                                         'arm.width': '2.0e-2', 'arm.young_modulus': '70.5e9'})
+    impossible = start(duration=0.01, record_file='/')
+    code, output = without_log.wait()
+    assert code == 0 and 'is this meant? initial.shaft = 45 rad is more than a turn' in output
+    assert output.count('has no parameter for') == 1
+    assert 'a.yaml has no parameter for /left/timo_sim; it has those of /timo_sim' in output
+    assert not list(tmp_path.rglob('*.mcap'))
+    code, output = impossible.wait()
+    assert code == 0 and 'Traceback' not in output and 'no log is written to /' in output
 
 
-def test_a_command_to_a_manipulator_at_rest_acts_at_its_step(start, client):
-    node = start(start_paused=True, steps_per_call=20)
-    states = client.collect(JointState, '/joint_states')
-    torque = client.command(Float64, '/timo_sim/motor_torque')
-    step = client.service(Trigger, '/timo_sim/step')
-    acting = []
-    while not acting:  # a publisher discovers its subscriber before the reverse
-        torque.publish(Float64(data=2.0))
-        end = int(step().message.removeprefix('at step '))
-        client.wait(lambda: states and stamp(states[-1]) == end, 'the state after a step')
-        acting = [state for state in states if state.effort[2] == 2.0]
-    for _ in range(10):
-        end = int(step().message.removeprefix('at step '))
-    client.wait(lambda: stamp(states[-1]) == end, 'the state after a step')
-    assert node.end()[0] == 0
+def test_nohup_closed_streams_and_a_log_in_the_home(start, tmp_path, monkeypatch):
+    def detach():
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        for number in range(3):
+            os.close(number)
 
-    command, = [message for message in read_ros2_messages(str(node.log))
-                if message.channel.topic.endswith('motor_torque')][:1]
-    begin = command.sequence_count
-    assert begin % 20 == 0
-    scene = timo_sim.load_scene({'load.torque.piecewise.time': [begin * 0.001],
-                                 'load.torque.piecewise.value': [2.0]})
-    run = timo_sim.simulate(scene, end * 0.001)
-    for state in states:
-        k = stamp(state)
-        assert state.position.tolist() == run.motion[k, :3].tolist()
-        assert state.effort.tolist() == [0.0, 0.0, 2.0 if k > begin else 0.0]
+    monkeypatch.setenv('HOME', str(tmp_path / 'home'))
+    node = start(preexec_fn=detach, real_time_factor=0.0, duration=20.0,
+                 record_file='~/logs/run.mcap')
+    node.wait_for_handlers()
+    node.send(signal.SIGHUP)
+    assert node.wait()[0] == 0 and not (tmp_path / '~').exists()
+    with open(tmp_path / 'home/logs/run.mcap', 'rb') as stream:
+        last = make_reader(stream, validate_crcs=True).get_summary().statistics.message_end_time
+    assert last == 20 * 10**9
 
 
-def stamp(message):
-    """Return the step of a message."""
-    return message.header.stamp.sec * 1000 + message.header.stamp.nanosec // 1000000
+def test_an_error_of_the_middleware_ends_with_one_line_and_code_1(start, tmp_path, monkeypatch):
+    """Security is on, but keys are missing, or Fast DDS was built without security."""
+    (tmp_path / 'enclaves' / 'timo_sim').mkdir(parents=True)
+    for name, value in (('KEYSTORE', tmp_path), ('ENABLE', 'true'), ('STRATEGY', 'Enforce')):
+        monkeypatch.setenv(f'ROS_SECURITY_{name}', str(value))
+    code, output = start('--enclave', '/timo_sim').wait()
+    assert code == 1 and 'timo_sim: error creating node' in output and 'Traceback' not in output
+
+
+def test_tf_without_its_messages_ends_with_one_line_and_code_2(start, tmp_path, monkeypatch):
+    (tmp_path / 'tf2_msgs.py').write_text(
+        'raise ModuleNotFoundError("not here", name="tf2_msgs")')
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
+    code, output = start(fresh=True, publish_tf=True, record=False).wait()
+    assert code == 2 and 'Traceback' not in output
+    assert ('timo_sim: publish_tf needs tf2_msgs, which is not installed: apt-get install '
+            'ros-jazzy-tf2-msgs\n') in output
+
+
+def test_signals_end_the_process_cleanly(start, tmp_path):
+    """Two signals at any time during and after the start, once Python can handle them."""
+    sent = [(0.0, signal.SIGINT), (0.5, signal.SIGTERM), (1.0, signal.SIGINT),
+            (2.0, signal.SIGTERM), (4.0, signal.SIGINT), (4.0, signal.SIGHUP)]
+    nodes = [start('-r', f'__ns:=/node_{number}', fresh=True,
+                   record_file=str(tmp_path / f'{number}.mcap')) for number in range(len(sent))]
+
+    def end(node, delay_and_signal):
+        delay, number = delay_and_signal
+        node.wait_for_handlers()
+        time.sleep(delay)
+        node.send(number)
+        time.sleep(0.02)
+        return node.end(number)
+    with ThreadPoolExecutor(len(sent)) as executor:
+        ends = [*executor.map(end, nodes, sent)]
+    for node, (code, output) in zip(nodes, ends):
+        assert code == 0 and 'Traceback' not in output, output
+        if node.log.exists():
+            with open(node.log, 'rb') as stream:
+                assert make_reader(stream).get_summary().statistics is not None
+
+
+def test_profiles_of_the_user_are_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, 'environ', {})
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'DEFAULT_FASTRTPS_PROFILES.xml').touch()
+    use_profiles()
+    assert not os.environ
+    (tmp_path / 'DEFAULT_FASTRTPS_PROFILES.xml').unlink()
+    use_profiles()
+    assert os.path.exists(os.environ.pop('FASTRTPS_DEFAULT_PROFILES_FILE')) and os.environ
+    before = dict(os.environ)
+    use_profiles()
+    assert os.environ == before

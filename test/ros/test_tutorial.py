@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Commands of the tutorials on ROS and control; test_pages.py runs those without a node."""
+"""Commands of the tutorials on ROS and control; test_project.py runs those without a node."""
 
 from pathlib import Path
 import re

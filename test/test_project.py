@@ -1,0 +1,445 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The project itself: linters, layers, metadata, builds, and what README.md and doc/ promise."""
+
+import ast
+from decimal import Decimal
+from graphlib import TopologicalSorter
+from html import unescape
+import importlib.util
+import json
+import os
+from pathlib import Path
+from posixpath import dirname, join, normpath
+import re
+import subprocess
+import sys
+import tomllib
+
+from conftest import NEED
+import numpy as np
+import pytest
+import timo_sim
+from timo_sim import extras
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDERS = [folder for folder in ('timo_sim', 'test', 'launch', 'benchmark', 'doc', 'example',
+                                 'setup.py') if (ROOT / folder).exists()]
+_SPEC = importlib.util.spec_from_file_location('tables', ROOT / 'doc' / 'tables.py')
+tables = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(tables)
+PAGES = {str(page.relative_to(ROOT)): page.read_text() for page in tables.PAGES}
+
+
+def python(*arguments, **options):
+    """Run Python; return what it prints."""
+    result = subprocess.run([sys.executable, *arguments], capture_output=True, text=True,
+                            **{'cwd': ROOT, **options})
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
+def test_linters():
+    started = [subprocess.Popen([sys.executable, '-m', *command], cwd=ROOT, text=True,
+                                stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+               for command in (['flake8', *FOLDERS], ['pydocstyle', 'timo_sim', 'launch'],
+                               ['mypy', 'timo_sim'])]
+    told = [process.communicate()[0] for process in started]
+    assert not any(process.returncode for process in started), '\n'.join(told)
+
+
+def test_licences_and_cited_equations():
+    """Headers have the form that ament_copyright requires; it knows no shorter one."""
+    header = (ROOT / 'timo_sim/version.py').read_text().partition('\n\n')[0]
+    assert header.startswith('# Copyright') and 'License, Version 2.0' in header
+    texts = {path: path.read_text()
+             for folder in FOLDERS for path in (ROOT / folder).rglob('*.py')}
+    assert not [path for path, text in texts.items() if not text.startswith(header)]
+    numbers = re.findall(r'\\tag\{(T\d+)\}', PAGES['doc/theory.md'])
+    cited = {path.name: {*re.findall(r'\((T\d+)\)', text)} for path, text in texts.items()
+             if 'timo_sim' in path.parts[len(ROOT.parts):]}
+    assert numbers == [f'T{n + 1}' for n in range(len(numbers))]
+    assert set().union(*cited.values()) <= {*numbers}
+    for formulation in ('exact', 'newton', 'newton_root_stress', 'newton_rigid_axial'):
+        assert cited[f'{formulation}.py']
+
+
+# From the ground up, as doc/design.md lists them: a folder may import from those before it.
+LAYERS = ['version', 'child', 'extras', 'jit', 'physics', 'messages', 'scene', 'simulation',
+          'log', 'view', 'runs', 'replay', 'sweep', 'fitting', 'gym', 'ros', 'cli',
+          '__main__', '__init__']
+MODULES = {'.'.join(path.relative_to(ROOT).with_suffix('').parts).removesuffix('.__init__'): path
+           for path in (ROOT / 'timo_sim').rglob('*.py')}
+
+
+def named_modules(path):
+    """Yield the modules that a file imports anywhere, or names in a string for a later import."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f'{path} has a relative import'
+            for alias in node.names:
+                inside = f'{node.module}.{alias.name}'
+                yield inside if inside in MODULES else node.module
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found = re.fullmatch(r'(timo_sim(?:\.\w+)+)(?::\w+)?', node.value)
+            if found and found[1] in MODULES:
+                yield found[1]
+
+
+def layer(module):
+    """Return the layer of a module."""
+    return module.split('.')[1] if '.' in module else '__init__'
+
+
+def test_imports_point_down():
+    """No cycle among modules or innermost folders; ROS in `ros`, no files in the physics, ..."""
+    names = {name: {*named_modules(path)} for name, path in MODULES.items()}
+    imports = {name: found & MODULES.keys() - {name} for name, found in names.items()}
+    folder = {name: name if path.parent.name == 'timo_sim' else path.parent
+              for name, path in MODULES.items()}
+    folders = {}
+    for name, modules in imports.items():
+        folders.setdefault(folder[name], set()).update(
+            folder[module] for module in modules if folder[module] != folder[name])
+    for graph in imports, folders:
+        TopologicalSorter(graph).prepare()  # raises CycleError
+    assert not [(name, module) for name, modules in imports.items() for module in modules
+                if LAYERS.index(layer(module)) > LAYERS.index(layer(name))]
+
+    outside = {name: {module.split('.')[0] for module in found} for name, found in names.items()}
+
+    def importing(*packages):
+        return {layer(name) for name, modules in outside.items() if modules & {*packages}}
+
+    assert importing('rclpy', 'std_msgs', 'sensor_msgs', 'geometry_msgs') == {'ros'}
+    assert importing('numba', 'llvmlite') == {'jit', 'log'}  # a log notes their versions
+    assert importing('rerun') == {'view', 'cli'}
+    assert not {'physics', 'messages'} & importing('pathlib', 'yaml', 'mcap', 'os')
+    assert not any(layer(module) == 'view' for name, modules in imports.items()
+                   for module in modules if layer(name) == 'ros')
+
+
+def test_what_is_not_needed_is_imported_late():
+    python('-c', """
+import sys, timo_sim
+def without(*names):
+    assert not {*names} & {*sys.modules}, {*names} & {*sys.modules}
+without('numpy', 'numba', 'rclpy')
+import timo_sim.scene.parameters
+without('numba')
+timo_sim.simulate(timo_sim.load_scene({}), 0.01)
+without('rclpy', 'mcap', 'rerun', 'matplotlib', 'pyarrow', 'distributed', 'click',
+        'scipy.integrate')
+timo_sim.simulate_many(timo_sim.load_scene({}), [{}], 0.01, workers=1)
+without('pyarrow', 'distributed', 'click')
+""")
+    python('-c', 'import sys, timo_sim.cli; '
+           'assert not {"numpy", "yaml", "tqdm", "pyarrow"} & {*sys.modules}')
+
+
+PROJECT = tomllib.loads((ROOT / 'pyproject.toml').read_text())['project']
+EXTRAS = PROJECT['optional-dependencies']
+# Distributions by module, where the names differ.
+DISTRIBUTIONS = {'llvmlite': 'numba', 'PIL': 'pillow', 'rerun': 'rerun-sdk',
+                 'rerun_cli': 'rerun-sdk', 'yaml': 'pyyaml'}
+# ROS packages that the node uses where they are installed, as README.md says.
+OPTIONAL_ROS = {'simulation_interfaces'}
+
+
+def requirements(lines):
+    """Return the requirements by lower-case name, without extras of timo_sim itself."""
+    from packaging.requirements import Requirement
+    parsed = [Requirement(line) for line in lines]
+    return {each.name.lower(): each for each in parsed if each.name != 'timo_sim'}
+
+
+def listed(name):
+    """Return the lines of a file of requirements that are no comments."""
+    lines = (ROOT / name).read_text().splitlines()
+    return [line for line in lines if line and not line.startswith('#')]
+
+
+def imported(folder):
+    """Return {third-party module: a file that imports it}, imports in functions included."""
+    found = {}
+    for path in sorted((ROOT / folder).rglob('*.py')):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                names = [node.module]
+            elif (isinstance(node, ast.Call) and 'import' in ast.unparse(node.func)
+                  and node.args and isinstance(node.args[0], ast.Constant)):
+                names = [node.args[0].value]
+            for name in names:
+                found.setdefault(name.split('.')[0], path.relative_to(ROOT))
+    return {name: path for name, path in found.items()
+            if name not in sys.stdlib_module_names and name != 'timo_sim'}
+
+
+@pytest.fixture(scope='module')
+def package():
+    """Return package.xml, the keys that it needs to run, and the rules of rosdep."""
+    from catkin_pkg.package import parse_package
+    package = parse_package(str(ROOT / 'package.xml'))
+    package.validate()
+    return (package, {depend.name for depend in package.exec_depends},
+            yaml.safe_load((ROOT / 'test/data/rosdep_keys.yaml').read_text()))
+
+
+def test_metadata_agree(package):
+    """Of package.xml, pyproject.toml, setup.py, CHANGELOG.md, the lists of versions, a page."""
+    package, run_keys, rosdep = package
+    assert (package.get_build_type(), package.name, package.licenses) == (
+        'ament_python', PROJECT['name'], ['Apache-2.0'])
+    assert package.version == timo_sim.__version__ and 'version' in PROJECT['dynamic']
+    assert f'## {timo_sim.__version__}' in (ROOT / 'CHANGELOG.md').read_text()
+    assert sorted(PROJECT['scripts']) == ['sim_node', 'timo_sim']
+    assert all(target.split(':')[0] in MODULES for target in PROJECT['scripts'].values())
+    # rosdep installs every dependency with apt.
+    assert not [depend.name for kind in ('build', 'build_export', 'buildtool', 'exec', 'test')
+                for depend in getattr(package, f'{kind}_depends')
+                if not rosdep['apt'].get(depend.name) and not rosdep['jazzy'].get(depend.name)]
+    # package.xml and the pip list make up the dependencies.
+    keys = {key.removeprefix('python3-') for key in run_keys & {*rosdep['apt']}}
+    from_apt = {DISTRIBUTIONS.get(key, key) for key in keys}
+    without_key = listed('requirements-pip.txt')
+    assert {*without_key} <= {*PROJECT['dependencies']}
+    assert from_apt.isdisjoint(requirements(without_key))
+    assert from_apt | {*requirements(without_key)} == {*requirements(PROJECT['dependencies'])}
+    assert {*requirements(without_key)} <= {*rosdep['none']}
+    assert 'requirements-pip.txt' in PAGES['README.md']
+    # The page on ros2_control installs what package.xml says.
+    named = {name.replace('-', '_')
+             for name in re.findall(r'ros-jazzy-([\w-]+)', PAGES['doc/ros.md'])}
+    sources = 'ros2_control', 'ros2_controllers', 'topic_based_hardware_interfaces'
+    assert named == {'robot_state_publisher'} | {
+        key for key in run_keys if rosdep['jazzy'].get(key) in sources}
+    # Every version that is asked for is pinned and allowed.
+    optional = [line for extra in ('cluster', 'control', 'pandas', 'plot', 'rl', 'sweep')
+                for line in EXTRAS[extra]]
+    lowest, pinned = (requirements(listed(f'constraints{name}.txt')) for name in ('-lowest', ''))
+    bounded = requirements(PROJECT['dependencies'] + optional)
+    assert {*lowest} == {*bounded}
+    for name, requirement in bounded.items():
+        for constraints in (lowest, pinned):
+            version = str(constraints[name].specifier).removeprefix('==')
+            assert requirement.specifier.contains(version), (name, version)
+
+
+def test_imports_are_declared(package):
+    _, run_keys, rosdep = package
+    declared = {*requirements(PROJECT['dependencies'])}
+    for extra in re.findall(r'\w+', EXTRAS['all'][0].partition('[')[2]):
+        declared |= {*requirements(EXTRAS[extra])}
+    ros = (run_keys & {*rosdep['jazzy']}) | OPTIONAL_ROS
+    modules = imported('timo_sim') | imported('launch')
+    assert modules.keys() >= {'numpy', 'rclpy', 'launch'}
+    undeclared = {module: str(path) for module, path in modules.items()
+                  if module not in ros and DISTRIBUTIONS.get(module, module) not in declared}
+    assert not undeclared
+
+
+def test_tests_that_are_left_out_are_named_and_the_workflow_leaves_out_none():
+    import rclpy  # noqa: F401  # without which there is no node
+    told = python('-c', 'import sys; sys.modules["ros2cli"] = None; import pytest; sys.exit('
+                  'pytest.main(["test/test_project.py", "-klicences", "-pno:xdist", '
+                  '"-pno:cacheprovider"]))')
+    assert re.match(r'1 passed, .*left out for want of .*ros2cli', told.splitlines()[-1]), told
+    ros = (ROOT / '.github/workflows/test.yml').read_text().partition('container: ros:jazzy')[2]
+    assert f"python -c 'import {', '.join(sorted({*NEED.values()}))}'" in ros
+
+
+def test_what_is_missing_is_named_with_the_command_that_installs_it(tmp_path):
+    """Also in Python; extras that are named have the package among their requirements."""
+    code = """
+import sys
+from timo_sim import extras
+class Missing:
+    def find_spec(self, name, *_):
+        if name in extras._EXTRAS:
+            raise ModuleNotFoundError(name=name)
+sys.meta_path.insert(0, Missing())
+import timo_sim
+RECORD = {'time': {'column': 't'}, 'columns': {'s': 'shaft'}}
+run = timo_sim.simulate('paper', 0.1)
+for use in (lambda: run.plot(), lambda: run.view(), lambda: run.to_pandas(),
+            lambda: run.save('run.parquet'), lambda: timo_sim.linearize('paper').to_control(),
+            lambda: timo_sim.read_record('in.parquet', RECORD),
+            lambda: __import__('timo_sim.gym'),
+            lambda: timo_sim.simulate_many('paper', [{}], 0.1, scheduler='tcp://localhost:1')):
+    try:
+        use()
+    except ModuleNotFoundError as error:
+        print(error)
+"""
+    (tmp_path / 'in.parquet').touch()
+    assert python('-W', 'ignore', '-c', code, cwd=tmp_path).splitlines() == [
+        f"{package} is missing: pip install 'timo_sim[{extra}]'" for package, extra in (
+            ('matplotlib', 'plot'), ('rerun_cli', 'view'), ('pandas', 'pandas'),
+            ('pyarrow', 'sweep'), ('control', 'control'), ('pyarrow', 'sweep'),
+            ('gymnasium', 'rl'), ('distributed', 'cluster'))]
+    assert [*tmp_path.iterdir()] == [tmp_path / 'in.parquet']
+    for package, extra in extras._EXTRAS.items():
+        name = DISTRIBUTIONS.get(package, package).replace('_', '-')
+        assert any(name in line for line in EXTRAS[extra]), package
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='elsewhere there is a screen without DISPLAY')
+def test_make_view_without_a_screen_is_an_error_with_one_line_that_make_can_follow():
+    environment = {name: value for name, value in os.environ.items()
+                   if name not in ('DISPLAY', 'WAYLAND_DISPLAY')}
+    make = ['make', '-o', '.venv/.gallery', 'view']  # rerun need not be installed
+    done = subprocess.run(make, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.returncode == 2 and 'make view VIEW=--web' in done.stderr
+    assert done.stderr.count('\n') == 2  # the last is make's own
+    done = subprocess.run([*make, '-n', 'VIEW=--web'], cwd=ROOT, capture_output=True, text=True)
+    assert 'timo_sim view run/paper.mcap --web\n' in done.stdout
+
+
+def test_colcon_builds_and_the_installed_node_runs(installed, tmp_path):
+    import rclpy  # noqa: F401  # without which there is no node
+    prefix, environment = installed
+    share = prefix / 'share' / 'timo_sim'
+    assert (prefix / 'share/ament_index/resource_index/packages/timo_sim').exists()
+    files = [path.relative_to(ROOT) for name in ('config/*.yaml', 'launch/*.launch.py',
+                                                 'urdf/timo_sim.*') for path in ROOT.glob(name)]
+    for path in Path('package.xml'), *files:
+        assert (share / path).read_text() == (ROOT / path).read_text()
+    for path in ROOT.glob('launch/*.py'):
+        assert path.relative_to(ROOT) in files
+        assert 'generate_launch_description' in {
+            node.name for node in ast.parse(path.read_text()).body
+            if isinstance(node, ast.FunctionDef)}
+    scene = share / 'config' / 'paper.yaml'
+    executables = {path.name for path in (prefix / 'lib/timo_sim').iterdir()}
+    assert executables == {'sim_node', 'timo_sim'}
+    result = subprocess.run(
+        [prefix / 'lib/timo_sim/sim_node', '--ros-args', '--params-file', scene, '-p',
+         'duration:=0.5', '-p', 'record_file:=run.mcap'],
+        cwd=tmp_path, capture_output=True, text=True, env=environment)
+    assert result.returncode == 0, result.stderr
+    assert 'simulated 0.5 s' in result.stdout + result.stderr
+    assert (tmp_path / 'run.mcap').stat().st_size > 1000
+    # The program that `ros2 run timo_sim timo_sim` starts, and a scene by its name.
+    for command, words in ((['info', 'run.mcap'], 'sim time  0 to 0.5 s'),
+                           (['simulate', 'spin_up', '--duration', '0.1'], 'no warnings')):
+        told = subprocess.run([prefix / 'lib/timo_sim/timo_sim', *command], cwd=tmp_path,
+                              capture_output=True, text=True, env=environment)
+        assert told.returncode == 0 and words in told.stdout, told.stderr
+
+
+def _anchor(heading):
+    return re.sub(r'[^\w\- ]', '', heading.lstrip('# ').lower()).replace(' ', '-')
+
+
+def test_pages_have_the_tables_of_the_code_and_links_that_lead_somewhere():
+    """`make pages` writes the tables anew."""
+    wrong = []
+    for name, text in PAGES.items():
+        if text.count('<!-- table: ') != text.count('<!-- end -->') or tables.filled(text) != text:
+            wrong.append(f'{name}: a table')
+        for target in re.findall(r'\]\(([^)\s]+)\)', text):
+            path, _, place = target.partition('#')
+            page = (ROOT / name).parent / path if path else ROOT / name
+            if not target.startswith(('http://', 'https://')) and not (
+                    page.exists() and (not place or place in {
+                        _anchor(line) for line in page.read_text().splitlines()
+                        if line.startswith('#')})):
+                wrong.append(f'{name}: {target}')
+    assert not wrong
+    # README.md is short, but for rows of tables, and names every page, as the site's contents do.
+    lines = PAGES['README.md'].splitlines()
+    pages = {name.removeprefix('doc/').removesuffix('.md') for name in PAGES}
+    pages -= {'index', 'api', 'README'}
+    assert len(lines) <= 150
+    assert all(len(line) <= 120 for line in lines if not line.startswith(('|', '![')))
+    assert {*re.findall(r'\(doc/([\w/]+)\.md\)', PAGES['README.md'])} >= pages
+    assert {*re.findall(r'^(?:.*<)?([\w/]+)>?$', PAGES['doc/index.md'], re.MULTILINE)} >= {
+        *pages, 'api'}
+
+
+_NUMBER = re.compile(r'-?\d+(?:\.\d+)?(?:e[-+]\d+)?')
+
+
+@pytest.mark.parametrize('page', [
+    'README.md', 'doc/python.md', 'doc/tutorial/python.md', 'doc/tutorial/control.md'])
+@pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')
+def test_its_python_runs(page, tmp_path, monkeypatch, capsys):
+    """Run all blocks of a page in turn; a block `text` is the output of the one before."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(ROOT / 'example')
+    text, scope = PAGES[page], {}
+    for code, shown in re.findall(
+            r'```python\n(.*?)```(?:\n\n```text\n(.*?)```)?', text, re.DOTALL):
+        exec(compile(code, page, 'exec'), scope)
+        printed = capsys.readouterr().out
+        if shown:
+            assert _NUMBER.sub('', printed) == _NUMBER.sub('', shown)
+            for number, other in zip(_NUMBER.findall(shown), _NUMBER.findall(printed)):
+                # Within a unit of the last digit, because last bits depend on the processor.
+                unit = 10.0**Decimal(number).as_tuple().exponent
+                assert float(other) == pytest.approx(float(number), abs=1.01 * unit)
+    for name in re.findall(r"save(?:fig)?\('(.*?)'\)", text):
+        assert (tmp_path / name).stat().st_size > 0
+
+
+def test_the_notebook_runs():
+    """Run its cells in turn; it is kept without outputs."""
+    import matplotlib.pyplot as plt
+    cells = json.loads((ROOT / 'doc' / 'tutorial' / 'arm.ipynb').read_text())['cells']
+    scope = {}
+    with plt.rc_context({'animation.embed_limit': 0.1}):  # [MB] of frames, for speed
+        for cell in cells:
+            assert not cell.get('outputs')
+            if cell['cell_type'] == 'code':
+                exec(''.join(cell['source']), scope)
+        assert '<img' in scope['animation'].to_jshtml()
+        plt.close('all')
+    modes, xi, slender = scope['modes'], scope['xi'], scope['slender']
+    # Shear and rotary inertia lower the frequencies, the more the shorter the wave.
+    lower = 1.0 - modes.omega / slender
+    assert lower[0] > 0.0 and np.all(np.diff(lower) > 0.0) and lower[-1] < 4e-3
+    assert modes.deflection(xi) == pytest.approx(scope['shapes'], abs=0.01)
+    # The second mode has a thousandth of the deflection.
+    assert scope['decrement'] == pytest.approx(scope['expected'], rel=2e-3)
+    lowest = [run.deflection(10.0)[:, 1].min() for run in (scope['exact'], scope['newton'])]
+    assert lowest[0] == pytest.approx(-0.5738, abs=2e-4) and lowest[1] < -10.0
+
+
+def test_the_site(tmp_path):
+    """`make docs` builds it; a warning, such as a broken link, is an error."""
+    pytest.importorskip('sphinx')
+    python('-m', 'sphinx', '-EqW', '--keep-going', 'doc', str(tmp_path))
+    site = {str(path.relative_to(tmp_path)): unescape(path.read_text())
+            for path in tmp_path.rglob('*.html') if '_static' not in path.parts}
+    sources = {str(path.relative_to(ROOT / 'doc').with_suffix('.html')): path.read_text()
+               for path in (ROOT / 'doc').rglob('*.md')}
+    # Every page is one click from every other, and links between pages are links.
+    for page, text in site.items():
+        linked = {normpath(join(dirname(page), href))
+                  for href in re.findall(r'href="([^"#]+)', text)}
+        assert sources.keys() - {'index.html', page} <= linked, page
+    for page, source in sources.items():
+        there = re.findall(r'<a class="reference internal" href="([^"]+)"><span class="std',
+                           site[page])
+        for name, place in re.findall(r'\]\(([\w/.]+)\.md(#[\w-]+)?\)', source):
+            assert re.sub(r'\.\./README$', 'index', name) + '.html' + place in there, (page, name)
+    for name in {*timo_sim.__all__} - {'__version__'}:
+        assert f'id="timo_sim.{name}"' in site['api.html'], name
+    assert 'ndarray, shape (n,)' in site['api.html']
+    tags = r'\\tag\{(T\d+)\}'
+    assert re.findall(tags, site['theory.html']) == re.findall(tags, PAGES['doc/theory.md'])
+    # Nothing is loaded from the network: MathJax is part of the site.
+    assert not re.findall(r'<(?:script|link|img)[^>]*(?:src|href)="(https?:[^"]*)',
+                          '\n'.join(site.values()))
