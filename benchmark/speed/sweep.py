@@ -99,14 +99,16 @@ def parts(scene, kind):
         jobs = list(jobs_of(scene, DURATION, 960, variations(960, kind == 'bodies differ'), []))
         start = time.perf_counter()
         with clocks(scene=(timo_sim.Scene, 'vary'), modes=(UniformModes, '__init__'),
-                    steps=(LaneSteps, 'advance'), matrices=(LaneSteps, '__init__'), loads=(LaneLoads, 'varying')) as spent:
+                    steps=(LaneSteps, 'advance'), matrices=(LaneSteps, '__init__'),
+                    loads=(LaneLoads, 'varying')) as spent:
             for job in jobs:
                 run_job(job)
         whole = time.perf_counter() - start
     ms = {name: 1e3 * span / 960 for name, span in spent.items()}
     rest = 1e3 * whole / 960 - sum(ms.values()) + ms['modes']
     return (f'scene and tables {ms["scene"]:.2f} ms (modes {ms["modes"]:.2f}), '
-            f'steps {ms["steps"]:.2f}, matrices {ms["matrices"]:.2f}, loads {ms["loads"]:.2f}, rest {rest:.2f}')
+            f'steps {ms["steps"]:.2f}, matrices {ms["matrices"]:.2f}, loads {ms["loads"]:.2f}, '
+            f'rest {rest:.2f}')
 
 
 def by_dask(scene, count, kind, cores):

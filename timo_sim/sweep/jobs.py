@@ -145,7 +145,7 @@ def _fill(table, numbers, kind, runs, duration):
         done = Together(scenes, kind)
         table['reason'][rows] = done.reasons
         table['warning'][rows] = [text or '' for text in done.warnings]
-        numbers[rows] = _summaries(done, kind.count)
+        numbers[rows] = _summaries(done, kind.steps)
     else:
         run = sampled_run(scenes[0], steps_in(duration, scenes[0].step))
         table['warning'][rows] = run.warning or ''

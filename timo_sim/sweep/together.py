@@ -25,7 +25,7 @@ class Kind(NamedTuple):
     """What runs must have in common to be done together."""
 
     step: float   # [s]
-    count: int    # number of steps
+    steps: int    # their number
     sizes: tuple  # of the models
     joints: tuple
 
@@ -84,8 +84,8 @@ class Together:
         self.peak, self.rotation, self.squares = np.zeros((3, len(scenes)))
         self.peak_time = np.zeros(len(scenes))
         self._take(0, self._tips(self._lanes.tip[:, np.newaxis]))
-        for first in range(0, kind.count, CHUNK):
-            self._advance(first, min(CHUNK, kind.count - first))
+        for first in range(0, kind.steps, CHUNK):
+            self._advance(first, min(CHUNK, kind.steps - first))
         self.motion = from_lanes(self._lanes.motion, len(scenes))
         self.deflection = from_lanes(self._lanes.tip, len(scenes))[:, 1]
         self.reasons = [self._reason(number) for number in range(len(scenes))]

@@ -47,6 +47,7 @@ share `M_i0 q_0'` (T31); its acceleration is needed only where the state has rat
 """
 
 from copy import copy
+from functools import cached_property
 import math
 
 import numpy as np
@@ -176,9 +177,10 @@ class Exact(Formulation):
                                        rate.transpose(1, 0, 2), -1])
         return tables, linear
 
-    def _straight_reach(self):
-        # An axial mode moves the tip along the arm.
-        reach, tip = super()._straight_reach(), [self.manipulator.arm.length]
+    @cached_property
+    def reach(self):
+        """Travel of the tip as in other formulations; an axial mode moves it along the arm."""
+        reach, tip = super().reach, [self.manipulator.arm.length]
         if self.axial:
             reach[3:] += np.abs(self.modes.displacement(tip))[0]
         return reach
