@@ -188,7 +188,7 @@ class Run(MotionFields, Tables):
         """
         Return the bending moment in the arm at its root, shape (n,) [N m].
 
-        It follows from the torque balance of the shaft (T46), which converges much faster with
+        It follows from the torque balance of the shaft (T43), which converges much faster with
         the number of modes than the curvature.
 
         Raises

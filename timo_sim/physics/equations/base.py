@@ -138,7 +138,7 @@ class Formulation(Observables):
 
     def effort(self, motions, accelerations, loads):
         """
-        Return the force on the carrier and torque on the shaft that accelerations need (T45).
+        Return the force on the carrier and torque on the shaft that accelerations need (T42).
 
         They include loads on carrier and shaft, friction and constraints. There are n motions,
         accelerations of 3 + N coordinates and loads, of which only those on the tip are used.

@@ -24,7 +24,7 @@ def equilibrium(model, motion, load):
     Return a motion at rest in which nothing accelerates, shape (2 (3 + N),).
 
     Found by following `u' = M^-1 F(u)` of the forces F on shaft and modes in implicit steps that
-    grow (T48), pseudo-transient continuation (C. T. Kelley, D. E. Keyes, SIAM J. Numer. Anal. 35
+    grow (T45), pseudo-transient continuation (C. T. Kelley, D. E. Keyes, SIAM J. Numer. Anal. 35
     (1998) 508-523). It leads from the given motion downhill to an equilibrium that is stable.
 
     Parameters

@@ -215,7 +215,7 @@ class Exact(Formulation):
             (a * turning + cosine * shearing + sine * stretching) @ points.integral], axis=-1)
 
     def _effort(self, motions, accelerations, loads):
-        """Return the rates of momentum and spin less those by loads on the tip (T45)."""
+        """Return the rates of momentum and spin less those by loads on the tip (T42)."""
         half, table, body = self.size // 2, self.tables, self.manipulator
         cosine, sine, a, b = self._slopes(motions[:, 2:half])
         rates, second = motions[:, half + 2:], accelerations[:, 2:]

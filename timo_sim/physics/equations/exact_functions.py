@@ -123,7 +123,7 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
     """
     Write the rates of the mass centre; return x, y of the force on the carrier and of the tip's.
 
-    A carrier that is held in gravity is pushed against it, which bends the arm (T47).
+    A carrier that is held in gravity is pushed against it, which bends the arm (T44).
     """
     axes, half, weight = tables.axes, len(state) // 2, tables.weight
     push_x, push_y = 0.0 - weight[0], 0.0 - weight[1]

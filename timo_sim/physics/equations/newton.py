@@ -157,7 +157,7 @@ class Newton(Formulation):
         return np.concatenate([motion[free], motion[half + free]])
 
     def _effort(self, motions, accelerations, loads):
-        """Return what (T15) and (T16) need, with P(0), V(0) of this formulation (T45)."""
+        """Return what (T15) and (T16) need, with P(0), V(0) of this formulation (T42)."""
         half, laws, theta = self.size // 2, self._laws, motions[:, 2]
         q, omega, qdot = motions[:, 3:half], motions[:, half + 2], motions[:, half + 3:]
         alpha, beta = rotate(-theta, *accelerations[:, :2].T)

@@ -15,7 +15,7 @@ def pick_up(model, motion, mass, inertia):
     """
     Return the motion after a plastic impact with a load at rest, and the energy that is lost.
 
-    The momenta of all free coordinates stay: those of carrier, shaft and modes (T49). The energy
+    The momenta of all free coordinates stay: those of carrier, shaft and modes (T46). The energy
     lost is that of the impact of two bodies, the end effector and the load: forces in the arm are
     finite. Modes take more from the motion, 12 % with five and 1 % with forty in a tested scene;
     that is the energy of the vibrations that they leave out.

@@ -10,7 +10,7 @@
 Dry friction of the joints: of the carrier along world x and y, and of the shaft.
 
 In each step the friction of a joint is a straight line in time, a mean R and a slope R', which is
-added to the load. It is found by trial steps, see doc/theory.md (T41)-(T43): one if all joints
+added to the load. It is found by trial steps, see doc/theory.md (T38)-(T40): one if all joints
 slide through the whole step, a few more if a joint comes to rest, is held or breaks away. No trial
 depends on earlier steps, so that it does not matter how many steps are done at once.
 """

@@ -10,7 +10,7 @@
 Coulomb friction within one step: speeds from event to event in the linear model of the step.
 
 At an event a joint comes to rest. Numbers (T..) are those of doc/theory.md. In the names of its
-(T42) and (T43): r, slope = R, R' and drift, bend = d, e of each joint; mobility, going, cross,
+(T39) and (T40): r, slope = R, R' and drift, bend = d, e of each joint; mobility, going, cross,
 bending = B, B_x, C, B_s; travel = Delta x / h.
 """
 
@@ -58,7 +58,7 @@ def _hold(side, pull, mobility, room, r):
 def _follow(joints, speed, drift, bend, mobility, bending, now, change, room, turn, side, r, mean,
             slope, path):
     """
-    Follow speeds that are parabolas from event to event through a step, (T42).
+    Follow speeds that are parabolas from event to event through a step, (T39).
 
     Sets mean and slope of r over the step, r to its value at the end, and `path`: each joint's
     travel / h if speeds were straight lines between events.
@@ -114,7 +114,7 @@ def same(joints, r, other):
 
 @inlined
 def fit(speed, end, travel, mobility, going, r, slope, drift, bend, cross, bending):
-    """Set the linear model of a step: its matrices, drift and bend without friction (T43)."""
+    """Set the linear model of a step: its matrices, drift and bend without friction (T40)."""
     for i in range(JOINTS):
         drift[i] = end[i] - speed[i]
         bend[i] = 6.0 * (speed[i] + end[i]) - 12.0 * travel[i]
