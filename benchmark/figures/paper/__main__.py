@@ -44,6 +44,7 @@ def main():
     peaks = {name: (1e3 * peak(t, run.deflection(LENGTH)[:, 1]), np.degrees(max(
         peak(t, run.rotation(share * LENGTH)) for share in STATIONS.values())))
         for name, run in runs.items()}
+    missed = 100.0 * (1.0 - np.abs(fem['w_l_m']).max() / peak(t, fem['w_l_m']))
     verdicts = [
         verdict_2, verdict_4,
         ('Fig. 9: tip deflection', 'about 80 mm', f'{peaks["newton"][0]:.2f} mm',
@@ -66,7 +67,7 @@ said otherwise. The finite-element side is a geometrically exact model in exudyn
 An error in per cent is the largest absolute error over 10 s, divided by the largest absolute value
 that the same quantity has at the same section in the finite-element run. The paper does not say
 how it normalises. Peaks are those of cubic splines through samples 10 ms apart, which alone miss
-0.6 % of the largest deflection.
+{missed:.1f} % of the largest deflection.
 
 ## Claims
 
