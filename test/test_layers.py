@@ -21,7 +21,7 @@ import timo_sim
 
 PACKAGE = Path(timo_sim.__file__).parent
 # From the ground up, as doc/design.md lists them: a folder may import from those before it.
-LAYERS = ['version', 'child', 'extras', 'jit', 'physics', 'messages', 'scene', 'simulation',
+LAYERS = ['version', 'extras', 'jit', 'physics', 'messages', 'scene', 'simulation',
           'log', 'view', 'runs', 'replay', 'sweep', 'fitting', 'gym', 'ros', 'cli',
           '__main__', '__init__']
 MODULES = {'.'.join(['timo_sim', *path.relative_to(PACKAGE).with_suffix('').parts])
