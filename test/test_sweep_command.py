@@ -198,7 +198,8 @@ def test_files_that_are_refused_in_a_short_line(write, entries, words):
 
 def test_bad_input_ends_with_one_line_and_code_2(write, tmp_path):
     told = refused(write(grid={'model.modes': [-1]}), tmp_path)
-    assert told.startswith('timo_sim: ') and told.count('\n') == 1 and 'model.modes must be' in told
+    assert told.startswith('timo_sim: ') and told.count('\n') == 1
+    assert 'model.modes must be' in told
 
 
 def test_a_killed_sweep_is_resumed_and_repeats_only_damaged_parts(write, tmp_path):

@@ -96,7 +96,7 @@ class _Worker(SpawnProcess):
         # multiprocessing imports in the new process what is `__main__` here.
         with (_STARTING, _changed(sys.modules, {'__main__': ModuleType('__main__')}),
               _changed(os.environ, _ENVIRONMENT),
-              _changed(multiprocessing.current_process()._config, {'daemon': False})):
+              _changed(vars(multiprocessing.current_process())['_config'], {'daemon': False})):
             super().start()
 
 
@@ -126,5 +126,7 @@ def _start_work(version):
 
 
 def _end_with_parent():
-    multiprocessing.parent_process().join()
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
     os._exit(1)
