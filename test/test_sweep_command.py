@@ -24,10 +24,8 @@ import yaml
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.sweep.jobs import run_job
 from timo_sim.sweep.plan import read_plan
-from timo_sim.sweep.store import Store
-from timo_sim.sweep.workers import cluster_executor
+from timo_sim.sweep.workers import executor_of
 
 # With -P as the installed command: neither has the working directory among its paths.
 COMMAND = [sys.executable, '-P', '-c', 'from timo_sim.cli import main; main(prog_name="timo_sim")']
@@ -50,13 +48,12 @@ def write(tmp_path, paper):
     return write
 
 
-def start(folder, *arguments, first=()):
-    """Start `timo_sim sweep` in a folder; `first` are paths before those of this process."""
+def start(folder, *arguments):
+    """Start `timo_sim sweep` in a folder."""
+    path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
     return subprocess.Popen([*COMMAND, 'sweep', *map(str, arguments)], cwd=folder, text=True,
                             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                            env={**os.environ, 'PYTHONPATH': os.pathsep.join([
-                                *map(str, first),
-                                *(entry or os.getcwd() for entry in sys.path)])})
+                            env={**os.environ, 'PYTHONPATH': path})
 
 
 def end(command):
@@ -74,7 +71,7 @@ def refused(path, folder):
 
 
 def rows(path):
-    """Return a Parquet file's columns by name."""
+    """Return the columns of a Parquet file or folder by name."""
     return parquet.read_table(path).to_pydict()
 
 
@@ -116,7 +113,7 @@ def test_file_in_parquet_out(write, tmp_path):
     for name, column in table.items():
         np.testing.assert_array_equal(column, direct[name])
 
-    schema = parquet.read_schema(tmp_path / 'study.parquet')
+    schema = parquet.read_table(tmp_path / 'study.parquet').schema
     units = {field.name: field.metadata[b'unit'].decode() for field in schema}
     assert units['end_effector.mass'] == 'kg' and units['peak_deflection'] == 'm'
     assert units['peak_rotation'] == 'rad' and b'largest' in schema.field(
@@ -127,19 +124,13 @@ def test_file_in_parquet_out(write, tmp_path):
         'timo_sim: study.parquet exists: remove it or choose another --output\n')
 
 
-@pytest.mark.parametrize('name, text', [
-    ('yaml.py', 'raise SystemExit("foreign code")'),
-    ('timo_sim/__init__.py', 'raise SystemExit("foreign code")'),
-    ('own/sitecustomize.py', 'print("hello", flush=True)')])
-def test_modules_of_the_working_directory_and_prints_at_the_start_of_workers(
-        write, tmp_path, name, text):
-    """The first are not executed; the second go to standard error and disturb nothing."""
+def test_modules_of_the_working_directory_are_not_executed(write, tmp_path):
     path = write(grid={'end_effector.mass': [1.0, 2.0]})
-    (tmp_path / name).parent.mkdir(exist_ok=True)
-    (tmp_path / name).write_text(text)
-    code, output, errors = end(start(tmp_path, path, '--workers', '1', first=[tmp_path / 'own']))
-    assert (code, errors) == (0, 'hello\n' if 'own' in name else '')
-    assert '2 runs in ' in output
+    (tmp_path / 'timo_sim').mkdir()
+    for name in ('yaml.py', 'socket.py', 'timo_sim/__init__.py'):
+        (tmp_path / name).write_text('raise SystemExit("foreign code")')
+    code, output, errors = end(start(tmp_path, path, '--workers', '1'))
+    assert (code, errors) == (0, '') and '2 runs in ' in output
 
 
 def test_the_example_can_be_read_as_it_is_and_with_each_of_its_ways_to_vary(write):
@@ -177,16 +168,14 @@ def test_random_values_fill_their_ranges_and_repeat_with_their_seed(write):
 @pytest.mark.parametrize('entries, words', [
     ({}, 'one of runs, grid, random; got scene, duration, parameters'),
     ({'grid': {'model.modes': [1]}, 'runs': [{}]}, 'one of runs, grid, random'),
-    ({'grids': {}}, "got ['grids']"),
+    ({'grids' * 99: {}}, "got ['gridsgrids"),
     ({'scene': None, 'runs': [{}]}, 'must have a scene'),
     ({'scene': 'none.yaml', 'runs': [{}]}, 'none.yaml'),
-    ({'scene': 3, 'runs': [{}]}, 'scene must be the name of a file, or parameters, got 3'),
-    ({'scene': {'arm.length': -1}, 'runs': [{}]}, 'arm.length must be a finite number > 0 m'),
+    ({'scene': [3] * 99, 'runs': [{}]}, 'scene must be the name of a file, or parameters, got [3'),
     ({'parameters': [1], 'runs': [{}]}, 'parameters must be parameters with values, got [1]'),
-    ({'duration': None, 'runs': [{}]}, 'duration must be a finite number > 0 s, got None'),
     ({'duration': -1.0, 'runs': [{}]}, 'duration must be a finite number > 0 s, got -1.0'),
     ({'duration': 0.125, 'runs': [{}]}, 'the ratio is 12.5'),
-    ({'runs': []}, 'runs must be a list of sets of parameters, got []'),
+    ({'runs': 'all' * 99}, "runs must be a list of sets of parameters, got 'all"),
     ({'runs': [{}, 1]}, 'runs[1] must be parameters with values, got 1'),
     ({'runs': [{'arm.lenght': 1.0}]}, 'arm.lenght = 1.0 is not a parameter of timo_sim (runs[0])'),
     ({'runs': [{'record': True}]}, 'record is a parameter of the node, not of the scene'),
@@ -194,50 +183,35 @@ def test_random_values_fill_their_ranges_and_repeat_with_their_seed(write):
     ({'grid': {'model.modes': [3, 41]}}, 'model.modes must be a whole number >= 0 and <= 40'),
     ({'random': {'seed': 1}}, "random must have seed, count and ranges, got ['seed']"),
     ({'random': {**RANDOM, 'count': 0}}, 'random: count must be a whole number >= 1, got 0'),
-    ({'random': {**RANDOM, 'seed': -1}}, 'random: seed must be a whole number >= 0, got -1'),
     ({'random': {**RANDOM, 'ranges': {'end_effector.mass': [5.0, 0.5]}}}, 'in ascending order'),
-    ({'random': {**RANDOM, 'ranges': {'end_effector.mass': [5.0]}}}, 'a lower and an upper end'),
+    ({'random': {**RANDOM, 'ranges': {'arm.length': [1.0] * 99}}}, 'a lower and an upper end'),
     ({'random': {**RANDOM, 'ranges': {'model.modes': [1.5, 3]}}}, 'model.modes must be a whole'),
 ])
-def test_files_that_are_refused(write, entries, words):
-    with pytest.raises((timo_sim.ParameterError, FileNotFoundError)) as caught:
-        read_plan(write(**entries))
-    assert words in str(caught.value) and 'yaml' in str(caught.value)
-
-
-@pytest.mark.parametrize('entries', [
-    {'grids' * 99: {}}, {'scene': [3] * 99, 'runs': [{}]}, {'parameters': [1] * 99, 'runs': [{}]},
-    {'runs': 'all' * 99}, {'grid': {'model.modes': 'all' * 99}}, {'grid': {'a' * 300: 3}},
-    {'random': {'seed' * 99: 1}}, {'random': {**RANDOM, 'ranges': {'arm.length': [1.0] * 99}}},
-    {'random': {**RANDOM, 'ranges': {'load.force_x.values': [[2.0] * 99, [1.0] * 99]}}}])
-def test_refusals_show_a_long_value_in_part(write, entries):
+def test_files_that_are_refused_in_a_short_line(write, entries, words):
     path = write(**entries)
-    with pytest.raises(timo_sim.ParameterError) as caught:
+    with pytest.raises((timo_sim.ParameterError, FileNotFoundError)) as caught:
         read_plan(path)
-    told = str(caught.value).removesuffix(f' ({path})')
-    assert len(told) < 200 and '\n' not in told
+    told = str(caught.value)
+    assert words in told and 'yaml' in told
+    assert len(told.removesuffix(f' ({path})')) < 250 and '\n' not in told
 
 
 def test_bad_input_ends_with_one_line_and_code_2(write, tmp_path):
-    (tmp_path / 'broken.yaml').write_text('scene: [')
-    for path, words in ((write(grid={'model.modes': [-1]}), 'model.modes must be'),
-                        (tmp_path / 'broken.yaml', 'broken.yaml is not a YAML file')):
-        told = refused(path, tmp_path)
-        assert told.startswith('timo_sim: ') and told.count('\n') == 1 and words in told
-    code, _, errors = end(start(tmp_path, 'nowhere.yaml'))
-    assert code == 2 and "'nowhere.yaml' does not exist" in errors
+    told = refused(write(grid={'model.modes': [-1]}), tmp_path)
+    assert told.startswith('timo_sim: ') and told.count('\n') == 1
+    assert 'model.modes must be' in told
 
 
-def test_a_killed_sweep_is_resumed_and_repeats_no_part(write, tmp_path):
+def test_a_killed_sweep_is_resumed_and_repeats_only_damaged_parts(write, tmp_path):
     path = write(random=RANDOM, duration=10.0)
     sweep = start(tmp_path, path, '--workers', '2')
     wait_for_parts(tmp_path, 4)
     workers = [int(pid) for task in Path(f'/proc/{sweep.pid}/task').iterdir()
                for pid in (task / 'children').read_text().split()]
     sweep.send_signal(signal.SIGKILL)
-    assert end(sweep)[0] == -signal.SIGKILL and len(workers) == 2
+    assert end(sweep)[0] == -signal.SIGKILL and len(workers) >= 2
     parts = wait_for_parts(tmp_path, 4)
-    assert len(parts) < 32 and not (tmp_path / 'study.parquet').exists()
+    assert len(parts) < 12 and not (tmp_path / 'study.parquet').exists()
     for _ in range(round(PATIENCE / 0.01)):  # workers end with their parent
         if not any(Path(f'/proc/{pid}').exists() for pid in workers):
             break
@@ -249,10 +223,14 @@ def test_a_killed_sweep_is_resumed_and_repeats_no_part(write, tmp_path):
     column = known.schema.get_field_index('warning')
     parquet.write_table(known.set_column(column, known.schema.field(column),
                                          [['seen'] * len(known)]), parts[1])
-    parts[1].with_suffix('.sha256').unlink()
+    parts[0].write_bytes(parts[0].read_bytes()[:-10])
+    parts[2].write_bytes(b'')
+    (parts[0].parent / '.timo_sim_killed').mkdir()
     # Another sweep must not use these parts.
+    parts[3].rename(parts[0])
     assert 'study.parquet.parts belongs to another sweep' in refused(
         write(random=RANDOM, duration=5.0), tmp_path)
+    parts[0].unlink()
 
     assert end(start(tmp_path, write(random=RANDOM, duration=10.0)))[0] == 0
     table, direct = rows(tmp_path / 'study.parquet'), many(path)
@@ -260,6 +238,7 @@ def test_a_killed_sweep_is_resumed_and_repeats_no_part(write, tmp_path):
     assert seen == known['run'].to_pylist()
     table['warning'] = direct['warning']
     assert table == direct
+    assert {part.suffix for part in (tmp_path / 'study.parquet').iterdir()} == {'.parquet'}
 
 
 def test_a_second_sweep_at_the_same_time_is_refused(write, tmp_path):
@@ -280,71 +259,6 @@ def test_a_second_sweep_at_the_same_time_is_refused(write, tmp_path):
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ['study.parquet', 'study.yaml']
 
 
-def test_the_parts_are_free_after_a_sweep_however_it_ended(write, tmp_path):
-    plan = read_plan(write(random=RANDOM))
-    output = tmp_path / 'study.parquet'
-    with Store(output, plan):
-        with pytest.raises(timo_sim.ParameterError, match='another sweep is running'):
-            Store(output, plan)
-    other = read_plan(write(random={**RANDOM, 'seed': 8}))
-    with pytest.raises(timo_sim.ParameterError, match='belongs to another sweep'):
-        Store(output, other)
-    # A kill, or a full disk, may leave an incomplete mark.
-    mark = tmp_path / 'study.parquet.parts' / 'sweep'
-    mark.write_bytes(mark.read_bytes()[:9])
-    with Store(output, plan):
-        assert mark.read_text() == plan.fingerprint
-
-
-def _flip_footer(part):
-    content = bytearray(part.read_bytes())
-    content[-200] ^= 1
-    part.write_bytes(content)
-
-
-def _cut(part):
-    part.write_bytes(part.read_bytes()[:-10])
-
-
-def _flip(part):
-    content = bytearray(part.read_bytes())
-    content[50] ^= 1  # in the first page
-    part.write_bytes(content)
-
-
-def _other_runs(part):
-    part.write_bytes(part.with_name('000000000001.parquet').read_bytes())
-    part.with_suffix('.sha256').unlink()
-
-
-def _other_columns(part):
-    parquet.write_table(parquet.read_table(part).drop_columns('reason'), part)
-    part.with_suffix('.sha256').unlink()
-
-
-@pytest.mark.parametrize('damage', [
-    _cut, _flip, _flip_footer, lambda part: part.write_bytes(b''),
-    lambda part: part.write_bytes(bytes(1000)), _other_runs, _other_columns],
-    ids=['cut', 'one bit', 'one bit of the footer', 'empty', 'zeros', 'of other runs',
-         'of other columns'])
-def test_a_damaged_part_is_computed_again(write, tmp_path, damage):
-    plan = read_plan(write(random={**RANDOM, 'count': 2}))
-    jobs = [*plan.jobs()]
-    with Store(tmp_path / 'study.parquet', plan) as store:
-        for job in jobs:
-            store.add(job, run_job(job))
-    part, _ = sorted((tmp_path / 'study.parquet.parts').glob('*.parquet'))
-    intact = part.read_bytes()
-    damage(part)
-    (part.parent / 'stranger.parquet').write_bytes(b'of nobody')
-
-    again = Store(tmp_path / 'study.parquet', plan)
-    assert [again.has(job) for job in jobs] == [False, True]
-    part.write_bytes(intact)
-    assert again.has(jobs[0]) and again.finish() == (0, 0)
-    assert parquet.read_table(tmp_path / 'study.parquet')['run'].to_pylist() == [0, 1]
-
-
 def test_on_a_cluster_a_killed_worker_loses_and_repeats_nothing(write, tmp_path):
     from distributed import Client, LocalCluster
     path = write(random=RANDOM, duration=10.0)
@@ -359,7 +273,7 @@ def test_on_a_cluster_a_killed_worker_loses_and_repeats_nothing(write, tmp_path)
         with Client(cluster) as client:
             client.run(lambda: setattr(__import__('timo_sim'), '__version__', '0'))
         with pytest.raises(ConnectionError, match='worker .* must have timo_sim .*, got 0'):
-            with cluster_executor(cluster.scheduler_address):
+            with executor_of(scheduler=cluster.scheduler_address):
                 pass
     assert code == 0 and output.startswith('96 runs in ')
     assert rows(tmp_path / 'study.parquet') == many(path)
@@ -369,5 +283,5 @@ def test_no_scheduler_is_one_line_and_code_1(write, tmp_path):
     import dask
     with dask.config.set({'distributed.comm.timeouts.connect': '0.3s'}):
         with pytest.raises(ConnectionError, match='no Dask scheduler at tcp://127.0.0.1:1'):
-            with cluster_executor('tcp://127.0.0.1:1'):
+            with executor_of(scheduler='tcp://127.0.0.1:1'):
                 pass

@@ -6,14 +6,13 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Faults that rewritten logs, machine code and parts of a sweep must survive; see log.py."""
+"""Faults that rewritten logs, machine code and sweeps must survive; see log.py."""
 
 from collections import Counter
 import os
 import subprocess
 import sys
 
-from benchmark import ROOT
 from benchmark.stress import shared
 from benchmark.stress.tally import ensure, small_disk, Tally
 from oracles import log_judge, rewritten_logs
@@ -90,29 +89,6 @@ def runs_without_a_cache(folder):
     return tally.row('the same result to the last bit')
 
 
-def sweep_parts(folder, count, generator):
-    """Damage the parts of a sweep."""
-    from timo_sim.sweep.jobs import run_job
-    from timo_sim.sweep.plan import read_plan
-    from timo_sim.sweep.store import Store
-    tally, plan = Tally('part of a sweep flipped, cut, replaced'), read_plan(
-        ROOT / 'config' / 'sweep.yaml')
-    store = Store(folder / 'sweep.parquet', plan)
-    job = next(plan.jobs())
-    store.add(job, run_job(job))
-    part, = (folder / 'sweep.parquet.parts').glob('*.parquet')
-    intact, expected = part.read_bytes(), store._read(part)
-    for number in range(count):
-        content = bytearray(intact)
-        place = generator.randrange(len(content))
-        content[place] ^= 1 << generator.randrange(8)
-        part.write_bytes([content, content[:place], os.urandom(place)][number % 3])
-        with tally.trial(f'byte {place}, kind {number % 3}'):
-            # Damage to bytes without a checksum may stay in the file, but not reach the table.
-            ensure(not store.has(job) or store._read(part).equals(expected), 'it is taken')
-    return tally.row('done again')
-
-
 def rewritten(folder, pairs, generator):
     """Write a log again as other tools may, also in two ways at once; try commands on each."""
     tally, seen = Tally('rewritten and foreign logs'), Counter()
@@ -138,5 +114,4 @@ def rows(folder, quick, generator):
     if not quick:
         yield runs_without_a_cache(folder)
     yield shared.hostile_caches(folder)
-    yield sweep_parts(folder, 60 if quick else 1000, generator)
     yield shared.sweeps_at_once(folder, 2 if quick else 10, generator)

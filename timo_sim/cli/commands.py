@@ -294,8 +294,8 @@ def simulate(scene, duration, settings, output, rate, estimate, view, png):
 
 @main.command()
 @click.argument('file', type=click.Path(exists=True, dir_okay=False))
-@click.option('--output', '-o', type=click.Path(dir_okay=False),
-              help='Parquet file; by default named after FILE, in the working directory.')
+@click.option('--output', '-o', type=click.Path(),
+              help='Parquet folder; by default named after FILE, in the working directory.')
 @click.option('--workers', type=click.IntRange(min=1), help='Processes; by default one a core.')
 @click.option('--scheduler', metavar='ADDRESS',
               help='Use workers of this Dask scheduler instead of processes of this machine.')

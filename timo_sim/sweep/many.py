@@ -10,6 +10,7 @@
 
 from collections import deque
 from collections.abc import Iterable, Mapping
+import pickle
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,7 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
         If the duration does not fit the step of the scene, there are no variations, one of them
         cannot be sent to a process, or `workers` is less than 1.
     ConnectionError
-        If the scheduler cannot be reached, or workers die repeatedly over the same runs.
+        If the scheduler cannot be reached, or a worker process is killed.
 
     Examples
     --------
@@ -80,25 +81,30 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     variations = list(variations)
     if not variations:
         raise ParameterError('variations must have at least one element, got none')
+    try:
+        pickle.dumps(variations)
+    except (AttributeError, TypeError, pickle.PicklingError) as error:
+        raise ParameterError(f'variations must be picklable: {error}') from None
     # In order of appearance. An unknown name has no column; the `reason` of its row names it.
     names = [name for name in {name: None for each in variations for name in flatten(each)}
              if name in PARAMETERS and PARAMETERS[name].scope == SCENE]
     jobs = jobs_of(load_scene(scene), duration, len(variations), variations, names)
-    with executor_of(workers, scheduler) as executor:
-        tables = [table for _, table in done(executor, jobs)]
+    with executor_of(workers, scheduler) as (executor, width):
+        tables = [table for _, table in done(executor, width, jobs)]
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
-def done(executor, jobs):
+def done(executor, width, jobs):
     """
     Yield each job with its table, in order.
 
-    About three jobs for each worker are pending: all are busy, and memory stays bounded.
+    About three jobs for each of `width` workers are pending: all are busy, and memory stays
+    bounded.
     """
     pending = deque()
     for job in jobs:
         pending.append((job, executor.submit(run_job, job)))
-        if len(pending) > 3 * executor.width:
+        if len(pending) > 3 * width:
             first, future = pending.popleft()
             yield first, future.result()
     for first, future in pending:

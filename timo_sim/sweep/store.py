@@ -7,25 +7,24 @@
 # language governing permissions and limitations under the License.
 
 """
-Do the sweep of a file: write a part for each job, and join all parts to a Parquet file.
+Do the sweep of a file: a Parquet folder with a part for each job.
 
-A part appears under its name only when it is whole. A sweep that was killed goes on with the parts
-that are missing; each job is in the result once.
+The folder gets its name when all parts are there. A sweep that was killed goes on with the parts
+that are missing.
 """
 
-from contextlib import ExitStack
+from contextlib import contextmanager
 import fcntl
-import hashlib
+import os
 from pathlib import Path
 import shutil
 import time
-import uuid
 
-import numpy as np
 import pyarrow
-from pyarrow import compute, parquet
+from pyarrow import parquet
 from tqdm import tqdm
 
+from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameter import ParameterError
 from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.sweep.jobs import SUMMARY
@@ -35,7 +34,6 @@ from timo_sim.sweep.workers import executor_of
 
 _TYPES = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(),
           str: pyarrow.string(), tuple: pyarrow.list_(pyarrow.float64())}
-_ROW_GROUP = 64  # parts
 
 
 def run_sweep(file, output=None, workers=None, scheduler=None):
@@ -47,181 +45,95 @@ def run_sweep(file, output=None, workers=None, scheduler=None):
     file : str
         See config/sweep.yaml.
     output : str, optional
-        Parquet file; by default named after `file`, in the working directory.
+        Parquet folder; by default named after `file`, in the working directory.
     workers, scheduler
         As for `simulate_many`.
 
     Raises
     ------
     ParameterError, OSError
-        As `read_plan` and `Store`.
+        As `read_plan`, or if the output exists, or its parts belong to another sweep or are in
+        use by a running one.
     ConnectionError
         As `simulate_many`.
 
     """
     plan = read_plan(file)
-    output = output or Path(file).with_suffix('.parquet').name
-    start = time.monotonic()
-    with Store(output, plan) as store:
-        _do(plan, store, workers, scheduler)
-        failed, warned = store.finish()
+    output = Path(output or Path(file).with_suffix('.parquet').name)
+    start, schema = time.monotonic(), schema_of(plan)
+    with parts_of(output) as parts:
+        with executor_of(workers, scheduler) as (executor, width), tqdm(
+                total=plan.count, unit='run', disable=None) as bar:
+
+            def missing():
+                for job in plan.jobs():
+                    if has_part(parts, job, schema):
+                        bar.update(len(job.variations))
+                    else:
+                        yield job
+
+            for job, table in done(executor, width, missing()):
+                add_part(parts, job, table, schema)
+                bar.update(len(job.variations))
+        for unfinished in parts.glob('.*'):  # a part that a killed process was writing
+            shutil.rmtree(unfinished)
+        parts.rename(output)
+    texts = parquet.read_table(output, columns=['reason', 'warning']).to_pydict()
+    failed, warned = (sum(map(bool, texts[name])) for name in ('reason', 'warning'))
     print(f'{plan.count} runs in {time.monotonic() - start:.1f} s, {failed} failed, '
           f'{warned} with a warning: {output}')
 
 
-def _do(plan, store, workers, scheduler):
-    with executor_of(workers, scheduler) as executor, tqdm(
-            total=plan.count, unit='run', disable=None) as bar:
-
-        def missing():
-            for job in plan.jobs():
-                if store.has(job):
-                    bar.update(len(job.variations))
-                else:
-                    yield job
-
-        for job, table in done(executor, missing()):
-            store.add(job, table)
-            bar.update(len(job.variations))
-
-
-class Store:
-    """
-    The parts of a sweep on disk, and the file they are joined to; locked until it is closed.
-
-    Parameters
-    ----------
-    output : str or Path
-        The file; its parts are in a folder beside it.
-    plan : Plan
-
-    Raises
-    ------
-    ParameterError
-        If the file exists, or the parts belong to another sweep, or are in use by a running one.
-
-    """
-
-    def __init__(self, output, plan):
-        self._output, self._count = Path(output), plan.count
-        self._parts = self._output.with_name(self._output.name + '.parts')
-        self._schema = _schema(plan)
-        self._found = []  # parts that are whole
-        self._refuse_output()
-        self._parts.mkdir(parents=True, exist_ok=True)
-        with ExitStack() as stack:
-            self._lock = stack.enter_context(open(self._parts / 'sweep', 'a+b', buffering=0))
-            self._claim(plan.fingerprint.encode())
-            self._refuse_output()  # a sweep that has just ended may have written it
-            stack.pop_all()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self._lock.close()
-
-    def _refuse_output(self):
-        if self._output.exists():
-            raise ParameterError(f'{self._output} exists: remove it or choose another --output')
-
-    def _claim(self, fingerprint):
-        """Lock the parts for this process and its sweep, or raise ParameterError."""
+@contextmanager
+def parts_of(output):
+    """Yield the folder of the parts of an output, which no other process has meanwhile."""
+    parts = output.with_name(output.name + '.parts')
+    _refuse(output)
+    parts.mkdir(parents=True, exist_ok=True)
+    lock = os.open(parts, os.O_RDONLY)
+    try:
         try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise ParameterError(f'another sweep is running with {self._parts}: wait for its end '
-                                 'or choose another --output') from None
+            raise ParameterError(f'another sweep is running with {parts}: wait for its end or '
+                                 'choose another --output') from None
         except OSError:  # a file system without locks
             pass
-        self._lock.seek(0)
-        found = self._lock.read()
-        if not fingerprint.startswith(found):  # a killed process may have written a part of it
-            raise ParameterError(f'{self._parts} belongs to another sweep: remove it or choose '
-                                 'another --output')
-        self._lock.write(fingerprint[len(found):])
-
-    def has(self, job):
-        """Return whether the part of a job exists and is complete."""
-        path = self._part(job.first)
-        try:
-            checksum = _checksum_of(path)
-            if checksum.exists() and checksum.read_bytes() != _digest(path):
-                return False
-            part = self._read(path)
-        except (OSError, ValueError, pyarrow.ArrowException):
-            return False
-        whole = part.schema == self._schema and part['run'].to_pylist() == [
-            *range(job.first, job.first + len(job.variations))]
-        if whole:
-            self._found.append(path)
-        return whole
-
-    def add(self, job, table):
-        """Write the part of a job."""
-        part, path = pyarrow.table(table, schema=self._schema), self._part(job.first)
-        self._write_whole(
-            path, lambda file: parquet.write_table(part, file, write_page_checksum=True))
-        # Parquet's checksums do not cover its metadata.
-        self._write_whole(_checksum_of(path), lambda file: file.write_bytes(_digest(path)))
-        self._found.append(path)
-
-    def finish(self):
-        """
-        Join the parts.
-
-        Returns
-        -------
-        tuple of int
-            How many runs failed, and how many have a warning.
-
-        """
-        parts, runs, counts = sorted(self._found), 0, {'reason': 0, 'warning': 0}
-
-        def join(path):
-            nonlocal runs
-            with parquet.ParquetWriter(path, self._schema) as writer:
-                for first in range(0, len(parts), _ROW_GROUP):
-                    table = pyarrow.concat_tables(
-                        self._read(part) for part in parts[first:first + _ROW_GROUP])
-                    expected = np.arange(runs, runs + len(table))
-                    if not np.array_equal(table['run'].to_numpy(), expected):
-                        raise RuntimeError(f'{self._parts}: runs from {runs} on are not complete')
-                    for name in counts:
-                        counts[name] += compute.sum(compute.not_equal(table[name], '')).as_py()
-                    runs += len(table)
-                    writer.write_table(table)
-            if runs != self._count:
-                raise RuntimeError(f'{self._parts}: {runs} of {self._count} runs')
-
-        self._write_whole(self._output, join)
-        shutil.rmtree(self._parts, ignore_errors=True)  # another process may be opening them
-        return tuple(counts.values())
-
-    def _write_whole(self, path, write):
-        unfinished = self._parts / uuid.uuid4().hex
-        write(unfinished)
-        unfinished.replace(path)
-
-    @staticmethod
-    def _read(part):
-        # Not `read_table`, which would read a folder of this name as a table in pieces.
-        with parquet.ParquetFile(part, page_checksum_verification=True) as file:
-            return file.read()
-
-    def _part(self, first):
-        return self._parts / f'{first:012d}.parquet'
+        _refuse(output)  # a sweep that has just ended may have made it
+        yield parts
+    finally:
+        os.close(lock)
 
 
-def _checksum_of(part):
-    return part.with_suffix('.sha256')
+def _refuse(output):
+    if output.exists():
+        raise ParameterError(f'{output} exists: remove it or choose another --output')
 
 
-def _digest(part):
-    return hashlib.sha256(part.read_bytes()).digest()
+def has_part(parts, job, schema):
+    """Return whether the part of a job exists; raise ParameterError if it is of another sweep."""
+    try:
+        found = parquet.read_schema(_path(parts, job))
+    except (OSError, pyarrow.ArrowException):  # missing, or damaged: done again
+        return False
+    if found.metadata != schema.metadata:
+        raise ParameterError(f'{parts} belongs to another sweep: remove it or choose another '
+                             '--output')
+    return True
 
 
-def _schema(plan):
+def add_part(parts, job, table, schema):
+    """Write the table of a job."""
+    with whole_file(_path(parts, job)) as path:
+        parquet.write_table(pyarrow.table(table, schema), path)
+
+
+def _path(parts, job):
+    return parts / f'{job.first:012d}.parquet'
+
+
+def schema_of(plan):
+    """Return the columns of a sweep, with units and meanings; its metadata identify the sweep."""
     fields = [_field('run', pyarrow.int64(), '', 'number of the run, from 0')]
     for name in plan.names:
         parameter = PARAMETERS[name]
@@ -231,7 +143,7 @@ def _schema(plan):
                for column in SUMMARY]
     fields += [_field('warning', pyarrow.string(), '', 'why not to trust the run, or empty'),
                _field('reason', pyarrow.string(), '', 'why the run failed, or empty')]
-    return pyarrow.schema(fields, {'duration': f'{plan.duration!r} s',
+    return pyarrow.schema(fields, {'duration': f'{plan.duration!r} s', 'sweep': plan.fingerprint,
                                    'scene': repr(plan.scene.values)})
 
 

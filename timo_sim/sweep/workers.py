@@ -8,39 +8,63 @@
 
 """Executors for a sweep: processes of this machine, or a Dask cluster."""
 
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+import multiprocessing
+from multiprocessing.context import SpawnContext, SpawnProcess
 import os
-import pickle
 import signal
-import socket
-import subprocess
+import sys
 import threading
+from types import ModuleType
 
-from timo_sim.child import start_python
 from timo_sim.extras import optional
-from timo_sim.scene.parameter import Parameter, ParameterError
+from timo_sim.scene.parameter import Parameter
 from timo_sim.version import __version__
 
-_ATTEMPTS = 3  # a call fails when so many processes have died over it
-_WIDTH = Parameter('workers', 1, '', 'processes', low=1)
-_ONE_THREAD = dict.fromkeys(('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'), '1')
-
-
-def executor_of(workers=None, scheduler=None):
-    """Return an executor, a context manager; it does `width` calls at a time."""
-    return LocalExecutor(workers) if scheduler is None else cluster_executor(scheduler)
+_WORKERS = Parameter('workers', 1, '', 'processes', low=1)
+_ENVIRONMENT = {'PYTHONSAFEPATH': '1', 'OPENBLAS_NUM_THREADS': '1', 'OMP_NUM_THREADS': '1',
+                'MKL_NUM_THREADS': '1'}
+_STARTING = threading.Lock()
 
 
 @contextmanager
-def cluster_executor(address):
+def executor_of(workers=None, scheduler=None):
     """
-    Yield an executor of the Dask scheduler at an address, such as `tcp://host:8786`.
+    Yield an executor and how many calls it does at a time.
 
-    If a worker dies, the scheduler repeats its calls and computes lost results again; one call
-    gives one result. Raises ConnectionError if the scheduler cannot be reached, or a worker has
-    another version of this package.
+    Parameters
+    ----------
+    workers : int, optional
+        Number of processes; by default the number of cores that this process may use.
+    scheduler : str, optional
+        Address of a Dask scheduler, such as `tcp://host:8786`, whose workers are used instead.
+
+    Raises
+    ------
+    ConnectionError
+        If a worker process ends early, the scheduler cannot be reached, or a worker of Dask has
+        another version of this package.
+
     """
+    if scheduler is not None:
+        with _client(scheduler) as client:
+            yield client.get_executor(pure=False), max(1, sum(client.nthreads().values()))
+        return
+    count = len(os.sched_getaffinity(0)) if workers is None else _WORKERS.check(workers)
+    executor = ProcessPoolExecutor(count, _Context(), _start_work, (__version__,))
+    try:
+        yield executor, count
+    except BrokenProcessPool:
+        raise ConnectionError('a worker process was killed or could not start; the system kills '
+                              'processes when memory is short (try fewer workers)') from None
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _client(address):
     with optional():
         from distributed import Client
         from distributed.comm import get_address_host_port
@@ -56,106 +80,53 @@ def cluster_executor(address):
             if version != __version__:
                 raise ConnectionError(f'the Dask worker {worker} must have timo_sim {__version__}'
                                       f', got {version}')
-        executor = client.get_executor(pure=False)
-        executor.width = max(1, sum(client.nthreads().values()))
-        try:
-            yield executor
-        finally:
-            executor.shutdown(wait=False)
+        yield client
 
 
-class LocalExecutor:
+class _Worker(SpawnProcess):
     """
-    An executor with a thread for each worker process, which sends it calls and waits for results.
+    A process that runs neither the caller's script nor modules of the working directory.
 
-    The processes are not those of `multiprocessing`: the caller's script needs no
-    `if __name__ == '__main__'`, each process has one BLAS thread from the start, and the call of a
-    process that is killed is repeated.
-
-    Parameters
-    ----------
-    width : int, optional
-        Number of processes; by default the number of cores that this process may use.
-
+    A script therefore needs no `if __name__ == '__main__'`. The process has one BLAS thread. It
+    may be started by a daemonic process, such as a worker of Dask.
     """
 
-    def __init__(self, width=None):
-        self.width = len(os.sched_getaffinity(0)) if width is None else _WIDTH.check(width)
-        self._threads = ThreadPoolExecutor(self.width, 'sweep')
-        self._own = threading.local()
-        self._workers = []  # processes, each with the file that calls and answers go through
-        self._closing = False
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self._closing = True
-        self._threads.shutdown(wait=False, cancel_futures=True)
-        self._kill()
-        self._threads.shutdown()
-        self._kill()  # one that was just being started
-        for child, channel in self._workers:
-            child.wait()
-            with suppress(BrokenPipeError):
-                channel.close()
-
-    def _kill(self):
-        for child, _ in self._workers:
-            child.kill()
-
-    def submit(self, function, *arguments):
-        """Return the future of a call; raise ParameterError if the call cannot be pickled."""
-        try:
-            call = pickle.dumps((function, arguments))
-        except (AttributeError, TypeError, pickle.PicklingError) as error:
-            raise ParameterError(f'calls of worker processes must be picklable: {error}') from None
-        return self._threads.submit(self._call, call)
-
-    def _call(self, call):
-        for _ in range(_ATTEMPTS):
-            child, channel = getattr(self._own, 'worker', None) or self._start()
-            try:
-                channel.write(call)
-                channel.flush()
-                result, error = pickle.load(channel)
-            except (EOFError, ConnectionError, pickle.UnpicklingError):
-                self._own.worker = None
-                if self._closing:
-                    break
-                continue
-            if error is not None:
-                raise error
-            return result
-        raise ConnectionError(f'worker processes ended {_ATTEMPTS} times over the same runs, the '
-                              f'last with code {child.wait()}')
-
-    def _start(self):
-        # Not its standard streams: anything that is imported may print to them.
-        ours, theirs = socket.socketpair()
-        with ours, theirs:
-            number = theirs.fileno()
-            child = start_python(f'from {__name__} import serve; serve({number})',
-                                 env=_ONE_THREAD, pass_fds=[number], stdin=subprocess.DEVNULL,
-                                 stdout=2)  # what it prints goes to standard error
-            self._own.worker = child, ours.makefile('rwb')
-        self._workers.append(self._own.worker)
-        return self._own.worker
+    def start(self):
+        """Start the process."""
+        # multiprocessing imports in the new process what is `__main__` here.
+        with (_STARTING, _changed(sys.modules, {'__main__': ModuleType('__main__')}),
+              _changed(os.environ, _ENVIRONMENT),
+              _changed(vars(multiprocessing.current_process())['_config'], {'daemon': False})):
+            super().start()
 
 
-def serve(number):
-    """Answer calls from the socket with this file descriptor until it ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it, too, and ends this process
-    with socket.socket(fileno=number) as connection, connection.makefile('rwb') as channel:
-        while True:
-            try:
-                function, arguments = pickle.load(channel)
-            except (EOFError, ConnectionError):
-                return
-            result, error = None, None
-            try:
-                result = function(*arguments)
-            except Exception as raised:  # the caller raises it again
-                error = raised
-            pickle.dump((result, error), channel)
-            channel.flush()
+class _Context(SpawnContext):
+    Process = _Worker
+
+
+@contextmanager
+def _changed(mapping, values):
+    before = {key: mapping[key] for key in values if key in mapping}
+    mapping.update(values)
+    try:
+        yield
+    finally:
+        mapping.update(before)
+        for key in values.keys() - before.keys():
+            del mapping[key]
+
+
+def _start_work(version):
+    """Prepare a worker process: it ends with its parent, and at once if it is interrupted."""
+    if version != __version__:
+        raise RuntimeError(f'this program began with timo_sim {version}, and {__version__} is '
+                           'installed now: start it anew')
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent():
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)

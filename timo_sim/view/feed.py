@@ -14,11 +14,11 @@ import os
 import re
 import socket
 import subprocess
+import sys
 import tempfile
 
 import numpy as np
 
-from timo_sim.child import start_python
 from timo_sim.scene.parameter import ParameterError, short
 
 PERIOD = 1.0 / 30.0  # [s] of wall time between samples
@@ -67,15 +67,17 @@ class Feed:
             socket.create_connection((address[2], int(address[4] or _PORT)), _CONNECTING).close()
         except (OSError, OverflowError) as error:  # OverflowError: the port is too large
             self.doubt = f'rerun_live: no viewer listens at {url} yet: {error}'
-        # In a session of its own, so that Ctrl+C ends only the node, which then ends this.
+        # In a session of its own, so that Ctrl+C ends only the node, which then ends this. It
+        # imports from where this process does, and not from the working directory.
         # The scene is in a file, because the system limits the length of an argument.
+        path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
         with tempfile.TemporaryFile('w+') as values:
             json.dump(dict(scene.values), values)
             values.seek(0)
-            self._process = start_python(
-                'from timo_sim.view.live import main; main(*sys.argv[1:])', url, name,
-                str(values.fileno()), pass_fds=[values.fileno()], stdin=subprocess.PIPE,
-                start_new_session=True)
+            self._process = subprocess.Popen(
+                [sys.executable, '-P', '-m', 'timo_sim.view.live', url, name,
+                 str(values.fileno())], pass_fds=[values.fileno()], stdin=subprocess.PIPE,
+                start_new_session=True, env={**os.environ, 'PYTHONPATH': path})
         assert self._process.stdin is not None
         self._stream = self._process.stdin
         os.set_blocking(self._stream.fileno(), False)

@@ -94,3 +94,7 @@ def main(url, name, number):
     ended.set()
     worker.join(_PATIENCE)
     os._exit(0)  # at once: rerun would wait for a viewer that does not answer
+
+
+if __name__ == '__main__':
+    main(*sys.argv[1:])
