@@ -139,7 +139,7 @@ class Process:
     def __init__(self, folder, *arguments, record=True, fresh=False, preexec_fn=None,
                  **parameters):
         values = {'record': record, 'record_file': str(Path(folder) / 'run.mcap'), **parameters}
-        self.log = Path(values['record_file'])
+        self.log = Path(folder) / values['record_file']
         arguments = ['--ros-args', *arguments]
         for name, value in values.items():
             shown = str(value).lower() if isinstance(value, bool) else value

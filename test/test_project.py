@@ -72,7 +72,7 @@ def test_licences_and_cited_equations():
 
 
 # From the ground up, as doc/design.md lists them: a folder may import from those before it.
-LAYERS = ['version', 'child', 'extras', 'jit', 'physics', 'messages', 'scene', 'simulation',
+LAYERS = ['version', 'extras', 'jit', 'physics', 'messages', 'scene', 'simulation',
           'log', 'view', 'runs', 'replay', 'sweep', 'fitting', 'gym', 'ros', 'cli',
           '__main__', '__init__']
 MODULES = {'.'.join(path.relative_to(ROOT).with_suffix('').parts).removesuffix('.__init__'): path

@@ -93,6 +93,7 @@ from timo_sim.cli.sim_node import main
 from timo_sim.simulation.simulator import Simulator
 warm_up = Simulator.warm_up
 def wait(simulator, *arguments, **options):
+    Simulator.warm_up = warm_up  # the finer run beside it does not wait
     time.sleep(0.5)  # for whatever else of this process might be seen
     marker = rclpy.create_node('marker')  # shares what the graph is told with the node
     sys.stdin.readline()

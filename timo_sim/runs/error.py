@@ -56,7 +56,8 @@ def measured(run):
     # The finer run has seen a load that is too fast for the steps of the run. What `newton` leaves
     # out may make a motion unstable that both runs do not leave.
     earlier = run.warning if scene.values['model.formulation'] != 'exact' else unseen_load(fine)
-    remedy = None if error <= MOST_APART * scene.manipulator.arm.length else _remedy(run, parts)
+    large = error > MOST_APART * scene.manipulator.arm.length
+    remedy = _remedy(run, parts, error) if large else None
     return replace(run, stats={**run.stats, 'estimated_tip_error_m': error},
                    warning=earlier or inaccurate(scene, error, remedy))
 
@@ -71,8 +72,13 @@ def _distance(run, fine, parts):
     return tip_distance(run.model, run.values, other.model, other.values)
 
 
-def _remedy(run, parts):
-    """Return the change of the scene that moves the tip most: of steps, modes or formulation."""
+def _remedy(run, parts, error):
+    """
+    Return a change of the scene that mends most of its error.
+
+    Of steps, modes and equations, in this order, the first one that moves the tip by half of the
+    error, else the one that moves it most: axial modes that the steps do not resolve would move it, too.
+    """
     scene = run.scene
     own = scene.values['model.formulation']
     changes = {'a smaller integrator.step': (parts, 0, 0, own),
@@ -81,6 +87,9 @@ def _remedy(run, parts):
         changes['model.axial_modes 1'] = 1, 0, 1, own
     else:
         changes['model.formulation exact'] = 1, 0, 0, 'exact'
-    moved = {text: _distance(run, finer(scene, *change), change[0])
-             for text, change in changes.items()}
-    return max(moved, key=lambda text: moved[text] or 0.0)
+    moved = {}
+    for text, change in changes.items():
+        moved[text] = _distance(run, finer(scene, *change), change[0]) or 0.0
+        if moved[text] > 0.5 * error:
+            return text
+    return max(moved, key=lambda text: moved[text])

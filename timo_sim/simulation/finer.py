@@ -62,10 +62,19 @@ def finer(scene, parts, modes=None, axial=MORE_AXIAL, formulation='exact'):
             ratio = name == 'arm.damping_ratio'  # further modes have the ratio of the last one
             lists[name] = [*across, *modes * [ratio * (across or along)[-1]], *along,
                            *axial * [ratio * (along or across)[-1]]]
+    lists.update((name, _on_boundaries(value, scene.step)) for name, value in values.items()
+                 if name.endswith('.time'))
     return scene_from({**values, **lists, 'model.formulation': formulation,
                        'model.accuracy': 0.0, 'model.static_modes': 'none',
                        'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
                        'integrator.step': scene.step / parts})
+
+
+def _on_boundaries(times, step):
+    # What counts as a boundary between two steps is one between two finer steps, too.
+    nearest = [round(time / step) for time in times]
+    return tuple(number * step if abs(time / step - number) <= 1e-6 else time
+                 for time, number in zip(times, nearest))
 
 
 def has_finer(scene):
