@@ -18,10 +18,9 @@ import math
 from pathlib import Path
 import re
 
-from timo_sim.messages.commands import COMMANDS
-from timo_sim.messages.outputs import outputs, TRANSFORMS
-from timo_sim.scene.parameter import NODE
-from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.scene.parameters import NODE, PARAMETERS
+from timo_sim.topics.commands import COMMANDS
+from timo_sim.topics.outputs import outputs, TRANSFORMS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'doc').rglob('*.md'))]

@@ -22,9 +22,9 @@ import pytest
 from oracles.domains import own_domain
 from oracles.references import read
 import timo_sim
-from timo_sim.jit.code_store import lock
-from timo_sim.jit.constants import of_any_size
-from timo_sim.physics.equations import base
+from timo_sim.compiled.cache import lock
+from timo_sim.compiled.constants import of_any_size
+from timo_sim.model import formulation
 from timo_sim.scene import scene as scenes
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -71,7 +71,7 @@ def waves():
 @pytest.fixture
 def any_size(monkeypatch):
     """Let models use machine code for any size, as second runs do: slower, compiled only once."""
-    monkeypatch.setattr(base, 'pack', of_any_size)
+    monkeypatch.setattr(formulation, 'pack', of_any_size)
     scenes._shared_model.cache_clear()
     yield
     scenes._shared_model.cache_clear()

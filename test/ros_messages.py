@@ -32,7 +32,7 @@ def random_message(type_name, random, most=3):
     """
     Return a message and its values.
 
-    The fields come from rclpy's classes, not from `messages.definitions`.
+    The fields come from rclpy's classes, not from `topics.cdr`.
 
     Parameters
     ----------

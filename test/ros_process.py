@@ -24,7 +24,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from forked_node import ForkedNode
-from timo_sim.replay.replay import replay
+from timo_sim.runs.replay import replay
 
 # [s] A longer wait is a hang. No test takes that long, also on a machine with ten times the load.
 PATIENCE = 300.0

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.physics.layout import FORCE_X, LOADS, TORQUE, VOLTAGE
-from timo_sim.simulation.actuators import Actuators
+from timo_sim.model.layout import FORCE_X, LOADS, TORQUE, VOLTAGE
 from timo_sim.simulation.energy import work
+from timo_sim.simulation.loads import Actuators
 from timo_sim.simulation.simulator import Simulator
 
 RIGID = {'model.modes': 0, 'carrier.held': 'both', 'initial.shaft': 0.0}

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.physics.layout import FORCE_Y, TIP_X, TORQUE, VOLTAGE
+from timo_sim.model.layout import FORCE_Y, TIP_X, TORQUE, VOLTAGE
 
 HELD = {'carrier.held': 'both'}
 MOTOR = {'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5, 'motor.dc.gear_ratio': 3.0,

@@ -15,8 +15,8 @@ import numpy as np
 from oracles import spectral_elements
 import pytest
 import timo_sim
-from timo_sim.jit.constants import pack
-from timo_sim.runs.sampled import sampled_run
+from timo_sim.compiled.constants import pack
+from timo_sim.runs.run import sampled_run
 from timo_sim.simulation.finer import finer
 
 # A free arm that turns fast, a stroke on the tip of an arm with one mode, an axial force.

@@ -57,10 +57,10 @@ def extended(tmp_path_factory):
         shutil.copytree(ROOT / name, folder / name,
                         ignore=shutil.ignore_patterns('__pycache__'))
     package = folder / 'timo_sim'
-    insert(package / 'messages/outputs.py', '    ]\n\n\n# Frames', TOPIC)
-    insert(package / 'messages/sensors.py', ')\n', SENSOR)
-    (package / 'physics/equations/newton_small_speed.py').write_text(FORMULATION)
-    insert(package / 'physics/equations/__init__.py', '}\n', LINE)
+    insert(package / 'topics/outputs.py', '    ]\n\n\n# Frames', TOPIC)
+    insert(package / 'topics/sensors.py', ')\n', SENSOR)
+    (package / 'model/newton_small_speed.py').write_text(FORMULATION)
+    insert(package / 'model/__init__.py', '}\n', LINE)
     return folder
 
 

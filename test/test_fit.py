@@ -17,11 +17,9 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 import timo_sim
-from timo_sim.fitting.inputs import loads_of
-from timo_sim.fitting.problem import Problem
-from timo_sim.fitting.quantities import OUTPUTS
-from timo_sim.fitting.record import Channel
-from timo_sim.fitting.statistics import covariance, unknown, whiteness
+from timo_sim.fitting.problem import loads_of, Problem
+from timo_sim.fitting.record import Channel, OUTPUTS
+from timo_sim.fitting.search import covariance, unknown, whiteness
 
 ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.height': 0.001, 'arm.width': 0.02,
        'arm.density': 7800.0, 'arm.young_modulus': 2e11, 'arm.shear_modulus': 7.7e10,

@@ -19,8 +19,8 @@ import scipy.linalg
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.physics.arm.quadrature import Quadrature
-from timo_sim.physics.layout import LOADS
+from timo_sim.model.bodies import Quadrature
+from timo_sim.model.layout import LOADS
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.simulation.simulator import Simulator
 

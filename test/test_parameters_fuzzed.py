@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.scene.parameter import SCENE, short
-from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.scene.parameters import PARAMETERS, SCENE, short
 
 # No deadline, because durations mean nothing on a busy machine.
 fuzzed = settings(deadline=None, derandomize=True, max_examples=150,
@@ -166,8 +165,7 @@ def test_a_load_of_a_hundred_thousand_pieces_is_read(tmp_path):
     ({'real_time_factor': 1e300}, '<= 1e.06'), ({'command_timeout': 1e300}, '<= 2.147')])
 def test_numbers_that_would_round_to_zero_or_overflow(value, words):
     from timo_sim.ros.parameters import steps_between_messages
-    from timo_sim.scene.parameter import whole_ratio
-    from timo_sim.scene.values import check
+    from timo_sim.scene.parameters import check, whole_ratio
     with pytest.raises(timo_sim.ParameterError, match=words):
         values = {**{name: parameter.default for name, parameter in PARAMETERS.items()},
                   **check(value, 'test')}

@@ -20,8 +20,8 @@ from rosbags.typesys import get_typestore, Stores
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.log.recorder import Channel, Recorder
-from timo_sim.log.recording import Recording
+from timo_sim.log.tables import Recording
+from timo_sim.log.write import Channel, Recorder
 from timo_sim.view.track import of_recording
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -84,8 +84,8 @@ def bag_of_runs(path, commands, states, size=0):
 
     Commands are (log time, torque), states (log time, step, positions and velocities).
     """
-    from timo_sim.messages.outputs import outputs
-    from timo_sim.messages.packing import Serializer
+    from timo_sim.topics.cdr import Serializer
+    from timo_sim.topics.outputs import outputs
     joints, = (output for output in outputs(0) if output.name == 'joint_states')
     serialize, torque = Serializer(joints.type_name, joints.template), 'std_msgs/msg/Float64'
     messages = [(time, '/timo_sim/motor_torque', torque, STORE.serialize_cdr(
@@ -182,10 +182,10 @@ def test_a_bag_needs_a_scene_and_a_log_does_not(bag):
 
 def log_of(path, scene, torques, last):
     """Write a log as the node would, joint states of `simulate` every 10 ms; return its path."""
-    from timo_sim.log.notes import START, start_note
-    from timo_sim.messages.outputs import outputs
-    from timo_sim.messages.packing import Serializer
+    from timo_sim.log.records import START, start_note
     from timo_sim.scene.parameters import PARAMETERS
+    from timo_sim.topics.cdr import Serializer
+    from timo_sim.topics.outputs import outputs
     joints, = (output for output in outputs(0) if output.name == 'joint_states')
     values = {**{name: entry.default for name, entry in PARAMETERS.items()}, **scene.values}
     recorder = Recorder(path, [Channel('/joint_states', joints.type_name),

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.physics.equations import FORMULATIONS
-from timo_sim.physics.integrate import etdrk4
-from timo_sim.physics.layout import LOADS, TORQUE
+from timo_sim.model import FORMULATIONS
+from timo_sim.model.layout import LOADS, TORQUE
 from timo_sim.simulation.simulator import Simulator
+from timo_sim.steps import etdrk4
 
 LONG = 700  # steps
 

@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.sweep.jobs import jobs_of, SUMMARY
-from timo_sim.sweep.workers import executor_of
+from timo_sim.runs.sweep import executor_of, jobs_of, SUMMARY
 from timo_sim.version import __version__
 
 FAST = {'integrator.step': 0.01}

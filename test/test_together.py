@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.runs.sampled import sampled_run
-from timo_sim.sweep.jobs import Job, run_job, SUMMARY
-from timo_sim.sweep.together import kind_of, Together
+from timo_sim.runs.run import sampled_run
+from timo_sim.runs.sweep import Job, kind_of, run_job, SUMMARY, Together
 
 DURATION = 2.0
 NUMBERS = [column.name for column in SUMMARY if column.name != 'tip_error']
@@ -132,7 +131,7 @@ def test_an_error_of_one_run_is_not_that_of_the_others(paper, monkeypatch):
     job = Job(0, scene_of(paper), DURATION,
               tuple({'initial.shaft': angle} for angle in angles), ('initial.shaft',), True)
     usual = run_job(job)
-    monkeypatch.setattr('timo_sim.sweep.jobs.Together', Failing)
+    monkeypatch.setattr('timo_sim.runs.sweep.Together', Failing)
     found = run_job(job)
     assert [*found['reason']] == 8 * [''] + ['a singular matrix']
     for name in NUMBERS:

@@ -19,7 +19,7 @@ import pytest
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.messages.commands import JOINTS
+from timo_sim.topics.commands import JOINTS
 
 urdf_parser_py = pytest.importorskip('urdf_parser_py.urdf')
 

@@ -16,7 +16,7 @@ import sys
 
 import pytest
 
-from timo_sim.log.recording import Recording
+from timo_sim.log.tables import Recording
 
 ROOT = Path(__file__).resolve().parents[1]
 # Python imports this as sitecustomize at its start; it hides all packages of ROS.

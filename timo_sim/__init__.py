@@ -15,48 +15,45 @@ from timo_sim.version import __version__
 
 if TYPE_CHECKING:
     from timo_sim.fitting.files import read_record
-    from timo_sim.fitting.fit import fit
     from timo_sim.fitting.record import Record
-    from timo_sim.fitting.result import Fit
-    from timo_sim.runs.open_log import open_log
+    from timo_sim.fitting.result import fit, Fit
+    from timo_sim.runs.accuracy import choose_resolution
+    from timo_sim.runs.linear import linearize, LinearModel
+    from timo_sim.runs.replay import open_log
     from timo_sim.runs.run import Run
+    from timo_sim.runs.sensitivities import sensitivities, Sensitivities
     from timo_sim.runs.simulate import simulate
-    from timo_sim.scene.parameter import ModelWarning, ParameterError
-    from timo_sim.scene.projection import project_on_modes
-    from timo_sim.scene.scene import load_scene, Scene
+    from timo_sim.runs.sweep import simulate_many
+    from timo_sim.scene.parameters import ModelWarning, ParameterError
+    from timo_sim.scene.scene import load_scene, project_on_modes, Scene
     from timo_sim.simulation.batch import Batch
-    from timo_sim.simulation.linear import linearize
-    from timo_sim.simulation.linear_model import LinearModel
-    from timo_sim.simulation.model_warnings import DivergenceError
-    from timo_sim.simulation.resolution import choose_resolution
-    from timo_sim.simulation.sensitivities import sensitivities, Sensitivities
     from timo_sim.simulation.simulator import Simulator
-    from timo_sim.sweep.many import simulate_many
+    from timo_sim.simulation.warnings import DivergenceError
 
 # Modules are imported when first used, so that `sim_node` installs its signal handlers before
 # NumPy, SciPy and numba are loaded.
 _MODULES = {
     'Batch': 'simulation.batch',
-    'DivergenceError': 'simulation.model_warnings',
+    'DivergenceError': 'simulation.warnings',
     'Fit': 'fitting.result',
-    'LinearModel': 'simulation.linear_model',
-    'ModelWarning': 'scene.parameter',
-    'ParameterError': 'scene.parameter',
+    'LinearModel': 'runs.linear',
+    'ModelWarning': 'scene.parameters',
+    'ParameterError': 'scene.parameters',
     'Record': 'fitting.record',
     'Run': 'runs.run',
     'Scene': 'scene.scene',
-    'Sensitivities': 'simulation.sensitivities',
+    'Sensitivities': 'runs.sensitivities',
     'Simulator': 'simulation.simulator',
-    'choose_resolution': 'simulation.resolution',
-    'fit': 'fitting.fit',
-    'linearize': 'simulation.linear',
+    'choose_resolution': 'runs.accuracy',
+    'fit': 'fitting.result',
+    'linearize': 'runs.linear',
     'load_scene': 'scene.scene',
-    'open_log': 'runs.open_log',
-    'project_on_modes': 'scene.projection',
+    'open_log': 'runs.replay',
+    'project_on_modes': 'scene.scene',
     'read_record': 'fitting.files',
-    'sensitivities': 'simulation.sensitivities',
+    'sensitivities': 'runs.sensitivities',
     'simulate': 'runs.simulate',
-    'simulate_many': 'sweep.many',
+    'simulate_many': 'runs.sweep',
 }
 
 __all__ = [

@@ -22,7 +22,7 @@ from benchmark.accuracy import rivals
 from oracles import finite_elements, floating_frame, peers
 from oracles.references import CANTILEVER, read, spin_up, TORQUE, world
 import timo_sim
-from timo_sim.physics.equations import FORMULATIONS
+from timo_sim.model import FORMULATIONS
 from timo_sim.simulation.simulator import Simulator
 
 OWN = tuple(FORMULATIONS)

@@ -28,7 +28,7 @@ from benchmark import ROOT
 from benchmark.command import parser
 from benchmark.report import machine, table
 import timo_sim
-from timo_sim.fitting.statistics import r_squared
+from timo_sim.fitting.search import r_squared
 
 FILES = ROOT / 'example' / 'real_arm'
 HOLD_OUT = 0.5

@@ -15,7 +15,7 @@ import mujoco
 from mujoco import rollout
 import numpy as np
 
-from timo_sim.physics.layout import END, FORCE_X, FORCE_Y, MIDDLE, START, TORQUE
+from timo_sim.model.layout import END, FORCE_X, FORCE_Y, MIDDLE, START, TORQUE
 
 _CHANNELS = [FORCE_X, FORCE_Y, TORQUE]
 _NUMBERS = 2**22  # that a call of `rollout` returns

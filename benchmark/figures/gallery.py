@@ -15,9 +15,8 @@ from benchmark.command import parser
 from benchmark.figures import window
 from benchmark.figures.drawing import BLUE, draw_arm, GREEN, GREY, ORANGE, save, sheet
 import timo_sim
-from timo_sim.view.floor import floor_of
 from timo_sim.view.plot import draw_floor
-from timo_sim.view.track import body_of
+from timo_sim.view.track import body_of, floor_of
 
 LENGTH = 2.0  # of the paper's arm [m]
 FINE = {'model.modes': 5}

@@ -15,7 +15,7 @@ from benchmark import ROOT
 from benchmark.command import parser
 from oracles.references import read
 import timo_sim
-from timo_sim.view.animation import animate
+from timo_sim.view.plot import animate
 from timo_sim.view.track import of_run
 
 matplotlib.use('Agg')

@@ -16,8 +16,7 @@ from matplotlib.image import imread, imsave
 
 from benchmark import ROOT
 import timo_sim
-from timo_sim.view.convert import write
-from timo_sim.view.show import picture
+from timo_sim.view.rerun import picture, write
 from timo_sim.view.track import of_run
 
 

@@ -20,8 +20,8 @@ from benchmark.speed.clocks import clocks
 from benchmark.speed.step import paper, Prepared
 from benchmark.speed.timing import timed
 import timo_sim
-from timo_sim.physics.arm.modes import UniformModes
-from timo_sim.physics.equations.base import Formulation
+from timo_sim.model.formulation import Formulation
+from timo_sim.model.modes import UniformModes
 from timo_sim.scene import scene as scenes
 from timo_sim.simulation.simulator import Simulator
 

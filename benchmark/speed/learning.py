@@ -23,8 +23,7 @@ from benchmark.accuracy import rivals
 from benchmark.command import parser
 from oracles import finite_elements
 import timo_sim
-from timo_sim.gym import ReachVectorEnv
-from timo_sim.gym.reach_vector import SCENE
+from timo_sim.gym import ReachVectorEnv, SCENE
 
 PERIOD, DURATION = 0.02, 2.0
 TORQUE = {'load.torque.piecewise.time': [0.0, 0.5, 1.0],

@@ -14,7 +14,7 @@ from benchmark.command import parser
 from benchmark.speed.step import PAPER, Prepared
 from benchmark.speed.timing import timed
 import timo_sim
-from timo_sim.simulation.resolution import choose_resolution
+from timo_sim.runs.accuracy import choose_resolution
 from timo_sim.simulation.simulator import Simulator
 
 STEPS = 1000

@@ -21,10 +21,10 @@ from benchmark.command import parser  # noqa: E402
 from benchmark.speed.timing import timed  # noqa: E402
 from oracles.references import read  # noqa: E402
 import timo_sim  # noqa: E402
-from timo_sim.jit.constants import pack  # noqa: E402
-from timo_sim.physics.equations import formulation_class  # noqa: E402
-from timo_sim.physics.integrate import etdrk4  # noqa: E402
-from timo_sim.physics.integrate.propagator import propagator  # noqa: E402
+from timo_sim.compiled.constants import pack  # noqa: E402
+from timo_sim.model import formulation_class  # noqa: E402
+from timo_sim.steps import etdrk4  # noqa: E402
+from timo_sim.steps.etdrk4 import propagator  # noqa: E402
 
 PAPER = ROOT / 'config' / 'paper.yaml'
 STEPS = 1000  # of 10 ms

@@ -18,7 +18,7 @@ import sys
 from benchmark.stress.tally import ensure, small_disk, Tally
 from oracles import hostile_logs
 from oracles.log_readers import outcome
-from timo_sim.log.recorder import Recorder
+from timo_sim.log.write import Recorder
 
 
 def full_disks(folder, quick):

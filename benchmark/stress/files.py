@@ -16,8 +16,8 @@ import sys
 from benchmark.stress import shared
 from benchmark.stress.tally import ensure, small_disk, Tally
 from oracles import log_judge, rewritten_logs
-from timo_sim.jit import code_store
-from timo_sim.jit.decorators import entry_point
+from timo_sim.compiled import cache as code_store
+from timo_sim.compiled.functions import entry_point
 
 
 def _tripled(number):
@@ -48,7 +48,7 @@ def machine_code(folder, count, generator):
 
 RUN = """
 import os, pathlib, shutil, sys, timo_sim
-from timo_sim.jit.code_store import store_directory
+from timo_sim.compiled.cache import store_directory
 folder = store_directory()
 if sys.argv[1] == 'removed':
     shutil.rmtree(folder)

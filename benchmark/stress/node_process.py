@@ -26,7 +26,7 @@ PROGRAM = '-m', 'timo_sim.cli.sim_node'
 # A node that keeps something of each command.
 LEAKY = '-c', """
 from timo_sim.cli.sim_node import main
-from timo_sim.ros.commands import Inlet
+from timo_sim.ros.topics import Inlet
 kept, receive = [], Inlet._receive
 def keep(inlet, data, answered):
     kept.append(bytearray(b'x') * 10000)

@@ -36,7 +36,7 @@ from benchmark.stress.scenes import cell  # noqa: E402
 from benchmark.stress.truth import judge, SEEN, shares, VERDICTS  # noqa: E402
 from oracles.linear_beam import LinearBeam  # noqa: E402
 import timo_sim  # noqa: E402
-from timo_sim.runs.sampled import sampled_run  # noqa: E402
+from timo_sim.runs.run import sampled_run  # noqa: E402
 
 CELLS = 1020  # in full
 _FACTOR = 5.0  # a good estimate is within this factor of the true error

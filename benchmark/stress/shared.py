@@ -23,8 +23,8 @@ from benchmark import ROOT
 from benchmark.process import ENVIRONMENT
 from benchmark.stress.tally import ensure, Tally
 from oracles.hostile_caches import FILES, FOLDERS, plant
-from timo_sim.jit import code_store
-from timo_sim.jit.decorators import entry_point
+from timo_sim.compiled import cache
+from timo_sim.compiled.functions import entry_point
 
 SWEEP = f"""
 scene: {ROOT / 'config' / 'paper.yaml'}
@@ -40,7 +40,7 @@ def _tripled(number):
 
 def hostile_caches(folder):
     """Plant machine code where another user can, while a process runs and before one begins."""
-    tally, look = Tally('hostile cache folders'), code_store.store_directory.__wrapped__
+    tally, look = Tally('hostile cache folders'), cache.store_directory.__wrapped__
     for number, (name, attack) in enumerate({**FOLDERS, **FILES}.items()):
         with tally.trial(name), ExitStack() as stack:
             def patch(*what):
@@ -53,7 +53,7 @@ def hostile_caches(folder):
                 os.environ, {'NUMBA_CACHE_DIR': str(folder / f'root {number}')}))
             stack.enter_context(warnings.catch_warnings(action='ignore'))
             store = look()
-            patch(code_store, 'store_directory', lambda: store)
+            patch(cache, 'store_directory', lambda: store)
             entry_point(_tripled)(1.0)
             attack(plant(store, proof) if name in FILES else plant(store, proof).parent, patch)
             for _ in range(2):

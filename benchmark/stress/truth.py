@@ -34,8 +34,8 @@ import numpy as np
 
 from oracles import spectral_elements
 import timo_sim
-from timo_sim.runs.error import measured
-from timo_sim.runs.sampled import sampled_run
+from timo_sim.runs.accuracy import measured
+from timo_sim.runs.run import sampled_run
 
 ACCURATE, SEEN = 1e-3, 1e-6  # [lengths]
 VERDICTS = ['accurate', 'flagged', 'refused', 'silent', 'open']

@@ -25,10 +25,10 @@ from ros_process import Process
 import timo_sim
 from timo_sim.cli import main
 from timo_sim.log import info as info_module
-from timo_sim.log.index import Index
-from timo_sim.log.recorder import Channel, Recorder
-from timo_sim.messages.outputs import outputs
-from timo_sim.messages.packing import Serializer
+from timo_sim.log.read import Index
+from timo_sim.log.write import Channel, Recorder
+from timo_sim.topics.cdr import Serializer
+from timo_sim.topics.outputs import outputs
 
 
 @pytest.fixture(scope='module')

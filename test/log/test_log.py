@@ -27,7 +27,7 @@ from std_srvs.srv import Trigger
 import yaml
 
 import timo_sim
-from timo_sim.log.recover import recover
+from timo_sim.log.read import recover
 
 PUBLISHED = {'/joint_states': 'sensor_msgs/msg/JointState',
              '/timo_sim/modal_state': 'sensor_msgs/msg/JointState',

@@ -12,8 +12,8 @@ import math
 from pathlib import Path
 
 import timo_sim
-from timo_sim.log.recording import Recording
-from timo_sim.replay.replay import replay
+from timo_sim.log.tables import Recording
+from timo_sim.runs.replay import replay
 
 LOG = Path(__file__).parents[1] / 'data' / 'log_0_1_0.mcap'
 

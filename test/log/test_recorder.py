@@ -15,8 +15,8 @@ import time
 from mcap.reader import make_reader
 import pytest
 
-from timo_sim.log.recorder import BACKLOG, Channel, CHUNK_SIZE, Recorder
-from timo_sim.log.recover import recover
+from timo_sim.log.read import recover
+from timo_sim.log.write import BACKLOG, Channel, CHUNK_SIZE, Recorder
 
 CHANNELS = [Channel('/a', 'sensor_msgs/msg/JointState'), Channel('/b', 'std_msgs/msg/Float64'),
             Channel('/silent', 'std_msgs/msg/Float64')]
@@ -105,7 +105,7 @@ def replace(path):
 @pytest.mark.parametrize('last', [False, True], ids=['amid', 'at the end'])
 def test_changes_of_a_log_by_others_are_errors(tmp_path, monkeypatch, harm, words, last):
     """Also when it happens after the last check before a chunk."""
-    monkeypatch.setattr('timo_sim.log.recorder.FLUSH_PERIOD', 60.0)
+    monkeypatch.setattr('timo_sim.log.write.FLUSH_PERIOD', 60.0)
     recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
     recorder.write(0, 0, 0, bytes(100))
     if last:
@@ -130,8 +130,8 @@ def test_a_log_that_is_moved_goes_on_and_is_complete(tmp_path):
 @pytest.mark.parametrize('comes_back', [True, False])
 def test_a_disk_that_hangs_gives_a_warning_and_does_not_block_the_node_for_ever(
         tmp_path, monkeypatch, comes_back):
-    monkeypatch.setattr('timo_sim.log.recorder.NOTABLE', 0.05)
-    monkeypatch.setattr('timo_sim.log.recorder.PATIENCE', 300.0 if comes_back else 0.2)
+    monkeypatch.setattr('timo_sim.log.write.NOTABLE', 0.05)
+    monkeypatch.setattr('timo_sim.log.write.PATIENCE', 300.0 if comes_back else 0.2)
     recorder, hangs = Recorder(tmp_path / 'run.mcap', CHANNELS, {}), threading.Event()
     add_chunk = recorder._writer.add_chunk
 
@@ -163,7 +163,7 @@ def test_a_disk_that_hangs_gives_a_warning_and_does_not_block_the_node_for_ever(
 
 
 def test_a_slow_disk_is_given_the_time_it_takes_to_end_a_log(tmp_path, monkeypatch):
-    monkeypatch.setattr('timo_sim.log.recorder.PATIENCE', 3.0)  # less than all, far above one
+    monkeypatch.setattr('timo_sim.log.write.PATIENCE', 3.0)  # less than all, far above one
     recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
     add_chunk = recorder._writer.add_chunk
     monkeypatch.setattr(recorder._writer, 'add_chunk', lambda chunk: (

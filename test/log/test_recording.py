@@ -26,14 +26,12 @@ import timo_sim
 from timo_sim.cli import main
 from timo_sim.log.export import table
 from timo_sim.log.info import info
-from timo_sim.log.notes import CHANGE, START
-from timo_sim.log.recorder import Channel, Recorder
-from timo_sim.log.recording import Recording
-from timo_sim.log.records import LogError
-from timo_sim.log.series import common
-from timo_sim.messages.commands import COMMANDS
-from timo_sim.messages.outputs import outputs
-from timo_sim.messages.packing import Serializer
+from timo_sim.log.records import CHANGE, LogError, START
+from timo_sim.log.tables import common, Recording
+from timo_sim.log.write import Channel, Recorder
+from timo_sim.topics.cdr import Serializer
+from timo_sim.topics.commands import COMMANDS
+from timo_sim.topics.outputs import outputs
 
 LIES = 150
 STORE = get_typestore(Stores.ROS2_JAZZY)

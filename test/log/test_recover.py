@@ -35,10 +35,10 @@ from oracles import hostile_logs
 from oracles.hostile_logs import payload, places
 from oracles.log_readers import contents, decoded, limited, outcome
 from timo_sim.cli import main
-from timo_sim.log import recorder as recorder_module
-from timo_sim.log.recorder import Channel, Recorder
+from timo_sim.log import write as recorder_module
+from timo_sim.log.read import recover
 from timo_sim.log.records import LogError
-from timo_sim.log.recover import recover
+from timo_sim.log.write import Channel, Recorder
 
 SEED = 20240  # of the random damage
 
@@ -475,5 +475,5 @@ def test_only_the_name_of_a_log_depends_on_the_wall_clock():
                for line in path.read_text().splitlines()
                if 'time.time(' in line or 'time_ns(' in line or '.now' in line or 'utcnow' in line
                or 'get_clock' in line}
-    assert list(looking) == ['run_log.py']
-    assert 'datetime.now():%Y%m%d_%H%M%S' in looking['run_log.py']
+    assert list(looking) == ['topics.py']
+    assert 'datetime.now():%Y%m%d_%H%M%S' in looking['topics.py']

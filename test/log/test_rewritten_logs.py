@@ -22,7 +22,7 @@ from oracles.hostile_logs import chunk, message, raw, written
 from oracles.log_judge import Judge, readable
 from oracles.rewritten_logs import NOTE, records, WRITTEN
 from timo_sim.cli import main
-from timo_sim.log.recover import recover
+from timo_sim.log.read import recover
 
 # The rewritings that are tried on a log with a reset; all would take too long.
 WITH_RESET = ['as it is', 'no chunks', 'shuffled', 'metadata reversed', 'metadata last',

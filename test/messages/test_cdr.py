@@ -19,8 +19,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import get_typestore, Stores
 from ros_messages import installed, message_class, random_message
 
-from timo_sim.messages.cdr import CdrError, Layout, layout, pack, TYPES
-from timo_sim.messages.definitions import DEFINITIONS
+from timo_sim.topics.cdr import CdrError, DEFINITIONS, Layout, layout, pack, TYPES
 
 INSTALLED = sorted(filter(installed, TYPES))
 POSE = {'translation': {'x': 1.0, 'y': 2.0, 'z': 3.0}, 'rotation': {'z': 0.6, 'w': 0.8}}
@@ -146,14 +145,14 @@ def test_another_encoding_is_refused():
 
 
 def test_neither_ros_nor_numpy_is_imported():
-    code = ('import sys, timo_sim.messages.cdr, timo_sim.messages.definitions, '
-            'timo_sim.messages.packing; assert not {"rclpy", "numpy"} & set(sys.modules)')
+    code = ('import sys, timo_sim.topics.cdr, timo_sim.topics.cdr, '
+            'timo_sim.topics.cdr; assert not {"rclpy", "numpy"} & set(sys.modules)')
     subprocess.run([sys.executable, '-c', code], check=True)
 
 
 def test_topics_are_written_without_ros():
-    code = ('import sys; from timo_sim.messages.outputs import outputs; '
-            'from timo_sim.messages.packing import Serializer; '
+    code = ('import sys; from timo_sim.topics.outputs import outputs; '
+            'from timo_sim.topics.cdr import Serializer; '
             '[Serializer(output.type_name, output.template) for output in outputs(2)]; '
             'assert not {"rclpy", "rosbags", "mcap"} & set(sys.modules)')
     subprocess.run([sys.executable, '-c', code], check=True)

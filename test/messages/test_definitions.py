@@ -16,9 +16,9 @@ import sys
 import pytest
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
-from timo_sim.messages.commands import COMMANDS
-from timo_sim.messages.definitions import DEFINITIONS, Field, fields, schema_text, TYPE_HASHES
-from timo_sim.messages.outputs import outputs, TRANSFORMS
+from timo_sim.topics.cdr import DEFINITIONS, Field, fields, schema_text, TYPE_HASHES
+from timo_sim.topics.commands import COMMANDS
+from timo_sim.topics.outputs import outputs, TRANSFORMS
 
 
 def share(type_name, suffix):

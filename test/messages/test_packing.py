@@ -14,9 +14,8 @@ from rclpy.serialization import deserialize_message
 from rosbags.typesys import get_typestore, Stores
 from ros_messages import message_class
 
-from timo_sim.messages.cdr import CdrError, layout, pack
-from timo_sim.messages.outputs import outputs, TRANSFORMS
-from timo_sim.messages.packing import columns, form, Number, Serializer
+from timo_sim.topics.cdr import CdrError, columns, form, layout, Number, pack, Serializer
+from timo_sim.topics.outputs import outputs, TRANSFORMS
 
 A, B, C = Number('a'), Number('b'), Number('c')
 DOWN, NONE = [-1.0] + 8 * [0.0], 9 * [0.0]

@@ -27,7 +27,7 @@ import time
 
 import numpy as np
 
-from timo_sim.physics.layout import FORCE_X, FORCE_Y, TORQUE
+from timo_sim.model.layout import FORCE_X, FORCE_Y, TORQUE
 
 sys.exudynFast = True  # read by the import that follows
 import exudyn  # noqa: E402, I100

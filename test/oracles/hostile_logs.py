@@ -18,7 +18,7 @@ from mcap.records import Chunk, DataEnd, Footer, Header, Message, Metadata, Sche
 from mcap.writer import MCAP0_MAGIC
 import zstandard
 
-from timo_sim.log.recorder import Channel, Recorder
+from timo_sim.log.write import Channel, Recorder
 
 CHANNELS = [Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64'),
             Channel('/rare', 'std_msgs/msg/Float64'),

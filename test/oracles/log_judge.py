@@ -18,8 +18,8 @@ from mcap.records import Channel, Message, Schema
 from oracles.rewritten_logs import records
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.log.index import Index
-from timo_sim.messages.outputs import outputs
+from timo_sim.log.read import Index
+from timo_sim.topics.outputs import outputs
 
 
 def readable(path):

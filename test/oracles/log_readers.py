@@ -18,9 +18,9 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from timo_sim.log.info import info
-from timo_sim.log.recording import Recording
+from timo_sim.log.read import recover
 from timo_sim.log.records import LogError
-from timo_sim.log.recover import recover
+from timo_sim.log.tables import Recording
 
 
 def outcome(path):

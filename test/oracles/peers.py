@@ -15,10 +15,10 @@ import numba
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from timo_sim.physics.equations.functions import observe, rate
-from timo_sim.physics.integrate.steps import Steps
-from timo_sim.physics.layout import ACCELERATION, ANGLE, LOADS, SPEED
+from timo_sim.model.functions import observe, rate
+from timo_sim.model.layout import ACCELERATION, ANGLE, LOADS, SPEED
 from timo_sim.scene.loads import CHANNELS, Harmonic, Piecewise
+from timo_sim.steps.steps import Steps
 
 TOLERANCE, ITERATIONS = 1e-12, 50  # of the implicit methods, relative
 SPECTRAL_RADIUS = 0.9              # of generalized-alpha

@@ -18,13 +18,12 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, MCAP0_MAGIC, Writer
 
 from oracles.hostile_logs import chunk, payload, places, raw, written
-from timo_sim.log.recorder import NewLog
-from timo_sim.messages.commands import COMMANDS
-from timo_sim.messages.outputs import outputs
-from timo_sim.replay.replay import Replay
-from timo_sim.replay.segments import Segment
-from timo_sim.scene.parameters import PARAMETERS
 import timo_sim
+from timo_sim.log.write import NewLog
+from timo_sim.runs.replay import Replay, Segment
+from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.topics.commands import COMMANDS
+from timo_sim.topics.outputs import outputs
 
 DATA_END, HEADER = 15, 1
 

@@ -13,8 +13,8 @@ from numpy.polynomial import Legendre
 
 from oracles.references import ROOT
 import timo_sim
-from timo_sim.physics.arm.bodies import Beam, Manipulator, Section
-from timo_sim.physics.arm.modes import UniformModes
+from timo_sim.model.bodies import Beam, Manipulator, Section
+from timo_sim.model.modes import UniformModes
 
 SECTION = Section(0.02, 0.02, 2710.0, 70.5e9, 27e9, 0.85)
 # A thick arm: 7 modes below its cut-off frequency, 14 between that and three times it.

@@ -19,9 +19,9 @@ import platformdirs
 import pytest
 
 from oracles.hostile_caches import FILES, FOLDERS, plant
-from timo_sim.jit import code_store
-from timo_sim.jit.code_store import compiling, is_compiled, lock, size_mark
-from timo_sim.jit.decorators import entry_point
+from timo_sim.compiled import cache
+from timo_sim.compiled.cache import compiling, is_compiled, lock, size_mark
+from timo_sim.compiled.functions import entry_point
 
 
 def tripled(number):
@@ -38,11 +38,11 @@ def call():
 @pytest.fixture
 def find(tmp_path, monkeypatch):
     """Return a function that looks for the store anew: below `root`, else in `temporary`."""
-    look = code_store.store_directory.__wrapped__
+    look = cache.store_directory.__wrapped__
 
     def find():
         store = look()
-        monkeypatch.setattr(code_store, 'store_directory', lambda: store)
+        monkeypatch.setattr(cache, 'store_directory', lambda: store)
         return store
 
     (tmp_path / 'temporary').mkdir()
@@ -129,8 +129,8 @@ def test_without_a_home_no_folder_named_tilde_is_made(
 
 
 WITHOUT = """
-from timo_sim.jit.code_store import compiling, is_compiled, lock, store_directory
-from timo_sim.jit.decorators import entry_point
+from timo_sim.compiled.cache import compiling, is_compiled, lock, store_directory
+from timo_sim.compiled.functions import entry_point
 import timo_sim
 
 def tripled(number):

@@ -22,12 +22,11 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.jit import code_store
-from timo_sim.jit.code_store import is_compiled, lock, size_mark, store_directory
-from timo_sim.jit.decorators import entry_point, FASTMATH
-from timo_sim.physics.equations.functions import rate_once
-from timo_sim.physics.equations.sincos import sincos, tanh
-from timo_sim.simulation.load_table import LoadTable
+from timo_sim.compiled import cache
+from timo_sim.compiled.cache import is_compiled, lock, size_mark, store_directory
+from timo_sim.compiled.functions import entry_point, FASTMATH
+from timo_sim.model.functions import rate_once, sincos, tanh
+from timo_sim.simulation.loads import LoadTable
 from timo_sim.simulation.simulator import Simulator
 
 
@@ -184,7 +183,7 @@ def test_bits_do_not_depend_on_what_was_compiled_before(tmp_path):
     together = run()
     advance, = tmp_path.glob('*/*.etdrk4.advance-*.code')
     advance.unlink()
-    assert len([*tmp_path.glob('*/*.waves.*.code')]) == 3
+    assert len([*tmp_path.glob('*/*.modes.*.code')]) == 3
     assert run() == together != '' and advance.exists()
 
 
@@ -208,7 +207,7 @@ def store(tmp_path, monkeypatch):
     """Keep machine code in a folder of the test's own; return the folder."""
     store = tmp_path / 'store'
     store.mkdir(mode=0o700)
-    monkeypatch.setattr(code_store, 'store_directory', lambda: store)
+    monkeypatch.setattr(cache, 'store_directory', lambda: store)
     return store
 
 

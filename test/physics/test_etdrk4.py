@@ -13,7 +13,7 @@ import pytest
 from scipy.linalg import expm
 
 import timo_sim
-from timo_sim.physics.integrate.propagator import propagator
+from timo_sim.steps.etdrk4 import propagator
 
 
 def test_matrices_of_an_oscillator_are_sines_and_cosines():

@@ -15,9 +15,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import timo_sim
-from timo_sim.physics.equations import FORMULATIONS
-from timo_sim.physics.integrate.steps import Steps
-from timo_sim.physics.layout import LOADS
+from timo_sim.model import FORMULATIONS
+from timo_sim.model.layout import LOADS
+from timo_sim.steps.steps import Steps
 
 ARM_LENGTH = 2.0
 # Formulations that account for every force on carrier and shaft, whatever the number of modes.

@@ -17,11 +17,11 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import timo_sim
-from timo_sim.physics.equations import FORMULATIONS
-from timo_sim.physics.integrate import friction
-from timo_sim.physics.integrate.steps import Steps
-from timo_sim.physics.layout import FORCE_X, FORCE_Y, LOADS, TORQUE
+from timo_sim.model import FORMULATIONS
+from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, TORQUE
 from timo_sim.simulation.simulator import DivergenceError, Simulator
+from timo_sim.steps import friction
+from timo_sim.steps.steps import Steps
 from timo_sim.view.track import of_run
 
 # The paper's manipulator with a rigid arm: mass of all, static moment and inertia about the shaft.

@@ -13,9 +13,9 @@ import pytest
 
 from oracles import elastica, references, spectral_elements
 import timo_sim
-from timo_sim.messages.outputs import outputs
-from timo_sim.physics.equations import FORMULATIONS
+from timo_sim.model import FORMULATIONS
 from timo_sim.simulation.simulator import Simulator
+from timo_sim.topics.outputs import outputs
 
 G = 9.81
 DOWN = {'gravity': [0.0, -G]}

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.physics.equations.exact import Exact
+from timo_sim.model.exact import Exact
 from timo_sim.simulation.simulator import Simulator
 
 # Each example takes some runs of milliseconds; examples are the same each time.

@@ -14,9 +14,9 @@ from scipy.integrate import quad
 from scipy.interpolate import BPoly
 
 import timo_sim
-from timo_sim.physics.layout import ACCELERATION, AFTER, ANGLE, END, FORCE_X, LOADS, TORQUE
+from timo_sim.model.layout import ACCELERATION, AFTER, ANGLE, END, FORCE_X, LOADS, TORQUE
 from timo_sim.scene.loads import Drive, Harmonic, Load, Piecewise, Table
-from timo_sim.simulation.actuators import Actuators
+from timo_sim.simulation.loads import Actuators
 
 STEP = 0.1
 

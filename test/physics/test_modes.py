@@ -16,10 +16,8 @@ from scipy.linalg import eigh, expm
 from scipy.optimize import brentq
 
 from oracles.slips import THICK
-from timo_sim.physics.arm.bodies import Beam, Manipulator, Section
-from timo_sim.physics.arm.galerkin import frequencies, GalerkinModes
-from timo_sim.physics.arm.modes import modes_of, UniformModes
-from timo_sim.physics.arm.quadrature import Quadrature
+from timo_sim.model.bodies import Beam, Manipulator, Quadrature, Section
+from timo_sim.model.modes import frequencies, GalerkinModes, modes_of, UniformModes
 
 ARM = Section(0.02, 0.02, 2710.0, 70.5e9, 27e9, 0.85)
 LENGTH, TIP = 2.0, (2.0, 0.5)

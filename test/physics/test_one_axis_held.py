@@ -11,10 +11,10 @@
 import numpy as np
 import pytest
 import timo_sim
-from timo_sim.jit.constants import of_any_size
-from timo_sim.physics.equations.exact_tables import BAND, BANDS, SECTORS
-from timo_sim.physics.equations.functions import rate_once
-from timo_sim.physics.layout import ANGLE, LOADS
+from timo_sim.compiled.constants import of_any_size
+from timo_sim.model.exact_code import BAND, BANDS, SECTORS
+from timo_sim.model.functions import rate_once
+from timo_sim.model.layout import ANGLE, LOADS
 
 HEAVY = {'end_effector.mass': 60.0, 'end_effector.inertia': 12.0, 'initial.shaft_velocity': 2.0,
          'model.modes': 5, 'initial.modal_rates': [0.5, 0.0, 0.0, 0.0, 0.0]}

@@ -15,13 +15,13 @@ import pytest
 
 from oracles import spectral_elements
 import timo_sim
-from timo_sim.jit.constants import of_any_size
-from timo_sim.log.payloads import payloads_of
-from timo_sim.replay.replay import replay
-from timo_sim.runs.sampled import sampled_run
+from timo_sim.compiled.constants import of_any_size
+from timo_sim.log.read import payloads_of
+from timo_sim.runs.replay import replay
+from timo_sim.runs.run import sampled_run
 from timo_sim.simulation.energy import work
+from timo_sim.simulation.loads import pieces
 from timo_sim.simulation.simulator import Simulator
-from timo_sim.simulation.tip_load import pieces
 
 TORQUE = {'load.torque.harmonic.amplitude': [5.0], 'load.torque.harmonic.frequency': [1.0]}
 HELD, FREE = {'carrier.held': 'both', **TORQUE}, {'initial.shaft_velocity': 1.0, **TORQUE}

@@ -16,8 +16,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import timo_sim
-from timo_sim.physics.integrate.steps import Steps
-from timo_sim.physics.layout import FORCE_X, FORCE_Y, TORQUE
+from timo_sim.model.layout import FORCE_X, FORCE_Y, TORQUE
+from timo_sim.steps.steps import Steps
 
 RIGID = {'model.modes': 0, 'carrier.held': 'both', 'initial.shaft_velocity': 1.5,
          'motor.coulomb_friction': 2.0, 'motor.coulomb_speed': 0.3}

@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 
 from oracles import references, spectral_elements
 import timo_sim
-from timo_sim.physics.arm.quadrature import Quadrature
+from timo_sim.model.bodies import Quadrature
 from timo_sim.simulation.simulator import Simulator
 
 pytestmark = pytest.mark.usefixtures('any_size')  # many sizes, few steps

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.physics.equations import FORMULATIONS
+from timo_sim.model import FORMULATIONS
 
 
 @pytest.mark.parametrize('name', FORMULATIONS)

@@ -23,14 +23,13 @@ from sensor_msgs.msg import Imu, JointState
 from visualization_msgs.msg import Marker
 
 import timo_sim
-from timo_sim.log.recording import Recording
-from timo_sim.messages.commands import acting, COMMANDED, COMMANDS, Refused
-from timo_sim.messages.outputs import in_frames, TRANSFORMS
-from timo_sim.physics.layout import LOADS, TIP_TORQUE, TIP_X, TIP_Y
-from timo_sim.replay.replay import replay
-from timo_sim.scene.parameter import ParameterError
-from timo_sim.scene.values import frame_names
+from timo_sim.log.tables import Recording
+from timo_sim.model.layout import LOADS, TIP_TORQUE, TIP_X, TIP_Y
+from timo_sim.runs.replay import replay
+from timo_sim.scene.parameters import frame_names, ParameterError
 from timo_sim.simulation.simulator import Simulator
+from timo_sim.topics.commands import acting, COMMANDED, COMMANDS, Refused
+from timo_sim.topics.outputs import in_frames, TRANSFORMS
 
 GIVEN = {'frame_prefix': 'left/', 'frame.world': 'map', 'frame.carrier': 'base_link'}
 NAMES = {'world': 'map', 'carrier': 'left/base_link', 'arm': 'left/arm', 'tip': 'left/tip'}

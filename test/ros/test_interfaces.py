@@ -22,7 +22,7 @@ from simulation_interfaces.srv import (
     GetSimulationState, GetSimulatorFeatures, ResetSimulation, SetSimulationState, StepSimulation)
 from std_srvs.srv import SetBool, Trigger
 
-from timo_sim.log.recording import Recording
+from timo_sim.log.tables import Recording
 
 STOPPED, PLAYING, PAUSED, QUITTING, NO_WORLD = (
     getattr(SimulationState, f'STATE_{name}')

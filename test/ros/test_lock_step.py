@@ -17,8 +17,8 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 import timo_sim
-from timo_sim.log.recording import Recording
-from timo_sim.ros.pacing import Pace
+from timo_sim.log.tables import Recording
+from timo_sim.ros.loop import Pace
 
 
 def once(messages):

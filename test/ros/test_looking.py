@@ -19,10 +19,10 @@ from visualization_msgs.msg import Marker
 import yaml
 
 import timo_sim
-from timo_sim.messages.outputs import TRANSFORMS
 from timo_sim.ros.node import no_live_feed
-from timo_sim.scene.parameter import ParameterError
+from timo_sim.scene.parameters import ParameterError
 from timo_sim.simulation.simulator import Simulator
+from timo_sim.topics.outputs import TRANSFORMS
 
 
 def free_port():

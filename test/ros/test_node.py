@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
 import timo_sim
-from timo_sim.log.recording import Recording
+from timo_sim.log.tables import Recording
 from timo_sim.ros.topics import Outlet
 from timo_sim.scene.parameters import RATES
 

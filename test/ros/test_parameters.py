@@ -34,10 +34,9 @@ import yaml
 
 import timo_sim
 from timo_sim.log.info import info
-from timo_sim.log.recording import Recording
+from timo_sim.log.tables import Recording
 from timo_sim.scene.files import flatten, read_parameter_file, read_sections
-from timo_sim.scene.parameters import PARAMETERS
-from timo_sim.scene.values import check
+from timo_sim.scene.parameters import check, PARAMETERS
 
 CONTROL = Path(__file__).resolve().parents[2] / 'doc' / 'control.md'
 TYPES = {bool: ParameterType.PARAMETER_BOOL, int: ParameterType.PARAMETER_INTEGER,

@@ -19,10 +19,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from timo_sim.log.recording import Recording
-from timo_sim.messages.commands import COMMANDS, JOINTS
+from timo_sim.log.tables import Recording
 from timo_sim.scene.files import read_sections
-from timo_sim.scene.values import check
+from timo_sim.scene.parameters import check
+from timo_sim.topics.commands import COMMANDS, JOINTS
 from topic_hardware import ControllerManager
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -30,12 +30,11 @@ from std_srvs.srv import SetBool, Trigger
 import timo_sim
 from timo_sim.log.export import export
 from timo_sim.log.info import info
-from timo_sim.log.recorder import Channel, Recorder
-from timo_sim.log.recording import Recording
-from timo_sim.log.recover import recover
-from timo_sim.messages.commands import COMMANDS
-from timo_sim.replay.replay import Replay, replay
-from timo_sim.replay.segments import segments_of
+from timo_sim.log.read import recover
+from timo_sim.log.tables import Recording
+from timo_sim.log.write import Channel, Recorder
+from timo_sim.runs.replay import Replay, replay, segments_of
+from timo_sim.topics.commands import COMMANDS
 from timo_sim.view.track import of_run
 
 TURNING = {'initial.shaft_velocity': 1.0}

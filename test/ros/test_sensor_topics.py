@@ -20,9 +20,9 @@ from std_srvs.srv import Trigger
 
 import timo_sim
 from timo_sim.log.export import table
-from timo_sim.log.recording import Recording
-from timo_sim.replay.replay import replay
-from timo_sim.simulation.sensors import reading
+from timo_sim.log.tables import Recording
+from timo_sim.runs.replay import replay
+from timo_sim.simulation.snapshot import reading
 
 WRONG = {'sensor.seed': 7, 'sensor.encoder.noise': 1e-3, 'sensor.encoder.resolution': 1e-4,
          'sensor.root_strain.noise': 1e-6, 'sensor.gyro.bias': 0.01, 'sensor.gyro.noise': 2e-3,

@@ -32,7 +32,7 @@ from std_srvs.srv import Trigger
 
 import timo_sim
 from timo_sim.log.info import info
-from timo_sim.log.recording import Recording
+from timo_sim.log.tables import Recording
 
 EXAMPLE = Path(__file__).resolve().parents[2] / 'example'
 sys.path.append(str(EXAMPLE))

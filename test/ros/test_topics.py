@@ -27,12 +27,11 @@ import yaml
 
 import timo_sim
 from timo_sim.log.export import export_bag
-from timo_sim.messages.cdr import layout
-from timo_sim.messages.outputs import outputs
-from timo_sim.messages.packing import Serializer
 from timo_sim.ros.parameters import ParameterNode
 from timo_sim.ros.topics import message_class
-from timo_sim.scene.parameter import ParameterError
+from timo_sim.scene.parameters import ParameterError
+from timo_sim.topics.cdr import layout, Serializer
+from timo_sim.topics.outputs import outputs
 
 TORQUE, TIP = '/timo_sim/motor_torque', '/timo_sim/tip_pose'
 OVERRIDES = {f'qos_overrides.{name}': value for name, value in {

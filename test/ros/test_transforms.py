@@ -20,9 +20,8 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 import timo_sim
-from timo_sim.messages.cdr import layout
-from timo_sim.messages.outputs import TRANSFORMS
-from timo_sim.messages.packing import Serializer
+from timo_sim.topics.cdr import layout, Serializer
+from timo_sim.topics.outputs import TRANSFORMS
 
 URDF = Path(__file__).resolve().parents[2] / 'urdf' / 'timo_sim.urdf'
 

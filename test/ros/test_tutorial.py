@@ -19,7 +19,7 @@ import sys
 import pytest
 from ros_process import PATIENCE
 
-from timo_sim.log.recording import Recording
+from timo_sim.log.tables import Recording
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = {'sim_node': ['-m', 'timo_sim.cli.sim_node'], 'timo_sim': ['-m', 'timo_sim'],

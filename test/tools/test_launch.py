@@ -22,7 +22,7 @@ from rosgraph_msgs.msg import Clock
 from ros_process import PATIENCE
 import yaml
 
-from timo_sim.log.recording import Recording
+from timo_sim.log.tables import Recording
 
 
 class Launch:

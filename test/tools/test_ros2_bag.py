@@ -21,7 +21,7 @@ from ros_process import Client, PATIENCE
 from rosbags.rosbag2 import Reader
 import yaml
 
-from timo_sim.log.recording import Recording
+from timo_sim.log.tables import Recording
 
 TORQUE = '/timo_sim/motor_torque'
 PAGE = (Path(__file__).resolve().parents[2] / 'doc/log.md').read_text()

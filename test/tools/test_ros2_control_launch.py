@@ -21,7 +21,7 @@ import pytest
 from ros_process import PATIENCE
 from sensor_msgs.msg import JointState
 
-from timo_sim.log.recording import Recording
+from timo_sim.log.tables import Recording
 from topic_hardware import ControllerManager
 
 ROOT = Path(__file__).resolve().parents[2]

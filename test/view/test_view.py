@@ -32,13 +32,12 @@ from rosbags.typesys import get_typestore, Stores
 from ros_process import Process
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.cli.view import unique_names
-from timo_sim.log.recording import Recording
+from timo_sim.cli.commands import unique_names
+from timo_sim.log.tables import Recording
 from timo_sim.simulation.energy import work
-from timo_sim.view import animation, plot, show
-from timo_sim.view.animation import animate
-from timo_sim.view.convert import write
-from timo_sim.view.show import picture
+from timo_sim.view import plot, plot as animation, rerun
+from timo_sim.view.plot import animate
+from timo_sim.view.rerun import picture, write
 from timo_sim.view.track import of_recording, of_run, TrackError
 
 LENGTH, AT = 2.0, 1.782
@@ -417,12 +416,12 @@ def test_the_web_viewer_prints_its_address_and_ends_on_a_signal(log, number):
 
 def test_a_viewer_that_does_not_end_is_killed(monkeypatch):
     """Seen once: rerun, told to end while it served its page, went on with one core busy."""
-    monkeypatch.setattr(show, '_OBEDIENCE', 0.2)
+    monkeypatch.setattr(rerun, '_OBEDIENCE', 0.2)
     stubborn = ('import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); '
                 'print(flush=True); time.sleep(300.0)')
     with subprocess.Popen([sys.executable, '-c', stubborn], stdout=subprocess.PIPE) as process:
         process.stdout.readline()
-        show.stop(process)
+        rerun.stop(process)
         assert process.returncode == -signal.SIGKILL
 
 

@@ -7,14 +7,11 @@
 # language governing permissions and limitations under the License.
 
 """
-The commands `timo_sim` (subcommands in `commands`, `teleop`, `urdf`, `view`) and `sim_node`.
+The commands `timo_sim` (with its subcommands) and `sim_node`.
 
 It may import everything; nothing imports it.
 """
 
-# Each of these modules adds its subcommand to `main`.
-from timo_sim.cli import (  # noqa: F401
-    fit as _fit, teleop as _teleop, urdf as _urdf, view as _view)
 from timo_sim.cli.commands import main
 
 __all__ = ['main']

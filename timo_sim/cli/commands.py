@@ -6,8 +6,10 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Most subcommands of `timo_sim`; each imports what it needs when it runs, for a quick start."""
+"""The subcommands of `timo_sim`; each imports what it needs when it runs, for a quick start."""
 
+from functools import partial
+import itertools
 import os
 import re
 import signal
@@ -84,7 +86,7 @@ main.command_class = _Command
 def parsed(settings):
     """Return values by name from texts such as 'model.modes=5', with values in YAML."""
     from timo_sim.scene.files import parse_yaml
-    from timo_sim.scene.parameter import ParameterError
+    from timo_sim.scene.parameters import ParameterError
     values = {}
     for text in settings:
         name, equals, value = text.partition('=')
@@ -116,7 +118,7 @@ def bode(scene, settings, cause, effects, picture):
     \b
         timo_sim bode paper --set arm.damping_ratio=0.01 -o bode.png
     """
-    from timo_sim.simulation.linear import linearize
+    from timo_sim.runs.linear import linearize
     from timo_sim.scene.scene import load_scene
     from timo_sim.view import plot
     model = linearize(load_scene(scene, parsed(settings))).select([cause], effects)
@@ -181,7 +183,7 @@ def recover(file, output):
 
     FILE is not changed. If it is complete, nothing is written.
     """
-    from timo_sim.log.recover import recover
+    from timo_sim.log.read import recover
     click.echo(recover(file, output))
 
 
@@ -222,7 +224,7 @@ def replay(file, settings, formulation, scene, output, start, duration, node):
     Exit codes: 0 good; 1 the unchanged scene does not give the same bits, or not all are compared,
     or the run diverges; 2 bad input.
     """
-    from timo_sim.replay.replay import replay
+    from timo_sim.runs.replay import replay
     changes = parsed(settings)
     if formulation:
         changes['model.formulation'] = formulation
@@ -255,11 +257,11 @@ def simulate(scene, duration, settings, output, rate, estimate, view, png):
 
     Exit codes: 0 good; 1 the run diverges (samples up to there are written); 2 bad input.
     """
+    from timo_sim.runs.accuracy import resolved
     from timo_sim.runs.simulate import simulate
-    from timo_sim.scene.parameter import ModelWarning, whole_ratio
+    from timo_sim.scene.parameters import ModelWarning, whole_ratio
     from timo_sim.scene.scene import load_scene
-    from timo_sim.simulation.resolution import resolved
-    from timo_sim.simulation.model_warnings import DivergenceError
+    from timo_sim.simulation.warnings import DivergenceError
     # If these are missing, fail before minutes are spent on the run.
     if png:
         from timo_sim.view import plot
@@ -308,5 +310,250 @@ def sweep(file, output, workers, scheduler):
 
     If a sweep was stopped, the same command continues it.
     """
-    from timo_sim.sweep.store import run_sweep
+    from timo_sim.runs.sweep_file import run_sweep
     run_sweep(file, output, workers, scheduler)
+
+
+@main.command()
+@click.argument('record', type=click.Path())
+@click.argument('more', nargs=-1, metavar='[NAME]...')
+@click.option('--scene', type=click.Path(), help=(
+    'Parameter file or name of an installed scene, whose values are first guesses; by default '
+    'that of RECORD, if it is a log of the node.'))
+@click.option('--free', multiple=True, required=True, metavar='NAME [NAME]...', help=(
+    'Parameters to be fitted: of the scene; QUANTITY.gain, .bias or .delay of an input or output, '
+    '.lag of an output; or initial for the whole initial state.'))
+@click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH', help='Bounds of one of them.')
+@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
+              help='A parameter that differs from the scene; several are allowed.')
+@click.option('--mapping', type=click.Path(dir_okay=False), metavar='FILE',
+              help='YAML file that says which column of a table is which quantity.')
+@click.option('--outputs', metavar='NAME,NAME', help='Outputs to be fitted; by default all.')
+@click.option('--hold-out', type=float, default=0.0, show_default=True,
+              help='Part of RECORD, at its end, that is predicted and not fitted.')
+@click.option('--window', type=float, metavar='SECONDS', help=(
+    'Fit windows of about this length, each with an initial state of its own.'))
+@click.option('--loss', default='linear', show_default=True,
+              help='Or soft_l1, huber or cauchy, with which outliers weigh less.')
+@click.option('--output', '-o', type=click.Path(dir_okay=False), metavar='FITTED.yaml',
+              help='Parameter file to write: the fitted scene.')
+@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+              help='Picture to write: measured and predicted outputs.')
+def fit(record, more, scene, free, bounds, settings, mapping, outputs,
+        hold_out, window, loss, output, png):
+    r"""
+    Fit parameters of a scene to RECORD, a log, a bag or a table, and predict the rest of it.
+
+    \b
+        timo_sim fit run.mcap --free motor.viscous_friction arm.young_modulus
+        timo_sim fit arm.csv --mapping columns.yaml --scene arm.yaml --hold-out 0.5 \
+            --free motor.shaft_inertia shaft.bias -o fitted.yaml --png fit.png
+
+    Exit codes: 0 good; 2 bad input.
+    """
+    from timo_sim.fitting.result import fit, read
+    from timo_sim.scene.parameters import ModelWarning
+    from timo_sim.scene.scene import load_scene
+    if png:
+        from timo_sim.view.plot import write
+    changes, ends = parsed(settings), _bounds(bounds)
+    scene, record = read(scene, record, mapping)
+    if outputs:
+        record = record.select(*outputs.split(','))
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', ModelWarning)  # the report has its text
+        found = fit(load_scene(scene, changes), record, [*free, *more], ends, hold_out, window,
+                    loss)
+    click.echo(found.report())
+    if output:
+        click.echo(f'{found.save(output)} is written')
+    if png:
+        write(found.plot(), png)
+        click.echo(f'{png} is drawn')
+
+
+def _bounds(texts):
+    from timo_sim.scene.parameters import ParameterError
+    found = {}
+    for text in texts:
+        name, _, ends = text.partition('=')
+        low, colon, high = ends.partition(':')
+        try:
+            if not colon:
+                raise ValueError
+            found[name.strip()] = float(low or '-inf'), float(high or 'inf')
+        except ValueError:
+            raise ParameterError(f'--bounds takes NAME=LOW:HIGH, such as '
+                                 f'motor.shaft_inertia=1e-4:0.1; got {text!r}') from None
+    return found
+
+
+@main.command()
+@click.option('--node', default='/timo_sim', show_default=True, help='Full name of the node.')
+@click.option('--force', type=float, default=5.0, show_default=True,
+              help='Force on the carrier, along the axes of the world [N].')
+@click.option('--torque', type=float, default=5.0, show_default=True,
+              help='Torque on the shaft [N m].')
+def teleop(node, force, torque):
+    r"""
+    Push carrier and shaft of a live node by keys, in a terminal.
+
+    \b
+        timo_sim teleop --torque 2
+
+    Arrows push the carrier, a and d turn the shaft, as long as they are held; space pauses or goes
+    on, r resets, q or Ctrl-C quits. The latest command acts, whether from here or from others.
+    """
+    from timo_sim.ros.teleop import teleop
+    teleop(node, force, torque)
+
+
+_ALUMINIUM = 2710.0  # [kg/m3]; bodies are drawn with the volume of their mass in aluminium
+
+
+@main.command()
+@click.argument('scene')
+@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
+              help='A parameter that differs from the scene, such as frame_prefix=left/.')
+def urdf(scene, settings):
+    r"""
+    Print the URDF of SCENE, a parameter file or the name of an installed scene.
+
+    \b
+        timo_sim urdf my_scene.yaml > my_scene.urdf
+
+    Lengths, masses, centres of mass and moments of inertia are those of the scene with a straight
+    arm; the link arm includes the inertia of the shaft. Links have the names of the frames.
+    """
+    from timo_sim.scene.files import read_parameter_file
+    from timo_sim.scene.parameters import frame_names
+    from timo_sim.scene.scene import load_scene
+    changes = parsed(settings)
+    body = load_scene(scene, changes).manipulator
+    click.echo(_filled(body, frame_names({**read_parameter_file(scene), **changes})))
+
+
+def _filled(body, frames):
+    """Return the URDF of a Manipulator with these names of frames."""
+    from xml.etree import ElementTree
+    from timo_sim.scene.files import shared
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    robot = ElementTree.parse(shared('urdf/timo_sim.urdf'), parser).getroot()
+    for path, values in _values(body).items():
+        next(robot.iterfind(path)).attrib.update({
+            name: ' '.join(f'{number:.9g}' for number in numbers)
+            for name, numbers in values.items()})
+    names = {**frames, 'carrier_rail': frames['carrier'] + '_rail'}
+    for key, elements in (('name', robot.findall('link')), ('link', robot.iter('parent')),
+                          ('link', robot.iter('child'))):
+        for element in elements:
+            element.set(key, names[element.get(key)])
+    text = ElementTree.tostring(robot, 'unicode')
+    return '<?xml version="1.0"?>\n' + text.replace(' />', '/>')
+
+
+def _values(body):
+    """Return the numbers of a Manipulator by element of the URDF and attribute."""
+    import numpy as np
+    from timo_sim.model.bodies import Quadrature
+    arm, base, tip = body.arm, body.base_mass, body.end_effector_mass
+    nodes = Quadrature(arm.breaks, 4)  # exact for sections that vary linearly
+    section = arm.at(nodes.nodes)
+    lump = nodes.weights * section.mass_per_length
+    mass = lump.sum()
+    centre = lump @ nodes.nodes / mass
+    apart = lump @ (nodes.nodes - centre)**2
+    # Parts of the moments of inertia that are due to the section's height and width.
+    bending, sideways = (lump @ (np.ones_like(lump) * size**2) / 12.0
+                         for size in (section.height, section.width))
+    spin = body.shaft_inertia
+    carrier = np.cbrt(body.carrier_mass / _ALUMINIUM)
+    motor = np.cbrt(body.motor_mass / _ALUMINIUM / (2.0 * np.pi))  # as high as it is wide
+    ball = np.cbrt(tip / _ALUMINIUM / (4.0 / 3.0 * np.pi))
+
+    def inertia(xx, yy, zz):
+        return {'ixx': [xx], 'iyy': [yy], 'izz': [zz]}
+
+    def inertial(link, mass, x, *moments):
+        path = f"link[@name='{link}']/inertial/"
+        return {f'{path}mass': {'value': [mass]}, f'{path}origin': {'xyz': [x, 0.0, 0.0]},
+                f'{path}inertia': inertia(*moments)}
+
+    def visual(link, shape, number=1):
+        return f"link[@name='{link}']/visual[{number}]/{shape}"
+
+    return {
+        # The carrier does not turn: any moments of inertia will do that a body can have.
+        **inertial('carrier', base, 0.0, *3 * [base * carrier**2 / 6.0]),
+        # The shaft turns about z alone: its moments about x and y are made up, as of a ball.
+        **inertial('arm', mass, centre, spin + bending + sideways, spin + apart + sideways,
+                   spin + apart + bending),
+        **inertial('tip', tip, 0.0, *3 * [body.end_effector_inertia]),
+        "joint[@name='tip']/origin": {'xyz': [arm.length, 0.0, 0.0]},
+        visual('carrier', 'origin'): {'xyz': [0.0, 0.0, -motor - 0.5 * carrier]},
+        visual('carrier', 'geometry/box'): {'size': 3 * [carrier]},
+        visual('carrier', 'geometry/cylinder', 2): {'radius': [motor], 'length': [2.0 * motor]},
+        visual('arm', 'origin'): {'xyz': [0.5 * arm.length, 0.0, 0.0]},
+        visual('arm', 'geometry/box'): {
+            'size': [arm.length, np.max(arm.section.height), np.max(arm.section.width)]},
+        visual('tip', 'geometry/sphere'): {'radius': [ball]},
+    }
+
+
+def unique_names(names):
+    """Return names with a suffix _N after repeated ones, such that all differ."""
+    found = []
+    for place, name in enumerate(names):
+        numbered = (f'{name}_{number}' for number in itertools.count(place))
+        found.append(name if name not in found else next(
+            each for each in numbered if each not in {*names, *found}))
+    return found
+
+
+@main.command()
+@click.argument('files', nargs=-1, required=True, type=click.Path(exists=True))
+@click.option('--save', type=click.Path(dir_okay=False), metavar='OUT.rrd',
+              help='Write a file for rerun instead of opening it.')
+@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+              help='Draw a picture instead, without a screen.')
+@click.option('--gif', type=click.Path(dir_okay=False), metavar='OUT.gif',
+              help='Draw an animation instead, without rerun.')
+@click.option('--at', type=float, metavar='SECONDS',
+              help='Sim time of the picture of --png, and of a frame in the file of --save [s]; '
+                   'by default the end.')
+@click.option('--web', is_flag=True, help='Open the browser instead of a window.')
+@click.option('--fps', type=click.FloatRange(min=0.0, min_open=True), default=30.0,
+              show_default=True, help='Frames per second of the arm, in an animation at most 20; '
+              'curves have all samples.')
+@click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
+def view(files, save, png, gif, at, web, fps, node):
+    r"""
+    Show recorded runs, laid over each other, in rerun or as an animation.
+
+    FILES are logs of the node, or bags of its topics. Everything stays on this machine.
+
+    \b
+        timo_sim view run.mcap
+        timo_sim view before.mcap after.mcap --png compared.png --at 1.81
+        timo_sim view run.mcap --gif run.gif
+    """
+    wanted = save or png or web or not gif
+    if at is not None and not (png or save):
+        from timo_sim.scene.parameters import ParameterError
+        raise ParameterError('--at is the time of a picture: it needs --png or --save')
+    if wanted:
+        import rerun  # noqa: F401  # if it is missing, fail before minutes are spent on reading
+    if gif:
+        from timo_sim.view.plot import animate
+    from timo_sim.log.tables import Recording
+    from timo_sim.view.track import of_recording
+    recordings = [Recording(path, node) for path in files]
+    names = unique_names([recording.path.stem for recording in recordings])
+    makers = [partial(of_recording, *pair) for pair in zip(recordings, names)]
+    if gif:
+        animate([maker() for maker in makers], gif, fps)
+    if wanted:
+        from timo_sim.view.rerun import show_tracks
+        show_tracks(makers, save, png, at, web, fps)
+    for path in filter(None, (save, png, gif)):
+        click.echo(f'{path} is written')

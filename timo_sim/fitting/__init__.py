@@ -6,10 +6,9 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-
 """
 Fit a scene to a measured record: parameters of the arm, with intervals, and what they predict.
 
-`record` and `files` read what was measured, `problem` compares it with runs, `fit` finds the
-parameters, `statistics` tells how certain they are, `result` and `picture` show it.
+`record` and `files` hold and read what was measured, `problem` compares it with runs, `search`
+finds the parameters, `result` says how certain they are, `picture` shows it.
 """

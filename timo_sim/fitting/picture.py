@@ -6,13 +6,12 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-
 """The picture of a fit: what was measured, what a run predicts, and their difference."""
 
 from matplotlib.figure import Figure
 import numpy as np
 
-from timo_sim.fitting.quantities import unit_of
+from timo_sim.fitting.record import unit_of
 from timo_sim.view.plot import COLOURS
 
 _SHOWN = {'tip_transverse': 'tip deflection', 'tip_angle': 'tip angle',

@@ -6,26 +6,339 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-
-"""Predictions of a record by runs of a scene, and their distance from it."""
+"""Predictions of a record by runs of a scene with free parameters, and their distance from it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+import functools
 import math
 import warnings
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline, make_lsq_spline
 from scipy.signal import lfilter
 
-from timo_sim.fitting.free import free_parameters, SENSOR
-from timo_sim.fitting.inputs import limited, loads_of
-from timo_sim.fitting.quantities import DRIVE, OUTPUTS
-from timo_sim.runs.sampled import sampled_run
-from timo_sim.scene.numbers import INITIAL, initial_names, placed
-from timo_sim.scene.parameter import ModelWarning, ParameterError
-from timo_sim.simulation.model_warnings import DivergenceError
+from timo_sim.fitting.record import DRIVE, OUTPUTS, unit_of
+from timo_sim.runs.run import sampled_run
+from timo_sim.scene.loads import Load, on_boundaries, parabolas, Term
+from timo_sim.scene.parameters import (
+    did_you_mean, INITIAL, initial_names, initial_scale, ModelWarning, number_of, ParameterError,
+    placed, short)
+from timo_sim.scene.scene import motor_constants
+from timo_sim.simulation.warnings import DivergenceError
+
+# Of a quantity of the record, by default; an input has no lag.
+SENSOR = {'gain': 1.0, 'bias': 0.0, 'delay': 0.0, 'lag': 0.0}
+_FURTHEST = 1e3  # factor by which a positive parameter may differ from its start
+
+
+@dataclass(frozen=True)
+class Free:
+    """
+    A free parameter.
+
+    Attributes
+    ----------
+    name : str
+        Of the scene, with [k] for an element of a list, or QUANTITY.gain, .bias, .delay, .lag.
+    start, low, high : float
+        First value and bounds, in the unit of the parameter.
+    scale : float
+        Change that matters, in the same unit; of a logarithm 1.
+    log : bool
+        Whether the fit works with its logarithm, and `scale` is a part of the value.
+    unit : str
+
+    """
+
+    name: str
+    start: float
+    low: float
+    high: float
+    scale: float
+    log: bool
+    unit: str
+
+    def coordinate(self, value):
+        """Return the coordinate of the fit for a value."""
+        with np.errstate(divide='ignore'):
+            return np.log(value) if self.log else value / self.scale
+
+    def value(self, coordinate):
+        """Return the value for a coordinate."""
+        return math.exp(coordinate) if self.log else float(coordinate * self.scale)
+
+
+def free_parameters(names, bounds, scene, record):
+    """
+    Return the Free parameters of a fit, a list.
+
+    Parameters
+    ----------
+    names : sequence of str
+        See `fit`.
+    bounds : dict
+        (low, high) by name.
+    scene : Scene
+    record : Record
+
+    Raises
+    ------
+    ParameterError
+        If a name is unknown or given twice, or a start is outside of its bounds.
+
+    """
+    wanted = [each for name in names for each in (
+        initial_names(scene) if name == INITIAL else [name])]
+    if not wanted:
+        raise ParameterError('a fit must have at least one free parameter, got none')
+    for place, name in enumerate(wanted):
+        if name in wanted[:place]:
+            raise ParameterError(f'{name} is free twice')
+    for name in bounds:
+        if name not in wanted:
+            raise ParameterError(f'bounds of {short(name, str)} need it to be free; free are '
+                                 f'{", ".join(wanted)}{did_you_mean(name, wanted)}')
+    return [_free(name, bounds.get(name), scene, record) for name in wanted]
+
+
+def _free(name, bounds, scene, record):
+    quantity, _, kind = name.rpartition('.')
+    channels = {**record.inputs, **record.outputs}
+    if quantity in channels and kind in SENSOR and (kind != 'lag' or quantity in record.outputs):
+        values = channels[quantity].values
+        # A search that begins at a bound leaves it slowly.
+        start = 2.0 * record.period if kind == 'lag' else SENSOR[kind]
+        low, high, scale, log, unit = {
+            'gain': (0.0, math.inf, 1.0, True, ''),
+            'bias': (-math.inf, math.inf, float(np.std(values)) or 1.0, False, unit_of(quantity)),
+            'delay': (-0.1 * record.duration, 0.1 * record.duration, 10.0 * record.period, False,
+                      's'),
+            'lag': (0.0, 0.1 * record.duration, 10.0 * record.period, False, 's'),
+        }[kind]
+    else:
+        parameter, start = number_of(
+            name, scene, ' nor QUANTITY.gain, .bias, .delay or .lag of ' + ', '.join(channels),
+            [f'{channel}.{kind}' for channel in channels for kind in SENSOR])
+        low, high, unit = parameter.low, parameter.high, parameter.unit
+        log = low == 0.0
+        scale = initial_scale(name, scene) if name.startswith(INITIAL) else max(abs(start), 1.0)
+        scale = 1.0 if log else scale
+        if log and start == 0.0:
+            raise ParameterError(f'{name} must be > 0 {unit} in the scene to be fitted, since its '
+                                 'first value is a guess to begin with; got 0')
+    given = (-math.inf, math.inf) if bounds is None else bounds
+    try:
+        given = float(given[0]), float(given[1])
+        good = len(bounds or given) == 2 and given[0] < given[1]
+    except (TypeError, ValueError, IndexError):
+        good = False
+    if not good:
+        raise ParameterError(f'bounds of {name} must be two ascending numbers, got '
+                             f'{short(bounds)}')
+    low, high = max(low, given[0]), min(high, given[1])
+    if log:
+        low, high = max(low, start / _FURTHEST), min(high, start * _FURTHEST)
+    if not low <= start <= high:
+        raise ParameterError(f'{name} = {start:g} must be within its bounds, {low:g} to {high:g}, '
+                             'where the fit begins')
+    return Free(name, start, low, high, scale, log, unit)
+
+
+_NEAREST = 5  # samples to each side from which the angle and speed of the shaft are taken
+
+
+def initial_states(problem, values):
+    """
+    Return the Free parameters of the initial state of each window, a list of lists.
+
+    They begin with the motion of one run, and the shaft where the record shows it.
+    """
+    try:
+        run = problem.run(values, 0.0, problem.until)
+    except DivergenceError as error:
+        run = error.run
+    found = []
+    for window in problem.windows:
+        motion = run.motion[min(round(window.begin / run.scene.step), len(run.t) - 1)]
+        half = len(motion) // 2
+        guess = dict(zip(('initial.carrier_x', 'initial.carrier_y', 'initial.shaft'), motion))
+        guess |= dict(zip((f'{name}_velocity' for name in [*guess]), motion[half:half + 3]))
+        guess |= _measured(problem, window.begin, values)
+        scene = problem.scene.vary({
+            **{name: float(value) for name, value in guess.items() if name in window.names},
+            'initial.modal_coordinates': motion[3:half], 'initial.modal_rates': motion[half + 3:]})
+        found.append(free_parameters(window.names, {}, scene, problem.record))
+    return found
+
+
+def _measured(problem, begin, values):
+    channel = problem.record.outputs.get('shaft')
+    if channel is None:
+        return {}
+    sensor = problem.sensor(values)
+    t = channel.t - begin - sensor('shaft', 'delay')
+    place = np.searchsorted(t, 0.0)
+    near = slice(max(0, place - _NEAREST), place + _NEAREST + 1)
+    speed, angle = np.polyfit(t[near], (channel.values[near] - sensor('shaft', 'bias'))
+                              / sensor('shaft', 'gain'), 1)
+    return {'initial.shaft': angle, 'initial.shaft_velocity': speed}
+
+
+_DEGREE = 5  # of the spline through a driven angle, whose acceleration is smooth
+# Limits of commands, and of the rates at which they act, by input.
+_LIMITS = {'voltage': ('motor.dc.voltage_limit', None),
+           'torque': ('motor.torque_limit', 'motor.torque_rate_limit'),
+           **{axis: ('carrier.force_limit', 'carrier.force_rate_limit')
+              for axis in ('force_x', 'force_y')}}
+
+
+class Sampled(Term):
+    """
+    A load given by samples.
+
+    A step sees the mean of values that hold, so that the impulse is right if they change inside
+    it. Values that are joined by straight lines act as the table of a scene.
+
+    Parameters
+    ----------
+    channel : Channel
+    gain, bias, delay : float
+        The load is `gain u(t - delay) + bias`; the delay is in [s].
+    shift : float
+        Time in the record at which the scene's begins [s].
+
+    """
+
+    def __init__(self, channel, gain=1.0, bias=0.0, delay=0.0, shift=0.0):
+        t, values = channel.t + (delay - shift), gain * channel.values + bias
+        self._t, self._values, self._holds = t, values, channel.hold == 'zero'
+        # The integral from the first sample on, before which its value holds.
+        self._integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
+
+    def stages(self, first, count, step):
+        if self._holds:
+            impulse = np.diff(self._integrate(step * np.arange(first, first + count + 1)))
+            return (impulse / step)[:, np.newaxis]
+        at = 0.5 * step * np.arange(2 * first, 2 * (first + count) + 1)
+        values = np.interp(at, self._t, self._values)
+        return np.column_stack([values[:-2:2], values[1::2], values[2::2]])
+
+    def parabolas(self, first, count, step):
+        if self._holds:
+            return super().parabolas(first, count, step)
+        return parabolas(lambda at: np.interp(at * step, self._t, self._values),
+                         on_boundaries(self._t / step), 1, first, count)
+
+    def _integrate(self, at):
+        place = np.clip(np.searchsorted(self._t, at, side='right') - 1, 0, None)
+        return self._integral[place] + self._values[place] * (at - self._t[place])
+
+
+class Driven(Term):
+    """
+    The angle of a driven shaft, a spline through samples; before and after them it stays.
+
+    Parameters are as for `Sampled`.
+    """
+
+    def __init__(self, channel, gain=1.0, bias=0.0, delay=0.0, shift=0.0):
+        self._spline = _spline(channel.t.tobytes(), channel.values.tobytes(), channel.knots)
+        self._ends, self._late = channel.t[[0, -1]], delay - shift
+        self._gain, self._bias = gain, bias
+
+    def stages(self, first, count, step):
+        """Return angle, speed and acceleration at the stages of steps, shape (count, 3, 3)."""
+        at = 0.5 * step * np.arange(2 * first, 2 * (first + count) + 1) - self._late
+        inside = (self._ends[0] <= at) & (at <= self._ends[1])
+        motion = self._gain * np.stack([
+            self._spline(np.clip(at, *self._ends), order) * (inside if order else 1.0)
+            for order in range(3)], axis=-1)
+        motion[:, 0] += self._bias
+        return np.stack([motion[:-2:2], motion[1::2], motion[2::2]], axis=1)
+
+
+def loads_of(record, scene, sensors, shift=0.0):
+    """
+    Return the Load of a scene under its own loads and the inputs of a record.
+
+    Parameters
+    ----------
+    record : Record
+    scene : Scene
+    sensors : function(str, str) -> float
+        The gain, bias or delay of a quantity, by its name.
+    shift : float
+        Time in the record at which the scene's begins [s].
+
+    """
+    terms, drive = {name: [*own] for name, own in scene.load.terms.items()}, scene.load.drive
+    for name, channel in record.inputs.items():
+        gain, bias, delay = (sensors(name, kind) for kind in ('gain', 'bias', 'delay'))
+        if name == DRIVE:
+            drive = Driven(channel, gain, bias, delay, shift)
+            continue
+        if name == 'voltage':
+            constant = motor_constants(scene.values)[0]
+            gain, bias, name = constant * gain, constant * bias, 'torque'
+        terms.setdefault(name, []).append(Sampled(channel, gain, bias, delay, shift))
+    return Load({name: tuple(found) for name, found in terms.items()}, drive)
+
+
+def limited(record, values):
+    """Return a record whose inputs are what a scene's actuators make of them, by its values."""
+    if 'voltage' in record.inputs and not values['motor.dc.resistance']:
+        raise ParameterError('the record has a voltage, which needs a DC motor: '
+                             'motor.dc.resistance must be > 0 ohm, and motor.dc.torque_constant')
+    inputs = dict(record.inputs)
+    for name, (limit, rate) in _LIMITS.items():
+        if name in inputs and np.isfinite(values[limit]):
+            goals = np.clip(inputs[name].values, -values[limit], values[limit])
+            inputs[name] = inputs[name]._replace(values=goals)
+        if name in inputs and rate and np.isfinite(values[rate]):
+            inputs[name] = _ramped(inputs[name], values[rate])
+    return replace(record, inputs=inputs)
+
+
+def _ramped(channel, rate):
+    """Return a channel that moves to each of its values on a straight line of this slope."""
+    if channel.hold != 'zero':
+        raise ParameterError('an input with a limited rate must have hold: zero, because its '
+                             'values are goals')
+    t, values, now = [channel.t[0]], [channel.values[0]], channel.values[0]
+    for begin, end, goal in zip(channel.t, [*channel.t[1:], np.inf], channel.values):
+        if goal == now:
+            continue
+        reached = min(begin + abs(goal - now) / rate, end)
+        if begin > t[-1]:
+            t.append(begin)
+            values.append(now)
+        now = goal if reached < end else now + np.sign(goal - now) * rate * (end - begin)
+        t.append(reached)
+        values.append(now)
+    return channel._replace(t=np.array(t), values=np.array(values), hold='linear')
+
+
+@functools.lru_cache(maxsize=4)
+def _spline(t, angle, knots):
+    t, angle = np.frombuffer(t), np.frombuffer(angle)
+    if not knots:
+        return make_interp_spline(t, angle, _DEGREE)
+    count = max(1.0, np.rint((t[-1] - t[0]) / knots))
+    try:
+        if count + _DEGREE > len(t):
+            raise ValueError
+        ends, inner = np.ones(_DEGREE), np.linspace(t[0], t[-1], int(count) + 1)
+        found = make_lsq_spline(
+            t, angle, np.concatenate([inner[0] * ends, inner, inner[-1] * ends]), _DEGREE)
+        if not np.isfinite(found.c).all():
+            raise ValueError
+        return found
+    except (ValueError, np.linalg.LinAlgError):
+        raise ParameterError(f'knots of {DRIVE} must be further apart than its samples, also '
+                             f'where these have gaps, got {knots:g} s') from None
+
 
 _NEAR = 1e-6      # [steps] distance from a step within which a sample is at it
 _MOST_STEPS = 1e7

@@ -9,5 +9,5 @@
 """
 Runs on disk: MCAP files that ros2 bag, rerun and other readers open, and tables of them.
 
-It may import `messages`, `scene` and what is below them. Nothing here needs ROS.
+This package may import `topics`, `scene` and what is below them. Nothing here needs ROS.
 """

@@ -16,13 +16,12 @@ import shutil
 import numpy as np
 
 from timo_sim.extras import optional
-from timo_sim.log.index import Index
+from timo_sim.log.read import Index
 from timo_sim.log.records import LogError, printable
-from timo_sim.log.recording import Recording
-from timo_sim.log.series import common
-from timo_sim.log.writer import information, yaml_text
-from timo_sim.messages.outputs import outputs, title, with_angles
+from timo_sim.log.tables import common, Recording
+from timo_sim.log.write import information, yaml_text
 from timo_sim.scene.files import whole_file
+from timo_sim.topics.outputs import outputs, title, with_angles
 
 _ROWS = 10000  # rows of a CSV file that are converted to text at a time
 

@@ -15,8 +15,8 @@ import math
 
 import numpy as np
 
-from timo_sim.log.index import Index
-from timo_sim.log.notes import made_with, read_notes
+from timo_sim.log.read import Index
+from timo_sim.log.records import made_with, read_notes
 
 _NANOSECONDS = 1000000000
 _MOST_TIMES = 500000   # messages; of a larger log, some chunks are searched for gaps
@@ -76,7 +76,7 @@ def _peak(index, summary):
         largest = float(summary['peak_tip_deflection_m'])
         time, about = float(summary['peak_tip_deflection_at_s']), ''
     except (KeyError, ValueError):
-        from timo_sim.log.recording import Recording  # here, because its import is slow
+        from timo_sim.log.tables import Recording  # here, because its import is slow
         series = Recording(index.path).read('~/tip_deflection', most_chunks=_MOST_CHUNKS).get(
             '~/tip_deflection')
         if series is None or not len(series.ns):

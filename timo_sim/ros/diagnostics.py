@@ -11,8 +11,8 @@
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
 
-from timo_sim.messages.outputs import NANOSECONDS
 from timo_sim.ros.topics import Outlet
+from timo_sim.topics.outputs import NANOSECONDS
 
 _PERIOD = 1.0  # [s] of wall time
 _TWO_CLOCKS = 'somebody else publishes /clock, too: whoever uses sim time sees it jump'

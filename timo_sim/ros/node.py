@@ -19,20 +19,16 @@ import time
 from rclpy.context import Context
 from std_srvs.srv import SetBool, Trigger
 
-from timo_sim.log.notes import CHANGE, change_note, Peak, RESET, start_note
-from timo_sim.messages.outputs import outputs, TRANSFORMS
-from timo_sim.ros.commands import Commands
+from timo_sim.log.records import CHANGE, change_note, Peak, RESET, start_note
 from timo_sim.ros.diagnostics import Health
 from timo_sim.ros.loop import Loop, NotNow
 from timo_sim.ros.parameters import ParameterNode, resolved_scene, steps_between_messages
-from timo_sim.ros.run_log import RunLog
-from timo_sim.ros.topics import LateOutlet, MotionOutlet
-from timo_sim.scene.build import implausible
-from timo_sim.scene.parameter import LATEST, ParameterError, SCENE, short, whole_ratio
-from timo_sim.scene.parameters import PARAMETERS
-from timo_sim.scene.values import changed, frame_names
-from timo_sim.scene.scene import scene_from
+from timo_sim.ros.topics import Commands, LateOutlet, MotionOutlet, RunLog
+from timo_sim.scene.parameters import (
+    changed, frame_names, LATEST, ParameterError, PARAMETERS, SCENE, short, whole_ratio)
+from timo_sim.scene.scene import implausible, scene_from
 from timo_sim.simulation.simulator import Simulator
+from timo_sim.topics.outputs import outputs, TRANSFORMS
 
 _LONGEST_SLEEP = 0.1  # [s] after which a sleeping node looks at its flags
 # Environment in which a node discovers no other and is discovered by none.

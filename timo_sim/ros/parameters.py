@@ -12,8 +12,8 @@ from dataclasses import replace
 import math
 import sys
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
 from rcl_interfaces.srv import SetParameters
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
@@ -21,12 +21,10 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from timo_sim.runs.accuracy import choose_resolution
 from timo_sim.scene.files import foreign, QOS
-from timo_sim.scene.parameter import did_you_mean, Parameter as Rule
-from timo_sim.scene.parameter import ParameterError, short, whole_ratio
-from timo_sim.scene.parameters import PARAMETERS, RATES
-from timo_sim.scene.values import check
-from timo_sim.simulation.resolution import choose_resolution
+from timo_sim.scene.parameters import (
+    check, did_you_mean, Parameter as Rule, ParameterError, PARAMETERS, RATES, short, whole_ratio)
 
 _SOURCE = 'set at run time'
 # QoS policies that can be set. With history keep_all a slow subscriber would hold up the node.

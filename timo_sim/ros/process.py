@@ -22,7 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from timo_sim.ros.node import SimNode
 from timo_sim.scene.files import is_for, read_sections
-from timo_sim.scene.parameter import ParameterError, short
+from timo_sim.scene.parameters import ParameterError, short
 
 try:  # it serves callbacks faster than SingleThreadedExecutor: benchmark/speed/latency.py
     from rclpy.experimental import EventsExecutor as Executor

@@ -27,7 +27,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from timo_sim.scene.parameter import ParameterError, short
+from timo_sim.scene.parameters import ParameterError, short
 
 _HELP = b'arrows push the carrier, a and d turn the shaft; space pauses, r resets, q quits\n'
 # By key: place in (force x, force y, torque), and sign. What arrow keys send ends with A to D.

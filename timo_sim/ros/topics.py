@@ -6,17 +6,22 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Publishers of the topics that carry the motion, which `messages.outputs` defines."""
+"""The node's publishers, its subscriptions to commands, and its log."""
 
+from datetime import datetime
 from importlib import import_module
 import math
+import os
 import time
 
 from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.serialization import deserialize_message, serialize_message
 
-from timo_sim.log.recorder import Channel
-from timo_sim.messages.outputs import in_frames
-from timo_sim.messages.packing import Serializer
+from timo_sim.log.records import names_note, START, SUMMARY
+from timo_sim.log.write import Channel, Recorder
+from timo_sim.topics.cdr import Serializer
+from timo_sim.topics.commands import COMMANDS, INPUTS, JOINTS, LARGEST, Refused
+from timo_sim.topics.outputs import in_frames, NANOSECONDS
 
 _NEW = 10.0  # [s] of wall time in which a new subscriber discovers the publisher, too
 
@@ -97,7 +102,7 @@ class Outlet:
 
 class MotionOutlet(Outlet):
     """
-    The outlet of an Output of `messages.outputs`; `frames` names each of its FRAMES.
+    The outlet of an Output of `topics.outputs`; `frames` names each of its FRAMES.
 
     It is published each `every` steps; `watch(numbers, ns)`, unless None, sees what is logged.
     """
@@ -149,3 +154,270 @@ class LateOutlet(MotionOutlet):
     def drop(self):
         """Drop the messages that are not due yet."""
         self._under_way.clear()
+
+
+QUEUE = 10  # commands that may wait on a topic, by default
+
+
+def _wrench(message):
+    force, torque = message.wrench.force, message.wrench.torque
+    return [message.header.frame_id], [
+        (force.x, force.y, force.z, torque.x, torque.y, torque.z)]
+
+
+def _joints(message):
+    return [message.header.frame_id, *message.name], [
+        message.position, message.velocity, message.effort]
+
+
+# By type of a command: the function that returns texts and lists of numbers of a message.
+# `topics.cdr` could do this, too, but would need 20 ms for a hostile message of 64 kB.
+_READ = {
+    'geometry_msgs/msg/WrenchStamped': _wrench,
+    'std_msgs/msg/Float64': lambda message: ([], [(message.data,)]),
+    'sensor_msgs/msg/JointState': _joints,
+    'std_msgs/msg/Float64MultiArray': lambda message: ([], [message.data]),
+}
+_WRENCH = 'force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z'
+# By command: the parts of its wrench that have no effect.
+_WITHOUT_EFFECT = {'~/carrier_wrench': (2, 3, 4, 5), '~/tip_wrench': (2, 3, 4)}
+
+
+class Inlet:
+    """
+    The subscription to a command topic; the loop polls it under the node's lock.
+
+    No executor serves it: the EventsExecutor's queue is unbounded, the middleware's is not.
+
+    Attributes
+    ----------
+    pending : tuple or None
+        The command that will act next: its row and its message, serialised.
+    refused, mismatched : int
+        Number of commands refused, and of those dropped because they answer another state.
+    foreign : int
+        Number of names in commands that are no joints here, such as those of other robots.
+
+    """
+
+    def __init__(self, node, command, frames):
+        self.command, self._frames = command, frames
+        self.type = message_class(command.type_name)
+        # A logger for each topic, so that the warnings of each are throttled separately.
+        self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
+        self._subscription = node.create_subscription(
+            self.type, command.name, lambda data: None, QUEUE, raw=True)
+        self.publishers = self._subscription.get_publisher_count
+        self.channel = channel_of(self._subscription, command.type_name, command.name)
+        self.pending = None
+        self.refused = self.mismatched = self.foreign = 0
+
+    def _receive(self, data, answered):
+        """Make a message pending, unless it is refused; return whether it is now."""
+        try:
+            message = self._decoded(data)
+            texts, lists = _READ[self.command.type_name](message)
+            row = self.command.row(texts, lists, self._frames)
+        except Refused as reason:
+            self.refused += 1
+            self.logger.warning(
+                f'command refused, {reason}; the last one stays in force',
+                throttle_duration_sec=5.0)
+            return False
+        time = message.header.stamp if hasattr(message, 'header') else None
+        stamp = time and NANOSECONDS * time.sec + time.nanosec
+        if stamp and answered is not None and stamp != answered:
+            self.mismatched += 1
+            self.logger.warning(
+                f'command dropped, its stamp is {stamp} ns, that of the state {answered} ns; '
+                'controllers that do not copy it, as ros2_control, need sync: any_command',
+                once=True)
+            return False
+        self.foreign += sum(name not in JOINTS for name in texts[1:])
+        ignored = [_WRENCH[place] for place in _WITHOUT_EFFECT.get(self.command.name, ())
+                   if lists[0][place]]
+        if ignored:
+            self.logger.warning(f'no effect of {", ".join(ignored)}: the arm moves in a plane, '
+                                'the carrier without turning', once=True)
+        self.pending = row, data
+        return True
+
+    def _decoded(self, data):
+        if len(data) > LARGEST:
+            raise Refused(f'it has {len(data)} bytes, more than {LARGEST}')
+        try:
+            return deserialize_message(data, self.type)
+        except RuntimeError:  # rclpy's error for bytes that are no such message
+            raise Refused(f'it is not a serialised {self.command.type_name}') from None
+
+    def poll(self, answered):
+        """Receive what has arrived, see `Commands.poll`; return whether a command is in it."""
+        handle, received = self._subscription.handle, False
+        with handle:
+            # At most a full queue: a fast publisher could keep an endless loop busy for ever.
+            for _ in range(self._subscription.qos_profile.depth):
+                taken = handle.take_message(self.type, True)
+                if taken is None:
+                    break
+                received |= self._receive(taken[0], answered)
+        return received
+
+
+class Commands:
+    """
+    All command topics of a node, and which of them each input follows.
+
+    `voltage` says whether there is a motor that takes one, `frames` names each frame.
+
+    Attributes
+    ----------
+    channels : list of Channel
+        Of the log, in the order of COMMANDS.
+    stale : int
+        How often an input fell to zero because its command was too old.
+    received : bool
+        Whether a command has come since the last call of `apply`, or since this was set to False.
+
+    """
+
+    def __init__(self, node, voltage, frames):
+        self._inlets = [Inlet(node, command, frames) for command in COMMANDS
+                        if voltage or command.name != '~/motor_voltage']
+        self.channels = [inlet.channel for inlet in self._inlets]
+        self.stale, self.received = 0, False
+        # Of each input that follows a command: the command's inlet, and the step when it began.
+        self._followed = {}
+
+    @property
+    def refused(self):
+        """Number of commands refused."""
+        return sum(inlet.refused for inlet in self._inlets)
+
+    @property
+    def mismatched(self):
+        """Number of commands dropped in lock step, because they answer another state."""
+        return sum(inlet.mismatched for inlet in self._inlets)
+
+    @property
+    def foreign(self):
+        """Number of names in commands that are no joints here."""
+        return sum(inlet.foreign for inlet in self._inlets)
+
+    def expected(self):
+        """Return whether anybody publishes commands."""
+        return any(inlet.publishers() for inlet in self._inlets)
+
+    def poll(self, answered):
+        """
+        Receive what has arrived.
+
+        In lock step `answered` is the stamp of the state that commands answer [ns], else None. A
+        command with another stamp is dropped at once, so that it replaces no pending one.
+        """
+        for inlet in self._inlets:
+            self.received |= inlet.poll(answered)
+
+    def apply(self, step, timeout_steps, commanded):
+        """
+        Let pending commands act from this step on, and set inputs to zero that have timed out.
+
+        `commanded`, shape (16,), is updated in place; with `timeout_steps` 0 nothing times out.
+        Return the index in COMMANDS and the serialised message of each command that begins to
+        act; a time-out counts as a message of zeros.
+        """
+        started, self.received = [], False
+        for index, inlet in enumerate(self._inlets):
+            if inlet.pending is not None:
+                row, data = inlet.pending
+                inlet.pending = None
+                for key in inlet.command.apply(row, commanded):
+                    self._followed[key] = inlet, step
+                started.append((index, data))
+        if timeout_steps:
+            for key, (inlet, since) in list(self._followed.items()):
+                if step >= since + timeout_steps:
+                    del self._followed[key]
+                    self.stale += 1
+                    inlet.logger.warning(
+                        f'no command for {timeout_steps} steps, the {key} input falls to zero',
+                        throttle_duration_sec=5.0)
+                    commanded[list(INPUTS[key])] = 0.0
+                    index = list(INPUTS).index(key)  # see the order of COMMANDS
+                    started.append((index, serialize_message(self._inlets[index].type())))
+        return started
+
+    def end(self, timeout_steps):
+        """Return the list of steps at which inputs will time out."""
+        return [since + timeout_steps for _, since in self._followed.values()
+                ] if timeout_steps else []
+
+    def clear(self, commanded):
+        """Set all commanded values, (16,), to zero and drop pending commands."""
+        commanded[:] = 0.0
+        self._followed, self.received = {}, False
+        for inlet in self._inlets:
+            inlet.pending = None
+
+
+class RunLog:
+    """
+    The log of a run; while it is not open, what is written to it is dropped.
+
+    `error` says why there is no log, why it ends early, that it was moved or that the disk is
+    slow; it is also sent to rclpy's logger.
+    """
+
+    def __init__(self, logger):
+        self._logger, self._recorder, self.error = logger, None, None
+
+    @property
+    def path(self):
+        """Path of the log, or None without one."""
+        return self._recorder and self._recorder.path
+
+    def open(self, path, channels, outlets, note):
+        """
+        Begin a log with a note, a dictionary; without a path its name has date and time.
+
+        It has `channels`, whose messages `write` takes, and the channels of the outlets, which
+        write to it by themselves from now on. If it cannot be opened, `error` says why.
+        """
+        # ~ comes as it is from parameter files, and from -p in some shells.
+        path = os.path.expanduser(path or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap')
+        outlets = [outlet for outlet in outlets if outlet.logged]
+        logged = [*channels, *(outlet.channel for outlet in outlets)]
+        try:
+            self._recorder = Recorder(path, logged, {START: {**note, **names_note(logged)}})
+        except (OSError, ValueError) as error:  # ValueError: a path without a name
+            self._fail(f'no log is written to {path}: {error}')
+            return
+        for index, outlet in enumerate(outlets, start=len(channels)):
+            outlet.recorder, outlet.index = self._recorder, index
+
+    def write(self, index, step, nanoseconds, data):
+        """Log a serialised message of the channel with this index, at a sim time [ns]."""
+        if self._recorder is not None:
+            self._recorder.write(index, step, nanoseconds, data)
+
+    def note(self, name, values):
+        """Log a metadata record: a name, and a dictionary of str."""
+        if self._recorder is not None:
+            self._recorder.note(name, values)
+
+    def look(self):
+        """Ask the recorder whether the log has ended early or was moved."""
+        if self._recorder is not None:
+            error = self._recorder.error and f'the log ends early: {self._recorder.error}'
+            if (error or self._recorder.warning) not in (None, self.error):
+                self._fail(error or self._recorder.warning)
+
+    def close(self, summary):
+        """End the log with a summary of the run, a dictionary of str."""
+        if self._recorder is not None:
+            self._recorder.note(SUMMARY, summary)
+            self._recorder.close()
+            self.look()
+
+    def _fail(self, error):
+        self.error = error
+        self._logger.error(error)

@@ -7,7 +7,8 @@
 # language governing permissions and limitations under the License.
 
 """
-Runs as users see them: `simulate`, the class `Run`, and logs opened as runs.
+Whole runs: simulated, measured by finer ones, replayed, linearised, varied.
 
-It may import `simulation`, `log` and `view` (when a run is saved or shown) and what is below them.
+This package may import `simulation`, `log`, `view` (when a run is saved or shown) and what is
+below them.
 """

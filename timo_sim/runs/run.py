@@ -6,30 +6,112 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The class Run: motions at sampled times, and quantities that are computed from them."""
+"""The class Run: motions at sampled times, and the quantities and tables made of them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
 import math
+from pathlib import Path
+import time
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
 from timo_sim.extras import optional
-from timo_sim.physics.equations.base import Formulation
-from timo_sim.physics.layout import LOADS, MotionFields
-from timo_sim.runs.tables import Tables
-from timo_sim.scene.parameter import warn
+from timo_sim.model.formulation import Formulation
+from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, MotionFields, TORQUE
+from timo_sim.scene.files import html_table
+from timo_sim.scene.parameters import PARAMETERS, warn
 from timo_sim.scene.scene import Scene
-from timo_sim.scene.summary import html_table
 from timo_sim.simulation.energy import dissipated
-from timo_sim.simulation.joints import applied, joints_of_run
-from timo_sim.simulation.tip_load import pieces
+from timo_sim.simulation.loads import pieces
+from timo_sim.simulation.simulator import Simulator
+from timo_sim.simulation.snapshot import applied, joints_of_run, Snapshot
+from timo_sim.simulation.warnings import DivergenceError
+from timo_sim.topics.outputs import outputs, with_angles
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    import pandas
+
+
+class Tables:
+    """A part of `Run`, whose attributes it uses."""
+
+    scene: Any
+    model: Any
+    t: np.ndarray
+    motion: Any
+    effort: Any
+    _pieces: Any
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return what the node publishes, except sensors, as columns named with units, (n,)."""
+        from timo_sim.log.export import named
+        snapshots, found = list(self._snapshots()), {'time_s': self.t}
+        for output in self._outputs():
+            values = np.array([output.numbers(snapshot) for snapshot in snapshots])
+            names, values = with_angles(output.columns, values)
+            found.update(zip(named(output.name, names), values.T))
+        return found
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return `columns` as a pandas.DataFrame with the time as index."""
+        with optional():
+            import pandas
+        return pandas.DataFrame(self.columns()).set_index('time_s')
+
+    def save(self, path: str | Path) -> Path:
+        """
+        Write the run to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            `*.mcap`: a log, as the node writes it, which `timo_sim.open_log` reads; `*.parquet` or
+            `*.csv`: a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
+            existing table is a LogError.
+
+        Returns
+        -------
+        Path
+            The file that was written.
+
+        """
+        from timo_sim.log.export import write_table
+        from timo_sim.log.write import NewLog
+        path = Path(path)
+        if path.suffix != '.mcap':
+            write_table(self.columns(), path)
+            return path
+        values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+        log = NewLog(path, self.scene, {**values, **self.scene.values}, saved_by='Run.save')
+        try:
+            for snapshot in self._snapshots():
+                for output in self._outputs():
+                    log.output(output.name, snapshot, output.numbers(snapshot))
+        finally:
+            log.close()
+        return log.path
+
+    def _outputs(self):
+        # Topics that follow from the motion alone; sensors need the simulator.
+        return [output for output in outputs(self.scene.modal_count)
+                if output.columns and not output.delay]
+
+    def _snapshots(self):
+        steps = np.rint(self.t / self.scene.step).astype(int).tolist()
+        models = [model for model, part in self._pieces for _ in range(*part.indices(len(steps)))]
+        for step, model, motion, effort in zip(steps, models, self.motion, self.effort):
+            # Before the first step nothing has acted, but constraints hold.
+            shown = effort if step else np.where(self.model.constrained, effort, 0.0)
+            load = [0.0] * LOADS
+            load[FORCE_X], load[FORCE_Y], load[TORQUE] = shown.tolist()
+            yield Snapshot(self.scene, model, step, round(step * self.scene.step * 1e9),
+                           motion, load)
+
 
 _BLOCK = 1024  # steps whose loads are worked out at once
 
@@ -46,7 +128,7 @@ class Run(MotionFields, Tables):
     t : ndarray, shape (n,)
         Sim time [s].
     values : ndarray, shape (n, 2 (3 + N))
-        The motion, see `physics.layout`; `carrier`, `shaft`, `q` and their rates are parts of it.
+        The motion, see `model.layout`; `carrier`, `shaft`, `q` and their rates are parts of it.
     friction_heat : ndarray, shape (n,)
         Heat that dry friction has produced since the start [J]; NaN for the log of a scene with
         dry friction, which does not contain it.
@@ -216,7 +298,7 @@ class Run(MotionFields, Tables):
         return np.concatenate([getattr(joints, name) for joints in self._joints])
 
     def loads(self) -> np.ndarray:
-        """Return the scene's loads at the samples, (n, 14), see `physics.layout`."""
+        """Return the scene's loads at the samples, (n, 14), see `model.layout`."""
         load, step = self.scene.load, self.scene.step
         loads = np.empty((len(self.t), LOADS))
         first, last = np.rint(self.t[[0, -1]] / step).astype(int)
@@ -237,7 +319,7 @@ class Run(MotionFields, Tables):
     def view(self, web: bool = False) -> None:
         """Show the run in rerun until its window, or the browser, is closed; needs rerun-sdk."""
         with optional():
-            from timo_sim.view.show import show_tracks
+            from timo_sim.view.rerun import show_tracks
         from timo_sim.view.track import of_run
         show_tracks([lambda: of_run(self)], web=web)
 
@@ -251,3 +333,45 @@ class Run(MotionFields, Tables):
     @staticmethod
     def _pick(xi, values):
         return values[:, 0] if np.ndim(xi) == 0 else values
+
+
+_REPORTED = 1024  # steps from one report to the next
+
+
+def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=None, pack=None):
+    """
+    Return the Run of a resolved scene; without the progress bar and ModelWarning of `simulate`.
+
+    `report(count)` is called after each `count` further steps. `tell` goes to `Simulator.warm_up`,
+    `pack` to `Simulator`.
+    """
+    simulator = Simulator(scene, pack=pack)
+    simulator.warm_up(tell)
+    motion = np.empty((steps // sample_every + 1, simulator.model.size))
+    motion[0], heat = simulator.motion.values, np.zeros(len(motion))
+    begun = time.monotonic()
+
+    def run(count):
+        samples = slice(count // sample_every + 1)
+        stats = {'steps': simulator.steps, 'wall_time_s': time.monotonic() - begun,
+                 'estimated_tip_error_m': math.nan, 'impact_loss_J': simulator.tip_load.lost}
+        return Run(scene, scene.build(), np.arange(samples.stop) * sample_every * scene.step,
+                   motion[samples], heat[samples], simulator.warning, stats,
+                   payloads=scene.payloads)
+
+    while simulator.steps < steps:
+        first = simulator.steps
+        count = min(max(1, _REPORTED // sample_every) * sample_every, steps - first)
+        samples = slice(first // sample_every, (first + count) // sample_every + 1)
+        try:
+            motion[samples], heat[samples] = simulator.advance(count, sample_every=sample_every)
+        except DivergenceError as error:
+            last = simulator.steps // sample_every * sample_every
+            again = Simulator(scene, pack=pack)  # a batch that fails returns no samples
+            again.advance(first)
+            samples = slice(samples.start, last // sample_every + 1)
+            motion[samples], heat[samples] = again.advance(last - first, sample_every=sample_every)
+            error.run = run(last)
+            raise
+        report(count)
+    return run(steps)

@@ -15,13 +15,11 @@ import sys
 
 from tqdm import tqdm
 
-from timo_sim.runs.run import Run
-from timo_sim.runs.error import measured, samples_between
-from timo_sim.runs.sampled import sampled_run
-from timo_sim.scene.parameter import Parameter, ParameterError, warn
+from timo_sim.runs.accuracy import measured, resolved, samples_between
+from timo_sim.runs.run import Run, sampled_run
+from timo_sim.scene.parameters import Parameter, ParameterError, warn
 from timo_sim.scene.scene import load_scene, SceneLike
-from timo_sim.simulation.model_warnings import DivergenceError
-from timo_sim.simulation.resolution import resolved
+from timo_sim.simulation.warnings import DivergenceError
 
 _EVERY = Parameter('sample_every', 1, '', 'steps between samples', low=1)
 

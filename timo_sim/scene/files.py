@@ -10,6 +10,7 @@
 
 from collections.abc import Mapping
 from contextlib import contextmanager
+from html import escape
 import os
 from pathlib import Path
 import re
@@ -18,8 +19,7 @@ import tempfile
 
 import yaml
 
-from timo_sim.scene.parameter import did_you_mean, ParameterError, short
-from timo_sim.scene.parameters import PARAMETERS
+from timo_sim.scene.parameters import did_you_mean, ParameterError, PARAMETERS, short
 
 QOS = 'qos_overrides.'  # prefix of rclpy's parameters for the QoS of topics
 _DEEPEST = max(name.count('.') for name in PARAMETERS)
@@ -191,3 +191,11 @@ def _mapping(values):
     if not isinstance(values, Mapping):
         raise ParameterError(f'values must be given by name, got {short(values)}')
     return values
+
+
+def html_table(title, rows):
+    """Return a table of names and values as HTML."""
+    cells = ''.join(f'<tr><th style="text-align:left">{escape(str(name))}</th>'
+                    f'<td style="text-align:left">{escape(str(value))}</td></tr>'
+                    for name, value in rows.items())
+    return f'<table><caption>{escape(title)}</caption>{cells}</table>'

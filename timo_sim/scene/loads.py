@@ -13,19 +13,87 @@ Loads are harmonic, piecewise constant, linear between points, or sums of those.
 
 The compiled step takes three values of a load: at its start, middle and end. If a load jumps at
 the boundary of two steps, each step sees its own side; a jump inside a step is refused. If a load
-has a kink inside a step, the step sees the parabola with the same moments, see `moments`.
+has a kink inside a step, the step sees the parabola with the same moments, see below.
 """
 
 from dataclasses import dataclass
 import functools
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from timo_sim.physics.layout import (
-    ACCELERATION, AFTER, ANGLE, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TIP_TORQUE,
-    TIP_X, TIP_Y, TORQUE)
-from timo_sim.scene.moments import on_boundaries, parabolas
+from timo_sim.model.layout import (
+    ACCELERATION, AFTER, ANGLE, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TIP_TORQUE, TIP_X,
+    TIP_Y, TORQUE)
+from timo_sim.scene.parameters import ParameterError
+
+# Replace a load that has a kink inside a step by a parabola with the same moments.
+#
+# A step takes a load at its start, middle and end, and its linear part integrates the parabola
+# through these three values exactly. A load with a kink inside the step is replaced by the
+# parabola with the same integral and the same first and second moment: with s from 0 to 1 over the
+# step and `I_j = int s^j p ds`,
+#
+#     p(0)   =    9 I_0 - 36 I_1 + 30 I_2
+#     p(1/2) = -3/2 I_0 + 15 I_1 - 15 I_2
+#     p(1)   =    3 I_0 - 24 I_1 + 30 I_2
+
+_PARABOLA = np.array([[9.0, -36.0, 30.0], [-1.5, 15.0, -15.0], [3.0, -24.0, 30.0]])
+_gauss = cache(np.polynomial.legendre.leggauss)
+NEAR = 1e-6  # [steps] distance from a step boundary within which a position counts as on it
+
+
+def on_boundaries(position):
+    """Return positions, counted in steps, with those near a step boundary moved onto it."""
+    whole = np.rint(position)
+    return np.where(np.abs(position - whole) <= NEAR, whole, position)
+
+
+def parabolas(function, breaks, degree, first, count):
+    """
+    Return the parabolas that replace a piecewise polynomial in steps with a break inside.
+
+    Parameters
+    ----------
+    function : function(ndarray) -> ndarray
+        Values at positions counted in steps, shape (n,) to (n, ...).
+    breaks : ndarray, shape (k,)
+        Where pieces meet, counted in steps; whole numbers are the boundaries of steps.
+    degree : int
+        Degree of the pieces.
+    first, count : int
+        First step, and number of steps.
+
+    Returns
+    -------
+    steps : ndarray of int, shape (m,)
+        Those with a break inside, counted from `first`.
+    values : ndarray, shape (m, 3, ...)
+        The parabolas at the start, middle and end of these steps.
+
+    """
+    inside = breaks[(first < breaks) & (breaks < first + count) & (breaks != np.floor(breaks))]
+    if not len(inside):
+        return inside.astype(int), np.zeros((0, 3, *function(inside).shape[1:]))
+    steps = np.unique(np.floor(inside))
+    edges = np.unique(np.concatenate([inside, steps, steps + 1.0]))
+    # Keep the pieces between these edges that lie in a step with a break.
+    owner = np.searchsorted(steps, edges[:-1], side='right') - 1
+    within = edges[:-1] < steps[owner] + 1.0
+    low, high, owner = edges[:-1][within], edges[1:][within], owner[within]
+    # Gauss's rule, exact for such a polynomial times s^2.
+    nodes, weights = _gauss((degree + 4) // 2)
+    at = low[:, np.newaxis] + (high - low)[:, np.newaxis] * (0.5 + 0.5 * nodes)
+    share = 0.5 * (high - low)[:, np.newaxis] * weights
+    s = at - steps[owner][:, np.newaxis]
+    values = function(at.ravel())
+    powers = (share[..., np.newaxis] * s[..., np.newaxis] ** np.arange(3)).reshape(-1, 3)
+    moments = np.zeros((len(steps), 3, *values.shape[1:]))
+    np.add.at(moments, np.repeat(owner, len(nodes)),
+              np.einsum('nj,n...->nj...', powers, values))
+    return (steps - first).astype(int), np.einsum('ij,mj...->mi...', _PARABOLA, moments)
+
 
 CHANNELS = {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE, 'tip_force_x': TIP_X,
             'tip_force_y': TIP_Y, 'tip_torque': TIP_TORQUE}
@@ -60,7 +128,7 @@ class Term:
     `jumps()` returns the times at which it jumps [s]. The other methods are for `count` steps of
     size `step` [s], from step `first` on. `stages` returns values at start, middle and end of each
     step, shape (count, 3), or (count, 1) if these are the same. `parabolas` returns which steps
-    have a kink inside, and what replaces their stages, see `moments`.
+    have a kink inside, and what replaces their stages, see `parabolas`.
     """
 
     def jumps(self):
@@ -210,7 +278,7 @@ class Load:
 
     @property
     def columns(self):
-        """The columns of loads that are not zero, see `physics.layout`, a list of int."""
+        """The columns of loads that are not zero, see `model.layout`, a list of int."""
         return [column for columns, _ in self._columns
                 for column in (range(LOADS)[columns] if isinstance(columns, slice) else [columns])]
 
@@ -239,7 +307,7 @@ class Load:
         loads : ndarray, shape (count, 4, c)
             Receives them.
         places : sequence of int
-            Where the column k of `physics.layout` stands in it: `places[k]`; those of a drive
+            Where the column k of `model.layout` stands in it: `places[k]`; those of a drive
             stand together.
         first, count, step
             See `stages`.
@@ -256,3 +324,37 @@ class Load:
                 steps, seen = term.parabolas(first, count, step)
                 if len(steps):
                     loads[steps, :STAGES, place] += seen - values[steps]
+
+
+# A step is stable up to 2.785 over the rate at which friction brakes joints, as is measured for 0
+# to 5 modes; the mobility of joints may grow a little in a run.
+_STABLE = 2.5
+
+
+def largest(values, constraints):
+    """Return the largest dry friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,)."""
+    axis, shaft = (0.0 if values[f'{body}.coulomb_speed'] else values[f'{body}.coulomb_friction']
+                   for body in ('carrier', 'motor'))
+    held = [position is not None for position in constraints.carrier]
+    return np.where([*held, constraints.driven], 0.0, [axis, axis, shaft])
+
+
+def check_slope(scene):
+    """Raise ParameterError if steps are too long for friction that builds up over a speed."""
+    limit, speed = np.array(scene.manipulator.coulomb)[[0, 0, 1]].T
+    if not limit.any():
+        return
+    model, motion = scene.build(), scene.initial_motion()
+    free = [*model.axes, *range(2 + model.first, model.size // 2)]
+    root = np.sqrt(limit / speed)[[joint for joint in free if joint < 3], np.newaxis]
+    rate = 0.0
+    # Along the arm the carrier is less mobile than across it.
+    for motion[2] in (0.0, 0.5 * np.pi):
+        mobility = np.linalg.inv(model.mass_matrix(motion)[0][np.ix_(free, free)])
+        slopes = root * mobility[:len(root), :len(root)] * root.T
+        rate = max(rate, *np.linalg.eigvalsh(slopes), 0.0)
+    if rate * scene.step > _STABLE:
+        raise ParameterError(f'integrator.step = {scene.step:g} s must be at most '
+                             f'{_STABLE / rate:.2g} s for Coulomb friction with this slope: take '
+                             f'that, or a coulomb_speed {rate * scene.step / _STABLE:.2g} times '
+                             'as large')

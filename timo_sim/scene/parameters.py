@@ -9,15 +9,157 @@
 """
 All parameters, with default, unit, meaning and rule, defined once for YAML, Python and ROS.
 
-The defaults are the paper's manipulator (its Tables 1 and 3) at rest, without loads.
+The defaults are the paper's manipulator (its Tables 1 and 3) at rest, without loads. Values are
+given by dotted name; [k] stands for an element of a list.
 """
 
+from dataclasses import dataclass
+import difflib
 import math
+import re
+import reprlib
+import sys
+import warnings
 
-from timo_sim.messages.outputs import FRAMES, outputs, TRANSFORMS
-from timo_sim.messages.sensors import SENSORS
-from timo_sim.physics.equations import FORMULATIONS
-from timo_sim.scene.parameter import LATEST, NODE, Parameter
+import numpy as np
+
+from timo_sim.model import FORMULATIONS
+from timo_sim.topics.outputs import FRAMES, outputs, TRANSFORMS
+from timo_sim.topics.sensors import SENSORS
+
+SCENE, NODE = 'scene', 'node'
+LATEST = 2**31 - 1  # [s] largest time that a stamp of ROS can hold, 68 years
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel, _SHORT.maxlist, _SHORT.maxtuple, _SHORT.maxother = 2, 8, 8, 60
+_SHORT.maxstring = 60
+
+
+class ParameterError(ValueError):
+    """A value that breaks a rule; the text states name, value and rule."""
+
+
+class ModelWarning(UserWarning):
+    """A scene or a run for which the model may not hold; the text says why, and what to do."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter and its rule."""
+
+    name: str                # dotted
+    default: object          # its type is the parameter's: bool, int, float, str, tuple of float
+    unit: str
+    meaning: str
+    low: float = -math.inf   # range of the value, or of each element
+    high: float = math.inf
+    open_low: bool = False   # whether `low` itself is excluded
+    choices: tuple = ()      # allowed texts; empty: all
+    form: tuple = ()         # of a text: a regular expression, and the same rule in words
+    scope: str = SCENE       # SCENE: part of the physics; NODE: only the node has it
+    runtime: bool = False    # whether it can be set while the node runs
+    finite: bool = True      # whether infinity is refused
+    alone: bool = False      # whether a number stands for a list of this one
+
+    @property
+    def rule(self):
+        """The rule for values, in words."""
+        kind = {bool: 'true or false', int: 'a whole number',
+                float: 'a finite number' if self.finite else 'a number',
+                str: 'a text', tuple: 'a finite number, or a list of them,' if self.alone
+                else 'a list of finite numbers'}[type(self.default)]
+        if self.choices:
+            return 'one of ' + ', '.join(self.choices)
+        if self.form:
+            return self.form[1]
+        bounds = []
+        if self.low > -math.inf:
+            bounds.append(f'{">" if self.open_low else ">="} {self.low:g}')
+        if self.high < math.inf:
+            bounds.append(f'<= {self.high:g}')
+        unit = f' {self.unit}' if bounds and self.unit else ''
+        none = '' if self.finite else ', .inf for no limit'
+        return ' '.join([kind, ' and '.join(bounds)]).strip() + unit + none
+
+    def check(self, value):
+        """
+        Return the value converted to the parameter's type, or raise ParameterError.
+
+        A whole number is accepted for a float, and so is a text like '70.5e9', which is how YAML
+        1.1 reads a number without a sign in the exponent.
+        """
+        try:
+            if isinstance(self.default, tuple):
+                if value is None:  # ROS reads an empty list as no value
+                    return ()
+                if self.alone and (isinstance(value, str) or not hasattr(value, '__iter__')):
+                    return (self._checked_number(value),)
+                if isinstance(value, (str, bytes, dict, set)) or not hasattr(value, '__iter__'):
+                    raise ValueError
+                return tuple(self._checked_number(element) for element in value)
+            if isinstance(self.default, float):
+                return self._checked_number(value)
+            if isinstance(value, np.generic):
+                value = value.item()
+            if (type(value) is not type(self.default) or self.choices and value not in self.choices
+                    or isinstance(value, str) and (
+                        '\0' in value or self.form and not re.fullmatch(self.form[0], value))
+                    or isinstance(value, int) and not self.low <= value <= self.high):
+                raise ValueError
+            return value
+        except (ValueError, TypeError, OverflowError):
+            raise ParameterError(
+                f'{self.name} must be {self.rule}, got {short(value)}') from None
+
+    def _checked_number(self, value):
+        if isinstance(value, (bool, np.bool_)):
+            raise ValueError
+        number = float(value)
+        above = number > self.low if self.open_low else number >= self.low
+        if not (above and number <= self.high) or self.finite and not math.isfinite(number):
+            raise ValueError
+        return number
+
+
+def warn(text):
+    """Give a ModelWarning whose place is the caller's line outside of this package."""
+    level, frame = 1, sys._getframe()
+    # functools, because it calls the functions of cached properties.
+    while frame.f_back and frame.f_globals.get('__name__', '').partition('.')[0] in (
+            'timo_sim', 'functools'):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, ModelWarning, stacklevel=level)
+
+
+def short(value, show=_SHORT.repr):
+    """Return any value as one line of at most 60 characters."""
+    try:
+        shown = show(value)
+    except ValueError:  # a whole number of thousands of digits
+        shown = f'a huge {type(value).__name__}'
+    shown = ''.join(char if char.isprintable() else ' ' for char in shown)
+    return shown if len(shown) <= 60 else shown[:57] + '...'
+
+
+def did_you_mean(name, names):
+    """Return '; did you mean X?' for the name that is most like the given one, or ''."""
+    close = difflib.get_close_matches(str(name), names, n=1)
+    return f'; did you mean {close[0]}?' if close else ''
+
+
+def whole_ratio(name, value, unit_name, unit):
+    """
+    Return how many times `unit` fits into `value`, or raise ParameterError if it is not whole.
+
+    The ratio may differ from a whole number by 1e-6, or by 1e-15 of itself for round-off.
+    """
+    ratio = value / unit
+    count = round(ratio) if math.isfinite(ratio) else 0
+    near = abs(ratio - count) <= max(1e-6, 1e-15 * ratio) and (count or not value)
+    if not near or not math.isfinite(ratio):
+        raise ParameterError(f'{name} = {value:.12g} must be a whole multiple of '
+                             f'{unit_name} = {unit:.12g}, the ratio is {ratio:.15g}')
+    return count
 
 
 def _positive(name, default, unit, meaning, **more):
@@ -235,3 +377,168 @@ _ALL = [
 PARAMETERS = {parameter.name: parameter for parameter in _ALL}
 RATES = [name for name in PARAMETERS if name.startswith('rate.')]
 DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
+
+
+_TIP = 'end_effector.mass', 'end_effector.inertia'
+# 0.2.0 renamed these. Before 0.2.0 a limit of 0 meant no limit; now it is refused.
+SPLIT = 'integrator.tolerance'  # 0.2.0 and earlier split steps by it; logs are read without it
+_RENAMED = {'motor.dc.gear': 'motor.dc.gear_ratio', 'step_count': 'steps_per_call'}
+_LIMITS = [name for name, parameter in PARAMETERS.items() if not parameter.finite]
+
+
+def check(values, source):
+    """
+    Return values by dotted name, converted to the types of their parameters.
+
+    Raises ParameterError, which names the source (a text), if a name is unknown or a value breaks
+    its rule.
+    """
+    checked = {}
+    for name, value in values.items():
+        if name == SPLIT:
+            raise ParameterError(f'{SPLIT} is not a parameter any more: steps are not split, take '
+                                 f'a smaller integrator.step ({source})')
+        if name not in PARAMETERS:
+            raise ParameterError(f'{short(name, str)} = {short(value)} is not a parameter of '
+                                 f'timo_sim ({source}){did_you_mean(name, PARAMETERS)}')
+        try:
+            checked[name] = PARAMETERS[name].check(value)
+        except ParameterError as error:
+            raise ParameterError(f'{error} ({source})') from None
+    return checked
+
+
+def frame_names(values):
+    """
+    Return the names of `topics.outputs.FRAMES` in messages, a dictionary.
+
+    `values` are parameters of the node; missing ones have their defaults. Raises ParameterError if
+    a name breaks its rule or two are the same.
+    """
+    given = {name: PARAMETERS[name].check(values.get(name, PARAMETERS[name].default))
+             for name in ('frame_prefix', *(f'frame.{frame}' for frame in FRAMES))}
+    names = {frame: ('' if frame == 'world' else given['frame_prefix']) + given[f'frame.{frame}']
+             for frame in FRAMES}
+    if len({*names.values()}) < len(names):
+        raise ParameterError('frame.world, frame.carrier, frame.arm and frame.tip must differ, '
+                             f'got {", ".join(map(short, names.values()))}')
+    return names
+
+
+def steps_in(duration, step):
+    """Return how many time steps a duration has, both in s, or raise ParameterError."""
+    return whole_ratio('duration', PARAMETERS['duration'].check(duration),
+                       'integrator.step', step)
+
+
+def check_runtime(values, later):
+    """Raise ParameterError if `later` changes what cannot be set while a simulation runs."""
+    reactions = values['model.formulation'] == 'newton_root_stress'
+    fixed = [name for name, value in later.items() if value != values[name] and (
+        not PARAMETERS[name].runtime or reactions and name in _TIP)]
+    if fixed:
+        raise ParameterError(f'{fixed[0]} = {short(later[fixed[0]])} cannot be set while a '
+                             f'simulation{" of newton_root_stress" * (fixed[0] in _TIP)} runs; '
+                             f'it stays {short(values[fixed[0]])}')
+
+
+def current(values):
+    """Return values that an older version logged, with their present names and meanings."""
+    return {_RENAMED.get(name, name): math.inf if name in _LIMITS and value == 0.0 else value
+            for name, value in values.items() if name != SPLIT}
+
+
+def changed(values):
+    """Return the values that differ from their defaults."""
+    return {name: value for name, value in values.items() if value != PARAMETERS[name].default}
+
+
+INITIAL = 'initial'  # stands for the whole initial state
+_FIXED = 'model.', 'integrator.', 'sensor.', 'payload.time', 'motor.drive'
+_INDEXED = re.compile(r'(.+)\[(\d+)\]')
+
+
+def number_of(name, scene, others='', names=()):
+    """
+    Return the Parameter of a name, and its value in a scene.
+
+    Parameters
+    ----------
+    name : str
+    scene : Scene
+    others : str
+        What else the caller knows, for the text of an error.
+    names : iterable of str
+        Names of these, of which one may be meant.
+
+    Raises
+    ------
+    ParameterError
+        If the name is unknown or ambiguous, or it is no number of the physics.
+
+    """
+    base, place = _base(name)
+    parameter = PARAMETERS.get(base)
+    if parameter is None:
+        raise ParameterError(f'{short(name, str)} cannot be free: it is '
+                             f'{"neither" if others else "not"} a parameter of the scene{others}'
+                             f'{did_you_mean(base, [*PARAMETERS, *names])}')
+    value = scene.values.get(base)
+    if base.startswith('initial.modal') and value == ():
+        value = (0.0,) * scene.modal_count
+    if (parameter.scope != SCENE or base.startswith(_FIXED)
+            or not isinstance(value, (float, tuple)) or value is True):
+        raise ParameterError(f'{name} cannot be free: it is no number of the physics')
+    if isinstance(value, tuple):
+        if place is None and len(value) == 1:
+            place = 0
+        if place is None or place >= len(value):
+            raise ParameterError(f'{name} cannot be free: {base} has {len(value)} elements, of '
+                                 f'which one is named {base}[0]')
+        return parameter, value[place]
+    if place is not None:
+        raise ParameterError(f'{name} cannot be free: {base} is one number')
+    if not math.isfinite(value) or parameter.name.endswith('_limit'):
+        raise ParameterError(f'{name} cannot be free: it is a limit')
+    return parameter, value
+
+
+def _base(name):
+    match = _INDEXED.fullmatch(name)
+    return (match.group(1), int(match.group(2))) if match else (name, None)
+
+
+def initial_names(scene):
+    """Return the names of all numbers of the initial state that are not prescribed."""
+    still = scene.build().constrained
+    joints = [joint for joint, held in zip(('carrier_x', 'carrier_y', 'shaft'), still) if not held]
+    modes = range(scene.modal_count)
+    return [*(f'initial.{joint}' for joint in joints),
+            *(f'initial.{joint}_velocity' for joint in joints),
+            *(f'initial.modal_coordinates[{n}]' for n in modes),
+            *(f'initial.modal_rates[{n}]' for n in modes)]
+
+
+def initial_scale(name, scene):
+    """Return what of the initial state moves the tip by a tenth of the arm, or turns it by 0.1."""
+    base, n = _base(name)
+    model, length = scene.build(), scene.manipulator.arm.length
+    if base == 'initial.modal_coordinates':
+        return 0.1 * length / model.reach[3 + n]
+    if base == 'initial.modal_rates':
+        return 0.1 * length / model.reach[3 + n] * model.modes.omega[n]
+    return 0.1 if 'shaft' in name else 0.1 * length
+
+
+def placed(values, scene):
+    """Return numbers of the scene, by name, as overrides of whole parameters."""
+    found = {}
+    for name, value in values.items():
+        base, place = _base(name)
+        if isinstance(scene.values[base], tuple):
+            whole = found.get(base) or scene.values[base] or (0.0,) * scene.modal_count
+            place = place or 0
+            found[base] = (*whole[:place], value, *whole[place + 1:])
+        else:
+            found[base] = value
+    return found

@@ -7,8 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-From a scene to a run: check, choose the resolution, build the model, tabulate loads, integrate.
+A scene advanced in time: loads and actuators, time steps, sensors, warnings, energy.
 
-This package may import `scene`, `messages`, `physics` and `jit`. `runs.simulate` reads as that
-sequence; `Simulator` does the last three, for the node and for replays as well.
+This package may import `scene` and what is below it.
 """

@@ -15,17 +15,115 @@ import threading
 
 import numpy as np
 
-from timo_sim.jit.code_store import compiling
-from timo_sim.physics.integrate.lane_steps import from_lanes, LaneSteps, to_lanes
-from timo_sim.physics.integrate.steps import CHUNK
-from timo_sim.physics.layout import LOADS, Motion, rotate
-from timo_sim.scene.parameter import Parameter, ParameterError
-from timo_sim.scene.values import steps_in
+from timo_sim.compiled.cache import compiling
+from timo_sim.compiled.lanes import WIDTH
+from timo_sim.model.layout import AFTER, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE
+from timo_sim.scene.parameters import Parameter, ParameterError, steps_in
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
-from timo_sim.simulation.actuators import commanded_load
-from timo_sim.simulation.lane_loads import LaneLoads
-from timo_sim.simulation.model_warnings import divergence
+from timo_sim.simulation.loads import Actuators, commanded_load
 from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY
+from timo_sim.simulation.warnings import divergence
+from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
+from timo_sim.steps.steps import CHUNK
+
+
+class LaneLoads:
+    """
+    Loads of n scenes with the same time step.
+
+    Parameters
+    ----------
+    scenes : list of Scene
+
+    """
+
+    def __init__(self, scenes):
+        self._step, self._scenes = scenes[0].step, scenes
+        kinds = [(id(scene.load.terms), scene.load.drive) for scene in scenes]
+        loads = {kind: scene.load for kind, scene in zip(kinds, scenes)}
+        self._loads, place = list(loads.values()), {kind: k for k, kind in enumerate(loads)}
+        self._which = np.array([place[kind] for kind in kinds])
+        actuators = {id(scene): Actuators(scene.values) for scene in scenes}
+        self._limit, self._gain = (np.array([
+            getattr(actuators[id(scene)], name) for scene in scenes])
+            for name in ('limit', 'gain'))
+        self._slow, slow = {}, set()
+        for lane, scene in enumerate(scenes):
+            if len(actuators[id(scene)].slow):
+                slow.update(actuators[id(scene)].slow)
+                self._slow[lane] = None
+        own = (load.columns for load in self._loads)
+        self.columns = np.array(sorted(slow.union(*own)), dtype=np.int64)
+        self._places = np.searchsorted(self.columns, np.arange(LOADS))
+        self.reset(range(len(scenes)), 0)
+
+    def reset(self, lanes, first):
+        """Let no command act in some lanes from step `first` on."""
+        for lane in self._slow.keys() & set(lanes):
+            self._slow[lane] = Actuators(self._scenes[lane].values, first)
+
+    def command(self, commanded, first):
+        """
+        Take the commands from step `first` on.
+
+        Parameters
+        ----------
+        commanded : ndarray, shape (n, 14)
+            See `model.layout`.
+        first : int
+
+        Returns
+        -------
+        ndarray, shape (n, 14)
+            What acts of them and does not vary with time.
+
+        """
+        acting = np.clip(commanded, -self._limit, self._limit)
+        acting[:, TORQUE] += self._gain * acting[:, VOLTAGE]
+        for lane, actuators in self._slow.items():
+            actuators.command(commanded[lane], first)
+            acting[lane, actuators.slow] = 0.0
+        return acting
+
+    def varying(self, first, count, origin):
+        """
+        Return what varies with time of the loads of some steps.
+
+        Parameters
+        ----------
+        first, count : int
+            Number of the first step, and number of steps.
+        origin : ndarray, shape (n,)
+            Number of the step at which the scene's own loads begin, in each lane.
+
+        Returns
+        -------
+        ndarray, shape (groups, 1 + count, 4, len(columns), WIDTH)
+            See `lane_steps.advance_each`.
+
+        """
+        shape = 1 + count, STEP_LOADS, len(self.columns)
+        if not len(self.columns):
+            return np.empty((-(-len(origin) // WIDTH), *shape, WIDTH))
+        # Lanes with the same load that began at the same step; complex numbers are sorted fast.
+        kinds, kind = np.unique(self._which + 1j * (first - origin), return_inverse=True)
+        found = np.zeros((len(kinds), *shape))
+        for number, begin, loads in zip(kinds.real.astype(int), kinds.imag.astype(int), found):
+            load = self._loads[number]
+            if begin:  # from the step before, whose end is the beginning of these
+                load.fill(loads, self._places, begin - 1, count + 1, self._step)
+            else:
+                load.fill(loads[1:], self._places, 0, count, self._step)
+                loads[0, AFTER] = loads[1, START] if count else load.stages(
+                    0, 1, self._step)[0, START, self.columns]
+        if self._slow:
+            found, kind = found[kind], np.arange(len(kind))
+        for lane, actuators in self._slow.items():
+            among = np.isin(self.columns, actuators.slow)
+            found[lane, 1:, :, among] += np.moveaxis(
+                actuators.loads(first, count)[..., actuators.slow], -1, 0)
+        return to_lanes(found, kind)
+
 
 _COUNT = Parameter('n', 1, '', 'number of manipulators', low=1)
 _ROOM = 2**22  # most numbers that the loads of a call to compiled code take
@@ -36,11 +134,11 @@ class Batch:
     Many manipulators of one size, each with its own loads, commands and state, advanced together.
 
     They are as many runs of `Simulator`, several times faster: the numbers of eight manipulators
-    are one vector of the processor, see `jit.lanes`. Formulation, numbers of modes, constraints
-    and time step are the same for all; masses, stiffness, damping, limits, loads and initial state
-    may differ. What one manipulator does depends on its own scene and commands alone, to the last
-    bit; a `Simulator` does the same to about 1e-11. There is no estimate of the error: try some of
-    the scenes with `simulate`, which has one.
+    are one vector of the processor, see `compiled.lanes`. Formulation, numbers of modes,
+    constraints and time step are the same for all; masses, stiffness, damping, limits, loads and
+    initial state may differ. What one manipulator does depends on its own scene and commands
+    alone, to the last bit; a `Simulator` does the same to about 1e-11. There is no estimate of the
+    error: try some of the scenes with `simulate`, which has one.
 
     Parameters
     ----------
@@ -145,7 +243,7 @@ class Batch:
         mask : array_like of bool, shape (n,), optional
             Which; by default all.
         motion : array_like, shape (2 (3 + N),) or (n, 2 (3 + N)), optional
-            Where to start instead, see `physics.layout`.
+            Where to start instead, see `model.layout`.
 
         """
         chosen = np.ones(self.n, dtype=bool) if mask is None else np.asarray(mask)
@@ -233,7 +331,7 @@ class Batch:
         count : int
             Number of steps.
         commanded : ndarray, shape (n, 14) or (14,), optional
-            Commands during all of them, see `physics.layout`.
+            Commands during all of them, see `model.layout`.
         sample_every : int
             Steps between samples; 0: none are taken.
 

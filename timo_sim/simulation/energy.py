@@ -10,9 +10,9 @@
 
 import numpy as np
 
-from timo_sim.physics.integrate.steps import CHUNK
-from timo_sim.simulation.model_warnings import DivergenceError
 from timo_sim.simulation.simulator import Simulator
+from timo_sim.simulation.warnings import DivergenceError
+from timo_sim.steps.steps import CHUNK
 
 _MOST_DOUBT = 1e-3  # largest difference of integrals by all and by every second sample, relative
 

@@ -17,7 +17,7 @@ is the estimated error: nothing about the motion is assumed, so it also holds wh
 import numpy as np
 
 from timo_sim.scene.scene import scene_from
-from timo_sim.simulation.model_warnings import unseen_load
+from timo_sim.simulation.warnings import unseen_load
 
 MORE_MODES, MORE_AXIAL, MOST_AXIAL = 3, 1, 3
 PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen

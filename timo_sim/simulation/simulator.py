@@ -10,24 +10,81 @@
 
 import math
 import threading
+from typing import Any
 
 import numpy as np
 
-from timo_sim.jit.code_store import compiling, is_compiled, place_of
-from timo_sim.jit.constants import of_any_size
-from timo_sim.physics.integrate import steps_of
-from timo_sim.physics.integrate.steps import CHUNK
-from timo_sim.physics.layout import AFTER
-from timo_sim.scene.parameter import Parameter
-from timo_sim.scene.values import check_runtime, steps_in
+from timo_sim.compiled.cache import compiling, is_compiled, place_of
+from timo_sim.compiled.constants import of_any_size
+from timo_sim.model.layout import AFTER, Motion
+from timo_sim.scene.parameters import check_runtime, Parameter, steps_in
 from timo_sim.scene.scene import load_scene
-from timo_sim.simulation import model_warnings
-from timo_sim.simulation.actuators import Actuators, commanded_load
+from timo_sim.simulation import warnings
 from timo_sim.simulation.finer import finer, has_finer, parts_of, tip_distance
-from timo_sim.simulation.load_table import LoadTable
-from timo_sim.simulation.model_warnings import DivergenceError
-from timo_sim.simulation.readings import Readings
-from timo_sim.simulation.tip_load import TipLoad
+from timo_sim.simulation.loads import Actuators, commanded_load, LoadTable, TipLoad
+from timo_sim.simulation.snapshot import Sensors, Snapshot
+from timo_sim.simulation.warnings import DivergenceError
+from timo_sim.steps.friction import steps_of
+from timo_sim.steps.steps import CHUNK
+
+
+class Readings:
+    """A part of `Simulator`, which sets the attributes."""
+
+    scene: Any
+    model: Any
+    integration: Any
+    steps: int
+    load: np.ndarray
+    _state: np.ndarray
+
+    @property
+    def t(self):
+        """Sim time [s]."""
+        return self.steps * self.scene.step
+
+    @property
+    def nanoseconds(self):
+        """Sim time [ns]."""
+        return round(self.steps * self.scene.step * 1e9)
+
+    @property
+    def motion(self):
+        """The motion now, see `Motion`."""
+        return Motion(self.integration.motion(self._state, self.load))
+
+    @property
+    def sensors(self):
+        """What the sensors read now: encoder, root_strain, tip_acceleration, gyro."""
+        return Sensors(self.snapshot(state=self._state.copy()))
+
+    @property
+    def deflection(self):
+        """Deflection of the tip in the arm frame, axial and transverse, shape (2,) [m]."""
+        return self.model.tip(self.motion.values)[:2] - [self.model.manipulator.arm.length, 0.0]
+
+    @property
+    def effort(self):
+        """Efforts of carrier x, y [N] and shaft [N m], shape (3,), see `Snapshot.effort`."""
+        return np.array(self.snapshot().effort)
+
+    def snapshot(self, load=None, state=None):
+        """Return a Snapshot of now: valid until the next step, or longer with a kept state."""
+        load = self.load.tolist() if load is None else load
+        acts = (self.integration, self._state if state is None else state,
+                self.integration.acting(self.load))
+        return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
+                        load, acts)
+
+    def tip_acceleration(self):
+        """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
+        return self.integration.tip_acceleration(self._state, self.integration.acting(self.load))
+
+    def _bend(self):
+        # Deflection by all modes together [m].
+        modes, half = self.model.reach[3:], len(self._state) // 2
+        return np.abs(self._state[half - len(modes):half]) @ modes
+
 
 COMPILING = 'compiling once for a model of this size, this takes some seconds'
 # Deflection beyond which the run counts as diverged, in arm lengths.
@@ -60,7 +117,7 @@ class Simulator(Readings):
     steps : int
         Steps done since the start; sim time is `steps * scene.step`.
     load : ndarray, shape (14,)
-        Load at the end of the last step, see `physics.layout`.
+        Load at the end of the last step, see `model.layout`.
     tip_load : TipLoad
         Mass and inertia at the tip now, and the energy lost in plastic impacts.
     warning : str or None
@@ -109,7 +166,7 @@ class Simulator(Readings):
         self._origin = self.steps
         self._table, self._actuators = LoadTable(self.scene), Actuators(self.scene.values)
         self.load = self._table.at_start()
-        self.warning = model_warnings.unseen_load(self.scene)
+        self.warning = warnings.unseen_load(self.scene)
         self._error, self._unmeasured = 0.0 if self._estimate else math.nan, []
         if self._finer:
             self._finer.reset()
@@ -140,7 +197,7 @@ class Simulator(Readings):
         self._continue_with(scene, self.tip_load.of_change(self.scene, scene))
         self._resting = self._resting and not scene.load
         self._table = LoadTable(scene)
-        self.warning = model_warnings.unseen_load(scene)
+        self.warning = warnings.unseen_load(scene)
 
     def _continue_with(self, scene, tip):
         # Go on with another scene, and a mass and inertia at the tip.
@@ -223,7 +280,7 @@ class Simulator(Readings):
         count : int
             Number of steps.
         commanded : ndarray, shape (14,), optional
-            Command during all of them, see `physics.layout`, which acts besides the scene's loads.
+            Command during all of them, see `model.layout`, which acts besides the scene's loads.
         sample_every : int
             Steps between samples; 0: none are taken.
 
@@ -282,7 +339,7 @@ class Simulator(Readings):
         if not math.isinf(self.model.speed_limit):
             seen = np.vstack([motions, self.motion.values])
             share = self.model.axial_share(self._state, self.integration.acting(self.load))
-            self.warning = self.warning or model_warnings.after_steps(
+            self.warning = self.warning or warnings.after_steps(
                 self.scene, self.model, share, self.t, seen)
         if self._finer and count:
             seen = motions[1:] if sample_every else self.motion.values[np.newaxis]
@@ -325,11 +382,11 @@ class Simulator(Readings):
             others = self._finer.advance(count, commanded, every)[0][1:]
         except DivergenceError:
             self._finer, self._error = None, math.nan
-            self.warning = self.warning or model_warnings.NO_FINER_RUN
+            self.warning = self.warning or warnings.NO_FINER_RUN
             return
         self._error = max(self._error, tip_distance(
             self.model, motions, self._finer.model, others))
-        self.warning = self.warning or model_warnings.inaccurate(self.scene, self._error)
+        self.warning = self.warning or warnings.inaccurate(self.scene, self._error)
 
     def _rests(self, count, commanded):
         # Whether these steps would not change the state, not even in the last bit.
@@ -351,6 +408,6 @@ class Simulator(Readings):
         if count > 1:
             for part in (count // 2, count - count // 2):
                 self.advance(part, commanded)
-        raise DivergenceError(model_warnings.divergence(
+        raise DivergenceError(warnings.divergence(
             self.scene, self.steps, self.motion.values, self.model.reach, self._bend(),
             self.warning))

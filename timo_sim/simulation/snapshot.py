@@ -6,19 +6,236 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The motion at one step, and what messages need of it."""
+"""The motion at one step, and what messages need of it: sensors, and forces of joints."""
 
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 import math
 
 import numpy as np
 
-from timo_sim.messages.outputs import NANOSECONDS
-from timo_sim.messages.sensors import SENSORS
-from timo_sim.physics.layout import (
-    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, place, rotate, TORQUE)
-from timo_sim.simulation.joints import joints_of_state
-from timo_sim.simulation.sensors import reading, variance
+from timo_sim.model.layout import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, place, rotate, TORQUE
+from timo_sim.steps.steps import Steps
+from timo_sim.topics.outputs import NANOSECONDS
+from timo_sim.topics.sensors import SENSORS
+
+_FRICTION = [FORCE_X, FORCE_Y, TORQUE]  # columns of a load, by joint
+# Speed of a joint below which Coulomb friction holds it [m/s, rad/s], doc/theory.md, section 8;
+# sweeps over the joints that it holds.
+_STILL, _SWEEPS = 1e-7, 200
+
+
+def applied(loads, theta):
+    """Return carrier forces [N] and shaft torque [N m] of loads, (n, 14), shape (n, 3)."""
+    x, y = rotate(theta, loads[:, FORCE_I], loads[:, FORCE_II])
+    return np.column_stack([loads[:, FORCE_X] + x, loads[:, FORCE_Y] + y, loads[:, TORQUE]])
+
+
+class Joints:
+    """
+    Forces of carrier and shaft, moment and strain at the root in n motions, computed on demand.
+
+    Parameters
+    ----------
+    model : Formulation
+    motions : ndarray, shape (n, 2 (3 + N))
+        See `model.layout`.
+    accelerations : ndarray, shape (n, 3 + N)
+    loads : ndarray, shape (n, 14)
+        Loads that act, dry friction included.
+
+    """
+
+    def __init__(self, model, motions, accelerations, loads):
+        self._model, self._motions, self._loads = model, motions, loads
+        self._accelerations = accelerations
+        self._applied = applied(loads, motions[:, 2])
+
+    @cached_property
+    def _needed(self):
+        return self._model.effort(self._motions, self._accelerations, self._loads)
+
+    @property
+    def reactions(self):
+        """
+        Force on the carrier, world axes [N], and torque on the shaft [N m] by constraints, (n, 3).
+
+        Loads are not part of it. For a joint that is free it is the friction of the equations.
+        """
+        return self._needed - self._applied
+
+    @property
+    def root_moment(self):
+        """Moment in the arm at its root, from the shaft's own balance (T43), shape (n,) [N m]."""
+        model = self._model
+        if model.constrained[2]:
+            torque = self._needed[:, 2]
+        else:
+            torque = self._applied[:, 2] - model.friction(self._motions)[:, 2]
+        return model.manipulator.shaft_inertia * self._accelerations[:, 2] - torque
+
+    @property
+    def root_strain(self):
+        """Strain of the outer fibre at the root, axial strain included, shape (n,)."""
+        per_moment, per_q, per_rate = root_strain(self._model)
+        half = self._motions.shape[1] // 2
+        return per_moment * self.root_moment + self._motions[:, 3:half] @ per_q + (
+            self._motions[:, half + 3:] @ per_rate)
+
+
+def root_strain(model):
+    """Return the strain of the outer fibre per moment at the root, per q and per rate of q."""
+    root, modes = np.zeros(1), model.modes
+    section = model.manipulator.arm.at(root)
+    height, stiffness = (np.ravel(value)[0] for value in (
+        section.height, section.bending_stiffness))
+    axial = modes.stretch(root)[0] if model.axial else np.zeros(len(modes))
+    # Modal damping adds to the moment, but not to the strain, so its moment is subtracted.
+    return (0.5 * height / stiffness, axial,
+            -0.5 * height * modes.curvature(root)[0] * 2.0 * model.damping / modes.omega)
+
+
+def accelerations_of(integration, state, load):
+    """Return the accelerations of the coordinates of a state under a load, shape (3 + N,)."""
+    before, after, half_time = integration.flow(state, load)
+    return (after - before)[0, before.shape[1] // 2:] / (2.0 * half_time[0])
+
+
+def joints_of_state(integration, motion, state, load):
+    """Return the Joints of a motion, with its state, by `Steps` under a load that acts."""
+    accelerations = accelerations_of(integration, state, load)
+    return Joints(integration.model, motion[np.newaxis], accelerations[np.newaxis],
+                  load[np.newaxis])
+
+
+def joints_of_run(scene, model, motions, loads):
+    """
+    Return the Joints of sampled motions of a scene.
+
+    Where dry friction holds a joint, it is what cancels the joint's acceleration.
+
+    Parameters
+    ----------
+    scene : Scene
+    model : Formulation
+    motions : ndarray, shape (n, 2 (3 + N))
+    loads : ndarray, shape (n, 14)
+        Without dry friction.
+
+    """
+    integration, limit = Steps(model, scene.step), scene.friction
+    accelerations, acting = np.empty((len(motions), motions.shape[1] // 2)), loads.copy()
+    speeds = motions[:, motions.shape[1] // 2:][:, :3]
+    for k, motion in enumerate(motions):
+        accelerate = partial(accelerations_of, integration, integration.model.state(motion))
+        if limit.any():
+            acting[k, _FRICTION] += _friction(accelerate, loads[k], speeds[k], limit)
+        accelerations[k] = accelerate(acting[k])
+    return Joints(integration.model, motions, accelerations, acting)
+
+
+def _friction(accelerate, load, speed, limit):
+    """Return the Coulomb friction: of joints that slide, or what holds the others, shape (3,)."""
+    friction = np.where(np.abs(speed) > _STILL, -limit * np.sign(speed), 0.0)
+    held = np.flatnonzero((limit > 0.0) & (np.abs(speed) <= _STILL))
+    if not len(held):
+        return friction
+    # Accelerations are linear in a load.
+    load = load.copy()
+    load[_FRICTION] += friction
+    free = accelerate(load)[held]
+    mobility = np.column_stack([
+        accelerate(load + np.eye(len(load))[_FRICTION[joint]])[held] - free for joint in held])
+    holding = np.zeros(len(held))
+    for _ in range(_SWEEPS):
+        for j, joint in enumerate(held):
+            left = free[j] + mobility[j] @ holding
+            holding[j] = np.clip(holding[j] - left / mobility[j, j], -limit[joint], limit[joint])
+    friction[held] = holding
+    return friction
+
+
+_BLOCK = 256  # steps whose random numbers are drawn at once
+_EXACT = 2.0**53  # number of resolutions from which on a float is coarser than one
+
+
+class Sensors:
+    """
+    The sensors at one step, by name: a float, or an array for a sensor of several axes.
+
+    Parameters
+    ----------
+    snapshot : Snapshot
+
+    """
+
+    def __init__(self, snapshot):
+        self._snapshot = snapshot
+
+    def __dir__(self):
+        return [sensor.name for sensor in SENSORS]
+
+    def __getattr__(self, name):
+        if name not in dir(self):
+            raise AttributeError(f'there is no sensor {name!r}, but {", ".join(dir(self))}')
+        axes = self._snapshot.sensor(name)
+        return axes[0] if len(axes) == 1 else np.array(axes)
+
+
+def reading(values, name, number, step, quantities):
+    """
+    Return the reading of a sensor for the true quantities.
+
+    The noise is a function of seed, sensor, axis and time step alone; other measurements do not
+    change it.
+
+    Parameters
+    ----------
+    values : dict
+        The scene's parameters, `sensor.gyro.noise` and so on.
+    name : str
+    number : int
+        Position of the sensor in `SENSORS`.
+    step : int
+        Number of the time step.
+    quantities : tuple of float
+        True value on each axis, in the unit of the sensor.
+
+    Returns
+    -------
+    tuple of float
+
+    """
+    noise, bias, resolution = (values[f'sensor.{name}.{kind}']
+                               for kind in ('noise', 'bias', 'resolution'))
+    result = []
+    for axis, quantity in enumerate(quantities):
+        quantity += bias
+        if noise:
+            quantity += noise * _random(values['sensor.seed'], number, axis, step)
+        if resolution and abs(quantity) < _EXACT * resolution:
+            quantity = resolution * round(quantity / resolution)
+        result.append(quantity)
+    return tuple(result)
+
+
+def variance(values, name):
+    """Return the variance of a sensor's reading, with a uniform error of rounding."""
+    noise, resolution = (values[f'sensor.{name}.{kind}'] for kind in ('noise', 'resolution'))
+    return noise**2 + resolution**2 / 12.0
+
+
+def _random(seed, sensor, axis, step):
+    block, place = divmod(step, _BLOCK)
+    return _block(seed, sensor, axis, block)[place]
+
+
+@lru_cache(maxsize=16)
+def _block(seed, sensor, axis, block):
+    # Standard normal numbers. Each block has its own highest word of Philox's counter, which the
+    # count of the lower words never reaches.
+    bits = np.random.Philox(key=[seed, 2 * sensor + axis], counter=[0, 0, 0, block])
+    return np.random.Generator(bits).standard_normal(_BLOCK).tolist()
+
 
 _SENSORS = {sensor.name: (number, sensor) for number, sensor in enumerate(SENSORS)}
 
@@ -34,9 +251,9 @@ class Snapshot:
     step, nanoseconds : int
         Number of the step, and sim time [ns].
     motion : ndarray, shape (2 (3 + N),)
-        See `physics.layout`.
+        See `model.layout`.
     load : list of float, length 14
-        Load at the end of the last step, see `physics.layout`.
+        Load at the end of the last step, see `model.layout`.
     acts : tuple of Steps, ndarray (m,) and ndarray (14,), optional
         The time steps, the state and the load that acts, friction included. Accelerations,
         strains and forces of constraints need it; without it `effort` is that of the load.

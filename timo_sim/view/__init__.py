@@ -9,6 +9,6 @@
 """
 Runs as pictures: tracks of motions, entities and panels for rerun, a live stream, plots.
 
-It may import `simulation`, `scene` and what is below them; only modules that draw with rerun or
-matplotlib import these. It uses no ROS.
+This package may import `simulation`, `log` and what is below them; only `rerun` and `plot` import
+what they draw with. It uses no ROS.
 """

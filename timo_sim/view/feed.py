@@ -19,7 +19,7 @@ import tempfile
 
 import numpy as np
 
-from timo_sim.scene.parameter import ParameterError, short
+from timo_sim.scene.parameters import ParameterError, short
 
 PERIOD = 1.0 / 30.0  # [s] of wall time between samples
 _PATIENCE = 2.0      # [s] for the process to send its last samples
@@ -30,7 +30,7 @@ _ADDRESS = re.compile(r'rerun(\+https?)?://(\S+?)(:(\d+))?/proxy')
 
 class Feed:
     """
-    Sends samples to a process of `view.live`, and never waits for it.
+    Sends samples to a process of `view.rerun`, and never waits for it.
 
     Samples for which its pipe has no room, because the viewer is slow or stuck, are dropped.
 
@@ -75,7 +75,7 @@ class Feed:
             json.dump(dict(scene.values), values)
             values.seek(0)
             self._process = subprocess.Popen(
-                [sys.executable, '-P', '-m', 'timo_sim.view.live', url, name,
+                [sys.executable, '-P', '-m', 'timo_sim.view.rerun', url, name,
                  str(values.fileno())], pass_fds=[values.fileno()], stdin=subprocess.PIPE,
                 start_new_session=True, env={**os.environ, 'PYTHONPATH': path})
         assert self._process.stdin is not None

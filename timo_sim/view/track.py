@@ -14,14 +14,40 @@ from typing import NamedTuple
 
 import numpy as np
 
-from timo_sim.log.payloads import payloads_of
-from timo_sim.messages.commands import COMMANDS
-from timo_sim.physics.layout import rotate
+from timo_sim.log.read import payloads_of
+from timo_sim.model.layout import rotate
 from timo_sim.scene.loads import CHANNELS
-from timo_sim.scene.parameter import Parameter
+from timo_sim.scene.parameters import Parameter
 from timo_sim.simulation.energy import integral, work
-from timo_sim.simulation.tip_load import pieces
-from timo_sim.view.floor import Floor, floor_of
+from timo_sim.simulation.loads import pieces
+from timo_sim.topics.commands import COMMANDS
+
+_BESIDE = 0.08  # from the carrier's centre to the arrow, and its length, in arm lengths
+
+
+class Floor(NamedTuple):
+    """A line normal to gravity through the underside of the carrier at its first position."""
+
+    place: np.ndarray   # under the carrier, (2,) [m]
+    along: np.ndarray   # unit vector, to the right for who stands on the floor, (2,)
+    arrow: np.ndarray   # from tail to head, which is on the floor, (2, 2) [m]
+
+    def line(self, bounds):
+        """Return the ends of a line that crosses a rectangle with the corners `bounds`, (2, 2)."""
+        return self.place + np.linalg.norm(bounds[1] - bounds[0]) * np.array([-1.0, 1.0])[
+            :, np.newaxis] * self.along
+
+
+def floor_of(gravity, carrier, body):
+    """Return the Floor under a carrier, (2,) [m], of a `track.Body`; None without gravity."""
+    strength = float(np.hypot(*gravity))
+    if strength == 0.0:
+        return None
+    down = np.array(gravity) / strength
+    along, place = np.array([-down[1], down[0]]), carrier + 0.5 * body.carrier * down
+    head = place - _BESIDE * body.length * along
+    return Floor(place, along, np.array([head - _BESIDE * body.length * down, head]))
+
 
 FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
 _POINTS = 41     # of the centre line that is drawn
@@ -120,7 +146,7 @@ def of_run(run, name='run'):
 
 def of_recording(recording, name):
     """
-    Return the track of a `log.recording.Recording`.
+    Return the track of a `log.tables.Recording`.
 
     Without modal coordinates the shape is a cubic from root to tip. Raises TrackError if topics
     that the shape needs are missing.
@@ -167,7 +193,7 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
     ns : ndarray, shape (n,)
         Sim time [ns].
     motion : ndarray, shape (n, 2 (3 + N))
-        See `physics.layout`.
+        See `model.layout`.
     effort : ndarray, shape (n, 3)
         Force on the carrier, world x and y [N], torque on the shaft [N m].
     resets : array_like of int

@@ -14,7 +14,7 @@ from benchmark.figures.paper.style import (
     BLACK, BLUE, COLOURS, GREEN, MODES, NAMES, ORANGE, RED, save)
 from benchmark.report import table
 from oracles.references import errors, motion_of, simulate, STATIONS
-from timo_sim.physics.equations import FORMULATIONS
+from timo_sim.model import FORMULATIONS
 
 
 def error_histories(t, runs, truth):

@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from benchmark import ROOT
-from timo_sim.physics.equations import FORMULATIONS
+from timo_sim.model import FORMULATIONS
 
 FIGURES = ROOT / 'doc' / 'paper'
 MODES = 5

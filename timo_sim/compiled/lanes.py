@@ -1,0 +1,355 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Lanes: numbers of several runs that compiled functions handle as one value.
+
+A function that is compiled for floats can be compiled for lanes, too, if it takes no branch on
+them: where it would need one it uses a function of `compiled.lanes`. A value of type LANES is a
+vector of WIDTH floats; an operation on it is one vector instruction, or a few where the
+processor's registers are narrower. No operation mixes lanes or changes the order of a sum, and
+what is fused is chosen here and not by the optimiser, so the bits of a lane depend on its own
+numbers only. A value of type SHARED is the same for all lanes: one float in memory.
+
+In NumPy lanes are the last axis of an array, of length WIDTH. `as_lanes` and `as_shared` tell the
+compiler to see such an array, or a record of them, as one of lanes.
+"""
+
+import math
+import operator
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.datamodel import models, register_default
+from numba.core.typeconv import Conversion
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, lower_cast, overload
+import numpy as np
+
+WIDTH = 8
+VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
+_FUSED = f'llvm.fmuladd.v{WIDTH}f64'
+# The sign of zero may change. numba would give flags that reorder and fuse to what has none.
+_FLAGS = ('nsz',)
+
+
+def _is_number(kind):
+    return isinstance(kind, (types.Float, types.Integer))
+
+
+class _Lanes(types.Type):
+    bitwidth = 64 * WIDTH
+
+    def __init__(self):
+        super().__init__(f'Lanes({WIDTH})')
+
+    def unify(self, context, other):
+        return LANES if _is_number(other) or other == SHARED else None
+
+    def can_convert_from(self, context, other):
+        return Conversion.safe if _is_number(other) else None
+
+
+class _Shared(types.Type):
+    bitwidth = 64
+
+    def __init__(self):
+        super().__init__(f'Shared({WIDTH})')
+
+    def unify(self, context, other):
+        return LANES if _is_number(other) or other == LANES else None
+
+    def can_convert_to(self, context, other):
+        return Conversion.safe if other == LANES else None
+
+
+class _Mask(types.Type):
+    def __init__(self):
+        super().__init__(f'Mask({WIDTH})')
+
+    # While types are inferred, a sum may be a float before it becomes one of lanes.
+    def unify(self, context, other):
+        return self if other == types.boolean else None
+
+    def can_convert_from(self, context, other):
+        return Conversion.safe if other == types.boolean else None
+
+
+class _LaneRecord(types.Record):
+    dtype = np.dtype(np.void)  # NumPy knows no lanes; the memory is that of a record of floats
+
+
+LANES, SHARED, MASK = _Lanes(), _Shared(), _Mask()
+register_default(_LaneRecord)(models.RecordModel)
+
+
+@register_default(_Lanes)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager, kind):
+        super().__init__(manager, kind, VECTOR)
+
+
+@register_default(_Mask)
+class _MaskModel(models.PrimitiveModel):
+    def __init__(self, manager, kind):
+        super().__init__(manager, kind, ir.VectorType(ir.IntType(1), WIDTH))
+
+
+@register_default(_Shared)
+class _SharedModel(models.PrimitiveModel):
+    # A vector as a value, one float in memory.
+
+    def __init__(self, manager, kind):
+        super().__init__(manager, kind, VECTOR)
+
+    def get_data_type(self):
+        return ir.DoubleType()
+
+    def from_data(self, builder, value):
+        return _spread(builder, value)
+
+
+def _spread(builder, value):
+    # A vector with the same float in all lanes.
+    nothing, index = ir.Constant(VECTOR, ir.Undefined), ir.IntType(32)
+    single = builder.insert_element(nothing, value, ir.Constant(index, 0))
+    return builder.shuffle_vector(single, nothing,
+                                  ir.Constant(ir.VectorType(index, WIDTH), [0] * WIDTH))
+
+
+@lower_cast(types.Float, LANES)
+@lower_cast(types.Integer, LANES)
+def _lanes_of_number(context, builder, source, _, value):
+    return _spread(builder, context.cast(builder, value, source, types.float64))
+
+
+@lower_cast(SHARED, LANES)
+def _lanes_of_shared(context, builder, source, _, value):
+    return value
+
+
+def _define(operators, kinds, result, generate):
+    """Define operators of lanes or masks; `generate` takes an IRBuilder and the operands."""
+    class Template(AbstractTemplate):
+        def generic(self, given, _):
+            ours = any(kind in (LANES, SHARED, MASK) for kind in given)
+            return signature(result, *kinds) if ours and len(given) == len(kinds) and all(
+                kind == wanted or wanted == LANES and (kind == SHARED or _is_number(kind))
+                for kind, wanted in zip(given, kinds)) else None
+
+    for each in operators:
+        infer_global(each)(type('Template', (Template,), {}))
+        lower_builtin(each, *kinds)(
+            lambda context, builder, _, operands: generate(builder, *operands))
+
+
+def _is_product(value):
+    return getattr(value, 'opname', None) == 'fmul'
+
+
+def _add(builder, a, b):
+    # A product is fused with the sum where the processor can do that.
+    if _is_product(a) and not _is_product(b):
+        a, b = b, a
+    if not _is_product(b):
+        return builder.fadd(a, b, flags=_FLAGS)
+    fused = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(VECTOR, 3 * [VECTOR]), _FUSED)
+    return builder.call(fused, [*b.operands, a])
+
+
+def _subtract(builder, a, b):
+    if _is_product(b):
+        return _add(builder, a, _multiply(builder, builder.fneg(b.operands[0]), b.operands[1]))
+    if _is_product(a):
+        return _add(builder, a, builder.fneg(b))
+    return builder.fsub(a, b, flags=_FLAGS)
+
+
+def _multiply(builder, a, b):
+    return builder.fmul(a, b, flags=_FLAGS)
+
+
+def _divide(builder, a, b):
+    return builder.fdiv(a, b, flags=_FLAGS)
+
+
+def _define_arithmetic():
+    for name, generate in (('add', _add), ('sub', _subtract), ('mul', _multiply),
+                           ('truediv', _divide)):
+        _define((getattr(operator, name), getattr(operator, f'i{name}')), (LANES, LANES), LANES,
+                generate)
+    for compare, sign in ((operator.eq, '=='), (operator.lt, '<'), (operator.le, '<='),
+                          (operator.gt, '>'), (operator.ge, '>=')):
+        _define((compare,), (LANES, LANES), MASK,
+                lambda builder, a, b, sign=sign: builder.fcmp_ordered(sign, a, b))
+    _define((operator.ne,), (LANES, LANES), MASK,
+            lambda builder, a, b: builder.fcmp_unordered('!=', a, b))
+    _define((operator.neg,), (LANES,), LANES, lambda builder, a: builder.fneg(a))
+    for both, instruction in ((operator.and_, 'and_'), (operator.or_, 'or_')):
+        _define((both,), (MASK, MASK), MASK,
+                lambda builder, a, b, instruction=instruction: getattr(builder, instruction)(a, b))
+
+
+_define_arithmetic()
+
+
+class _Square(AbstractTemplate):
+    def generic(self, given, _):
+        # The only power in use; others have no signature and are refused.
+        if given[0] in (LANES, SHARED) and getattr(given[1], 'literal_value', None) == 2:
+            return signature(LANES, LANES, given[1])
+        return None
+
+
+infer_global(operator.pow)(_Square)
+
+
+@lower_builtin(operator.pow, LANES, types.IntegerLiteral)
+def _square(context, builder, _, operands):
+    return _multiply(builder, operands[0], operands[0])
+
+
+def _seen(kind, shared):
+    # The type of a field, array or record of floats that is seen as one of lanes.
+    if isinstance(kind, types.Record):
+        return _LaneRecord([(name, {'type': _seen(field.type, shared), 'offset': field.offset})
+                            for name, field in kind.fields.items()], kind.size, aligned=False)
+    if kind == types.float64 and shared:
+        return SHARED
+    if getattr(kind, 'dtype', None) != types.float64:
+        return kind  # whole numbers, the same for all lanes
+    dtype, last = (SHARED, None) if shared else (LANES, -1)
+    if not isinstance(kind, types.NestedArray):
+        return types.Array(dtype, kind.ndim if shared else kind.ndim - 1, 'C', aligned=False)
+    if not kind.shape[:last]:
+        return dtype
+    seen = types.NestedArray(dtype, kind.shape[:last])
+    seen.aligned = False
+    return seen
+
+
+@intrinsic
+def as_shared(context, record):
+    """See a record of floats as one that is the same for all lanes."""
+    return _seen(record, True)(record), lambda context, builder, _, arguments: arguments[0]
+
+
+@intrinsic
+def as_lanes(context, values):
+    """See a record, or an array in C order, of floats with lanes as last axis as one of lanes."""
+    kind = _seen(values, False)
+
+    def generate(context, builder, _, arguments):
+        if isinstance(values, types.Record):
+            return arguments[0]
+        given = context.make_array(values)(context, builder, arguments[0])
+        array = context.make_array(kind)(context, builder)
+        shape, strides = (cgutils.unpack_tuple(builder, part)[:-1]
+                          for part in (given.shape, given.strides))
+        context.populate_array(
+            array, data=builder.bitcast(given.data, VECTOR.as_pointer()), shape=shape,
+            strides=strides, itemsize=context.get_constant(types.intp, LANES.bitwidth // 8),
+            meminfo=None)
+        return array._getvalue()
+    return kind(values), generate
+
+
+_PLAIN = {'forceinline': True, 'fastmath': False}
+
+
+def _function_of(name):
+    # A function of LLVM that takes and returns lanes.
+    @intrinsic
+    def call(context, value):
+        def generate(context, builder, _, arguments):
+            function = cgutils.get_or_insert_function(
+                builder.module, ir.FunctionType(VECTOR, [VECTOR]), f'llvm.{name}.v{WIDTH}f64')
+            return builder.call(function, [context.cast(builder, arguments[0], value, LANES)])
+        return LANES(value), generate
+    return call
+
+
+_floor_of_lanes, _magnitude_of_lanes = _function_of('floor'), _function_of('fabs')
+
+
+@intrinsic
+def _select(context, condition, yes, no):
+    def generate(context, builder, _, arguments):
+        values = [context.cast(builder, value, kind, LANES)
+                  for value, kind in zip(arguments[1:], (yes, no))]
+        return builder.select(arguments[0], *values)
+    return LANES(condition, yes, no), generate
+
+
+@intrinsic
+def _any_of(context, condition):
+    def generate(context, builder, _, arguments):
+        bits = builder.bitcast(arguments[0], ir.IntType(WIDTH))
+        return builder.icmp_unsigned('!=', bits, ir.Constant(bits.type, 0))
+    return types.boolean(condition), generate
+
+
+def floor(value):
+    """Return the largest whole number up to a value, as a float."""
+    return float(math.floor(value))
+
+
+@overload(floor, jit_options=_PLAIN)
+def _floor(value):
+    if value in (LANES, SHARED):
+        return lambda value: _floor_of_lanes(value)
+    return lambda value: np.floor(value)
+
+
+def magnitude(value):
+    """Return the absolute value."""
+    return abs(value)
+
+
+@overload(magnitude, jit_options=_PLAIN)
+def _magnitude(value):
+    if value in (LANES, SHARED):
+        return lambda value: _magnitude_of_lanes(value)
+    return lambda value: abs(value)
+
+
+def where(condition, yes, no):
+    """Return `yes` where a condition holds, else `no`; both have been computed."""
+    return yes if condition else no
+
+
+@overload(where, jit_options=_PLAIN)
+def _where(condition, yes, no):
+    if condition == MASK:
+        return lambda condition, yes, no: _select(condition, yes, no)
+    return lambda condition, yes, no: yes if condition else no
+
+
+def some(condition):
+    """Return whether a condition holds, in any lane."""
+    return condition
+
+
+@overload(some, jit_options=_PLAIN)
+def _some(condition):
+    if condition == MASK:
+        return lambda condition: _any_of(condition)
+    return lambda condition: condition
+
+
+def is_lanes(vector):
+    """Return whether the numbers of an array are lanes; known to the compiler."""
+    return False
+
+
+@overload(is_lanes, jit_options=_PLAIN)
+def _is_lanes(vector):
+    if getattr(vector, 'dtype', None) in (LANES, SHARED):
+        return lambda vector: True
+    return lambda vector: False

@@ -1,0 +1,501 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Write MCAP files chunk by chunk, in a thread of their own.
+
+Besides messages, a file has what rosbag2 writes: the QoS of topics, and its own metadata record.
+"""
+
+from collections import Counter, defaultdict, deque
+from contextlib import suppress
+import errno
+import os
+from pathlib import Path
+import re
+import struct
+import threading
+import time
+from typing import NamedTuple
+import zlib
+
+import lz4.frame
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    AttachmentIndex, Channel as ChannelRecord, Chunk as ChunkRecord, ChunkIndex, DataEnd, Footer,
+    Header, Metadata, MetadataIndex, Schema, Statistics, SummaryOffset)
+from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
+import yaml
+
+from timo_sim.log.records import bytes_of, HEAD, hold, Peak, printable, START, start_note, SUMMARY
+from timo_sim.scene.parameters import changed, frame_names
+from timo_sim.topics.cdr import schema_text, Serializer, TYPE_HASHES
+from timo_sim.topics.commands import COMMANDS
+from timo_sim.topics.outputs import in_frames, outputs
+
+# Opcode, length of what follows; channel, sequence number, log time and publish time.
+_MESSAGE = struct.Struct('<BQHIQQ')
+_MESSAGE_OPCODE = int(Opcode.MESSAGE)
+_FOR_EVER = {'sec': 9223372036, 'nsec': 854775807}
+DEPTH = 10  # default depth of a topic's queue [messages]
+# What the node offers on a topic by default, as rosbag2 writes it (metadata version 9).
+_QOS = {
+    'history': 'keep_last', 'depth': DEPTH, 'reliability': 'reliable', 'durability': 'volatile',
+    'deadline': _FOR_EVER, 'lifespan': _FOR_EVER, 'liveliness': 'automatic',
+    'liveliness_lease_duration': _FOR_EVER, 'avoid_ros_namespace_conventions': False}
+
+
+class Chunk:
+    """
+    Messages that are compressed together.
+
+    Attributes
+    ----------
+    data : bytearray
+    index : dict
+        For each channel a flat list of times [ns] and positions of its messages, alternating.
+
+    """
+
+    def __init__(self):
+        self.data = bytearray()
+        self.index = defaultdict(list)
+
+    def add(self, channel, sequence, time, data):
+        """Append a message."""
+        self.index[channel] += time, len(self.data)
+        length = _MESSAGE.size - HEAD.size + len(data)
+        self.data += _MESSAGE.pack(_MESSAGE_OPCODE, length, channel, sequence, time, time)
+        self.data += data
+
+    def add_record(self, channel, time, content):
+        """Append a message from another file: the content of its record."""
+        self.index[channel] += time, len(self.data)
+        self.data += HEAD.pack(_MESSAGE_OPCODE, len(content))
+        self.data += content
+
+
+class Writer:
+    """
+    Writes a stream from its first byte to its last.
+
+    Parameters
+    ----------
+    stream : binary file
+    profile : str
+
+    Attributes
+    ----------
+    size : int
+        Number of bytes written so far.
+
+    """
+
+    def __init__(self, stream, profile):
+        self._stream, self._profile = stream, profile
+        self._crc = self.size = 0
+        self._schemas, self._channels = [], []
+        # Kept as bytes: a log of a day has so many that objects would fill the memory.
+        self._chunk_indexes, self._metadata_indexes = RecordBuilder(), RecordBuilder()
+        self._attachment_indexes = RecordBuilder()
+        self._statistics = Statistics(
+            attachment_count=0, channel_count=0, channel_message_counts=Counter(), chunk_count=0,
+            message_count=0, metadata_count=0, message_start_time=0, message_end_time=0,
+            schema_count=0)
+        self._put(MCAP0_MAGIC)
+        self._write(Header(profile=profile, library=LIBRARY_IDENTIFIER))
+
+    def add_record(self, record):
+        """Add a Schema or a Channel."""
+        (self._schemas if isinstance(record, Schema) else self._channels).append(record)
+        self._write(record)
+
+    def add_metadata(self, name, values):
+        """Add a metadata record."""
+        offset = self.size
+        length = self._write(Metadata(name=name, metadata=values))
+        MetadataIndex(offset=offset, length=length, name=name).write(self._metadata_indexes)
+        self._statistics.metadata_count += 1
+
+    def add_attachment(self, attachment):
+        """Add an Attachment."""
+        offset = self.size
+        about = {name: getattr(attachment, name)
+                 for name in ('log_time', 'create_time', 'name', 'media_type')}
+        AttachmentIndex(offset=offset, length=self._write(attachment),
+                        data_size=len(attachment.data), **about).write(self._attachment_indexes)
+        self._statistics.attachment_count += 1
+
+    def add_private(self, opcode, content):
+        """Add a private record, whose meaning the application that wrote it knows."""
+        self._put(HEAD.pack(opcode, len(content)) + content)
+
+    def add_chunk(self, chunk):
+        """Compress a chunk that has messages, and write it with its index."""
+        times = [entries[::2] for entries in chunk.index.values()]
+        facts = {
+            'compression': 'lz4', 'uncompressed_size': len(chunk.data),
+            'message_start_time': min(map(min, times)), 'message_end_time': max(map(max, times))}
+        compressed = lz4.frame.compress(chunk.data)
+        offset = self.size
+        length = self._write(
+            ChunkRecord(data=compressed, uncompressed_crc=zlib.crc32(chunk.data), **facts))
+        places, place = {}, offset + length
+        for channel, entries in chunk.index.items():
+            places[channel] = place
+            place += self._put(struct.pack(
+                f'<BQHI{len(entries)}Q', Opcode.MESSAGE_INDEX, 6 + 8 * len(entries), channel,
+                8 * len(entries), *entries))
+        ChunkIndex(
+            chunk_start_offset=offset, chunk_length=length, compressed_size=len(compressed),
+            message_index_offsets=places, message_index_length=place - offset - length, **facts
+        ).write(self._chunk_indexes)
+        known, start = self._statistics, facts['message_start_time']
+        known.message_start_time = min(known.message_start_time, start) if (
+            known.chunk_count) else start
+        known.message_end_time = max(known.message_end_time, facts['message_end_time'])
+        counts = {channel: len(entries) // 2 for channel, entries in chunk.index.items()}
+        known.channel_message_counts.update(counts)
+        known.message_count += sum(counts.values())
+        known.chunk_count += 1
+
+    def finish(self, name):
+        """Write the end of the file: rosbag2's metadata, with the file's name, and summary."""
+        self._statistics.schema_count = len(self._schemas)
+        self._statistics.channel_count = len(self._channels)
+        if self._profile == 'ros2':
+            self.add_metadata('rosbag2', {'serialized_metadata': yaml_text(information(
+                self._schemas, self._channels, self._statistics, name))})
+        self._write(DataEnd(self._crc))
+        start, data, offsets = self.size, b'', []
+        for opcode, group in (
+                (Opcode.SCHEMA, bytes_of(*self._schemas)),
+                (Opcode.CHANNEL, bytes_of(*self._channels)),
+                (Opcode.STATISTICS, bytes_of(self._statistics)),
+                (Opcode.CHUNK_INDEX, self._chunk_indexes.end()),
+                (Opcode.ATTACHMENT_INDEX, self._attachment_indexes.end()),
+                (Opcode.METADATA_INDEX, self._metadata_indexes.end())):
+            offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + len(data),
+                                         group_length=len(group)))
+            data += group
+        offsets_start = start + len(data)
+        data += bytes_of(*offsets)
+        # The checksum covers the footer up to the checksum itself.
+        head = struct.pack('<BQQQ', Opcode.FOOTER, 20, start, offsets_start)
+        self._put(data)
+        self._write(Footer(summary_start=start, summary_offset_start=offsets_start,
+                           summary_crc=zlib.crc32(head, zlib.crc32(data))))
+        self._put(MCAP0_MAGIC)
+
+    def _write(self, record):
+        return self._put(bytes_of(record))
+
+    def _put(self, data):
+        self._crc = zlib.crc32(data, self._crc)
+        self.size += len(data)
+        return self._stream.write(data)
+
+
+class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
+    def ignore_aliases(self, data):
+        return True
+
+
+def yaml_text(value):
+    """Return a value as YAML without aliases."""
+    return yaml.dump(value, Dumper=_Dumper, sort_keys=False)
+
+
+_OWN_QOS = re.compile(
+    '- history: keep_last\n  depth: ([0-9]{1,5})\n  reliability: ([a-z_]{1,11})\n')
+
+
+def _qos(depth, reliability):
+    return [{**_QOS, 'depth': depth, 'reliability': reliability}]
+
+
+def channel_metadata(type_hash, depth=DEPTH, reliability='reliable'):
+    """Return the metadata of a channel: the QoS of its topic, and the hash of its type."""
+    return {'offered_qos_profiles': yaml_text(_qos(depth, reliability)),
+            'topic_type_hash': type_hash}
+
+
+def _qos_of(channel):
+    """Return the QoS that `channel_metadata` wrote; any other text may be hostile: no QoS."""
+    text = channel.metadata.get('offered_qos_profiles', '')
+    found = _OWN_QOS.match(text)
+    profiles = _qos(int(found[1]), found[2]) if found else []
+    return profiles if yaml_text(profiles) == text else []
+
+
+def information(schemas, channels, statistics, name):
+    """Return rosbag2's metadata (version 9) of a bag with these records and this file name."""
+    start, end = statistics.message_start_time, statistics.message_end_time
+    span = {'duration': {'nanoseconds': end - start},
+            'starting_time': {'nanoseconds_since_epoch': start},
+            'message_count': statistics.message_count}
+    types = {schema.id: schema.name for schema in schemas}
+    topics = [
+        {'topic_metadata': {
+            'name': channel.topic, 'type': types.get(channel.schema_id, ''),
+            'serialization_format': channel.message_encoding,
+            'offered_qos_profiles': _qos_of(channel),
+            'type_description_hash': channel.metadata.get('topic_type_hash', '')},
+         'message_count': statistics.channel_message_counts.get(channel.id, 0)}
+        for channel in channels]
+    return {
+        'version': 9, 'storage_identifier': 'mcap', **span,
+        'topics_with_message_count': topics, 'compression_format': '', 'compression_mode': '',
+        'relative_file_paths': [printable(name)], 'files': [{'path': printable(name), **span}],
+        'custom_data': {}, 'ros_distro': 'jazzy'}
+
+
+FLUSH_PERIOD = 0.5       # [s] of wall time; a crash loses at most twice this
+CHUNK_SIZE = 512 * 1024  # [B] so that a day has few; none waits longer than `FLUSH_PERIOD`
+BACKLOG = 20             # chunks that may wait for the disk before `write` waits, too
+NOTABLE, PATIENCE = 0.5, 60.0  # [s] that `write` waits before a warning, before it gives up
+
+
+class Channel(NamedTuple):
+    """A topic of the log."""
+
+    topic: str      # fully qualified name
+    type_name: str  # as in 'sensor_msgs/msg/JointState'
+    name: str = ''  # before remapping, as in '~/tip_pose'
+    depth: int = DEPTH
+    reliability: str = 'reliable'  # or 'best_effort'
+
+
+class Recorder:
+    """
+    Write serialised messages and metadata to a new MCAP file.
+
+    `write` only appends to a chunk; a thread compresses chunks, for the most part without holding
+    up other threads, and gives them to the operating system at least every `FLUSH_PERIOD`. If that
+    fails or takes longer than `PATIENCE`, or another program deletes, cuts or writes to the file,
+    `error` says so, what was written is kept, and later messages are dropped.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file of this name is never overwritten: `_1`, `_2`, ... is appended to the stem.
+    channels : list of Channel
+    notes : dict of dict
+        Metadata records by name, values of str.
+
+    Attributes
+    ----------
+    path : Path
+        The file that is written.
+    error : str or None
+        Why the log has ended early.
+    warning : str or None
+        That the file has been moved or the disk is slow; the log goes on.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be made.
+
+    """
+
+    def __init__(self, path, channels, notes):
+        self.error = self.warning = None
+        self._lock = threading.Lock()  # of the chunk that grows
+        self._chunk = Chunk()
+        self._queue = deque()  # (method of the Writer, arguments) of what is to be written
+        self._ready = threading.Event()
+        self._closing = False
+        types = list(dict.fromkeys(channel.type_name for channel in channels))
+        records = [*(Schema(id=number, name=name, encoding='ros2msg',
+                            data=schema_text(name).encode())
+                     for number, name in enumerate(types, start=1)),
+                   *(ChannelRecord(id=number, topic=topic, message_encoding='cdr',
+                                   schema_id=types.index(name) + 1,
+                                   metadata=channel_metadata(TYPE_HASHES[name], *qos))
+                     for number, (topic, name, _, *qos) in enumerate(channels, start=1))]
+        self.path, self._file = create(Path(path))
+        try:
+            self._writer = Writer(self._file, 'ros2')
+            for record in records:
+                self._writer.add_record(record)
+            for name, values in notes.items():
+                self._writer.add_metadata(name, values)
+            self._file.flush()
+        except OSError:
+            with suppress(OSError):
+                self._file.close()
+            self.path.unlink()  # this process made it, and it is not a log
+            raise
+        self._thread = threading.Thread(target=self._run, name='recorder', daemon=True)
+        self._thread.start()
+
+    def write(self, index, step, stamp, data):
+        """
+        Log a message, CDR, of the channel with this index.
+
+        The time step becomes its sequence number; the stamp, sim time [ns], becomes its log and
+        publish time.
+        """
+        if self.error is not None:
+            return
+        with self._lock:
+            self._chunk.add(index + 1, step & 0xffffffff, stamp, data)
+            if len(self._chunk.data) < CHUNK_SIZE:
+                return
+        self._pass_on()
+        self._ready.set()
+        begun = time.monotonic()
+        while len(self._queue) > BACKLOG and self.error is None:
+            time.sleep(0.001)
+            if time.monotonic() - begun > NOTABLE:
+                self.warning = f'the simulation has waited for the disk of {self.path}'
+            if time.monotonic() - begun > PATIENCE:
+                self.error = f'{self.path}: the disk has taken nothing for {PATIENCE:g} s'
+
+    def note(self, name, values):
+        """Log a metadata record: a name, and a dictionary of str."""
+        if self.error is None:
+            self._pass_on()
+            self._queue.append((self._writer.add_metadata, name, values))
+
+    def close(self):
+        """Write what is waiting, the index and the summary, and close the file."""
+        self._closing = True
+        self._ready.set()
+        size = None
+        while self._thread.is_alive() and self._writer.size != size:  # while it makes progress
+            size = self._writer.size
+            self._thread.join(PATIENCE)
+        if self._thread.is_alive():
+            self.error = self.error or f'{self.path}: the disk does not take the end of the log'
+
+    def _pass_on(self):
+        """Queue the chunk that grows, to be written as it is."""
+        with self._lock:
+            if self._chunk.data:
+                self._queue.append((self._writer.add_chunk, self._chunk))
+                self._chunk = Chunk()
+
+    def _run(self):
+        try:
+            while not self._closing:
+                if not self._ready.wait(FLUSH_PERIOD):
+                    self._pass_on()
+                self._ready.clear()
+                self._drain()
+            self._pass_on()
+            self._drain()
+            self._writer.finish(self.path.name)
+            sync(self._file)
+            self._look()
+        except Exception as error:  # of any type, because `write` must not wait for this thread
+            self.error = f'{self.path}: {error}'
+            self._queue.clear()
+        finally:
+            try:
+                self._file.close()
+            except OSError as error:
+                self.error = self.error or f'{self.path}: {error}'
+
+    def _drain(self):
+        self._look()
+        while self._queue:
+            write, *items = self._queue.popleft()
+            write(*items)
+        self._file.flush()
+
+    def _look(self):
+        """Raise OSError if another program changed or deleted the file: `write` gives no error."""
+        ours = os.fstat(self._file.fileno())
+        if ours.st_size != self._writer.size:
+            raise OSError(f'it has {ours.st_size} bytes, {self._writer.size} were written: '
+                          'another program has cut it or written to it')
+        with suppress(OSError):
+            if os.path.samestat(ours, os.stat(self.path)):
+                return
+        if not ours.st_nlink:
+            raise OSError('it was deleted')
+        self.warning = f'{self.path} was moved; the log goes on where it is now'
+
+
+class NewLog(Recorder):
+    """
+    A log of a run made without a node: the same topics and bytes as the node writes.
+
+    Parameters
+    ----------
+    path : str or Path
+    scene : Scene
+    values : dict
+        Parameters of the node, the scene's among them.
+    node : str, optional
+        Fully qualified name of the node that topics are named after.
+    **notes : str
+        Further metadata for the start of the run.
+
+    """
+
+    def __init__(self, path, scene, values, node='/timo_sim', **notes):
+        namespace = node.rpartition('/')[0]
+        channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
+        self._topics, self._peak, frames = {}, Peak(), frame_names(values)
+        for output in outputs(scene.modal_count):
+            name = output.name
+            topic = (name if name.startswith('/') else
+                     node + name[1:] if name.startswith('~') else f'{namespace}/{name}')
+            delay = round(1e9 * scene.values[output.delay]) if output.delay else 0
+            self._topics[name] = (
+                len(channels), Serializer(output.type_name, in_frames(output.template, frames)),
+                delay, output)
+            channels.append(Channel(topic, output.type_name))
+        super().__init__(path, channels, {
+            START: {**start_note(node, values, changed(values), scene), **notes}})
+
+    def output(self, name, snapshot, numbers):
+        """Log a message of an output; commands are logged by `write`."""
+        index, serialize, delay, output = self._topics[name]
+        self.write(index, snapshot.step, snapshot.nanoseconds + delay,
+                   serialize(snapshot.time, output.content(snapshot, numbers)))
+        if name == '~/tip_deflection':
+            self._peak.see(numbers, snapshot.nanoseconds)
+
+    def close(self):
+        """Complete the file; raise OSError if that fails, or the log has ended early."""
+        self.note(SUMMARY, self._peak.note())
+        super().close()
+        if self.error:
+            raise OSError(self.error)
+
+
+def create(path):
+    """Make a new file, numbered if it exists, and its folders; return its path and stream."""
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if path.exists() and not path.is_file():
+        raise OSError(f'{path} must be a regular file or none yet, not a device or FIFO')
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # With mode 'x' the file system guarantees that nothing is overwritten.
+    for attempt in range(10000):
+        candidate = path.with_stem(f'{path.stem}_{attempt}') if attempt else path
+        try:
+            # O_APPEND: if another program cuts the file or adds to it, its size shows that.
+            stream = open(candidate, 'xb', opener=lambda name, flags: os.open(
+                name, flags | os.O_APPEND, 0o666))
+        except FileExistsError:
+            continue
+        hold(stream)
+        return candidate, stream
+    raise FileExistsError(f'{path} and 9999 numbered names after it exist')
+
+
+def sync(stream):
+    """Wait until all that was written is on the disk: a closed log survives a power cut."""
+    stream.flush()
+    os.fsync(stream.fileno())

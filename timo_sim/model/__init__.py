@@ -1,0 +1,32 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+The model: bodies, modes and equations of motion of the manipulator; values in, values out.
+
+This package may import NumPy, SciPy and `compiled`; it knows no files, no scenes, no ROS and no
+integrator. A formulation is a subclass of `formulation.Formulation` with compiled functions that
+are tied to its constants, see `functions`.
+"""
+
+from importlib import import_module
+
+# Module and class of each formulation by name. Modules are imported on demand, so that listing
+# the names is cheap.
+FORMULATIONS = {
+    'exact': 'timo_sim.model.exact:Exact',
+    'newton': 'timo_sim.model.newton:Newton',
+    'newton_root_stress': 'timo_sim.model.newton:NewtonRootStress',
+    'newton_rigid_axial': 'timo_sim.model.newton:NewtonRigidAxial',
+}
+
+
+def formulation_class(name):
+    """Return the class of a formulation, a subclass of `base.Formulation`."""
+    module, _, attribute = FORMULATIONS[name].partition(':')
+    return getattr(import_module(module), attribute)

@@ -1,0 +1,345 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The bodies of the manipulator, constants of the equations that follow from them, quadrature."""
+
+from dataclasses import dataclass, fields
+import functools
+import math
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import legendre
+
+
+@dataclass(frozen=True)
+class Section:
+    """
+    A rectangular cross-section of the arm, or arrays of them.
+
+    Source: paper, section 2.1 and Table 1.
+
+    Attributes
+    ----------
+    width : float or ndarray
+        Section size normal to the plane of motion [m].
+    height : float or ndarray
+        Section size in the plane of motion, the direction of bending [m].
+    density : float or ndarray
+        [kg/m3]
+    young_modulus, shear_modulus : float or ndarray
+        [Pa]
+    shear_correction : float
+        Shear correction factor kappa, paper eq. (37) for a rectangle.
+
+    """
+
+    width: float
+    height: float
+    density: float
+    young_modulus: float
+    shear_modulus: float
+    shear_correction: float
+
+    @property
+    def area(self):
+        """Section area A [m2]."""
+        return self.width * self.height
+
+    @property
+    def second_moment(self):
+        """Second moment of the section about its neutral axis, I [m4]."""
+        return self.width * self.height**3 / 12.0
+
+    @property
+    def mass_per_length(self):
+        """Mass per length rho A [kg/m]."""
+        return self.density * self.area
+
+    @property
+    def inertia_per_length(self):
+        """Rotary inertia per length rho I [kg m]."""
+        return self.density * self.second_moment
+
+    @property
+    def bending_stiffness(self):
+        """Bending stiffness E I [N m2]."""
+        return self.young_modulus * self.second_moment
+
+    @property
+    def axial_stiffness(self):
+        """Axial stiffness E A [N]."""
+        return self.young_modulus * self.area
+
+    @property
+    def shear_stiffness(self):
+        """Shear stiffness kappa G A [N]."""
+        return self.shear_correction * self.shear_modulus * self.area
+
+    @property
+    def cutoff(self):
+        """Cut-off frequency omega_0, above which the second spectrum begins [rad/s]."""
+        return math.sqrt(self.shear_stiffness / self.inertia_per_length)
+
+
+@dataclass(frozen=True)
+class Beam:
+    """
+    A Timoshenko beam of rectangular section: the arm.
+
+    Attributes
+    ----------
+    length : float
+        [m]
+    section : Section
+        Its fields are floats, or tuples of values at `positions` with linear interpolation.
+    positions : tuple of float
+        Distances from the root, ascending from 0 to `length` [m]; at a position given twice the
+        section jumps. Empty for a uniform arm.
+
+    """
+
+    length: float
+    section: Section
+    positions: tuple = ()
+
+    @property
+    def uniform(self):
+        """Whether the section is the same all along the arm."""
+        return not self.positions
+
+    @property
+    def breaks(self):
+        """Ends of the spans on which the section is smooth, from 0 to the length [m]."""
+        if self.uniform:
+            return np.array([0.0, self.length])
+        return np.unique([0.0, *self.positions, self.length])
+
+    def at(self, xi):
+        """Return the sections at distances xi from the root, not at jumps, shape (p,) [m]."""
+        if self.uniform:
+            return self.section
+        values: dict[str, Any] = {
+            field.name: getattr(self.section, field.name) for field in fields(Section)}
+        for name, value in values.items():
+            if np.ndim(value):
+                values[name] = np.interp(xi, self.positions, value)
+        return Section(**values)
+
+
+@dataclass(frozen=True)
+class Manipulator:
+    """
+    Rigid carrier, motor, elastic arm and end effector.
+
+    Source: paper, section 3.1 and Table 1.
+
+    Attributes
+    ----------
+    arm : Beam
+    carrier_mass, motor_mass : float
+        m_c, m_m [kg]; the motor is on the carrier, so both masses only translate.
+    shaft_inertia : float
+        J_m [kg m2]
+    end_effector_mass, end_effector_inertia : float
+        Mass m_e [kg] and moment of inertia J_e [kg m2] of the end effector, at the arm's tip.
+    carrier_friction, shaft_friction : float
+        Viscous friction of the carrier along either axis, c_c [N s/m], and of the shaft, c_s
+        [N m s/rad].
+    coulomb : tuple of (float, float)
+        Limits of the Coulomb friction of carrier [N] and shaft [N m] that builds up over a speed,
+        each with this speed [m/s], [rad/s].
+
+    """
+
+    arm: Beam
+    carrier_mass: float
+    motor_mass: float
+    shaft_inertia: float
+    end_effector_mass: float
+    end_effector_inertia: float
+    carrier_friction: float = 0.0
+    shaft_friction: float = 0.0
+    coulomb: tuple = ((0.0, 1.0), (0.0, 1.0))
+
+    @property
+    def base_mass(self):
+        """Mass at the root of the arm, m_c + m_m [kg]."""
+        return self.carrier_mass + self.motor_mass
+
+    def inertia(self, quadrature):
+        """
+        Return M(xi) and J(xi) of the paper's Remark 1, times the weights of an integral.
+
+        Parameters
+        ----------
+        quadrature : Quadrature
+            With p nodes on the arm.
+
+        Returns
+        -------
+        mass, inertia : ndarray, shape (p + 1,)
+            At the nodes, then those of the end effector at the tip [kg], [kg m2].
+
+        """
+        section, weights = self.arm.at(quadrature.nodes), quadrature.weights
+        return (np.append(weights * section.mass_per_length, self.end_effector_mass),
+                np.append(weights * section.inertia_per_length, self.end_effector_inertia))
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """
+    Degrees of freedom that are removed from the state; no stiff springs are used.
+
+    Attributes
+    ----------
+    carrier : tuple of float or None
+        Position at which the carrier is held, x and y in world axes [m]; None: it is free to move
+        along that axis.
+    driven : bool
+        Whether the shaft follows an angle that is given in the load, instead of a torque.
+    locked : float or None
+        The angle of a driven shaft that never moves [rad]; None for all others.
+
+    """
+
+    carrier: tuple = (None, None)
+    driven: bool = False
+    locked: float | None = None
+
+    @property
+    def free_axes(self):
+        """Axes along which the carrier moves, of 0 (x) and 1 (y)."""
+        return [axis for axis in range(2) if self.carrier[axis] is None]
+
+
+_FEWEST = 4  # least number of nodes in a span
+
+
+def legendre_values(x, count):
+    """
+    Evaluate Legendre polynomials and their integrals from -1.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Points in [-1, 1].
+    count : int
+        Number of polynomials, degrees 0 to count - 1.
+
+    Returns
+    -------
+    values, integrals : ndarray, shape (n, count)
+
+    """
+    values = legendre.legvander(x, count)
+    integrals = np.empty((len(x), count))
+    integrals[:, :1] = x[:, np.newaxis] + 1.0
+    degree = np.arange(1, count)
+    integrals[:, 1:] = (values[:, 2:] - values[:, :-2]) / (2 * degree + 1)
+    return values[:, :count], integrals
+
+
+@functools.lru_cache(maxsize=64)
+def _rule(count):
+    # Nodes, weights, and the matrix from nodal values to Legendre coefficients, in [-1, 1].
+    x, weights = legendre.leggauss(count)
+    values, _ = legendre_values(x, count)
+    to_coefficients = (np.arange(count) + 0.5)[:, np.newaxis] * values.T * weights
+    for constant in (x, weights, to_coefficients):
+        constant.flags.writeable = False
+    return x, weights, to_coefficients
+
+
+@functools.lru_cache(maxsize=64)
+def _integrals(spans, xi):
+    # The matrix of `Quadrature.integrate_to`; cached, since arms that differ only in section or
+    # end effector share it.
+    rows = []
+    for start, stop, count in spans:
+        # A clipped point left of the span gives 0, one right of it the integral over the span.
+        x = np.clip(2.0 * (np.array(xi) - start) / (stop - start) - 1.0, -1.0, 1.0)
+        rows.append(0.5 * (stop - start) * legendre_values(x, count)[1] @ _rule(count)[2])
+    matrix = np.hstack(rows)
+    matrix.flags.writeable = False
+    return matrix
+
+
+@functools.lru_cache(maxsize=64)
+def _spanned(ends, count, extra):
+    # Spans, nodes, weights and points of a Quadrature; cached as `_integrals` are.
+    shares = np.diff(ends) / ends[-1]
+    # 1e-9: round-off must not raise a share that is a whole number.
+    counts = np.maximum(np.ceil(count * shares - 1e-9).astype(int), _FEWEST) + extra
+    spans = tuple(zip(ends, ends[1:], counts.tolist()))
+    nodes = np.concatenate([start + 0.5 * (stop - start) * (_rule(n)[0] + 1.0)
+                            for start, stop, n in spans])
+    weights = np.concatenate([0.5 * (stop - start) * _rule(n)[1] for start, stop, n in spans])
+    points = np.append(nodes, ends[-1])
+    for constant in (nodes, weights, points):
+        constant.flags.writeable = False
+    return spans, nodes, weights, points
+
+
+class Quadrature:
+    """
+    Gauss-Legendre quadrature on the spans of an arm.
+
+    Nodal values stand for the polynomial through them in each span.
+
+    Parameters
+    ----------
+    breaks : ndarray, shape (spans + 1,)
+        Ends of the spans, ascending from 0 [m].
+    count : int
+        Least number of nodes, distributed by length; each span has at least four.
+    extra : int
+        Further nodes in each span.
+
+    Attributes
+    ----------
+    nodes, weights : ndarray, shape (n,)
+        [m]
+    points : ndarray, shape (n + 1,)
+        The nodes and the tip [m].
+
+    """
+
+    def __init__(self, breaks, count, extra=0):
+        self._spans, self.nodes, self.weights, self.points = _spanned(
+            tuple(np.asarray(breaks, dtype=float).tolist()), count, extra)
+
+    def integrate_to(self, xi):
+        """
+        Return the matrix from nodal values to their integrals from 0 to the given points.
+
+        Parameters
+        ----------
+        xi : array_like, shape (p,)
+            [m]
+
+        Returns
+        -------
+        ndarray, shape (p, n)
+            [m]
+
+        """
+        return _integrals(self._spans, tuple(np.asarray(xi, dtype=float).tolist()))
+
+    def interpolate_to(self, xi):
+        """Return the matrix from nodal values to values at the given points, shape (p, n)."""
+        xi = np.asarray(xi, dtype=float)
+        rows, past = [], np.zeros(len(xi), dtype=bool)
+        for start, stop, count in self._spans:
+            x = 2.0 * (xi - start) / (stop - start) - 1.0
+            here = (x <= 1.0) & ~past if stop < self.points[-1] else ~past
+            values, _ = legendre_values(np.where(here, x, 0.0), count)
+            rows.append(here[:, np.newaxis] * values @ _rule(count)[2])
+            past |= here
+        return np.hstack(rows)

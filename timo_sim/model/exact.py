@@ -1,0 +1,254 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+The `exact` formulation: geometrically exact kinematics on assumed strain modes.
+
+Numbers (T..) are those of doc/theory.md, section 6.
+
+Section rotation and shear strain are expanded in the modes. The arm is inextensible unless it has
+axial modes; `exact_code` has the terms that they add (T34), (T35). With the
+shaft angle as coordinate q_0 (`Phi_0 = 1`, `Gamma_0 = 0`) and `Gamma_n = W_n' - Phi_n`,
+
+    phi = sum Phi_i q_i     gamma = sum Gamma_i q_i     i = 0..N                (T22)
+
+are the rotation in world axes and the shear strain of a section. The slope (a, b) of the centre
+line in world axes and its derivative with respect to q_i follow without approximation:
+
+    a = cos phi - gamma sin phi     C1_i = -b Phi_i - sin(phi) Gamma_i          (T23)
+    b = sin phi + gamma cos phi     C2_i =  a Phi_i + cos(phi) Gamma_i          (T24)
+
+The equations are Hamilton's. With the mass centre (X, Y) in place of the carrier, translation
+separates from the coordinates q_i and their momenta p_i = M_ij q_j', with
+`M_ij = Xi_ij + C1_i K C1_j + C2_i K C2_j` (T26):
+
+    X'   = P_x / m_t         P_x' = F_x          (the same in y)                (T27)
+    q_i' = (M^-1 p)_i        p_i' = dT/dq_i - omega_i^2 q_i - 2 zeta_i omega_i q_i' + Q_i  (T28)
+
+Q_i is the generalised force of the shaft torque, of the forces on carrier and tip about the mass
+centre, and of the torque on the tip times `Phi_i(l)`; F is the sum of both forces (T32). Viscous
+friction of the carrier is a force on it; the coefficient of the shaft's friction takes the place
+of `2 zeta_0 omega_0`. Coulomb friction that builds up over a speed is part of the force on the
+carrier and of the shaft torque (T33). The momenta of a free manipulator, P and p_0 (spin about the
+mass centre), are constant by construction. Nodal values enter through two constant arrays:
+`d = D^T m`, and for either axis a kernel, `K = D^T diag(m) D - d d^T / m_t` of the masses about
+their centre.
+
+Along an axis on which the carrier is held, the mass centre's coordinate and momentum are removed,
+and the kernel is the one about the root, without `d d^T / m_t` (T30). With one axis held the
+kernels differ, T depends on the shaft angle too, and the state has rates q_i' in place of momenta
+(T35). For a driven shaft q_0 and q_0' are given: p_0 is removed, and the other momenta keep their
+share `M_i0 q_0'` (T31); its acceleration is needed only where the state has rates.
+"""
+
+from copy import copy
+from functools import cached_property
+import math
+
+import numpy as np
+
+from timo_sim.compiled.constants import of_any_size
+from timo_sim.model import exact_code  # noqa: F401: ties them to the tables
+from timo_sim.model.exact_code import BAND, BANDS, RateTables, SECTORS, Tables, TurningTables
+from timo_sim.model.formulation import Formulation
+from timo_sim.model.layout import ANGLE, LOADS, SPEED, tip_force, TIP_TORQUE
+
+
+class Exact(Formulation):
+    """The `exact` formulation, see the module's text."""
+
+    def build(self):
+        """Return the tables and the linear part, that of the straight arm."""
+        modes, nodes = self.modes, self.quadrature.nodes
+        to_points = self.points.integral.T
+        lever = to_points.T @ self.point_mass / self.mass
+        about_root = to_points.T @ (self.point_mass[:, np.newaxis] * to_points)
+        about_centre = about_root - self.mass * np.outer(lever, lever)
+        kernel = np.stack([about_centre if axis in self.axes else about_root for axis in range(2)])
+
+        rotation = np.column_stack([np.ones_like(nodes), modes.rotation(nodes)])
+        shear = np.column_stack([np.zeros_like(nodes), modes.shear(nodes)])
+        self._stretch = np.zeros_like(shear.T)
+        if self.axial:
+            self._stretch[1:] = modes.stretch(nodes).T
+        at_points = np.column_stack([np.ones_like(self.points.xi), self.points.rotation.T])
+        rotary = at_points.T @ (self.point_inertia[:, np.newaxis] * at_points)
+        rotary[0, 0] += self.manipulator.shaft_inertia
+        damping = np.append(self.manipulator.shaft_friction, 2.0 * self.damping * modes.omega)
+
+        one_axis = len(self.axes) == 1
+        # Number of last coordinates whose rates, not momenta, are in the state.
+        self._rates = self.axial or one_axis * (len(rotary) - self.first)
+        locked = self.constraints.locked
+        self.sectors = SECTORS if one_axis and self._rates and locked is None else 0
+        self._kernel, self._slope = kernel, rotation + shear
+        tables = Tables(self.mass, kernel if one_axis else kernel[:1], lever, rotation.T, shear.T,
+                        rotary, np.empty(0), damping, self.manipulator.carrier_friction,
+                        np.array(self.manipulator.coulomb), self.axes, self.anchor,
+                        self.points.integral[:, -1], at_points[-1], self.mass * self.gravity)
+        tables, linear = self._with_linear_part(tables, locked if one_axis else None)
+        if self.sectors and self.axial:
+            self._band = BAND * modes.omega[0]
+            inertia = 1.0 if self.first else tables.rotary[0, 0] + kernel.mean(axis=0).sum()
+            return TurningTables._make([*tables, 1.0 / (self._band * inertia),
+                                        np.zeros_like(linear)]), linear
+        return tables, linear
+
+    def sector(self, state, load):
+        """Return the number of the sector of the shaft angle and of the band of its speed."""
+        axes, band = len(self.axes), 0
+        angle = load[ANGLE] if self.first else state[axes]
+        speed = load[SPEED] if self.first else state[len(state) // 2 + axes]
+        if not (math.isfinite(angle) and math.isfinite(speed)):
+            return 0  # of a run that diverges any will do
+        if self.axial:
+            band = min(max(math.floor(speed * self.tables.pace), -BANDS), BANDS - 1) + BANDS
+        return math.floor(angle * (SECTORS / math.pi)) % SECTORS + SECTORS * band
+
+    def in_sector(self, number):
+        """Return tables and linear part of the straight arm in the middle of a sector, a band."""
+        band, sector = divmod(number, SECTORS)
+        angle = (sector + 0.5) * np.pi / SECTORS
+        tables, linear = self._with_linear_part(Tables._make(self.tables[:len(Tables._fields)]),
+                                                angle)
+        if self.axial:
+            turning = self._about_turning(angle, (band - BANDS + 0.5) * self._band) - linear
+            turning[:, len(self.axes)] *= self.first  # the angle itself is not bounded
+            linear += turning
+            tables = TurningTables._make([*tables, self.tables.pace, turning])
+        return tables._replace(sector=number), linear
+
+    def _about_turning(self, angle, speed):
+        # The rate's derivatives by the state of a straight arm that turns. Without friction that
+        # builds up it is quadratic in speeds and momenta; other differences are good to 1e-8.
+        model = copy(self)
+        model._of_any_size = of_any_size(self.tables._replace(coulomb=np.zeros((2, 2))))
+        motion, load = np.zeros(self.size), np.zeros(LOADS)
+        motion[2] = load[ANGLE] = angle
+        motion[self.size // 2 + 2] = load[SPEED] = speed
+        state, shift = self.state(motion), np.ones(len(self.linear))
+        half = len(state) // 2
+        shift[len(self.axes):half] = 1e-4 / np.append(1.0, self.section_turn)[self.first:]
+        return np.column_stack([
+            (model.rate(state + change, load) - model.rate(state - change, load)) / (2.0 * size)
+            for change, size in zip(np.diag(shift), shift)])
+
+    def _with_linear_part(self, tables, angle):
+        # For the straight arm C is E along the arm and Phi + Gamma across it. Without an angle the
+        # mean of the kernels is used for both directions.
+        slope, stretch, kernel = self._slope.T, self._stretch, self._kernel
+        if angle is None:
+            mean = kernel.mean(axis=0)
+            matrix = tables.rotary + slope @ mean @ slope.T + stretch @ mean @ stretch.T
+        else:
+            cosine, sine = np.cos(angle), np.sin(angle)
+            x, y = cosine * stretch - sine * slope, sine * stretch + cosine * slope
+            matrix = tables.rotary + x @ kernel[0] @ x.T + y @ kernel[1] @ y.T
+        matrix = matrix[self.first:, self.first:]
+        inverse = straight = np.linalg.inv(matrix)
+        stiffness, damping = np.append(0.0, self.modes.omega**2), tables.damping
+        if self._rates:
+            # The state has the rates of the last coordinates, and momenta of those before.
+            last = slice(len(matrix) - self._rates, None)
+            others = slice(len(matrix) - self._rates)
+            straight = np.eye(len(matrix))
+            straight[others, others] = np.linalg.inv(matrix[others, others])
+            straight[others, last] = -straight[others, others] @ matrix[others, last]
+
+        axes, half = len(self.axes), len(self.axes) + len(straight)
+        linear = np.zeros((2 * half, 2 * half))
+        linear[:axes, half:half + axes] = np.eye(axes) / self.mass
+        linear[axes:half, half + axes:] = straight
+        linear[half + axes:, axes:half] = -np.diag(stiffness[self.first:])
+        linear[half + axes:, half + axes:] = -damping[self.first:, np.newaxis] * straight
+        tables = tables._replace(straight=straight)
+        if self._rates:
+            last = slice(-self._rates, None)
+            rate = -inverse[last, last] * [[stiffness[last]], [damping[last]]]
+            linear[last] = 0.0
+            linear[last, half - self._rates:half], linear[last, last] = rate
+            tables = RateTables._make([*tables, stretch[len(stretch) - self.axial:], stiffness,
+                                       rate.transpose(1, 0, 2), -1])
+        return tables, linear
+
+    @cached_property
+    def reach(self):
+        """Travel of the tip as in other formulations; an axial mode moves it along the arm."""
+        reach, tip = super().reach, [self.manipulator.arm.length]
+        if self.axial:
+            reach[3:] += np.abs(self.modes.displacement(tip))[0]
+        return reach
+
+    def state(self, motion):
+        """Return the state that belongs to a motion."""
+        half, table = self.size // 2, self.tables
+        coordinates, speed = motion[2:half], motion[half + 2:]
+        cosine, sine, a, b = self._slopes(coordinates)
+        slope = np.stack([-b * table.rotation - sine * table.shear + cosine * self._stretch,
+                          a * table.rotation + cosine * table.shear + sine * self._stretch])
+        matrix = table.rotary + np.sum(slope @ table.kernel @ slope.transpose(0, 2, 1), axis=0)
+        centre = motion[:2] + np.array([a, b]) @ table.lever
+        momentum = table.mass * (motion[half:half + 2] + speed @ slope @ table.lever)
+        momenta = matrix @ speed
+        momenta[len(momenta) - self._rates:] = speed[len(speed) - self._rates:]
+        return np.concatenate([centre[self.axes], coordinates[self.first:],
+                               momentum[self.axes], momenta[self.first:]])
+
+    def centre_line(self, q, points):
+        """Return the integral of the slopes from the root."""
+        a, b = self._slopes(self._relative(q))[2:]
+        return np.stack([a @ points.integral, b @ points.integral], axis=-1)
+
+    def centre_line_rate(self, q, qdot, points):
+        """Return the integral of the slopes' rates."""
+        cosine, sine, a, b = self._slopes(self._relative(q))
+        turning, shearing, stretching = (self._relative(qdot) @ field for field in (
+            self.tables.rotation, self.tables.shear, self._stretch))
+        return np.stack([
+            (-b * turning - sine * shearing + cosine * stretching) @ points.integral,
+            (a * turning + cosine * shearing + sine * stretching) @ points.integral], axis=-1)
+
+    def _effort(self, motions, accelerations, loads):
+        """Return the rates of momentum and spin less those by loads on the tip (T42)."""
+        half, table, body = self.size // 2, self.tables, self.manipulator
+        cosine, sine, a, b = self._slopes(motions[:, 2:half])
+        rates, second = motions[:, half + 2:], accelerations[:, 2:]
+        turning, shearing, stretching = (
+            rates @ field for field in (table.rotation, table.shear, self._stretch))
+        turn, shear, stretch = (
+            second @ field for field in (table.rotation, table.shear, self._stretch))
+        to_points = self.points.integral
+        x, y = a @ to_points, b @ to_points
+        # Mass times acceleration of the points of mass, from second derivatives of the slopes.
+        pull_x = self.point_mass * (accelerations[:, :1] + (
+            -b * turn - sine * shear + cosine * stretch
+            - turning * (a * turning + 2.0 * (cosine * shearing + sine * stretching))) @ to_points)
+        pull_y = self.point_mass * (accelerations[:, 1:2] + (
+            a * turn + cosine * shear + sine * stretch
+            - turning * (b * turning + 2.0 * (sine * shearing - cosine * stretching))) @ to_points)
+        section = second[:, :1] + second[:, 1:] @ self.points.rotation
+        force = tip_force(loads, motions[:, 2])
+        pull_x[:, -1] -= force[0]
+        pull_y[:, -1] -= force[1]
+        return np.column_stack([
+            body.base_mass * accelerations[:, 0] + pull_x.sum(axis=1),
+            body.base_mass * accelerations[:, 1] + pull_y.sum(axis=1),
+            body.shaft_inertia * accelerations[:, 2] + section @ self.point_inertia
+            + (x * pull_y - y * pull_x).sum(axis=1) - loads[:, TIP_TORQUE]])
+
+    @staticmethod
+    def _relative(q):
+        # Coordinates relative to the shaft, with q_0 = 0.
+        return np.concatenate([np.zeros((*q.shape[:-1], 1)), q], axis=-1)
+
+    def _slopes(self, coordinates):
+        # Cosine and sine of phi, and a, b, at the nodes, shape (..., n_g) each.
+        phi, gamma = coordinates @ self.tables.rotation, coordinates @ self.tables.shear
+        cosine, sine, stretch = np.cos(phi), np.sin(phi), coordinates @ self._stretch
+        return (cosine, sine, cosine - gamma * sine + stretch * cosine,
+                sine + gamma * cosine + stretch * sine)

@@ -1,0 +1,620 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Eigenfrequencies and mode shapes of the arm, clamped at its root, with the end effector.
+
+Bending modes are sums of waves for a uniform arm and found by the Legendre-Galerkin method for
+any other; static shapes and axial modes can follow them.
+"""
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+
+from timo_sim.compiled.constants import pack
+from timo_sim.compiled.functions import entry_point, strict
+from timo_sim.model.bodies import Quadrature
+
+
+# Waves of a uniform arm, whose sums are its mode shapes: boundary conditions and fields, compiled.
+#
+# The characteristic equation (8) has two roots s: one is `-alpha^2`, the other `beta^2` below the
+# cut-off frequency and `-beta'^2` above it. With `g'' = s g` and `g = G'` the field equations (1),
+# (2) have the solutions
+#
+#     W = g     Phi = (s + nu) G     W' - Phi = -nu G     nu = rho A omega^2 / (kappa G A)
+#
+# A mode is the sum of four, two for each root. For s = -k^2 the pairs (g, G) are (cos, sin / k)
+# and (-k sin, cos) of k xi; for a small s > 0 the same with cosh and sinh, so that nothing is
+# singular at the cut-off; for a larger s exponentials that decay from either end, because sinh and
+# cosh of beta xi, as printed in (18), cancel beyond the twelfth mode.
+#
+# Source: paper eqs. (8)-(19), with the corrections listed in doc/paper.md; doc/theory.md (T5),
+# (T6), and (T7) for the boundary conditions.
+
+class Constants(NamedTuple):
+    """A uniform arm and the body at its tip, for the compiled functions."""
+
+    length: float
+    mass_per_length: float
+    bending_stiffness: float
+    shear_stiffness: float
+    radius2: float          # I / A [m2]
+    ratio: float            # E / (kappa G)
+    end_effector_mass: float
+    end_effector_inertia: float
+
+
+@strict
+def _wave_numbers(arm, omega):
+    """Return both roots s of the characteristic equation, and nu."""
+    k2 = omega * np.sqrt(arm.mass_per_length / arm.bending_stiffness)
+    root = np.sqrt((0.5 * (1.0 - arm.ratio) * arm.radius2 * k2)**2 + 1.0)
+    mean = 0.5 * (1.0 + arm.ratio) * arm.radius2 * k2
+    # root - mean, written without the cancellation near the cut-off, where it changes sign.
+    second = k2 * (1.0 - arm.ratio * (arm.radius2 * k2)**2) / (root + mean)
+    return -k2 * (root + mean), second, arm.mass_per_length / arm.shear_stiffness * omega**2
+
+
+@strict
+def _standing(s, xi):
+    """Return cos, sin / k, -k sin, cos of k xi for s = -k^2; hyperbolic for s > 0."""
+    k = np.sqrt(abs(s))
+    if s > 0.0:
+        even, odd = np.cosh(k * xi), np.sinh(k * xi)
+    else:
+        even, odd = np.cos(k * xi), np.sin(k * xi)
+    integral = odd / k if k > 0.0 else xi
+    return even, integral, s * integral, even
+
+
+@strict
+def _waves(arm, omega, xi):
+    """Return g, G, s of the four waves, and nu."""
+    first, second, nu = _wave_numbers(arm, omega)
+    g_0, integral_0, g_1, integral_1 = _standing(first, xi)
+    if second * arm.length**2 > 1.0:
+        beta = np.sqrt(second)
+        g_2, g_3 = np.exp(-beta * xi), np.exp(-beta * (arm.length - xi))
+        integral_2, integral_3 = -g_2 / beta, g_3 / beta
+    else:
+        g_2, integral_2, g_3, integral_3 = _standing(second, xi)
+    return ((g_0, g_1, g_2, g_3), (integral_0, integral_1, integral_2, integral_3),
+            (first, first, second, second), nu)
+
+
+@entry_point
+def boundary_conditions(arm, omega, matrix, scale):
+    """
+    Write the boundary conditions at a frequency.
+
+    Parameters
+    ----------
+    arm : packed constants
+        Of `Constants`.
+    omega : float
+        [rad/s]
+    matrix : ndarray, shape (4, 4)
+        Receives W(0), Phi(0), shear force and moment balance of the end effector as rows, one
+        column for each wave; first rows, then columns are scaled to length 1.
+    scale : ndarray, shape (4,)
+        Receives the lengths of the columns.
+
+    """
+    g_root, integral_root, s, nu = _waves(arm, omega, 0.0)
+    g_tip, integral_tip, _, _ = _waves(arm, omega, arm.length)
+    for j in range(4):
+        matrix[0, j] = g_root[j]
+        matrix[1, j] = (s[j] + nu) * integral_root[j]
+        matrix[2, j] = (-arm.shear_stiffness * nu * integral_tip[j]
+                        - arm.end_effector_mass * omega**2 * g_tip[j])
+        matrix[3, j] = (s[j] + nu) * (arm.bending_stiffness * g_tip[j]
+                                      - arm.end_effector_inertia * omega**2 * integral_tip[j])
+    for i in range(4):
+        length = np.sqrt(matrix[i, 0]**2 + matrix[i, 1]**2 + matrix[i, 2]**2 + matrix[i, 3]**2)
+        for j in range(4):
+            matrix[i, j] /= length
+    for j in range(4):
+        scale[j] = np.sqrt(matrix[0, j]**2 + matrix[1, j]**2 + matrix[2, j]**2 + matrix[3, j]**2)
+        for i in range(4):
+            matrix[i, j] /= scale[j]
+
+
+@strict
+def _minor(matrix, i, j, k):
+    """Return the minor of rows i, i + 1 and columns j, k."""
+    return matrix[i, j] * matrix[i + 1, k] - matrix[i, k] * matrix[i + 1, j]
+
+
+# Columns of a minor of the first two rows, and of the last two in the order that gives the sign.
+_LAPLACE = ((0, 1, 2, 3), (0, 2, 3, 1), (0, 3, 1, 2), (1, 2, 0, 3), (1, 3, 2, 0), (2, 3, 0, 1))
+
+
+@strict
+def _determinant(arm, omega, matrix, scale):
+    """Return the determinant of the boundary conditions at a frequency."""
+    boundary_conditions(arm, omega, matrix, scale)
+    total = 0.0
+    for j, k, m, n in _LAPLACE:  # a loop, because numba would compile each call by its columns
+        total += _minor(matrix, 0, j, k) * _minor(matrix, 2, m, n)
+    return total
+
+
+@entry_point
+def bisect(arm, limits, omega):
+    """
+    Find one eigenfrequency between each two neighbouring limits, to the last bit.
+
+    Parameters
+    ----------
+    arm : packed constants
+        Of `Constants`.
+    limits : ndarray, shape (N + 1,)
+        Ascending [rad/s].
+    omega : ndarray, shape (N,)
+        Receives the frequencies.
+
+    Returns
+    -------
+    int
+        Number of frequencies found before a pair of limits between which the determinant of the
+        boundary conditions does not change sign; N if all are found.
+
+    """
+    matrix, scale = np.empty((4, 4)), np.empty(4)
+    for n in range(len(omega)):
+        low, high = limits[n], limits[n + 1]
+        at_low = at_high = 0.0
+        point = low
+        # The determinant has one place in this loop, because it is compiled for each place.
+        while True:
+            value = _determinant(arm, point, matrix, scale)
+            if at_low == 0.0:
+                at_low, point = value, high
+                if value == 0.0:
+                    return n
+                continue
+            if at_high == 0.0:
+                at_high = value
+                if not at_low * value < 0.0:
+                    return n
+            elif at_low * value > 0.0:
+                low = point
+            else:
+                high = point
+            point = 0.5 * (low + high)
+            if not low < point < high:
+                break
+        omega[n] = point
+    return len(omega)
+
+
+@entry_point
+def fields(arm, omega, shape, xi, out):
+    """
+    Write the fields of modes at points.
+
+    Parameters
+    ----------
+    arm : packed constants
+        Of `Constants`.
+    omega : ndarray, shape (N,)
+        Frequencies [rad/s].
+    shape : ndarray, shape (4, N)
+        Share of each wave in each mode.
+    xi : ndarray, shape (p,)
+        Points [m].
+    out : ndarray, shape (4, p, N)
+        Receives deflection, rotation, curvature and shear strain. The last is computed as -nu G,
+        since the difference W' - Phi would lose seven digits on a slender arm.
+
+    """
+    for n in range(len(omega)):
+        for i in range(len(xi)):
+            for field in range(4):
+                out[field, i, n] = 0.0
+            g, integral, s, nu = _waves(arm, omega[n], xi[i])
+            for j in range(4):
+                out[0, i, n] += shape[j, n] * g[j]
+                out[1, i, n] += shape[j, n] * (s[j] + nu) * integral[j]
+                out[2, i, n] += shape[j, n] * (s[j] + nu) * g[j]
+                out[3, i, n] -= shape[j, n] * nu * integral[j]
+
+
+@functools.lru_cache(maxsize=8)
+def _operators(breaks, terms):
+    # Returns the nodes of the strains, the finer nodes and points of the fields, and matrices:
+    # nodal strains to integrals at the points, nodal strains to values at the fine nodes, these
+    # to integrals at the points. Three more nodes integrate exactly two fields times a cubic.
+    nodes, fine = Quadrature(breaks, terms), Quadrature(breaks, terms, extra=3)
+    return (nodes, fine, nodes.integrate_to(fine.points), nodes.interpolate_to(fine.nodes),
+            fine.integrate_to(fine.points))
+
+
+@functools.lru_cache(maxsize=8)
+def _of_arm(arm, terms):
+    # Factors from scaled to nodal strains of bending and shear, and the matrices from scaled
+    # strains to deflections and rotations of the points of mass; cached, since manipulators often
+    # differ in the end effector alone.
+    nodes, _, integrate, interpolate, integrate_fine = _operators(
+        tuple(arm.breaks.tolist()), terms)
+    section = arm.at(nodes.nodes)
+    bend = 1.0 / np.sqrt(nodes.weights * section.bending_stiffness)
+    shear = 1.0 / np.sqrt(nodes.weights * section.shear_stiffness)
+    slope = np.hstack([integrate[:-1] * bend, interpolate * shear])
+    return bend, shear, integrate_fine @ slope, np.hstack(
+        [integrate * bend, np.zeros_like(integrate)])
+
+
+def _strain_modes(manipulator, terms, vectors=True):
+    # Returns the singular value decomposition of G, see `GalerkinModes`, and the factors from
+    # scaled to nodal strains of bending and shear.
+    arm = manipulator.arm
+    fine = _operators(tuple(arm.breaks.tolist()), terms)[1]
+    bend, shear, deflection, rotation = _of_arm(arm, terms)
+    mass, inertia = (np.sqrt(values)[:, np.newaxis] for values in manipulator.inertia(fine))
+    matrix = np.vstack([mass * deflection, inertia * rotation])
+    return np.linalg.svd(matrix, full_matrices=False, compute_uv=vectors), bend, shear
+
+
+def frequencies(manipulator, count):
+    """
+    Return the lowest eigenfrequencies of an arm, ascending, shape (count,) [rad/s].
+
+    With fewer terms than `GalerkinModes` they are within 1e-6 for slender and thick arms with
+    0.001 to 1000 times the arm's mass at the tip, which is enough to separate the modes.
+    """
+    return 1.0 / _strain_modes(manipulator, 2 * count + 8, vectors=False)[0][:count]
+
+
+class GalerkinModes:
+    """
+    The lowest modes, mass-normalised, of an arm whose section may vary along it.
+
+    Curvature and shear strain are polynomials in each span on which the section is smooth, given
+    by their values at Gauss-Legendre nodes; rotation and deflection are their integrals from
+    the clamped root, so they are continuous where spans meet. With the strain energy
+    `|c|^2 / 2` of scaled nodal strains c and the kinetic energy `|G c'|^2 / 2`, the singular
+    values of G are 1/omega_n. Round-off of the largest costs omega_n a factor omega_n / omega_1
+    in relative accuracy; eigenvalues of G^T G would cost its square. The curvature of a mode is
+    positive at the root.
+
+    Source: weak form of the paper's (1), (2) with M, J of its Remark 1; doc/theory.md (T8).
+
+    Parameters
+    ----------
+    manipulator : Manipulator
+    count : int
+        Number of modes N.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (N,)
+        Angular eigenfrequencies, ascending [rad/s].
+
+    """
+
+    def __init__(self, manipulator, count):
+        # Two nodes for each mode give 1e-12 at the fortieth mode of a slender arm; the others are
+        # a margin for a heavy tip or a strong taper.
+        terms = 2 * count + 30
+        self._strains, self._fields = _operators(tuple(manipulator.arm.breaks.tolist()), terms)[:2]
+        (_, singular, rows), bend, shear = _strain_modes(manipulator, terms)
+        self.omega = 1.0 / singular[:count]
+        scaled = rows[:count].T * self.omega
+        self._curvature = scaled[:len(bend)] * bend[:, np.newaxis]
+        self._shear = scaled[len(bend):] * shear[:, np.newaxis]
+        sign = np.sign(self.curvature(np.zeros(1))[0])
+        self._curvature *= sign
+        self._shear *= sign
+
+    def __len__(self):
+        return len(self.omega)
+
+    def deflection(self, xi):
+        """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
+        nodes = self._fields.nodes
+        return self._fields.integrate_to(xi) @ (self.rotation(nodes) + self.shear(nodes))
+
+    def rotation(self, xi):
+        """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        return self._strains.integrate_to(xi) @ self._curvature
+
+    def curvature(self, xi):
+        """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
+        return self._strains.interpolate_to(xi) @ self._curvature
+
+    def shear(self, xi):
+        """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        return self._strains.interpolate_to(xi) @ self._shear
+
+
+def _outboard(manipulator, rule):
+    """Return bending moment and shear force at the nodes of a rule by load, shape (n_g,) each."""
+    distance = manipulator.arm.length - rule.nodes
+    mass, _ = manipulator.inertia(rule)
+    inner = rule.integrate_to(rule.nodes)
+    weight = mass.sum() - inner @ (mass[:-1] / rule.weights)
+    return {'force': (distance, np.ones_like(distance)),
+            'torque': (np.ones_like(distance), np.zeros_like(distance)),
+            'weight': ((rule.integrate_to(rule.points[-1:]) - inner) @ weight, weight)}
+
+
+class StaticModes:
+    """
+    Eigenmodes, then residual static shapes, all normalised as in doc/theory.md (T3).
+
+    A residual is a static shape less its share in the eigenmodes. It is orthogonal to them in mass
+    and stiffness, and therefore a further mode with the frequency of Rayleigh's quotient (T9).
+
+    Parameters
+    ----------
+    manipulator : Manipulator
+    modes : UniformModes or GalerkinModes
+    loads : sequence of str
+        Of 'force', 'torque', 'weight'.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (N,)
+        Angular frequencies of the eigenmodes, then of the static shapes [rad/s].
+
+    """
+
+    def __init__(self, manipulator, modes, loads):
+        arm = manipulator.arm
+        self._modes = modes
+        self._rule = rule = Quadrature(arm.breaks, 4 * len(modes) + 40)
+        section = arm.at(rule.nodes)
+        bending, shearing = (np.broadcast_to(stiffness, rule.nodes.shape)[:, np.newaxis]
+                             for stiffness in (section.bending_stiffness, section.shear_stiffness))
+        found = _outboard(manipulator, rule)
+        moment, force = np.moveaxis(np.array([found[load] for load in loads]), 0, -1)
+        curvature, shear = moment / bending, force / shearing
+        weights = rule.weights[:, np.newaxis]
+        bent, sheared = modes.curvature(rule.nodes), modes.shear(rule.nodes)
+        for _ in range(2):  # twice, since cancellation is strong beside many modes
+            share = (bent.T @ (weights * bending * curvature)
+                     + sheared.T @ (weights * shearing * shear)) / modes.omega[:, np.newaxis]**2
+            curvature, shear = curvature - bent @ share, shear - sheared @ share
+        # The residuals of two loads are also uncoupled from each other, and normalised.
+        self._curvature, self._shear = curvature, shear
+        mass, inertia = manipulator.inertia(rule)
+        deflection, rotation = (field(rule.points)[:, len(modes):] for field in (
+            self.deflection, self.rotation))
+        kinetic = (deflection.T * mass) @ deflection + (rotation.T * inertia) @ rotation
+        strain = (curvature.T @ (weights * bending * curvature)
+                  + shear.T @ (weights * shearing * shear))
+        inverse = np.linalg.inv(np.linalg.cholesky(strain))
+        squares, vectors = np.linalg.eigh(inverse @ kinetic @ inverse.T)
+        self.omega = np.append(modes.omega, 1.0 / np.sqrt(squares[::-1]))
+        vectors = (inverse.T @ vectors / np.sqrt(squares))[:, ::-1]
+        vectors *= np.sign((rule.interpolate_to(np.zeros(1)) @ curvature @ vectors)[0])
+        self._curvature, self._shear = curvature @ vectors, shear @ vectors
+
+    def __len__(self):
+        return len(self._modes) + self._curvature.shape[1]
+
+    def deflection(self, xi):
+        """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
+        nodes = self._rule.integrate_to(self._rule.nodes) @ self._curvature + self._shear
+        return np.hstack([self._modes.deflection(xi), self._rule.integrate_to(xi) @ nodes])
+
+    def rotation(self, xi):
+        """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        return np.hstack([self._modes.rotation(xi),
+                          self._rule.integrate_to(xi) @ self._curvature])
+
+    def curvature(self, xi):
+        """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
+        return np.hstack([self._modes.curvature(xi),
+                          self._rule.interpolate_to(xi) @ self._curvature])
+
+    def shear(self, xi):
+        """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        return np.hstack([self._modes.shear(xi), self._rule.interpolate_to(xi) @ self._shear])
+
+
+class AxialModes:
+    """
+    Bending modes, followed by axial modes of the same arm with its end effector.
+
+    Fields have a column for each mode. Axial modes have no deflection, rotation or shear; bending
+    modes have no stretch. The first eigenmode of the rod misses 1.4 % of the lengthening of a
+    uniform arm that turns. The axial modes therefore span the responses to loads: to centrifugal
+    forces, to an acceleration along the arm, then to the inertia of earlier responses. They are
+    orthogonal and normalised as the bending modes are (T3).
+
+    Source: load-dependent Ritz vectors, Wilson, Yuan and Dickens, Earthquake Eng. Struct. Dyn. 10
+    (1982) 813-821; strains at Gauss nodes and singular values as in the method above.
+
+    Parameters
+    ----------
+    bending : UniformModes or GalerkinModes
+        N modes.
+    manipulator : Manipulator
+    count : int
+        Number of axial modes A.
+    constraints : Constraints
+        They set the centre of rotation for the centrifugal forces: the root if the carrier is
+        held, the mass centre if it is free, the point half-way between if one axis is held.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (N + A,)
+        Angular frequencies of the bending modes, then of the axial ones, both ascending [rad/s].
+
+    """
+
+    def __init__(self, bending, manipulator, count, constraints):
+        terms, breaks = 2 * count + 30, manipulator.arm.breaks
+        self._bending, self._strains = bending, Quadrature(breaks, terms)
+        fine = Quadrature(breaks, terms, extra=3)
+        mass, section = manipulator.inertia(fine)[0], manipulator.arm.at(self._strains.nodes)
+        free = 0.5 * len(constraints.free_axes)
+        centre = free * (mass @ fine.points) / (manipulator.base_mass + mass.sum())
+        scale = 1.0 / np.sqrt(self._strains.weights * section.axial_stiffness)
+        root_mass = np.sqrt(mass)
+        matrix = root_mass[:, np.newaxis] * self._strains.integrate_to(fine.points) * scale
+        basis, loads = np.empty((len(scale), 0)), [root_mass * (fine.points - centre), root_mass]
+        for number in range(count):
+            basis = np.linalg.qr(np.column_stack([basis, matrix.T @ loads[number]]))[0]
+            loads.append(matrix @ basis[:, number])
+        _, singular, rows = np.linalg.svd(matrix @ basis, full_matrices=False)
+        self.omega = np.append(bending.omega, 1.0 / singular)
+        self._stretch = scale[:, np.newaxis] * (basis @ (rows.T / singular))
+        self._stretch *= np.sign(self._strains.interpolate_to([0.0]) @ self._stretch)
+
+    def __len__(self):
+        return len(self.omega)
+
+    def deflection(self, xi):
+        """Return W_n(xi), shape (len(xi), N + A) [1/sqrt(kg)]."""
+        return self._before_axial(self._bending.deflection(xi))
+
+    def rotation(self, xi):
+        """Return Phi_n(xi), shape (len(xi), N + A) [1/(m sqrt(kg))]."""
+        return self._before_axial(self._bending.rotation(xi))
+
+    def curvature(self, xi):
+        """Return Phi_n'(xi), shape (len(xi), N + A) [1/(m2 sqrt(kg))]."""
+        return self._before_axial(self._bending.curvature(xi))
+
+    def shear(self, xi):
+        """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N + A) [1/(m sqrt(kg))]."""
+        return self._before_axial(self._bending.shear(xi))
+
+    def stretch(self, xi):
+        """Return the axial strain E_n(xi), shape (len(xi), N + A) [1/(m sqrt(kg))]."""
+        return self._after_bending(self._strains.interpolate_to(xi) @ self._stretch)
+
+    def displacement(self, xi):
+        """Return the integral of E_n from the root to xi, shape (len(xi), N + A) [1/sqrt(kg)]."""
+        return self._after_bending(self._strains.integrate_to(xi) @ self._stretch)
+
+    def _before_axial(self, fields):
+        return np.pad(fields, ((0, 0), (0, self._stretch.shape[1])))
+
+    def _after_bending(self, fields):
+        return np.pad(fields, ((0, 0), (len(self._bending), 0)))
+
+
+@functools.lru_cache(maxsize=16)
+def modes_of(manipulator, count, static=()):
+    """
+    Return the lowest modes of a manipulator's arm, both spectra together.
+
+    They are cached, because the check of a scene and its run ask for the same modes.
+
+    Parameters
+    ----------
+    manipulator : Manipulator
+    count : int
+        Number of modes N.
+    static : tuple of str
+        Loads on the tip, 'force' or 'torque', whose static shapes replace the last modes.
+
+    Returns
+    -------
+    UniformModes, GalerkinModes or StaticModes
+        The closed form for a uniform arm.
+
+    """
+    if count and static:
+        static = static[:count]
+        return StaticModes(manipulator, modes_of(manipulator, count - len(static)), static)
+    kind = UniformModes if manipulator.arm.uniform else GalerkinModes
+    return kind(manipulator, count)
+
+
+class UniformModes:
+    """
+    The lowest modes of a uniform arm in closed form, mass-normalised.
+
+    Each is the sum of four waves, see above. The curvature of a mode is positive at the root.
+
+    Source: paper eqs. (8)-(19), (23).
+
+    Parameters
+    ----------
+    manipulator : Manipulator
+        With a uniform arm.
+    count : int
+        Number of modes N.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (N,)
+        Angular eigenfrequencies, ascending [rad/s].
+
+    Raises
+    ------
+    ValueError
+        If two eigenfrequencies are too close to be separated.
+
+    """
+
+    def __init__(self, manipulator, count):
+        section = manipulator.arm.section
+        self._arm = pack(Constants(
+            manipulator.arm.length, section.mass_per_length, section.bending_stiffness,
+            section.shear_stiffness, section.second_moment / section.area,
+            section.young_modulus / (section.shear_correction * section.shear_modulus),
+            manipulator.end_effector_mass, manipulator.end_effector_inertia))
+        self.omega = self._roots(manipulator, count)
+        matrices, scales = np.empty((count, 4, 4)), np.empty((count, 4))
+        for omega, matrix, scale in zip(self.omega, matrices, scales):
+            boundary_conditions(self._arm, omega, matrix, scale)
+        self._shape = (np.linalg.svd(matrices)[2][:, -1] / scales).T
+        fine = Quadrature(manipulator.arm.breaks, 4 * count + 40)
+        mass, inertia = manipulator.inertia(fine)
+        deflection, rotation, _, _ = self._fields(fine.points)
+        modal_mass = mass @ deflection**2 + inertia @ rotation**2
+        self._shape *= np.sign(self.curvature(np.zeros(1))[0]) / np.sqrt(modal_mass)
+
+    def __len__(self):
+        return len(self.omega)
+
+    def deflection(self, xi):
+        """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
+        return self._fields(xi)[0]
+
+    def rotation(self, xi):
+        """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        return self._fields(xi)[1]
+
+    def curvature(self, xi):
+        """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
+        return self._fields(xi)[2]
+
+    def shear(self, xi):
+        """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        return self._fields(xi)[3]
+
+    def _fields(self, xi):
+        values = np.empty((4, len(xi), len(self)))
+        # A copy, because read-only points would need machine code of their own.
+        fields(self._arm, self.omega, self._shape, np.array(xi, dtype=float), values)
+        return values
+
+    def _roots(self, manipulator, count):
+        omega = np.zeros(count)
+        if count == 0:
+            return omega
+        guesses = frequencies(manipulator, count + 1)
+        # One Galerkin frequency lies between two limits, so the determinant of the boundary
+        # conditions must change sign there. The limits are rounded, because the last bits of the
+        # guesses depend on the number of BLAS threads, and those of the frequencies should not.
+        limits = np.append(0.5 * guesses[0], np.sqrt(guesses[:-1] * guesses[1:]))
+        limits = limits.astype(np.float32).astype(float)
+        found = bisect(self._arm, limits, omega)
+        if found < count:
+            raise ValueError(f'mode {found + 1} of the arm is not separate from its neighbours')
+        return omega

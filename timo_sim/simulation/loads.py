@@ -1,0 +1,312 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Loads of coming steps: the scene's own, what actuators make of commands, the load at the tip."""
+
+from copy import copy
+from dataclasses import replace
+import math
+from typing import Any
+
+import numpy as np
+
+from timo_sim.model.layout import (
+    AFTER, END, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TIP_TORQUE, TIP_X,
+    TIP_Y, TORQUE, VOLTAGE)
+from timo_sim.model.statics import pick_up
+from timo_sim.scene.loads import on_boundaries, parabolas
+from timo_sim.scene.parameters import ParameterError, short
+from timo_sim.scene.scene import motor_constants
+from timo_sim.steps.steps import CHUNK, NO_LOADS
+
+# Columns of a load with a limit, and the parameters of the limit and of the largest rate.
+_LIMITED = {
+    (FORCE_X, FORCE_Y, FORCE_I, FORCE_II): ('carrier.force_limit', 'carrier.force_rate_limit'),
+    (TORQUE,): ('motor.torque_limit', 'motor.torque_rate_limit'),
+    (VOLTAGE,): ('motor.dc.voltage_limit', None),
+}
+# Columns of a load that the commands of `Simulator.step` set.
+COMMANDS: dict[str, Any] = {
+    'torque': TORQUE, 'force': [FORCE_X, FORCE_Y], 'tip_force': [TIP_X, TIP_Y],
+    'tip_torque': TIP_TORQUE, 'voltage': VOLTAGE}
+
+
+def commanded_load(motor, many=(), **commands):
+    """
+    Return commands as a load, or as many loads.
+
+    Parameters
+    ----------
+    motor : bool or ndarray of bool, shape `many`
+        Whether there is a DC motor.
+    many : tuple of int
+        Shape of the array of loads; the same shape precedes that of commands of their own.
+    **commands : float or sequence of float
+        See `Simulator.step`.
+
+    Returns
+    -------
+    ndarray, shape (*many, 14)
+
+    Raises
+    ------
+    ParameterError
+        If a command has not the right number of finite values, or a voltage has no DC motor.
+
+    """
+    load = np.zeros((*many, LOADS))
+    for name, columns in COMMANDS.items():
+        shape = np.shape(columns)
+        try:
+            numbers = np.asarray(commands[name], dtype=float)
+            good = numbers.shape in (shape, (*many, *shape)) and np.isfinite(numbers).all()
+        except (TypeError, ValueError):
+            good = False
+        if not good:
+            kind = 'two finite numbers' if shape else 'a finite number'
+            kind += f', or an array of them of shape {(*many, *shape)}' if many else ''
+            raise ParameterError(f'{name} must be {kind}, got {short(commands[name])}')
+        load[..., columns] = numbers
+    lacking = load[..., VOLTAGE][(load[..., VOLTAGE] != 0.0) & ~np.asarray(motor)]
+    if lacking.size:
+        raise ParameterError(f'voltage = {lacking.flat[0]:g} V needs a DC motor: '
+                             'motor.dc.resistance must be > 0 ohm')
+    return load
+
+
+class Actuators:
+    """
+    The actuators of a scene, which turn commands into loads; the scene's own loads bypass them.
+
+    The goal of a force or torque is its command, clipped at its limit. With a limit of its rate it
+    moves to the goal on a straight line that begins at the step at which the goal changed, so that
+    what acts in a step does not depend on how many steps are done at once.
+
+    Parameters
+    ----------
+    values : dict
+        The scene's parameters, by name.
+    first : int, optional
+        Step from which they act.
+    reached : ndarray, shape (14,), optional
+        Load that has acted until then, see `model.layout`; by default none.
+
+    Attributes
+    ----------
+    limit : ndarray, shape (14,)
+        Limits of commands.
+    slow : ndarray of int
+        Columns of a load with a limit of their rate.
+    gain : float
+        Torque per voltage [N m/V].
+
+    """
+
+    def __init__(self, values, first=0, reached=None):
+        self._period = values['integrator.step']
+        self.limit, self._rate = np.full(LOADS, np.inf), np.full(LOADS, np.inf)
+        for columns, names in _LIMITED.items():
+            for bounds, name in zip((self.limit, self._rate), names):
+                if name:
+                    bounds[list(columns)] = values[name]
+        self.slow = np.flatnonzero(np.isfinite(self._rate))
+        self.gain, _ = motor_constants(values)
+        self._ideal = np.isinf([self.limit, self._rate]).all() and not self.gain
+        self._since, self._start = first, np.zeros(LOADS) if reached is None else reached
+        self._given, self._goal = b'', self._start
+
+    def command(self, commanded, first):
+        """Take the commands from step `first` on, shape (14,)."""
+        given = commanded.tobytes()
+        if given == self._given:
+            return
+        goal = np.clip(commanded, -self.limit, self.limit)
+        if len(self.slow) and not np.array_equal(goal, self._goal):
+            self._start, self._since = self.reached(first), first
+        self._given, self._goal = given, goal
+
+    def _ends(self):
+        # When lines reach their goals, counted in steps since they began.
+        way = np.abs(self._goal - self._start)[self.slow]
+        return on_boundaries(way / (self._rate[self.slow] * self._period))
+
+    def reached(self, step):
+        """Return what acts of the commands at a step, (14,); a voltage is not yet a torque."""
+        return self._at(np.array((step - self._since) * self._period))
+
+    def loads(self, first, count):
+        """Return what acts in some steps, shape (14,) or (count, 4, 14)."""
+        if self._ideal:
+            return self._goal
+        begin, period = first - self._since, self._period
+        acting = np.empty((count, STEP_LOADS, LOADS))
+        acting[:, :STAGES] = self._at(
+            (np.arange(begin, begin + count)[:, np.newaxis] + [0.0, 0.5, 1.0]) * period)
+        acting[:, AFTER] = acting[:, END]
+        steps, seen = parabolas(lambda at: self._at(at * period), self._ends(), 1, begin, count)
+        acting[steps, :STAGES] = seen
+        acting[..., TORQUE] += self.gain * acting[..., VOLTAGE]
+        return acting
+
+    def _at(self, elapsed):
+        # The straight lines towards the goal, at times since they began.
+        acting = np.empty((*elapsed.shape, LOADS))
+        acting[...] = self._goal
+        slow, start = self.slow, self._start[self.slow]
+        way, most = self._goal[slow] - start, elapsed[..., np.newaxis] * self._rate[slow]
+        # Exactly the goal once it is reached.
+        acting[..., slow] = np.where(np.abs(way) <= most, self._goal[slow],
+                                     start + np.sign(way) * most)
+        return acting
+
+
+_FEW = 256  # least number of steps tabulated by themselves; fewer as part of a block of CHUNK
+
+
+class LoadTable:
+    """
+    Loads of steps; the steps are counted from the start of the scene's own loads.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    """
+
+    def __init__(self, scene):
+        self._load, self._step = scene.load, scene.step
+        self._begin, self._block = 0, NO_LOADS
+        self._room = NO_LOADS
+
+    def at_start(self):
+        """Return the scene's own load at its beginning, shape (14,)."""
+        return self._load.stages(0, 1, self._step)[0, 0]
+
+    def stages(self, first, count, actuators=None):
+        """
+        Return the loads of steps.
+
+        Parameters
+        ----------
+        first, count : int
+            Number of the first step, and number of steps.
+        actuators : Actuators, optional
+            Their loads are added.
+
+        Returns
+        -------
+        ndarray, shape (count, 4, 14)
+
+        """
+        begin, block = self._begin, self._block
+        if not begin <= first <= first + count <= begin + len(block):
+            # A node asks for a few steps at a time, so more are tabulated ahead.
+            ahead = count if count >= _FEW else CHUNK
+            if len(self._room) < ahead:
+                self._room = np.zeros((ahead, STEP_LOADS, LOADS))
+            begin, block = first, self._load.stages(first, ahead, self._step, self._room)
+            self._begin, self._block = begin, block
+        loads = block[first - begin:first - begin + count]
+        return loads if actuators is None else loads + actuators.loads(first, count)
+
+
+class TipLoad:
+    """
+    Mass and inertia at the tip; the modes stay those of the end effector of the first scene.
+
+    Sections keep place and velocity, since the modes do; a load that is picked up from rest
+    changes velocities, see `model.statics`.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Attributes
+    ----------
+    tip : tuple of float
+        Mass [kg] and inertia [kg m2] now.
+    lost : float
+        Energy lost in plastic impacts since the initial motion [J].
+
+    """
+
+    def __init__(self, scene):
+        self._first = self.tip = _own(scene)
+        self._payloads, self._next, self.lost = scene.payloads, 0, 0.0
+
+    def copy(self):
+        """Return a copy as it is now."""
+        return copy(self)
+
+    def reset(self, scene):
+        """Return to the end effector of a scene, and whether that is another one than now."""
+        before, self.tip, self._next, self.lost = self.tip, _own(scene), 0, 0.0
+        return self.tip != before
+
+    @property
+    def next_step(self):
+        """Number of the step at which the scene changes the load next; infinite: never."""
+        return self._payloads[self._next][0] if self._next < len(self._payloads) else math.inf
+
+    def take_next(self):
+        """Return mass and inertia from `next_step` on, and go to the change after it."""
+        self._next += 1
+        return self._payloads[self._next - 1][1:]
+
+    def of_change(self, before, scene):
+        """Return mass and inertia after a change of the scene: its own, if it changes them."""
+        return self.tip if _own(scene) == _own(before) else _own(scene)
+
+    def add(self, tip):
+        """Set mass and inertia; return what is added of each, or None if nothing changes."""
+        before, self.tip = self.tip, tip
+        return None if tip == before else [now - then for now, then in zip(tip, before)]
+
+    def model(self, scene):
+        """Return the formulation of a scene with this load."""
+        mass, inertia = self._first
+        return scene.build(replace(scene.manipulator, end_effector_mass=mass,
+                                   end_effector_inertia=inertia), self.tip)
+
+    def picked_up(self, scene, model, motion, added):
+        """Return the motion after mass and inertia are added."""
+        taken = [max(change, 0.0) for change in added]
+        if scene.values['end_effector.pick_up'] == 'at_rest' and any(taken):
+            motion, lost = pick_up(model, motion, *taken)
+            self.lost += lost
+        return motion
+
+
+def pieces(scene, steps, payloads):
+    """
+    Return the formulations of a run whose load at the tip changes, and their samples.
+
+    Parameters
+    ----------
+    scene : Scene
+    steps : ndarray of int, shape (n,)
+        Of the samples, ascending; one at the step of a change is from before it. If there are
+        several, which a reset divides, the last is from after it.
+    payloads : sequence of (int, float, float)
+        Step, mass [kg] and inertia [kg m2] from then on, ascending.
+
+    Returns
+    -------
+    list of (Formulation, slice)
+
+    """
+    first, last = (np.searchsorted(steps, [step for step, *_ in payloads], side)
+                   for side in ('left', 'right'))
+    bounds = [0, *(last - (last - first > 1)), len(steps)]
+    tips = [None, *((mass, inertia) for _, mass, inertia in payloads)]
+    return [(scene.build(scene.manipulator, tip), slice(first, last))
+            for tip, first, last in zip(tips, bounds, bounds[1:]) if first < last]
+
+
+def _own(scene):
+    return scene.manipulator.end_effector_mass, scene.manipulator.end_effector_inertia

@@ -1,0 +1,153 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Warnings of runs that should not be trusted: their conditions, and texts with the remedy."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from timo_sim.model.layout import Motion
+
+# Phase of the first axial vibration in a step with which no tested arm diverged [rad].
+_AXIAL_PHASE = 0.5
+# Longest step, in periods of a harmonic load; a step sees three values of the load.
+_MOST_OF_A_PERIOD = 0.25
+# Largest shift of the tip by what `newton` leaves out, and largest distance from a finer run,
+# which has errors, too [arm lengths].
+_MOST_LEFT_OUT, MOST_APART = 1e-3, 7e-4
+NO_FINER_RUN = ('finer runs of the scene diverge, so that the error of this one is not known: '
+                'take a smaller integrator.step')
+
+
+class DivergenceError(ArithmeticError):
+    """
+    The state is not finite, or the arm is bent by many lengths; the text has time and remedy.
+
+    Attributes
+    ----------
+    run : Run or None
+        The run so far, if `simulate` has raised the error.
+
+    """
+
+    run: Any = None
+
+
+def unseen_load(scene):
+    """Return the warning of a load that is too fast for the step, or None."""
+    frequency, channel = scene.load.fastest()
+    if frequency * scene.step <= _MOST_OF_A_PERIOD:
+        return None
+    return (f'load.{channel}.harmonic.frequency = {frequency:g} Hz is too high for '
+            f'integrator.step = {scene.step:g} s: take at most '
+            f'{_MOST_OF_A_PERIOD / frequency:.2g} s')
+
+
+def after_steps(scene, model, share, time, motions):
+    """
+    Return the warning that some motions of a run call for, or None.
+
+    Only `newton` has conditions of its own: speeds at which it is unstable, and effects that it
+    leaves out.
+
+    Parameters
+    ----------
+    scene : Scene
+    model : Formulation
+    share : float
+        Share by which the axial force changes the stiffness, see `Formulation.axial_share`.
+    time : float
+        Time of the last motion [s].
+    motions : ndarray, shape (n, 2 (3 + N))
+
+    """
+    return _fast_shaft(scene, model, motions) or _left_out(scene, model, time, share, motions)
+
+
+def inaccurate(scene, error, remedy=None):
+    """
+    Return the warning of a run whose tip is far from that of a finer run, or None.
+
+    Parameters
+    ----------
+    scene : Scene
+    error : float
+        Distance of the tips [m].
+    remedy : str, optional
+        What moves the tip most; by default all remedies are named.
+
+    """
+    if error <= MOST_APART * scene.manipulator.arm.length:
+        return None
+    if remedy is None:
+        remedy = 'a smaller integrator.step, more model.modes or model.axial_modes 1'
+        if scene.values['model.formulation'] != 'exact':
+            remedy = f'model.formulation exact, {remedy}'
+    return f'the tip is {error:.1g} m from that of a finer run: take {remedy}'
+
+
+def _fast_shaft(scene, model, motions):
+    speed = np.abs(Motion(motions).shaft_velocity).max()
+    if not speed > model.speed_limit:
+        return None
+    return (f'at {speed:.3g} rad/s the shaft is faster than {model.speed_limit:.3g} rad/s, where '
+            f'the arm loses its stiffness in model.formulation '
+            f'{scene.values["model.formulation"]}, which has no centrifugal '
+            'stiffening: take model.formulation exact')
+
+
+def _left_out(scene, model, time, share, motions):
+    length = scene.manipulator.arm.length
+    deflection = np.abs(Motion(motions).q @ model.tip_point.deflection[:, 0]).max()
+    # The axial force makes the arm softer or stiffer; its shortening is of third order in w.
+    if (abs(share) * deflection + (1.0 + share) * deflection**3 / length**2
+            <= (1.0 + share) * _MOST_LEFT_OUT * length):
+        return None
+    return (f'before t = {time:.6g} s the tip is bent by {deflection:.2g} m and the axial force '
+            f'changes the stiffness of the arm by {round(100.0 * share)} %: model.formulation '
+            f'{scene.values["model.formulation"]} leaves out both effects, take '
+            'model.formulation exact')
+
+
+def divergence(scene, step, motion, reach, bend, warning):
+    """
+    Return the text of a DivergenceError.
+
+    Parameters
+    ----------
+    scene : Scene
+    step : int
+        Number of the last good step.
+    motion : ndarray, shape (2 (3 + N),)
+        The motion after it.
+    reach : ndarray, shape (3 + N,)
+        See `Formulation.reach`.
+    bend : float
+        Deflection of the arm [m].
+    warning : str or None
+        Warning of the run so far.
+
+    """
+    largest = np.argmax(np.abs(motion[:len(reach)]) * reach)
+    name = (['carrier x', 'carrier y', 'shaft angle'] + [
+        f'modal coordinate {n + 1}' for n in range(len(reach) - 3)])[largest]
+    smaller = 'a smaller integrator.step'
+    axial = scene.values['model.axial_modes']
+    if axial:
+        resolved = _AXIAL_PHASE / scene.build().modes.omega[-axial:].min()
+        if scene.step > resolved:
+            decade = 10.0**math.floor(math.log10(resolved))
+            shorter = max(k for k in (1, 2, 5) if k * decade <= resolved) * decade
+            smaller = (f'integrator.step = {shorter:.6g} s or less, which resolves axial '
+                       'vibrations, model.axial_modes 0')
+    return (f'the state diverges after t = {step * scene.step:.6g} s (step {step}), at {name} = '
+            f'{motion[largest]:.3g} with the arm bent by {bend:.3g} m: take {smaller}, '
+            'fewer model.modes or model.formulation exact' + (
+                f'; {warning}' if warning else ''))

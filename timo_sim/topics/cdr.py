@@ -1,0 +1,388 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Definitions of the messages that are logged, and their serialisation as CDR.
+
+Numbers and texts are located in serialised messages, so that they can be read and written fast.
+"""
+
+from functools import cache
+import re
+import struct
+from typing import Any, NamedTuple
+
+# Lines of the .msg files, without comments; sorted by package.
+DEFINITIONS = {
+    'builtin_interfaces/msg/Time': ('int32 sec', 'uint32 nanosec'),
+    'diagnostic_msgs/msg/DiagnosticArray': (
+        'std_msgs/Header header', 'DiagnosticStatus[] status'),
+    'diagnostic_msgs/msg/DiagnosticStatus': (
+        'byte OK=0', 'byte WARN=1', 'byte ERROR=2', 'byte STALE=3', 'byte level', 'string name',
+        'string message', 'string hardware_id', 'KeyValue[] values'),
+    'diagnostic_msgs/msg/KeyValue': ('string key', 'string value'),
+    'geometry_msgs/msg/Point': ('float64 x', 'float64 y', 'float64 z'),
+    'geometry_msgs/msg/Pose': ('Point position', 'Quaternion orientation'),
+    'geometry_msgs/msg/PoseStamped': ('std_msgs/Header header', 'Pose pose'),
+    'geometry_msgs/msg/Quaternion': ('float64 x 0', 'float64 y 0', 'float64 z 0', 'float64 w 1'),
+    'geometry_msgs/msg/Transform': ('Vector3 translation', 'Quaternion rotation'),
+    'geometry_msgs/msg/TransformStamped': (
+        'std_msgs/Header header', 'string child_frame_id', 'Transform transform'),
+    'geometry_msgs/msg/Vector3': ('float64 x', 'float64 y', 'float64 z'),
+    'geometry_msgs/msg/Vector3Stamped': ('std_msgs/Header header', 'Vector3 vector'),
+    'geometry_msgs/msg/Wrench': ('Vector3 force', 'Vector3 torque'),
+    'geometry_msgs/msg/WrenchStamped': ('std_msgs/Header header', 'Wrench wrench'),
+    'rosgraph_msgs/msg/Clock': ('builtin_interfaces/Time clock',),
+    'sensor_msgs/msg/Imu': (
+        'std_msgs/Header header',
+        'geometry_msgs/Quaternion orientation', 'float64[9] orientation_covariance',
+        'geometry_msgs/Vector3 angular_velocity', 'float64[9] angular_velocity_covariance',
+        'geometry_msgs/Vector3 linear_acceleration', 'float64[9] linear_acceleration_covariance'),
+    'sensor_msgs/msg/JointState': (
+        'std_msgs/Header header', 'string[] name', 'float64[] position', 'float64[] velocity',
+        'float64[] effort'),
+    'std_msgs/msg/Float64': ('float64 data',),
+    'std_msgs/msg/Float64MultiArray': ('MultiArrayLayout layout', 'float64[] data'),
+    'std_msgs/msg/Header': ('builtin_interfaces/Time stamp', 'string frame_id'),
+    'std_msgs/msg/MultiArrayDimension': ('string label', 'uint32 size', 'uint32 stride'),
+    'std_msgs/msg/MultiArrayLayout': ('MultiArrayDimension[] dim', 'uint32 data_offset'),
+    'tf2_msgs/msg/TFMessage': ('geometry_msgs/TransformStamped[] transforms',),
+}
+
+# REP-2011 hashes of the types that topics have; a log states them beside each topic.
+TYPE_HASHES = {
+    'diagnostic_msgs/msg/DiagnosticArray':
+        'RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e',
+    'geometry_msgs/msg/PoseStamped':
+        'RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8',
+    'geometry_msgs/msg/Vector3Stamped':
+        'RIHS01_d4829622288cbb443886e7ea94ea5671a3b1be6bab4ad04224432a65f7d7887a',
+    'geometry_msgs/msg/WrenchStamped':
+        'RIHS01_8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77',
+    'rosgraph_msgs/msg/Clock':
+        'RIHS01_692f7a66e93a3c83e71765d033b60349ba68023a8c689a79e48078bcb5c58564',
+    'sensor_msgs/msg/Imu':
+        'RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b',
+    'sensor_msgs/msg/JointState':
+        'RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e',
+    'std_msgs/msg/Float64':
+        'RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a',
+    'std_msgs/msg/Float64MultiArray':
+        'RIHS01_1025ddc6b9552d191f89ef1a8d2f60f3d373e28b283d8891ddcc974e8c55397f',
+    'tf2_msgs/msg/TFMessage':
+        'RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087',
+}
+
+_FIELD = re.compile(r'([\w/]+)(\[\d*\])? (\w+)(?: (\S+))?')
+
+
+class Field(NamedTuple):
+    """A field of a message."""
+
+    name: str
+    type_name: str        # 'float64', 'string', ... or as in 'geometry_msgs/msg/Point'
+    length: int | None    # of an array; 0 for a sequence of any length, None for a single value
+    default: Any          # what a new message holds: 0, '', {} or an array of these
+
+
+@cache
+def fields(type_name):
+    """Return the fields of a message type of DEFINITIONS in order, a tuple of Field."""
+    # A line with '=' defines a constant, which is in no message.
+    return tuple(_field(type_name.split('/')[0], line) for line in DEFINITIONS[type_name]
+                 if '=' not in line)
+
+
+def _field(package, line):
+    kind, array, name, default = _FIELD.findall(line)[0]
+    value: Any
+    if kind[0].isupper():
+        kind = f'{package}/{kind}'  # of the same package
+    if '/' in kind:
+        kind, value = kind.replace('/', '/msg/'), {}
+    else:
+        value = '' if kind == 'string' else int(default or 0)
+    if not array:
+        return Field(name, kind, None, value)
+    length = int(array[1:-1] or 0)
+    return Field(name, kind, length, length * (value,))
+
+
+@cache
+def schema_text(type_name):
+    """Return a definition with all that it depends on, in the `ros2msg` encoding of MCAP."""
+    names = [type_name]
+    for name in names:  # grows by what is found
+        for field in fields(name):
+            if field.type_name in DEFINITIONS and field.type_name not in names:
+                names.append(field.type_name)
+    lines = [*DEFINITIONS[type_name]]
+    for name in names[1:]:
+        lines += ['=' * 80, 'MSG: ' + name.replace('/msg/', '/'), *DEFINITIONS[name]]
+    return '\n'.join(lines) + '\n'
+
+
+TYPES = frozenset(DEFINITIONS)
+_START = 4                     # bytes of the header; alignment counts from its end
+_LITTLE_ENDIAN = b'\x00\x01'   # plain CDR
+_NUMBERS = {'byte': 'B', 'int32': 'i', 'uint32': 'I', 'float64': 'd'}  # codes of `struct`
+
+
+class CdrError(ValueError):
+    """A message does not match its type; the text says why."""
+
+
+class Layout(NamedTuple):
+    """
+    Places of the parts of a message, in bytes from its beginning.
+
+    Messages of the same size with the same bytes at the places `fixed` have the same layout.
+    """
+
+    size: int            # [B], without the padding that some writers add at the end
+    stamps: list         # place of the seconds of each time; its nanoseconds follow
+    doubles: list        # place of each float64
+    lists: list          # number of float64 in each sequence, and in the fields between sequences
+    texts: list          # the texts themselves
+    fixed: list          # places of the bytes of encoding, texts, integers and lengths
+
+    def split(self, numbers):
+        """Return the float64 of a message, given in order, split as in `lists`."""
+        parts, place = [], 0
+        for length in self.lists:
+            parts.append(numbers[place:place + length])
+            place += length
+        return parts
+
+    def meant(self):
+        """Return the places of all bytes with content; the others are padding."""
+        return [*self.fixed, *(place + byte for place in (*self.stamps, *self.doubles)
+                               for byte in range(8))]
+
+
+def layout(type_name, data):
+    """
+    Return the Layout of a serialised message of one of TYPES.
+
+    Raises
+    ------
+    CdrError
+        If the message is too short, or not in little-endian plain CDR.
+
+    """
+    walk = _Walk(data)
+    walk.value(type_name)
+    return walk.found._replace(size=walk.place)
+
+
+def pack(type_name, values):
+    """
+    Return a serialised message, little-endian CDR with zeros as padding.
+
+    Parameters
+    ----------
+    type_name : str
+        One of TYPES.
+    values : dict
+        Values by name of field: numbers, str, dict for messages, lists for arrays. A field that
+        is missing has its default, which is zero or empty unless the definition says otherwise
+        (w of a quaternion is 1).
+
+    Raises
+    ------
+    CdrError
+        If a field is unknown, or an array of fixed length is given with another length.
+
+    Examples
+    --------
+    >>> pack('std_msgs/msg/Float64', {'data': 1.0}).hex()
+    '00010000000000000000f03f'
+
+    """
+    data = bytearray(_LITTLE_ENDIAN + bytes(_START - len(_LITTLE_ENDIAN)))
+    _append(data, type_name, values)
+    return bytes(data)
+
+
+def _append(data, type_name, value):
+    if type_name == 'string':
+        text = value.encode() + b'\0'
+        _append(data, 'uint32', len(text))
+        data += text
+    elif type_name in _NUMBERS:
+        code = '<' + _NUMBERS[type_name]
+        data += bytes((_START - len(data)) % struct.calcsize(code)) + struct.pack(code, value)
+    else:
+        unknown = value.keys() - {field.name for field in fields(type_name)}
+        if unknown:
+            raise CdrError(f'{type_name} has no field {", ".join(sorted(unknown))}')
+        for field in fields(type_name):
+            elements = value.get(field.name, field.default)
+            if field.length is None:
+                elements = [elements]
+            elif field.length == 0:
+                _append(data, 'uint32', len(elements))
+            elif field.length != len(elements):
+                raise CdrError(f'{field.name} of {type_name} must have {field.length} elements, '
+                               f'got {len(elements)}')
+            for element in elements:
+                _append(data, field.type_name, element)
+
+
+class _Walk:
+    """Reads through a message, and notes in `found` where its values are."""
+
+    def __init__(self, data):
+        self._data, self.place = data, _START
+        self._in_a_row = False  # whether further float64 belong to the last of `found.lists`
+        self.found = Layout(0, [], [], [], [], [0, 1])
+        if bytes(data[:2]) != _LITTLE_ENDIAN:
+            raise CdrError(f'its encoding is {bytes(data[:2])!r}, not {_LITTLE_ENDIAN!r}')
+
+    def value(self, type_name):
+        if type_name == 'builtin_interfaces/msg/Time':
+            self.found.stamps.append(self._pass(8, 4))
+        elif type_name == 'float64':
+            self._doubles(1)
+        elif type_name == 'string':
+            text = bytes(self._data[slice(*self._fixed(self._count(), 1))])
+            self.found.texts.append(text.removesuffix(b'\0').decode(errors='replace'))
+        elif type_name in _NUMBERS:
+            size = struct.calcsize('<' + _NUMBERS[type_name])
+            self._fixed(size, size)
+        else:
+            for field in fields(type_name):
+                self._field(field.type_name, field.length)
+
+    def _field(self, type_name, length):
+        if length is None:
+            self.value(type_name)
+        elif type_name != 'float64':
+            for _ in range(length or self._count()):
+                self.value(type_name)
+        elif length:
+            self._doubles(length)
+        else:
+            self.found.lists.append(0)
+            self._in_a_row = True
+            self._doubles(self._count())
+            self._in_a_row = False
+
+    def _doubles(self, count):
+        if not self._in_a_row:
+            self._in_a_row = True
+            self.found.lists.append(0)
+        if count:  # an empty sequence is not followed by padding
+            self.found.lists[-1] += count
+            self.found.doubles.extend(range(self._pass(8 * count, 8), self.place, 8))
+
+    def _count(self):
+        return struct.unpack_from('<I', self._data, self._fixed(4, 4)[0])[0]
+
+    def _fixed(self, size, alignment):
+        begin = self._pass(size, alignment)
+        self.found.fixed.extend(range(begin, self.place))
+        return begin, self.place
+
+    def _pass(self, size, alignment):
+        begin = self.place + (_START - self.place) % alignment
+        self.place = begin + size
+        if self.place > len(self._data):
+            raise CdrError('it is too short')
+        return begin
+
+
+class Number(NamedTuple):
+    """
+    Stands in a template for a number that changes from message to message.
+
+    A template has the values of a message as `cdr.pack` takes them. Numbers are counted in the
+    order of the template, whatever the order of the message, those without a name last; these
+    describe the others, as variances do, and are no columns.
+
+    Examples
+    --------
+    >>> template = {'name': ['shaft'], 'position': [Number('shaft_rad')]}
+    >>> serialize = Serializer('sensor_msgs/msg/JointState', template)
+    >>> message = serialize((1, 500000000), [0.25])  # at 1.5 s
+
+    """
+
+    column: str = ''  # its name with unit, as in 'shaft_rad'
+
+
+def columns(template):
+    """Return the names of those numbers of a template that have one, a tuple of str."""
+    found = []
+    _filled(template, lambda number: found.append(number.column))
+    return tuple(filter(None, found))
+
+
+class Form(NamedTuple):
+    """A message made from a template, and where its numbers are."""
+
+    data: bytes
+    layout: Layout
+    places: tuple  # index of each Number among all float64 of the message
+
+
+def form(type_name, template):
+    """Return the Form of a template."""
+    marks: list[tuple[bool, float]] = []
+
+    def mark(number):  # with a value that no template holds: 5e-324, 1e-323, ...
+        marks.append((not number.column, 5e-324 * (len(marks) + 1)))
+        return marks[-1][1]
+
+    data = pack(type_name, _filled(template, mark))
+    found = layout(type_name, data)
+    doubles = [struct.unpack_from('<d', data, place)[0] for place in found.doubles]
+    return Form(data, found, tuple(doubles.index(value) for _, value in sorted(marks)))
+
+
+def _filled(template, value):
+    """Return a template with value(number) for each Number, in the order of the template."""
+    if isinstance(template, Number):
+        return value(template)
+    if isinstance(template, dict):
+        return {name: _filled(part, value) for name, part in template.items()}
+    if isinstance(template, list):
+        return [_filled(part, value) for part in template]
+    return template
+
+
+class Serializer:
+    """
+    Writes time and numbers straight into a serialised message.
+
+    Everything else is the same in all messages of a topic, so each is a copy of the first with
+    other numbers. All times in a message are the same. A type without a time is a ValueError.
+    """
+
+    def __init__(self, type_name, template):
+        data, found, places = form(type_name, template)
+        if not found.stamps:
+            raise ValueError(f'{type_name} has no time')
+        self._data = bytearray(data)
+        # CDR aligns every number to its size, counted from the end of the header of four bytes.
+        body = memoryview(self._data)[4:]
+        self._words = body[:len(body) // 4 * 4].cast('I')
+        self._times = [(place - 4) // 4 for place in found.stamps]
+        self._numbers = body[:len(body) // 8 * 8].cast('d')
+        self._places = [(found.doubles[place] - 4) // 8 for place in places]
+        for place in self._places:  # numbers that no call gives are zero
+            self._numbers[place] = 0.0
+
+    def __call__(self, time, numbers):
+        """Return the serialised message with a time ([s], [ns]) and numbers in the columns."""
+        for place in self._times:
+            self._words[place], self._words[place + 1] = time
+        view = self._numbers
+        for place, number in zip(self._places, numbers):
+            view[place] = number
+        return bytes(self._data)

@@ -1,0 +1,176 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The command topics: which inputs a message sets, and when it is refused."""
+
+import math
+from typing import Callable, NamedTuple
+
+import numpy as np
+
+from timo_sim.model.layout import (
+    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, rotate, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y,
+    TORQUE, VOLTAGE)
+from timo_sim.topics.outputs import FRAMES
+
+# Commanded values have the columns of a load, and two more: a force on the tip in the axes of the
+# tip, which `acting` turns into a load.
+ALONG_TIP, ACROSS_TIP = LOADS, LOADS + 1
+COMMANDED = LOADS + 2
+# By input, its columns and their names with units. Each input follows the latest message that set
+# it; of messages that begin to act in the same step, the later entry of COMMANDS wins.
+INPUTS = {
+    'carrier': {FORCE_X: 'force_x_N', FORCE_Y: 'force_y_N', FORCE_I: 'force_along_arm_N',
+                FORCE_II: 'force_across_arm_N'},
+    'shaft': {TORQUE: 'torque_N_m', VOLTAGE: 'voltage_V'},
+    'tip': {TIP_X: 'tip_force_x_N', TIP_Y: 'tip_force_y_N', TIP_I: 'tip_force_along_arm_N',
+            TIP_II: 'tip_force_across_arm_N', TIP_TORQUE: 'tip_torque_N_m',
+            ALONG_TIP: 'tip_force_along_tip_N', ACROSS_TIP: 'tip_force_across_tip_N'},
+}
+JOINTS = 'carrier_x', 'carrier_y', 'shaft'
+PLAIN = {name: name for name in FRAMES}  # frames under their default names
+LARGEST = 65536  # [B] of a command that is accepted; ordinary ones have some hundreds
+
+
+class Refused(ValueError):
+    """A command is not applied; the text says why."""
+
+
+def _finite(numbers):
+    if not all(map(math.isfinite, numbers)):
+        raise Refused('every component must be finite')
+
+
+def _forces(texts, numbers, names):
+    """Return (x, y) for each frame of `names`: the force in the wrench's frame, else zeros."""
+    _finite(numbers)
+    frame = texts[0] or names[0]
+    if frame not in names:
+        raise Refused(f'frame_id must be empty, {", ".join(map(repr, names[:-1]))} or '
+                      f'{names[-1]!r}, got {frame[:40]!r}')
+    return [tuple(numbers[:2]) if frame == name else (0.0, 0.0) for name in names]
+
+
+def _carrier_wrench(texts, lists, frames):
+    world, arm = _forces(texts, lists[0], [frames['world'], frames['arm']])
+    return {'carrier': (*world, *arm)}
+
+
+def _tip_wrench(texts, lists, frames):
+    world, arm, tip = _forces(texts, lists[0], [frames[name] for name in ('world', 'arm', 'tip')])
+    return {'tip': (*world, *arm, lists[0][5], *tip)}
+
+
+def _scalar(lists):
+    if not math.isfinite(lists[0][0]):
+        raise Refused(f'data must be finite, got {lists[0][0]}')
+    return lists[0][0]
+
+
+def _joint_command(texts, lists, frames):
+    names, efforts = texts[1:], lists[-1]
+    if len(set(names)) < len(names) or not names:
+        raise Refused(f'name must hold joints, once each, got {", ".join(names)[:80]!r}')
+    if len(efforts) != len(names):
+        raise Refused(f'effort must have one element for each of {len(names)} names, got '
+                      f'{len(efforts)}')
+    given = {name: effort for name, effort in zip(names, efforts) if name in JOINTS}
+    # NaN is what ros2_control sends for a joint that no controller has claimed.
+    claimed = {name for name, effort in given.items() if not math.isnan(effort)}
+    _finite(given[name] for name in claimed)
+    found: dict[str, tuple] = {}
+    if claimed - {'shaft'}:
+        found['carrier'] = given.get('carrier_x', 0.0), given.get('carrier_y', 0.0), 0.0, 0.0
+    if 'shaft' in claimed:
+        found['shaft'] = given['shaft'], 0.0
+    return found
+
+
+def _commands(texts, lists, frames):
+    if len(lists[0]) != len(JOINTS):
+        raise Refused(f'data must have {len(JOINTS)} elements, for {", ".join(JOINTS)}, got '
+                      f'{len(lists[0])}')
+    _finite(lists[0])
+    return _joint_command(['', *JOINTS], lists, frames)
+
+
+class Command(NamedTuple):
+    """
+    A command topic.
+
+    `load` takes the texts and the lists of numbers of a message, and the names of frames; it
+    returns the values of each input that the message sets, or raises Refused.
+    """
+
+    name: str
+    type_name: str
+    load: Callable[[list, list, dict], dict]
+    inputs: tuple  # keys of INPUTS that it may set
+
+    @property
+    def columns(self):
+        """Columns of the commanded values that it may set."""
+        return [column for key in self.inputs for column in INPUTS[key]]
+
+    @property
+    def names(self):
+        """Names of these columns, with units."""
+        return tuple(name for key in self.inputs for name in INPUTS[key].values())
+
+    def row(self, texts, lists, frames=PLAIN):
+        """
+        Return values for its columns [N, N m, V], NaN where it sets none, or raise Refused.
+
+        `texts` and `lists` are those of the message; `frames` names each of `outputs.FRAMES`.
+        """
+        found = self.load(texts, lists, frames)
+        return np.concatenate([found.get(key, [math.nan] * len(INPUTS[key]))
+                               for key in self.inputs])
+
+    def apply(self, row, commanded):
+        """Write a row into commanded values, (16,), in place; return the inputs that it sets."""
+        given = np.flatnonzero(~np.isnan(row))
+        columns = np.array(self.columns)[given]
+        commanded[columns] = row[given]
+        return {key for key in self.inputs if not INPUTS[key].keys().isdisjoint(columns)}
+
+
+# The first three are in the order of INPUTS: the log shows a time-out of an input as a message of
+# zeros on its topic among these.
+COMMANDS = [
+    Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped', _carrier_wrench, ('carrier',)),
+    Command('~/motor_torque', 'std_msgs/msg/Float64',
+            lambda texts, lists, frames: {'shaft': (_scalar(lists), 0.0)}, ('shaft',)),
+    Command('~/tip_wrench', 'geometry_msgs/msg/WrenchStamped', _tip_wrench, ('tip',)),
+    Command('~/joint_command', 'sensor_msgs/msg/JointState', _joint_command,
+            ('carrier', 'shaft')),
+    Command('~/commands', 'std_msgs/msg/Float64MultiArray', _commands, ('carrier', 'shaft')),
+    Command('~/motor_voltage', 'std_msgs/msg/Float64',
+            lambda texts, lists, frames: {'shaft': (0.0, _scalar(lists))}, ('shaft',)),
+]
+
+
+def turns(commanded):
+    """Return whether commanded values, (16,), have a force in the axes of the tip, which turn."""
+    return commanded[ALONG_TIP] != 0.0 or commanded[ACROSS_TIP] != 0.0
+
+
+def acting(commanded, simulator):
+    """
+    Return the load, shape (14,), of commanded values, (16,), in a Simulator's next step.
+
+    A force in the axes of the tip takes their direction in the middle of the step, extrapolated
+    from the motion at its start: the error is of second order in the step.
+    """
+    if not turns(commanded):
+        return commanded[:LOADS]
+    load, motion, model = commanded[:LOADS].copy(), simulator.motion, simulator.model
+    middle = motion.q + 0.5 * simulator.scene.step * motion.qdot
+    rotation = model.section_rotation(middle, model.tip_point)[0]
+    load[[TIP_I, TIP_II]] += rotate(float(rotation), *commanded[LOADS:])
+    return load

@@ -1,0 +1,216 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The topics that carry the motion: one entry of `outputs` says everything about a topic."""
+
+import math
+from typing import Callable, NamedTuple
+
+import numpy as np
+
+from timo_sim.model.layout import place
+from timo_sim.topics.cdr import columns, form, Number
+
+NANOSECONDS = 1000000000
+_GRAVITY = 9.80665  # [m/s2]
+# The parent of each frame is the one before it; arm turns with the shaft. A node may give them
+# other names, see `in_frames`.
+FRAMES = 'world', 'carrier', 'arm', 'tip'
+
+
+def title(topic):
+    """Return the short name of a topic in columns and rates: tip_imu for ~/tip_imu/data_raw."""
+    return topic.strip('~/').partition('/')[0]
+
+
+def _tip_pose(snapshot):
+    x, y, theta = snapshot.joint_positions
+    along, across, rotation = snapshot.tip
+    half = 0.5 * (theta + rotation)
+    return *place(x, y, theta, along, across), math.sin(half), math.cos(half)
+
+
+def _readings(*sensors):
+    return lambda snapshot: [axis for name in sensors for axis in snapshot.sensor(name)]
+
+
+def _imu_unlogged(snapshot):
+    # Along z, what the gravity in the plane of motion leaves of the Earth's; variances.
+    lean = min(snapshot.gravity / _GRAVITY, 1.0)
+    return [_GRAVITY * math.sqrt(1.0 - lean * lean), *(snapshot.variance(name) for name in (
+        'tip_acceleration', 'tip_acceleration', 'gyro'))]
+
+
+def _transforms(snapshot):
+    x, y, theta = snapshot.joint_positions
+    along, across, rotation = snapshot.tip
+    return (x, y, math.sin(0.5 * theta), math.cos(0.5 * theta),
+            along, across, math.sin(0.5 * rotation), math.cos(0.5 * rotation))
+
+
+class Output(NamedTuple):
+    """
+    A topic that carries the motion.
+
+    Attributes
+    ----------
+    name : str
+        As in rclpy: '~/encoder' is below the node's own name, '/clock' is not.
+    type_name : str
+        Of its messages.
+    numbers : function(simulation.snapshot.Snapshot) -> tuple of float
+        Returns the numbers of a message, in the order of `columns`.
+    template : dict
+        The message with a Number in place of each number; time stamps are filled in.
+    delay : str or None
+        Of a sensor, the parameter with the time from measurement to message [s].
+    unlogged : function(simulation.snapshot.Snapshot) -> sequence of float
+        Returns the values of the template's Numbers without a name.
+
+    """
+
+    name: str
+    type_name: str
+    numbers: Callable
+    template: dict
+    delay: str | None = None
+    unlogged: Callable = lambda snapshot: ()
+
+    def content(self, snapshot, numbers):
+        """Return `numbers` and those without a name, as many as the template has Numbers."""
+        return (*numbers, *self.unlogged(snapshot))
+
+    @property
+    def rate(self):
+        """Name of the parameter with the rate."""
+        return f'rate.{title(self.name)}'
+
+    @property
+    def columns(self):
+        """Names of the numbers, with units."""
+        return columns(self.template)
+
+    @property
+    def places(self):
+        """Indices of the numbers among the float64 of a message."""
+        return form(self.type_name, self.template).places[:len(self.columns)]
+
+    @property
+    def texts(self):
+        """Texts of a message: the frame of the header, names of joints, ..."""
+        return form(self.type_name, self.template).layout.texts
+
+
+def _numbers(*names):
+    return [Number(name) for name in names]
+
+
+def _frame(name):
+    return {'frame_id': name}
+
+
+def _xy(x, y):
+    return {'x': Number(x), 'y': Number(y)}
+
+
+def _diagonal(x, y, z):
+    return [x, *3 * [0.0], y, *3 * [0.0], z]  # a 3 x 3 matrix by rows
+
+
+def _quaternion(z, w):
+    return {'z': Number(z), 'w': Number(w)}
+
+
+_POSE = {
+    'header': _frame('world'),
+    'pose': {'position': _xy('x_m', 'y_m'),
+             'orientation': _quaternion('orientation_z', 'orientation_w')},
+}
+
+
+def outputs(modes):
+    """Return the list of Outputs, the topics that carry the motion, for a number of modes."""
+    names = [f'mode_{n + 1}' for n in range(modes)]
+    modal = [Output('~/modal_state', 'sensor_msgs/msg/JointState',
+                    lambda snapshot: snapshot.modal_state, {
+                        'name': names,
+                        'position': _numbers(*(f'{name}_m_sqrt_kg' for name in names)),
+                        'velocity': _numbers(*(f'{name}_rate_m_sqrt_kg_per_s'
+                                               for name in names))})]
+    imu = _readings('tip_acceleration', 'gyro')
+    return [
+        Output('joint_states', 'sensor_msgs/msg/JointState', lambda snapshot: (
+            *snapshot.joint_positions, *snapshot.joint_velocities, *snapshot.effort), {
+                'name': ['carrier_x', 'carrier_y', 'shaft'],
+                'position': _numbers('carrier_x_m', 'carrier_y_m', 'shaft_rad'),
+                'velocity': _numbers('carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
+                                     'shaft_velocity_rad_per_s'),
+                'effort': _numbers('carrier_x_force_N', 'carrier_y_force_N', 'shaft_torque_N_m')}),
+        *(modal if modes else []),
+        Output('~/tip_deflection', 'geometry_msgs/msg/Vector3Stamped',
+               lambda snapshot: (snapshot.tip[0] - snapshot.length, snapshot.tip[1]),
+               {'header': _frame('arm'), 'vector': _xy('axial_m', 'transverse_m')}),
+        Output('~/tip_pose', 'geometry_msgs/msg/PoseStamped', _tip_pose, _POSE),
+        Output('~/carrier_pose', 'geometry_msgs/msg/PoseStamped',
+               lambda snapshot: (*snapshot.joint_positions[:2], 0.0, 1.0), _POSE),
+        Output('/clock', 'rosgraph_msgs/msg/Clock', lambda snapshot: (), {}),
+        Output('~/root_strain', 'sensor_msgs/msg/JointState', _readings('root_strain'), {
+            'name': ['root_strain'], 'position': _numbers('outer_fibre')},
+            delay='sensor.root_strain.delay'),
+        Output('~/tip_imu/data_raw', 'sensor_msgs/msg/Imu', imu, {
+            'header': _frame('tip'),
+            # REP 145: -1 means no orientation; a covariance of zeros means that it is unknown.
+            'orientation_covariance': [-1.0] + 8 * [0.0],
+            # An accelerometer shows specific force: +g along z where the plane is horizontal.
+            'linear_acceleration': {**_xy('acceleration_x_m_per_s2', 'acceleration_y_m_per_s2'),
+                                    'z': Number()},
+            'angular_velocity': {'z': Number('turning_rad_per_s')},
+            'linear_acceleration_covariance': _diagonal(Number(), Number(), 0.0),
+            'angular_velocity_covariance': _diagonal(0.0, 0.0, Number())},
+            delay='sensor.tip_imu.delay', unlogged=_imu_unlogged),
+        Output('~/encoder', 'sensor_msgs/msg/JointState', _readings('encoder'), {
+            'name': ['shaft'], 'position': _numbers('shaft_rad')},
+            delay='sensor.encoder.delay'),
+    ]
+
+
+# Frames are neither logged nor replayed, because they follow from the motion above.
+TRANSFORMS = Output('/tf', 'tf2_msgs/msg/TFMessage', _transforms, {'transforms': [
+    {'header': _frame('world'), 'child_frame_id': 'carrier',
+     'transform': {'translation': _xy('carrier_x_m', 'carrier_y_m')}},
+    {'header': _frame('carrier'), 'child_frame_id': 'arm',
+     'transform': {'rotation': _quaternion('arm_orientation_z', 'arm_orientation_w')}},
+    {'header': _frame('arm'), 'child_frame_id': 'tip',
+     'transform': {'translation': _xy('tip_x_m', 'tip_y_m'),
+                   'rotation': _quaternion('tip_orientation_z', 'tip_orientation_w')}},
+]})
+
+
+def in_frames(template, names):
+    """Return a template with its frames renamed; `names` is a dictionary with keys of FRAMES."""
+    if isinstance(template, dict):
+        return {key: names.get(part, part) if key.endswith('frame_id') else in_frames(part, names)
+                for key, part in template.items()}
+    return [in_frames(part, names) for part in template] if isinstance(
+        template, list) else template
+
+
+def with_angles(columns, values):
+    """
+    Return columns, a tuple of str, and values (n, k) with an angle in place of an orientation.
+
+    The column `rotation_rad`, not wrapped, replaces `orientation_z` and `orientation_w`.
+    """
+    if 'orientation_z' not in columns:
+        return columns, values
+    z, w = (values[:, columns.index(name)] for name in ('orientation_z', 'orientation_w'))
+    # A quaternion has half the angle, and so repeats after two turns.
+    angle = np.unwrap(2.0 * np.arctan2(z, w), period=4.0 * math.pi)
+    kept = [place for place, name in enumerate(columns) if not name.startswith('orientation_')]
+    return ((*(columns[place] for place in kept), 'rotation_rad'),
+            np.column_stack([values[:, kept], angle]))
