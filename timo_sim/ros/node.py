@@ -27,7 +27,7 @@ from timo_sim.ros.topics import Commands, LateOutlet, MotionOutlet, RunLog
 from timo_sim.scene.parameters import (
     changed, frame_names, LATEST, ParameterError, PARAMETERS, SCENE, short, whole_ratio)
 from timo_sim.scene.scene import implausible, scene_from
-from timo_sim.simulation.simulator import Simulator
+from timo_sim.simulation.simulator import Simulator, STEPS_BEHIND
 from timo_sim.topics.outputs import outputs, TRANSFORMS
 
 _LONGEST_SLEEP = 0.1  # [s] after which a sleeping node looks at its flags
@@ -211,7 +211,7 @@ class SimNode(ParameterNode):
             self._live.offer(now, self._simulator, lambda: self._loop.snapshot().effort)
         wait = self._loop.tick(now, self._stop)
         # The error is measured while nothing else is due.
-        return 0.0 if wait > 0.0 and self._simulator.measure_error(1) else wait
+        return 0.0 if wait > 0.0 and self._simulator.measure_error(STEPS_BEHIND) else wait
 
     def _close(self, wall_time):
         error = self._simulator.estimated_error

@@ -10,7 +10,7 @@
 
 import math
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -91,7 +91,19 @@ COMPILING = 'compiling once for a model of this size, this takes some seconds'
 MOST_BENT = 10.0
 COUNT = Parameter('count', 1, '', 'number of steps', low=0)
 SAMPLE_EVERY = Parameter('sample_every', 1, '', 'steps between samples, 0: none', low=0)
-_MOST_UNMEASURED = 256  # most calls of `advance` that the finer run may be behind
+_MOST_BEHIND = 256  # most calls of `advance` that the finer run may be behind
+# Steps for which the finer run is called at once: a call takes as long as some steps.
+STEPS_BEHIND = 8
+
+
+class _Call(NamedTuple):
+    # A call of `advance`, or many alike, that the finer run has yet to follow.
+    steps: int
+    commanded: np.ndarray | None
+    every: int
+    motions: np.ndarray
+
+
 _WARM = set()  # sizes whose functions this process has, with or without those of messages
 
 
@@ -167,7 +179,7 @@ class Simulator(Readings):
         self._table, self._actuators = LoadTable(self.scene), Actuators(self.scene.values)
         self.load = self._table.at_start()
         self.warning = warnings.unseen_load(self.scene)
-        self._error, self._unmeasured = 0.0 if self._estimate else math.nan, []
+        self._error, self._behind = 0.0 if self._estimate else math.nan, []
         if self._finer:
             self._finer.reset()
         elif self._estimate:
@@ -342,11 +354,21 @@ class Simulator(Readings):
             self.warning = self.warning or warnings.after_steps(
                 self.scene, self.model, share, self.t, seen)
         if self._finer and count:
-            seen = motions[1:] if sample_every else self.motion.values[np.newaxis]
-            self._unmeasured.append((count, None if commanded is None else commanded.copy(),
-                                     sample_every or count, seen))
-            if len(self._unmeasured) >= _MOST_UNMEASURED:
-                self.measure_error()
+            self._keep(count, commanded, sample_every or count,
+                       motions[1:] if sample_every else self.motion.values[np.newaxis])
+
+    def _keep(self, count, commanded, every, motions):
+        # Calls that differ in nothing but their number are one for the finer run.
+        last = self._behind[-1] if self._behind else None
+        if last and last.steps < STEPS_BEHIND and (every, count % every) == (last.every, 0) and (
+                np.array_equal(commanded, last.commanded)):
+            self._behind[-1] = last._replace(
+                steps=last.steps + count, motions=np.vstack([last.motions, motions]))
+            return
+        self._behind.append(_Call(
+            count, None if commanded is None else commanded.copy(), every, motions))
+        if len(self._behind) >= _MOST_BEHIND:
+            self.measure_error()
 
     def _change_tip(self, number):
         # The loads that the scene changes at a step; return the motion before, if there are any.
@@ -363,29 +385,44 @@ class Simulator(Readings):
             self.measure_error()
             return self._error
 
-    def measure_error(self, most=_MOST_UNMEASURED):
+    def measure_error(self, steps=0):
         """
         Advance the finer run, and measure how far apart the tips of both runs are.
 
-        At most as many calls of `advance` are followed as `most` says; return whether one was.
+        Parameters
+        ----------
+        steps : int
+            Least number of steps by which the finer run is advanced, if it is that far behind; 0:
+            it is advanced to the present.
+
+        Returns
+        -------
+        bool
+            Whether it was advanced.
+
         """
         with self._lock:
-            part, self._unmeasured = self._unmeasured[:most], self._unmeasured[most:]
-            for count, commanded, every, motions in part:
-                self._measure(self._parts * count, commanded, self._parts * every, motions)
-            return bool(part)
+            number, found = 0, 0
+            while number < len(self._behind) and not 0 < steps <= found:
+                found, number = found + self._behind[number].steps, number + 1
+            if found < steps or not number:
+                return False
+            calls, self._behind = self._behind[:number], self._behind[number:]
+            if self._finer:
+                self._measure(calls, self._finer, self._parts)
+            return True
 
-    def _measure(self, count, commanded, every, motions):
-        if self._finer is None:
-            return
+    def _measure(self, calls, finer, parts):
         try:
-            others = self._finer.advance(count, commanded, every)[0][1:]
+            others = [finer.advance(parts * call.steps, call.commanded, parts * call.every)[0][1:]
+                      for call in calls]
         except DivergenceError:
             self._finer, self._error = None, math.nan
             self.warning = self.warning or warnings.NO_FINER_RUN
             return
         self._error = max(self._error, tip_distance(
-            self.model, motions, self._finer.model, others))
+            self.model, np.vstack([call.motions for call in calls]), finer.model,
+            np.vstack(others)))
         self.warning = self.warning or warnings.inaccurate(self.scene, self._error)
 
     def _rests(self, count, commanded):
