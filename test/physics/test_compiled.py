@@ -82,7 +82,7 @@ def test_a_step_allocates_nothing(paper, formulation):
         state = simulator.model.state(simulator.motion.values)
         loads, samples = table.stages(0, steps), simulator.integration.samples(steps, 1)
         before = rtsys.get_allocation_stats()
-        simulator.integration.advance(state, simulator.load, loads, 1, 0, *samples)
+        simulator.integration.advance(state, simulator.load, loads, samples)
         after = rtsys.get_allocation_stats()
         return after.alloc - before.alloc, after.mi_alloc - before.mi_alloc
 
@@ -96,7 +96,7 @@ def test_loads_and_states_of_other_shapes_are_refused(values):
     steps, state, load = simulator.integration, simulator._state, simulator.load
 
     def advance(state, load, shape):
-        return steps.advance(state, load, np.zeros((1, *shape)), 0, 0, *steps.samples(0, 0))
+        return steps.advance(state, load, np.zeros((1, *shape)), steps.samples(0, 0))
 
     assert advance(state, load, (4, 14)) == 1
     for wrong in ((state, load, (4, 8)), (state, load, (3, 14)), (state, load[:8].copy(), (4, 14)),

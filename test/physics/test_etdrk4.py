@@ -30,7 +30,7 @@ def test_weights_integrate_a_constant_exactly():
     h = 0.2
     p = propagator(linear, h)
     constant = np.array([0.3, 1.7])
-    step = p.first @ constant + p.middle @ (2 * constant) + p.last @ constant
+    step = p.start_weight @ constant + p.middle_weight @ (2 * constant) + p.end_weight @ constant
     exact = np.linalg.solve(linear, (expm(h * linear) - np.eye(2)) @ constant)
     assert np.allclose(step, exact, rtol=1e-13)
 

@@ -169,7 +169,7 @@ def test_reversed_velocities_lead_back_to_the_start(formulation, scene):
             'model.formulation': formulation, 'initial.shaft_velocity': scene['spin'],
             'initial.modal_coordinates': scene['bend'], 'end_effector.mass': scene['tip mass'],
             'initial.carrier_x_velocity': scene['velocity'][0], 'integrator.step': step}))
-        start, reach = simulator.motion.values, simulator.model.reach
+        start, reach = simulator.motion.values, simulator.model.tip_travel
         for _ in range(2):
             simulator.advance(steps)
             motion = simulator.motion.values

@@ -27,6 +27,6 @@ FORMULATIONS = {
 
 
 def formulation_class(name):
-    """Return the class of a formulation, a subclass of `base.Formulation`."""
+    """Return the class of a formulation, a subclass of `formulation.Formulation`."""
     module, _, attribute = FORMULATIONS[name].partition(':')
     return getattr(import_module(module), attribute)

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 import copy
 from functools import cached_property
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,18 +23,227 @@ from timo_sim.model.layout import rotate
 from timo_sim.model.modes import AxialModes, modes_of
 
 
-class Observables(ABC):
-    """What every formulation tells of its motions; `base.Formulation` sets the attributes."""
+class Points(NamedTuple):
+    """Points of the centre line, with the integration weights and mode shapes there."""
 
-    manipulator: Any
-    modes: Any
-    points: Any
-    point_mass: np.ndarray
-    point_inertia: np.ndarray
-    damping: np.ndarray
-    gravity: np.ndarray
-    constrained: np.ndarray
-    size: int
+    xi: np.ndarray          # distance from the root [m], (p,)
+    integral: np.ndarray    # from nodal values to their integral from 0 [m], (n_g, p)
+    deflection: np.ndarray  # W_n, (N, p)
+    rotation: np.ndarray    # Phi_n, (N, p)
+
+
+class Formulation(ABC):
+    """
+    Equations of motion of a manipulator in N assumed modes.
+
+    The N modes are those in bending, followed by axial ones if the arm stretches. A *motion*
+    `[x_c, y_c, theta, q_1..q_N, d/dt of each]` of size 2 (3 + N) is the same for all formulations:
+    carrier in world axes [m], shaft angle [rad], modal coordinates [m sqrt(kg)]. A *state* is what
+    a formulation integrates: its free coordinates, then as many momenta or rates; size m.
+
+    Parameters
+    ----------
+    manipulator : Manipulator
+    count : int
+        Number of assumed modes in bending; 0 is a rigid arm.
+    damping : float or array_like, shape (N,)
+        Modal damping ratios zeta_n.
+    constraints : Constraints
+    nodes : int, optional
+        Least number of quadrature nodes; by default that of `node_count`.
+    static : tuple of str
+        See `modes_of`.
+    axial : int
+        Number of axial modes; 0 for formulations other than `exact`.
+    gravity : sequence of float
+        Acceleration of free fall along world x and y [m/s2].
+    basis : Manipulator, optional
+        The same arm with another end effector, whose modes are assumed; by default its own.
+
+    Attributes
+    ----------
+    linear : ndarray, shape (m, m)
+        Constant linear part of the state's rate; the compiled rate is the rest.
+    tables, packed : NamedTuple, packed constants
+        Constants of the compiled functions, and the same packed by the attribute `pack`.
+    sectors : int
+        Number of sectors of half a turn, each with its linear part, see `Exact.in_sector`; or 0.
+    speed_limit : float
+        Shaft speed above which the equations are unstable, whatever the step [rad/s].
+
+    """
+
+    sectors, speed_limit = 0, math.inf
+
+    def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
+                 static=(), axial=0, gravity=(0.0, 0.0), basis=None):
+        self.manipulator, self.constraints = manipulator, constraints
+        self.gravity = np.array(gravity, dtype=float)
+        basis = basis or manipulator
+        self.modes, self.axial = modes_of(basis, count, static), axial
+        # Modal masses are 1 with the end effector that the modes were made for.
+        self.own_modes = basis == manipulator
+        if axial:
+            self.modes = AxialModes(self.modes, basis, axial, constraints)
+        self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (len(self.modes),))
+        self.size = 2 * (3 + len(self.modes))
+        # 1 if the shaft is driven or locked, which makes q_1 the first free coordinate, else 0.
+        self.driven = int(constraints.driven)
+        self.axes = np.array(constraints.free_axes, dtype=np.int64)
+        # Whether carrier x, carrier y and shaft are held, locked or driven.
+        self.constrained = np.array([*(k not in self.axes for k in (0, 1)), constraints.driven])
+        self.held_position = np.array([position or 0.0 for position in constraints.carrier])
+        # Three times the axial modes, so that their strains are resolved.
+        self.quadrature = Quadrature(manipulator.arm.breaks,
+                                     nodes or self.node_count(max(count, 3 * axial)))
+        # The points that carry mass, the last of which is the tip.
+        masses = Quadrature(manipulator.arm.breaks, self.mass_count(len(self.quadrature.nodes)))
+        self.points = self.at(masses.points)
+        self.point_mass, self.point_inertia = manipulator.inertia(masses)
+        self.arm_mass = self.point_mass.sum()
+        self.mass = manipulator.base_mass + self.arm_mass
+        self.tables, self.linear = self.build()
+        self.pack, self.packed = pack, pack(self.tables)
+        self._of_any_size, self._linear_parts = of_any_size(self.tables), {}
+
+    def linear_parts(self, step):
+        """Return the dict in which all `Steps` of a length [s] share their linear parts."""
+        return self._linear_parts.setdefault(step, {})
+
+    def sector(self, state, load):
+        """Return the number of the sector of a state, or None where there are no sectors."""
+        return None
+
+    def in_sector(self, number):
+        """Return the tables and the linear part of a sector."""
+        raise NotImplementedError(f'{type(self).__name__} has no sectors')
+
+    @staticmethod
+    def node_count(count):
+        """
+        Return the number of quadrature nodes for N modes.
+
+        A Gauss rule resolves a wave with pi nodes per wavelength, and mode N has about N/2
+        wavelengths between two boundary layers. 3/2 N nodes are rounded up to multiples of four
+        for vector code. Frequencies do not depend on their number, see `at`.
+        """
+        return 6 if count <= 3 else 4 * math.ceil((1.5 * count + 0.5) / 4.0)
+
+    @staticmethod
+    def mass_count(nodes):
+        """Return the number of points that carry mass; products of two modes are integrated."""
+        return 2 * nodes + 4
+
+    @abstractmethod
+    def build(self):
+        """Return the tables and the linear part."""
+
+    @abstractmethod
+    def state(self, motion):
+        """Return the state that belongs to a motion, shape (m,)."""
+
+    def effort(self, motions, accelerations, loads):
+        """
+        Return the force on the carrier and torque on the shaft that accelerations need (T42).
+
+        They include loads on carrier and shaft, friction and constraints. There are n motions,
+        accelerations of 3 + N coordinates and loads, of which only those on the tip are used.
+        Shape (n, 3): in world axes [N], then [N m].
+        """
+        specific = accelerations.copy()
+        specific[:, :2] -= self.gravity  # held in gravity is the same as accelerated against it
+        return self._effort(motions, specific, loads)
+
+    @abstractmethod
+    def _effort(self, motions, accelerations, loads):
+        """Return the effort where there is no gravity."""
+
+    @cached_property
+    def tip_travel(self):
+        """Travel of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, (3 + N,)."""
+        length = self.manipulator.arm.length
+        return np.concatenate([[1.0, 1.0, length], np.abs(self.modes.deflection([length]))[0]])
+
+    def packed_by(self, pack):
+        """Return the same equations, whose constants `pack` packs for compiled functions."""
+        if pack is self.pack:
+            return self
+        model = copy.copy(self)
+        model.pack, model.packed, model._linear_parts = pack, pack(self.tables), {}
+        return model
+
+    @cached_property
+    def magnitude_bound(self) -> float:
+        """Largest of the numbers from which an energy is computed."""
+        body, points = self.manipulator, self.points
+        arrays = (points.deflection, points.rotation, self.point_mass, self.point_inertia,
+                  self.modes.omega**2, self.gravity, self.modes.shear(points.xi))
+        return np.max([body.base_mass, body.shaft_inertia, body.arm.length,
+                       *(np.abs(array).max(initial=0.0) for array in arrays)])
+
+    @cached_property
+    def section_turn_bound(self):
+        """Largest turn, shear and stretch of a section by each modal coordinate, (N,)."""
+        xi, modes = self.points.xi, self.modes
+        turn = np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
+        return np.max(turn + np.abs(modes.stretch(xi)) if self.axial else turn, axis=0)
+
+    def tip(self, motion):
+        """Return the tip's position in the arm frame [m], rotation from the shaft [rad], (3,)."""
+        tip = np.empty(3)
+        tip_once(self.packed, motion, tip)
+        return tip
+
+    def rate(self, state, load):
+        """Return the rate of a state under a load, linear part included, shape (m,)."""
+        rate = np.empty(len(state))
+        rate_once(self._of_any_size, state, load, rate)
+        return self.linear @ state + rate
+
+    @cached_property
+    def tip_point(self):
+        """The tip, as `at` returns points."""
+        return self.at([self.manipulator.arm.length])
+
+    def at(self, xi):
+        """
+        Return the points at distances xi from the root, shape (p,) [m].
+
+        The polynomial through the nodal values does not integrate the slope of the highest mode
+        well. Its integral is therefore corrected in the space of the modes' slopes, of which it
+        becomes exact; frequencies of the straight arm are then those of the modes.
+        """
+        xi, nodes = np.asarray(xi, dtype=float), self.quadrature.nodes
+        integral, deflection = self.quadrature.integrate_to(xi), self.modes.deflection(xi)
+        # The slopes by a turn of the shaft and by the modes, and their exact integrals.
+        slope = np.column_stack([np.ones_like(nodes),
+                                 self.modes.rotation(nodes) + self.modes.shear(nodes)])
+        missing = np.column_stack([xi, deflection]) - integral @ slope
+        missing[xi == 0.0] = 0.0  # the root stays where it is, to the last bit
+        weights = np.sqrt(self.quadrature.weights)
+        share = np.linalg.pinv(weights[:, np.newaxis] * slope) * weights
+        return Points(xi, (integral + missing @ share).T, deflection.T, self.modes.rotation(xi).T)
+
+    def project_on_modes(self, deflection, rotation):
+        """
+        Return the modal coordinates (or rates) of a deflection (or velocity) field.
+
+        `q_n = int M W_n w + J Phi_n phi`, exact to first order in the fields.
+
+        Parameters
+        ----------
+        deflection, rotation : function(xi) -> array_like
+            w [m] and phi [rad] (or their rates) at the points xi, shape (p,) [m].
+
+        Returns
+        -------
+        ndarray, shape (N,)
+
+        """
+        fine = Quadrature(self.manipulator.arm.breaks, 4 * len(self.modes) + 40)
+        mass, inertia = self.manipulator.inertia(fine)
+        return (mass * deflection(fine.points) @ self.modes.deflection(fine.points)
+                + inertia * rotation(fine.points) @ self.modes.rotation(fine.points))
 
     @abstractmethod
     def centre_line(self, q, points):
@@ -214,218 +423,3 @@ def clamped_ratios(model, ratios):
     # With x_n^2 = share frequency^2 / omega_n^2.
     matrix = (share / omega[:, np.newaxis]).T * frequency[:, np.newaxis]
     return np.linalg.solve(matrix, np.broadcast_to(ratios, omega.shape))
-
-
-class Points(NamedTuple):
-    """Points of the centre line, with the integration weights and mode shapes there."""
-
-    xi: np.ndarray          # distance from the root [m], (p,)
-    integral: np.ndarray    # from nodal values to their integral from 0 [m], (n_g, p)
-    deflection: np.ndarray  # W_n, (N, p)
-    rotation: np.ndarray    # Phi_n, (N, p)
-
-
-class Formulation(Observables):
-    """
-    Equations of motion of a manipulator in N assumed modes.
-
-    The N modes are those in bending, followed by axial ones if the arm stretches. A *motion*
-    `[x_c, y_c, theta, q_1..q_N, d/dt of each]` of size 2 (3 + N) is the same for all formulations:
-    carrier in world axes [m], shaft angle [rad], modal coordinates [m sqrt(kg)]. A *state* is what
-    a formulation integrates: its free coordinates, then as many momenta or rates; size m.
-
-    Parameters
-    ----------
-    manipulator : Manipulator
-    count : int
-        Number of assumed modes in bending; 0 is a rigid arm.
-    damping : float or array_like, shape (N,)
-        Modal damping ratios zeta_n.
-    constraints : Constraints
-    nodes : int, optional
-        Least number of quadrature nodes; by default that of `node_count`.
-    static : tuple of str
-        See `modes_of`.
-    axial : int
-        Number of axial modes; 0 for formulations other than `exact`.
-    gravity : sequence of float
-        Acceleration of free fall along world x and y [m/s2].
-    basis : Manipulator, optional
-        The same arm with another end effector, whose modes are assumed; by default its own.
-
-    Attributes
-    ----------
-    linear : ndarray, shape (m, m)
-        Constant linear part of the state's rate; the compiled rate is the rest.
-    tables, packed : NamedTuple, packed constants
-        Constants of the compiled functions, and the same packed by the attribute `pack`.
-    sectors : int
-        Number of sectors of half a turn, each with its linear part, see `Exact.in_sector`; or 0.
-    speed_limit : float
-        Shaft speed above which the equations are unstable, whatever the step [rad/s].
-
-    """
-
-    sectors, speed_limit = 0, math.inf
-
-    def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
-                 static=(), axial=0, gravity=(0.0, 0.0), basis=None):
-        self.manipulator, self.constraints = manipulator, constraints
-        self.gravity = np.array(gravity, dtype=float)
-        basis = basis or manipulator
-        self.modes, self.axial = modes_of(basis, count, static), axial
-        # Modal masses are 1 with the end effector that the modes were made for.
-        self.own_modes = basis == manipulator
-        if axial:
-            self.modes = AxialModes(self.modes, basis, axial, constraints)
-        self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (len(self.modes),))
-        self.size = 2 * (3 + len(self.modes))
-        # The first of the coordinates theta, q_1..q_N that is free, and the free axes.
-        self.first = int(constraints.driven)
-        self.axes = np.array(constraints.free_axes, dtype=np.int64)
-        # Whether carrier x, carrier y and shaft are held, locked or driven.
-        self.constrained = np.array([*(k not in self.axes for k in (0, 1)), constraints.driven])
-        self.anchor = np.array([position or 0.0 for position in constraints.carrier])
-        # Three times the axial modes, so that their strains are resolved.
-        self.quadrature = Quadrature(manipulator.arm.breaks,
-                                     nodes or self.node_count(max(count, 3 * axial)))
-        # The points that carry mass, the last of which is the tip.
-        masses = Quadrature(manipulator.arm.breaks, self.mass_count(len(self.quadrature.nodes)))
-        self.points = self.at(masses.points)
-        self.point_mass, self.point_inertia = manipulator.inertia(masses)
-        self.arm_mass = self.point_mass.sum()
-        self.mass = manipulator.base_mass + self.arm_mass
-        self.tables, self.linear = self.build()
-        self.pack, self.packed = pack, pack(self.tables)
-        self._of_any_size, self._kept = of_any_size(self.tables), {}
-
-    def kept(self, step):
-        """Return what integrators keep of this model for all runs with a time step [s], a dict."""
-        return self._kept.setdefault(step, {})
-
-    @staticmethod
-    def node_count(count):
-        """
-        Return the number of quadrature nodes for N modes.
-
-        A Gauss rule resolves a wave with pi nodes per wavelength, and mode N has about N/2
-        wavelengths between two boundary layers. 3/2 N nodes are rounded up to multiples of four
-        for vector code. Frequencies do not depend on their number, see `at`.
-        """
-        return 6 if count <= 3 else 4 * math.ceil((1.5 * count + 0.5) / 4.0)
-
-    @staticmethod
-    def mass_count(nodes):
-        """Return the number of points that carry mass; products of two modes are integrated."""
-        return 2 * nodes + 4
-
-    @abstractmethod
-    def build(self):
-        """Return the tables and the linear part."""
-
-    @abstractmethod
-    def state(self, motion):
-        """Return the state that belongs to a motion, shape (m,)."""
-
-    def effort(self, motions, accelerations, loads):
-        """
-        Return the force on the carrier and torque on the shaft that accelerations need (T42).
-
-        They include loads on carrier and shaft, friction and constraints. There are n motions,
-        accelerations of 3 + N coordinates and loads, of which only those on the tip are used.
-        Shape (n, 3): in world axes [N], then [N m].
-        """
-        specific = accelerations.copy()
-        specific[:, :2] -= self.gravity  # held in gravity is the same as accelerated against it
-        return self._effort(motions, specific, loads)
-
-    @abstractmethod
-    def _effort(self, motions, accelerations, loads):
-        """Return the effort where there is no gravity."""
-
-    @cached_property
-    def reach(self):
-        """Travel of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, (3 + N,)."""
-        length = self.manipulator.arm.length
-        return np.concatenate([[1.0, 1.0, length], np.abs(self.modes.deflection([length]))[0]])
-
-    def packed_by(self, pack):
-        """Return the same equations, whose constants `pack` packs for compiled functions."""
-        if pack is self.pack:
-            return self
-        model = copy.copy(self)
-        model.pack, model.packed, model._kept = pack, pack(self.tables), {}
-        return model
-
-    @cached_property
-    def largest(self):
-        """Largest of the numbers from which an energy is computed."""
-        body, points = self.manipulator, self.points
-        arrays = (points.deflection, points.rotation, self.point_mass, self.point_inertia,
-                  self.modes.omega**2, self.gravity, self.modes.shear(points.xi))
-        return np.max([body.base_mass, body.shaft_inertia, body.arm.length,
-                       *(np.abs(array).max(initial=0.0) for array in arrays)])
-
-    @cached_property
-    def section_turn(self):
-        """Largest turn, shear and stretch of a section by each modal coordinate, (N,)."""
-        xi, modes = self.points.xi, self.modes
-        turn = np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
-        return np.max(turn + np.abs(modes.stretch(xi)) if self.axial else turn, axis=0)
-
-    def tip(self, motion):
-        """Return the tip's position in the arm frame [m], rotation from the shaft [rad], (3,)."""
-        place = np.empty(3)
-        tip_once(self.packed, motion, place)
-        return place
-
-    def rate(self, state, load):
-        """Return the rate of a state under a load, linear part included, shape (m,)."""
-        rate = np.empty(len(state))
-        rate_once(self._of_any_size, state, load, rate)
-        return self.linear @ state + rate
-
-    @cached_property
-    def tip_point(self):
-        """The tip, as `at` returns points."""
-        return self.at([self.manipulator.arm.length])
-
-    def at(self, xi):
-        """
-        Return the points at distances xi from the root, shape (p,) [m].
-
-        The polynomial through the nodal values does not integrate the slope of the highest mode
-        well. Its integral is therefore corrected in the space of the modes' slopes, of which it
-        becomes exact; frequencies of the straight arm are then those of the modes.
-        """
-        xi, nodes = np.asarray(xi, dtype=float), self.quadrature.nodes
-        integral, deflection = self.quadrature.integrate_to(xi), self.modes.deflection(xi)
-        # The slopes by a turn of the shaft and by the modes, and their exact integrals.
-        slope = np.column_stack([np.ones_like(nodes),
-                                 self.modes.rotation(nodes) + self.modes.shear(nodes)])
-        missing = np.column_stack([xi, deflection]) - integral @ slope
-        missing[xi == 0.0] = 0.0  # the root stays where it is, to the last bit
-        weights = np.sqrt(self.quadrature.weights)
-        share = np.linalg.pinv(weights[:, np.newaxis] * slope) * weights
-        return Points(xi, (integral + missing @ share).T, deflection.T, self.modes.rotation(xi).T)
-
-    def project_on_modes(self, deflection, rotation):
-        """
-        Return the modal coordinates (or rates) of a deflection (or velocity) field.
-
-        `q_n = int M W_n w + J Phi_n phi`, exact to first order in the fields.
-
-        Parameters
-        ----------
-        deflection, rotation : function(xi) -> array_like
-            w [m] and phi [rad] (or their rates) at the points xi, shape (p,) [m].
-
-        Returns
-        -------
-        ndarray, shape (N,)
-
-        """
-        fine = Quadrature(self.manipulator.arm.breaks, 4 * len(self.modes) + 40)
-        mass, inertia = self.manipulator.inertia(fine)
-        return (mass * deflection(fine.points) @ self.modes.deflection(fine.points)
-                + inertia * rotation(fine.points) @ self.modes.rotation(fine.points))

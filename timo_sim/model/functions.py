@@ -89,14 +89,14 @@ def rate(tables, state, load, out):
 
 
 @optional
-def holds(tables, state, load):
+def linear_part_is_valid(tables, state, load):
     """Return whether the linear part that belongs to the constants is the one for this state."""
     return True
 
 
 @dispatch
 def observe(tables, state, load, out):
-    """Write the motion (see `base.Formulation`) that belongs to a state and a load."""
+    """Write the motion (see `formulation.Formulation`) that belongs to a state and a load."""
 
 
 @inlined
@@ -118,7 +118,7 @@ def tip(tables, motion, out):
     tables : packed constants
         The formulation's.
     motion : ndarray
-        See `base.Formulation`.
+        See `formulation.Formulation`.
     out : ndarray, shape (3,)
         Along axes I and II from the root [m], rotation relative to the shaft [rad].
 

@@ -80,9 +80,9 @@ class _Forces:
     def __init__(self, model, load):
         self._model, self._load = model, load
         self._axes, self._half = len(model.axes), len(model.linear) // 2
-        self._unknown = slice(2 + model.first, model.size // 2)
+        self._unknown = slice(2 + model.driven, model.size // 2)
         self._mobility = model.linear[self._axes:self._half, self._half + self._axes:]
-        self.turn = np.append(1.0, model.section_turn)[model.first:]
+        self.turn = np.append(1.0, model.section_turn_bound)[model.driven:]
 
     def at(self, motion):
         """Return the forces on free axes of the carrier, shaft and modes, shape (m / 2,)."""
