@@ -47,21 +47,21 @@ share `M_i0 q_0'` (T31); its acceleration is needed only where the state has rat
 """
 
 from copy import copy
-from functools import cached_property
 import math
+from typing import Any
 
 import numpy as np
 
 from timo_sim.compiled.constants import of_any_size
 from timo_sim.model.exact_code import BAND, BANDS, RateTables, SECTORS, Tables, TurningTables
-from timo_sim.model.formulation import Formulation
+from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.layout import ANGLE, LOADS, SPEED, tip_force, TIP_TORQUE
 
 
 class Exact(Formulation):
     """The `exact` formulation, see the module's text."""
 
-    def build(self):
+    def build(self) -> tuple[Any, np.ndarray]:
         """Return the tables and the linear part, that of the straight arm."""
         modes, nodes = self.modes, self.quadrature.nodes
         # D integrates slopes at the nodes to the points of mass; d / m_t, and K (T26) or, along an
@@ -75,9 +75,7 @@ class Exact(Formulation):
         # Fields of the coordinates q_i, i = 0 is the shaft (T22), and Xi_ij (T26).
         rotation = np.column_stack([np.ones_like(nodes), modes.rotation(nodes)])
         shear = np.column_stack([np.zeros_like(nodes), modes.shear(nodes)])
-        self._stretch = np.zeros_like(shear.T)
-        if self.axial:
-            self._stretch[1:] = modes.stretch(nodes).T
+        self._stretch = np.column_stack([np.zeros_like(nodes), modes.stretch(nodes)]).T
         at_points = np.column_stack([np.ones_like(self.points.xi), self.points.rotation.T])
         rotary = at_points.T @ (self.point_inertia[:, np.newaxis] * at_points)
         rotary[0, 0] += self.manipulator.shaft_inertia
@@ -143,15 +141,7 @@ class Exact(Formulation):
                                        rate.transpose(1, 0, 2), -1])
         return tables, linear
 
-    @cached_property
-    def tip_travel(self):
-        """Travel of the tip as in other formulations; an axial mode moves it along the arm."""
-        travel, tip = super().tip_travel, [self.manipulator.arm.length]
-        if self.axial:
-            travel[3:] += np.abs(self.modes.displacement(tip))[0]
-        return travel
-
-    def state(self, motion):
+    def state(self, motion: np.ndarray) -> np.ndarray:
         """Return the state that belongs to a motion."""
         half, table = self.size // 2, self.tables
         coordinates, speed = motion[2:half], motion[half + 2:]
@@ -166,12 +156,12 @@ class Exact(Formulation):
         return np.concatenate([centre[self.axes], coordinates[self.driven:],
                                momentum[self.axes], momenta[self.driven:]])
 
-    def centre_line(self, q, points):
+    def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
         """Return the integral of the slopes from the root."""
         a, b = self._slopes(self._relative(q))[2:]
         return np.stack([a @ points.integral, b @ points.integral], axis=-1)
 
-    def centre_line_rate(self, q, qdot, points):
+    def centre_line_rate(self, q: np.ndarray, qdot: np.ndarray, points: Points) -> np.ndarray:
         """Return the integral of the slopes' rates."""
         cosine, sine, a, b = self._slopes(self._relative(q))
         turning, shearing, stretching = (self._relative(qdot) @ field for field in (
@@ -220,7 +210,7 @@ class Exact(Formulation):
         return (cosine, sine, cosine - gamma * sine + stretch * cosine,
                 sine + gamma * cosine + stretch * sine)
 
-    def sector(self, state, load):
+    def sector(self, state: np.ndarray, load: np.ndarray) -> int | None:
         """Return the number of the sector of the shaft angle and of the band of its speed."""
         if not self.sectors:
             return None
@@ -234,7 +224,7 @@ class Exact(Formulation):
             band = min(max(band, -BANDS), BANDS - 1) + BANDS
         return math.floor(angle * (SECTORS / math.pi)) % SECTORS + SECTORS * band
 
-    def in_sector(self, number):
+    def in_sector(self, number: int) -> tuple[Any, np.ndarray]:
         """Return tables and linear part of the straight arm in the middle of a sector, a band."""
         band, sector = divmod(number, SECTORS)
         angle = (sector + 0.5) * np.pi / SECTORS

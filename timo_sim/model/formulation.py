@@ -9,18 +9,20 @@
 """Base class of all formulations of the equations of motion: their interface, shared methods."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 import copy
 from functools import cached_property
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from timo_sim.compiled.constants import of_any_size, pack
-from timo_sim.model.bodies import Constraints, Quadrature
+from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import rate_once, tip_once
 from timo_sim.model.layout import rotate
-from timo_sim.model.modes import AxialModes, modes_of
+from timo_sim.model.modes import AxialModes, Modes, modes_of
 
 
 class Points(NamedTuple):
@@ -75,12 +77,15 @@ class Formulation(ABC):
 
     sectors, speed_limit = 0, math.inf
 
-    def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
-                 static=(), axial=0, gravity=(0.0, 0.0), basis=None):
+    def __init__(self, manipulator: Manipulator, count: int, damping: ArrayLike = 0.0,
+                 constraints: Constraints = Constraints(), nodes: int | None = None,
+                 static: tuple[str, ...] = (), axial: int = 0,
+                 gravity: Sequence[float] = (0.0, 0.0), basis: Manipulator | None = None) -> None:
         self.manipulator, self.constraints = manipulator, constraints
         self.gravity = np.array(gravity, dtype=float)
         basis = basis or manipulator
-        self.modes, self.axial = modes_of(basis, count, static), axial
+        self.modes: Modes = modes_of(basis, count, static)
+        self.axial = axial
         # Modal masses are 1 with the end effector that the modes were made for.
         self.own_modes = basis == manipulator
         if axial:
@@ -103,23 +108,24 @@ class Formulation(ABC):
         self.arm_mass = self.point_mass.sum()
         self.mass = manipulator.base_mass + self.arm_mass
         self.tables, self.linear = self.build()
-        self.pack, self.packed = pack, pack(self.tables)
+        self.pack: Callable[[Any], Any] = pack
+        self.packed = pack(self.tables)
         self._of_any_size, self._linear_parts = of_any_size(self.tables), {}
 
-    def linear_parts(self, step):
+    def linear_parts(self, step: float) -> dict[int | None, Any]:
         """Return the dict in which all `Steps` of a length [s] share their linear parts."""
         return self._linear_parts.setdefault(step, {})
 
-    def sector(self, state, load):
+    def sector(self, state: np.ndarray, load: np.ndarray) -> int | None:
         """Return the number of the sector of a state, or None where there are no sectors."""
         return None
 
-    def in_sector(self, number):
+    def in_sector(self, number: int) -> tuple[Any, np.ndarray]:
         """Return the tables and the linear part of a sector."""
         raise NotImplementedError(f'{type(self).__name__} has no sectors')
 
     @staticmethod
-    def node_count(count):
+    def node_count(count: int) -> int:
         """
         Return the number of quadrature nodes for N modes.
 
@@ -130,19 +136,20 @@ class Formulation(ABC):
         return 6 if count <= 3 else 4 * math.ceil((1.5 * count + 0.5) / 4.0)
 
     @staticmethod
-    def mass_count(nodes):
+    def mass_count(nodes: int) -> int:
         """Return the number of points that carry mass; products of two modes are integrated."""
         return 2 * nodes + 4
 
     @abstractmethod
-    def build(self):
+    def build(self) -> tuple[Any, np.ndarray]:
         """Return the tables and the linear part."""
 
     @abstractmethod
-    def state(self, motion):
+    def state(self, motion: np.ndarray) -> np.ndarray:
         """Return the state that belongs to a motion, shape (m,)."""
 
-    def effort(self, motions, accelerations, loads):
+    def effort(self, motions: np.ndarray, accelerations: np.ndarray,
+               loads: np.ndarray) -> np.ndarray:
         """
         Return the force on the carrier and torque on the shaft that accelerations need (T42).
 
@@ -159,12 +166,13 @@ class Formulation(ABC):
         """Return the effort where there is no gravity."""
 
     @cached_property
-    def tip_travel(self):
+    def tip_travel(self) -> np.ndarray:
         """Travel of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, (3 + N,)."""
-        length = self.manipulator.arm.length
-        return np.concatenate([[1.0, 1.0, length], np.abs(self.modes.deflection([length]))[0]])
+        tip, modes = np.array([self.manipulator.arm.length]), self.modes
+        by_modes = np.abs(modes.deflection(tip)) + np.abs(modes.displacement(tip))
+        return np.concatenate([[1.0, 1.0, tip[0]], by_modes[0]])
 
-    def packed_by(self, pack):
+    def packed_by(self, pack: Callable[[Any], Any]) -> 'Formulation':
         """Return the same equations, whose constants `pack` packs for compiled functions."""
         if pack is self.pack:
             return self
@@ -182,30 +190,30 @@ class Formulation(ABC):
                        *(np.abs(array).max(initial=0.0) for array in arrays)])
 
     @cached_property
-    def section_turn_bound(self):
+    def section_turn_bound(self) -> np.ndarray:
         """Largest turn, shear and stretch of a section by each modal coordinate, (N,)."""
         xi, modes = self.points.xi, self.modes
-        turn = np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
-        return np.max(turn + np.abs(modes.stretch(xi)) if self.axial else turn, axis=0)
+        return np.max(np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
+                      + np.abs(modes.stretch(xi)), axis=0)
 
-    def tip(self, motion):
+    def tip(self, motion: np.ndarray) -> np.ndarray:
         """Return the tip's position in the arm frame [m], rotation from the shaft [rad], (3,)."""
         tip = np.empty(3)
         tip_once(self.packed, motion, tip)
         return tip
 
-    def rate(self, state, load):
+    def rate(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         """Return the rate of a state under a load, linear part included, shape (m,)."""
         rate = np.empty(len(state))
         rate_once(self._of_any_size, state, load, rate)
         return self.linear @ state + rate
 
     @cached_property
-    def tip_point(self):
+    def tip_point(self) -> Points:
         """The tip, as `at` returns points."""
         return self.at([self.manipulator.arm.length])
 
-    def at(self, xi):
+    def at(self, xi: ArrayLike) -> Points:
         """
         Return the points at distances xi from the root, shape (p,) [m].
 
@@ -224,7 +232,8 @@ class Formulation(ABC):
         share = np.linalg.pinv(weights[:, np.newaxis] * slope) * weights
         return Points(xi, (integral + missing @ share).T, deflection.T, self.modes.rotation(xi).T)
 
-    def project_on_modes(self, deflection, rotation):
+    def project_on_modes(self, deflection: Callable[[np.ndarray], ArrayLike],
+                         rotation: Callable[[np.ndarray], ArrayLike]) -> np.ndarray:
         """
         Return the modal coordinates (or rates) of a deflection (or velocity) field.
 
@@ -246,7 +255,7 @@ class Formulation(ABC):
                 + inertia * rotation(fine.points) @ self.modes.rotation(fine.points))
 
     @abstractmethod
-    def centre_line(self, q, points):
+    def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
         """
         Return the positions of points of the centre line in the arm frame.
 
@@ -264,20 +273,20 @@ class Formulation(ABC):
         """
 
     @abstractmethod
-    def centre_line_rate(self, q, qdot, points):
+    def centre_line_rate(self, q: np.ndarray, qdot: np.ndarray, points: Points) -> np.ndarray:
         """Return the rate of `centre_line`, components in the arm frame, shape (n, p, 2) [m/s]."""
 
-    def section_rotation(self, q, points):
+    def section_rotation(self, q: np.ndarray, points: Points) -> np.ndarray:
         """Return section rotations from the shaft, shape (n, p) [rad]. Source: paper eq. (36)."""
         return q @ points.rotation
 
-    def world(self, motions, points):
+    def world(self, motions: np.ndarray, points: Points) -> np.ndarray:
         """Return the world positions of points of the centre line, shape (n, p, 2) [m]."""
         along, across = np.moveaxis(self.centre_line(self._split(motions)[0], points), -1, 0)
         turned = np.stack(rotate(motions[..., 2, np.newaxis], along, across), axis=-1)
         return motions[..., np.newaxis, 0:2] + turned
 
-    def energy(self, motions):
+    def energy(self, motions: np.ndarray) -> np.ndarray:
         """
         Return kinetic plus strain energy, and the potential of gravity, which is 0 at the origin.
 
@@ -305,7 +314,7 @@ class Formulation(ABC):
                 'p,npi->ni', self.point_mass, self.world(motions, self.points))) @ self.gravity
         return energy
 
-    def friction(self, motions):
+    def friction(self, motions: np.ndarray) -> np.ndarray:
         """
         Return the friction of the equations against carrier [N] and shaft [N m], shape (n, 3).
 
@@ -318,13 +327,13 @@ class Formulation(ABC):
         return np.where(self.constrained, 0.0,
                         viscous * speeds + limit * np.tanh(speeds / slow))
 
-    def dissipation(self, motions):
+    def dissipation(self, motions: np.ndarray) -> np.ndarray:
         """Return the power that this friction and modal damping take, shape (n,) [W]."""
         rates = motions[:, self.size // 2:]
         return (np.sum(self.friction(motions) * rates[:, :3], axis=1)
                 + rates[:, 3:]**2 @ (2.0 * self.damping * self.modes.omega))
 
-    def mass_matrix(self, motion):
+    def mass_matrix(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
         Return the mass matrix of all coordinates at a motion, and the tip's velocities.
 
@@ -343,7 +352,7 @@ class Formulation(ABC):
         matrix[range(3), range(3)] += [body.base_mass, body.base_mass, body.shaft_inertia]
         return matrix, np.vstack([velocity[:, -1].T, turning[:, -1]])
 
-    def momentum(self, motions):
+    def momentum(self, motions: np.ndarray) -> np.ndarray:
         """
         Return linear momentum in world axes and angular momentum about the world's origin.
 
@@ -374,7 +383,7 @@ class Formulation(ABC):
         half = self.size // 2
         return motions[..., 3:half], motions[..., half + 3:]
 
-    def velocities(self, motions, points):
+    def velocities(self, motions: np.ndarray, points: Points) -> tuple[np.ndarray, np.ndarray]:
         """
         Return the velocities of points of the centre line and of the sections there.
 
@@ -393,7 +402,7 @@ class Formulation(ABC):
                 omega + self.section_rotation(qdot, points))
 
 
-def clamped_ratios(model, ratios):
+def clamped_ratios(model: Formulation, ratios: ArrayLike) -> np.ndarray:
     """
     Return the ratios of the clamped modes that give the manipulator's vibrations stated ratios.
 

@@ -18,59 +18,6 @@ import numpy as np
 from timo_sim.compiled.functions import dispatch, entry_point, inlined, optional, strict
 from timo_sim.compiled.lanes import floor, some, where
 
-# Sine, cosine and hyperbolic tangent for compiled loops, of floats or of lanes.
-#
-# The library's functions need a call for each number. These are arithmetic without branches, which
-# the compiler turns into vector code. Errors of sine and cosine are below 1 unit in the last place
-# up to 1e5 rad, those of the hyperbolic tangent below 10.
-
-# pi / 2 in two parts, the first with 33 bits: its whole multiples up to 2^20 are exact.
-_HIGH, _LOW = 1.57079632673412561417, 6.07710050650619224932e-11
-
-
-@strict
-def sincos(angle):
-    """
-    Return sine and cosine of an angle [rad].
-
-    The angle is reduced to [-pi/4, pi/4]. Source of the polynomials there: fdlibm by Sun
-    Microsystems, k_sin.c and k_cos.c.
-    """
-    quarters = floor(angle * (2.0 / np.pi) + 0.5)
-    x = (angle - quarters * _HIGH) - quarters * _LOW
-    z = x * x
-    sine = x + x * z * (
-        -1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * (
-            -1.98412698298579493134e-04 + z * (2.75573137070700676789e-06 + z * (
-                -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)))))
-    cosine = 1.0 - (0.5 * z - z * z * (
-        4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * (
-            2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * (
-                2.08757232129817482790e-09 + z * -1.13596475577881948265e-11))))))
-    quadrant = quarters - 4.0 * floor(0.25 * quarters)
-    odd = (quadrant == 1.0) | (quadrant == 3.0)
-    first, second = where(odd, cosine, sine), where(odd, sine, cosine)
-    return (where(quadrant >= 2.0, -first, first),
-            where((quadrant == 1.0) | (quadrant == 2.0), -second, second))
-
-
-@strict
-def tanh(x):
-    """
-    Return the hyperbolic tangent.
-
-    It is 1 beyond 20. A Pade approximant of `x / 64` is doubled six times as a fraction, by
-    `tanh 2z = 2 p q / (q^2 + p^2)`, where `tanh z = p / q`.
-    """
-    z = where(x > 20.0, 20.0, where(x < -20.0, -20.0, x)) / 64.0
-    square = z * z
-    p = z * (135135.0 + square * (17325.0 + square * (378.0 + square))) / (
-        135135.0 + square * (62370.0 + square * (3150.0 + square * 28.0)))
-    q = 1.0
-    for _ in range(6):
-        p, q = 2.0 * p * q, q * q + p * p
-    return p / q
-
 
 @dispatch
 def rate(tables, state, load, out):
@@ -135,3 +82,57 @@ def rate_once(tables, state, load, out):
 def tip_once(tables, motion, out):
     """Call `tip` from Python."""
     tip(tables, motion, out)
+
+
+# Sine, cosine and hyperbolic tangent for compiled loops, of floats or of lanes.
+#
+# The library's functions need a call for each number. These are arithmetic without branches, which
+# the compiler turns into vector code. Errors of sine and cosine are below 1 unit in the last place
+# up to 1e5 rad, those of the hyperbolic tangent below 10.
+
+# pi / 2 in two parts, the first with 33 bits: its whole multiples up to 2^20 are exact.
+_HIGH, _LOW = 1.57079632673412561417, 6.07710050650619224932e-11
+
+
+@strict
+def sincos(angle):
+    """
+    Return sine and cosine of an angle [rad].
+
+    The angle is reduced to [-pi/4, pi/4]. Source of the polynomials there: fdlibm by Sun
+    Microsystems, k_sin.c and k_cos.c.
+    """
+    quarters = floor(angle * (2.0 / np.pi) + 0.5)
+    x = (angle - quarters * _HIGH) - quarters * _LOW
+    z = x * x
+    sine = x + x * z * (
+        -1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * (
+            -1.98412698298579493134e-04 + z * (2.75573137070700676789e-06 + z * (
+                -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)))))
+    cosine = 1.0 - (0.5 * z - z * z * (
+        4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * (
+            2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * (
+                2.08757232129817482790e-09 + z * -1.13596475577881948265e-11))))))
+    quadrant = quarters - 4.0 * floor(0.25 * quarters)
+    odd = (quadrant == 1.0) | (quadrant == 3.0)
+    first, second = where(odd, cosine, sine), where(odd, sine, cosine)
+    return (where(quadrant >= 2.0, -first, first),
+            where((quadrant == 1.0) | (quadrant == 2.0), -second, second))
+
+
+@strict
+def tanh(x):
+    """
+    Return the hyperbolic tangent.
+
+    It is 1 beyond 20. A Pade approximant of `x / 64` is doubled six times as a fraction, by
+    `tanh 2z = 2 p q / (q^2 + p^2)`, where `tanh z = p / q`.
+    """
+    z = where(x > 20.0, 20.0, where(x < -20.0, -20.0, x)) / 64.0
+    square = z * z
+    p = z * (135135.0 + square * (17325.0 + square * (378.0 + square))) / (
+        135135.0 + square * (62370.0 + square * (3150.0 + square * 28.0)))
+    q = 1.0
+    for _ in range(6):
+        p, q = 2.0 * p * q, q * q + p * p
+    return p / q

@@ -41,7 +41,7 @@ coordinates that are held or driven.
 """
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,7 +49,7 @@ from timo_sim.compiled.constants import local
 from timo_sim.compiled.functions import inlined, inner
 from timo_sim.compiled.lanes import some
 from timo_sim.model import functions
-from timo_sim.model.formulation import Formulation
+from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
     ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, rotate, SPEED, tip_force, TIP_I,
@@ -81,31 +81,31 @@ class Newton(Formulation):
     """The `newton` formulation, see the module's text."""
 
     @staticmethod
-    def node_count(count):
+    def node_count(count: int) -> int:
         """Return the number of quadrature nodes; they are many, since no step evaluates them."""
         return 4 * count + 40
 
     @staticmethod
-    def mass_count(nodes):
+    def mass_count(nodes: int) -> int:
         """Return the number of points that carry mass, that of the nodes."""
         return nodes
 
     @property
-    def first_moment(self):
+    def first_moment(self) -> float:
         """First moment of the arm's mass about its root, s_a [kg m]."""
         return self.point_mass @ self.points.xi
 
     @property
-    def modal_moments(self):
+    def modal_moments(self) -> np.ndarray:
         """Integrals a_n of mass times deflection, shape (N,)."""
         return self.points.deflection @ self.point_mass
 
     @property
-    def deflection_mass(self):
+    def deflection_mass(self) -> np.ndarray:
         """Mass matrix of the deflection alone, G_nl, shape (N, N)."""
         return (self.points.deflection * self.point_mass) @ self.points.deflection.T
 
-    def laws(self):
+    def laws(self) -> Laws:
         """Return the coefficients of the equations of motion."""
         xi, mass, count = self.points.xi, self.point_mass, len(self.modes)
         about_root = self.points.deflection @ (mass * xi)
@@ -120,7 +120,7 @@ class Newton(Formulation):
                     np.vstack([np.zeros(count), np.eye(count)]), self.arm_mass, column,
                     self.modal_moments, np.zeros(count), self.modal_moments)
 
-    def build(self):
+    def build(self) -> tuple[Any, np.ndarray]:
         """Return the tables and the linear part; set the speed limit."""
         if len(self.modes):
             # (T19): theta'^2 w acts as a negative stiffness, and the tension that would counter
@@ -157,7 +157,7 @@ class Newton(Formulation):
             self.points.deflection[:, -1], self.points.rotation[:, -1], self.gravity)
         return tables, linear
 
-    def state(self, motion):
+    def state(self, motion: np.ndarray) -> np.ndarray:
         """Return the state that belongs to a motion."""
         half = self.size // 2
         free = np.concatenate([self.axes, np.arange(2 + self.driven, half)])
@@ -194,7 +194,7 @@ class Newton(Formulation):
         mass = self.point_mass
         return np.array([inboard[-1], -mass @ inboard, (mass * self.points.xi) @ inboard])
 
-    def axial_share(self, state, load):
+    def axial_share(self, state: np.ndarray, load: np.ndarray) -> float:
         """
         Return the geometric stiffness that the equations lack, over that of the first mode (T18).
 
@@ -210,12 +210,12 @@ class Newton(Formulation):
         pull, _ = rotate(-angle, *np.ravel(tip_force(load[np.newaxis], np.array([angle]))))
         return float(self._tension @ [pull, alpha, speed**2] / self.modes.omega[0]**2)
 
-    def centre_line(self, q, points):
+    def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
         """Return the points (xi, w)."""
         deflection = q @ points.deflection
         return np.stack([np.broadcast_to(points.xi, deflection.shape), deflection], axis=-1)
 
-    def centre_line_rate(self, q, qdot, points):
+    def centre_line_rate(self, q: np.ndarray, qdot: np.ndarray, points: Points) -> np.ndarray:
         """Return the rates (0, w')."""
         rate = qdot @ points.deflection
         return np.stack([np.zeros_like(rate), rate], axis=-1)
@@ -236,7 +236,7 @@ class NewtonRootStress(Newton):
     mass.
     """
 
-    def laws(self):
+    def laws(self) -> Laws:
         """Return the coefficients of the equations of motion."""
         laws, body = super().laws(), self.manipulator
         if body.shaft_inertia == 0.0 and not self.constraints.driven:
@@ -266,7 +266,7 @@ class NewtonRigidAxial(Newton):
     includes w(chi). See doc/theory.md (T21).
     """
 
-    def laws(self):
+    def laws(self) -> Laws:
         """Return the coefficients of the equations of motion."""
         centre = np.array([self.first_moment / self.arm_mass])
         return super().laws()._replace(axial=self.arm_mass * self.modes.deflection(centre)[0])

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.compiled.cache import compiling, is_compiled, place_of
+from timo_sim.compiled.cache import compiling, is_compiled, mark_of
 from timo_sim.compiled.constants import of_any_size
 from timo_sim.model.layout import AFTER, Motion
 from timo_sim.scene.parameters import check_runtime, Parameter, steps_in
@@ -219,7 +219,7 @@ class Simulator(Readings):
         if self._finer:
             self._finer.warm_up(tell)
         constants, self._warm = self.integration.constants, True
-        done = place_of(*constants), messages
+        done = mark_of(*constants), messages
         if done in _WARM:
             return
         compiled = is_compiled(*constants)
