@@ -57,7 +57,7 @@ def test_a_rigid_arm_speeds_up_coasts_to_rest_and_stays(formulation):
     run = timo_sim.simulate(timo_sim.load_scene({
         **STUCK, 'model.formulation': formulation, 'motor.coulomb_friction': limit,
         'integrator.step': step, 'initial.shaft': 0.0, 'load.torque.piecewise.time': [0.0, jump],
-        'load.torque.piecewise.value': [torque, 0.0]}), 4.0)
+        'load.torque.piecewise.value': [torque, 0.0]}), 4.0, estimate=False)
     # Without modes newton_root_stress has no stress at the root, so the shaft turns alone.
     inertia = 2.0 if formulation == 'newton_root_stress' else INERTIA
     faster, slower = (torque - limit) / inertia, limit / inertia
@@ -312,7 +312,7 @@ def test_steps_that_cannot_hold_a_joint_give_a_warning(scene, step, warned):
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', timo_sim.ModelWarning)
         run = timo_sim.simulate(timo_sim.load_scene({**scene, 'integrator.step': step}), 5.0,
-                                round(0.05 / step))
+                                round(0.05 / step), estimate=False)
     assert ('take a smaller integrator.step' in (run.warning or '')) == warned
 
 
@@ -321,7 +321,7 @@ def test_scenes_without_friction_do_not_compute_it(monkeypatch):
     locked = timo_sim.load_scene({'motor.coulomb_friction': 1.0, 'motor.shaft': 'locked',
                                   'initial.modal_coordinates': [0.1, 0.0, 0.0]})
     for scene in (locked, timo_sim.load_scene({'initial.shaft_velocity': 1.0})):
-        assert not timo_sim.simulate(scene, 0.1).friction_heat.any()
+        assert not timo_sim.simulate(scene, 0.1, estimate=False).friction_heat.any()
     assert locked.vary({**ALL, 'carrier.held': 'y'}).friction.tolist() == [2.0, 0.0, 0.0]
     held = {**ALL, 'carrier.held': 'both', 'motor.shaft': 'free'}
     assert locked.vary(held).friction.tolist() == [0.0, 0.0, 1.0]

@@ -206,7 +206,7 @@ def test_of_two_samples_at_the_step_of_a_reset_the_second_is_from_after_it():
 
 
 def test_a_state_after_a_change_is_not_taken_for_one_before():
-    run = timo_sim.simulate({**FREE, **PICKED}, 0.6, sample_every=100)
+    run = timo_sim.simulate({**FREE, **PICKED}, 0.6, sample_every=100, estimate=False)
     assert run.scene.at(run, 0.3).initial_motion() == pytest.approx(run.motion[3])
     with pytest.raises(timo_sim.ParameterError, match='it changes at 0.3 s'):
         run.scene.at(run, 0.4)
