@@ -15,7 +15,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import timo_sim
-from timo_sim.model import FORMULATIONS
 from timo_sim.model.layout import LOADS
 from timo_sim.steps.steps import Steps
 
@@ -154,8 +153,7 @@ def test_rigid_arm_is_a_rigid_body(formulation):
 
 
 @pytest.mark.parametrize('formulation, modes', [
-    *((formulation, modes) for formulation in FORMULATIONS for modes in (0, 3)),
-    *MANY_MODES])
+    *((formulation, modes) for formulation in ALL_FORCES for modes in (0, 3)), *MANY_MODES])
 def test_state_and_motion_are_inverse(formulation, modes):
     model = timo_sim.load_scene({'model.formulation': formulation, 'model.modes': modes}).build()
     rng = np.random.default_rng(1)
@@ -240,7 +238,7 @@ def test_torque_on_a_straight_arm_gives_the_rigid_acceleration_at_once():
 
 
 @pytest.mark.parametrize('modes, step, limit', [
-    (12, 0.010, 1e-4), (12, 0.001, 1e-5), (5, 0.001, 1e-7), (3, 0.001, 1e-8)])
+    (12, 0.010, 1e-4), (12, 0.001, 1e-5), (3, 0.001, 1e-8)])
 def test_fast_spin_with_large_vibration_stays_bounded(modes, step, limit):
     """At 30 rad/s and 0.13 m at the tip; classical Runge-Kutta diverges with N = 5 at 5 ms."""
     start = vibrating('exact', **{'model.modes': modes})
@@ -280,10 +278,10 @@ def test_a_tapered_arm_conserves_energy_and_momentum():
 
 
 # `axial`: force along the arm over Euler's load of the clamped arm; `across`: force across it [N].
-@pytest.mark.parametrize('name', ['newton', 'newton_rigid_axial'])
-@pytest.mark.parametrize('axial, across, silent', [
-    (0.0, 10.0, True), (-0.02, 10.0, True), (-0.3, 10.0, False), (0.3, 10.0, False),
-    (-1.55, 0.0, False), (-0.95, 1.0, False), (0.0, 120.0, False)])
+@pytest.mark.parametrize('name, axial, across, silent', [
+    ('newton', 0.0, 10.0, True), ('newton', -0.02, 10.0, True), ('newton', -0.3, 10.0, False),
+    ('newton', 0.3, 10.0, False), ('newton', -1.55, 0.0, False), ('newton', -0.95, 1.0, False),
+    ('newton', 0.0, 120.0, False), ('newton_rigid_axial', -0.3, 10.0, False)])
 def test_newton_warns_where_axial_force_and_deflection_matter(name, axial, across, silent):
     """There is no warning where `exact` agrees to a thousandth of the arm's length, only there."""
     base = {'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,

@@ -17,7 +17,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import timo_sim
-from timo_sim.model import FORMULATIONS
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, TORQUE
 from timo_sim.simulation.simulator import DivergenceError, Simulator
 from timo_sim.steps import friction
@@ -51,7 +50,7 @@ def order(steps, errors):
     return np.polyfit(np.log(steps), np.log(errors), 1)[0]
 
 
-@pytest.mark.parametrize('formulation', FORMULATIONS)
+@pytest.mark.parametrize('formulation', ['exact', 'newton', 'newton_root_stress'])
 def test_a_rigid_arm_speeds_up_coasts_to_rest_and_stays(formulation):
     step, torque, limit, jump = 0.001, 3.0, 1.9, 1.2
     run = timo_sim.simulate(timo_sim.load_scene({
@@ -95,8 +94,7 @@ def test_a_sudden_stop_leaves_the_arm_the_right_vibration():
     assert order(steps, errors) > 2.8 and order(steps, angles) > 2.8
 
 
-@pytest.mark.parametrize('formulation', FORMULATIONS)
-@pytest.mark.parametrize('modes', [0, 3])
+@pytest.mark.parametrize('formulation, modes', [('exact', 0), ('exact', 3), ('newton', 3)])
 def test_loads_below_the_limits_of_friction_move_no_joint(formulation, modes):
     simulator = Simulator(timo_sim.load_scene({
         **ALL, 'model.modes': modes, 'model.formulation': formulation,

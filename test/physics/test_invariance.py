@@ -20,7 +20,7 @@ from timo_sim.model.exact import Exact
 from timo_sim.simulation.simulator import Simulator
 
 # Each example takes some runs of milliseconds; examples are the same each time.
-runs = settings(max_examples=25, deadline=None, derandomize=True)
+runs = settings(max_examples=12, deadline=None, derandomize=True)
 exact_and_newton = pytest.mark.parametrize('formulation', ['exact', 'newton'])
 STEP, STEPS = 0.001, 1000  # [s]
 

@@ -23,7 +23,7 @@ def run_of(spin_up, **overrides):
 
 @pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('modes, step, lowest, tolerance', [
-    (3, 0.01, -0.5738, 1e-4), (5, 0.01, -0.57380, 1e-5), (5, 0.002, -0.57380, 1e-5)])
+    (3, 0.01, -0.5738, 1e-4), (5, 0.002, -0.57380, 1e-5)])
 def test_exact_gives_the_deflection_of_the_literature(spin_up, modes, step, lowest, tolerance):
     run = run_of(spin_up, **{'model.modes': modes, 'integrator.step': step})
     across = run.deflection(LENGTH)[:, 1]

@@ -124,6 +124,7 @@ def test_dissipated_energy_is_the_energy_that_is_lost():
     ({'carrier.held': 'x', **SPINNING}, 8, 0.001, 1e-4, 1e-5),
     ({'carrier.held': 'both', **DRIVEN}, 5, 0.005, 2e-5, 5e-6),
 ], ids=['held', 'free', 'x held', 'driven'])
+@pytest.mark.usefixtures('any_size')
 @pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # axial ringing of the first step
 def test_one_axial_mode_moves_as_spectral_elements(values, modes, step, effect, limit):
     scene = scene_of(values, **{'model.modes': modes, 'integrator.step': step})

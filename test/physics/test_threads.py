@@ -21,15 +21,12 @@ from timo_sim.scene import scene as scenes
 TURNING = {'initial.shaft_velocity': 3.0, 'load.tip_force_x.harmonic.amplitude': [2.0],
            'load.tip_force_x.harmonic.frequency': [1.3]}
 SCENES = {
-    # A model of linear parts by sectors, which are made while the shaft turns.
+    # Its linear parts by sectors are made while the shaft turns.
     'one axis held': {**TURNING, 'carrier.held': 'x'},
     'dry friction': {**TURNING, 'motor.coulomb_friction': 2.0, 'carrier.coulomb_friction': 1.0},
     # Another model after 0.1 s, in the modes of the first.
     'payload': {**TURNING, 'payload.time': [0.1], 'payload.mass': [3.0], 'payload.inertia': [0.6],
                 'end_effector.pick_up': 'at_rest'},
-    'equilibrium': {'carrier.held': 'both', 'gravity': [0.0, -9.81], 'initial.equilibrium': True,
-                    'motor.shaft': 'locked', **{name: TURNING[name] for name in TURNING
-                                                if name.startswith('load')}},
 }
 
 
@@ -40,11 +37,10 @@ def fresh(name):
 
 
 def numbers(scene, begin=lambda: None):
-    """Return all that a run shows: of `simulate` with its error, of steps under commands."""
+    """Return what runs show, as bytes: of `simulate`, and of short steps under commands."""
     begin()
-    run = timo_sim.simulate(scene, 0.2)
-    simulator, found = timo_sim.Simulator(scene), [
-        run.motion, run.stats['estimated_tip_error_m']]
+    run = timo_sim.simulate(scene, 0.2, estimate=False)
+    simulator, found = timo_sim.Simulator(scene), [run.motion, run.friction_heat]
     for number in range(40):
         simulator.step(tip_force=(0.1 * number, 1.0), duration=0.005)
         found += [simulator.motion.values, simulator.tip_acceleration(), simulator.effort]
