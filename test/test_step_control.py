@@ -96,7 +96,7 @@ def test_divergence_names_place_time_and_remedy_and_keeps_the_last_good_state():
     assert str(first.value).split(';')[0] == str(second.value).split(';')[0]
     assert single.steps == block.steps > 0
     assert single.motion.values.tobytes() == block.motion.values.tobytes()
-    reach, length = block.model.reach, 2.0
+    reach, length = block.model.tip_travel, 2.0
     assert np.abs(block.motion.values[3:6]) @ reach[3:] < 10.0 * length
 
 

@@ -35,7 +35,7 @@ def plain(steps=200, step=0.01, bend=0.01, **changes):
     values = {**BODY, 'model.formulation': 'exact', 'model.modes': 3, 'integrator.step': step,
               'arm.height': 0.02, 'motor.shaft': 'free', **changes}
     scene = timo_sim.load_scene(values)
-    shape = [bend / scene.build().reach[3]] + (values['model.modes'] - 1) * [0.0]
+    shape = [bend / scene.build().tip_travel[3]] + (values['model.modes'] - 1) * [0.0]
     return scenes.Cell(0, 'test', {**values, 'initial.modal_coordinates': shape}, steps,
                        max(1, steps // 20), False)
 

@@ -143,7 +143,7 @@ class _Finer:
                    'initial.modal_coordinates': rest.tolist(),
                    'integrator.step': values['integrator.step'] / parts}
         if push and modes:
-            reach = timo_sim.load_scene({**values, **changes}).build().reach[3]
+            reach = timo_sim.load_scene({**values, **changes}).build().tip_travel[3]
             rest[0] += push * values['arm.length'] / reach
             changes['initial.modal_coordinates'] = rest.tolist()
         return _run(self._cell, changes, parts)[0]

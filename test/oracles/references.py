@@ -90,7 +90,7 @@ def simulate(formulation, modes, period=PERIOD):
     """Return a run of the paper's scene, by default sampled as the reference."""
     scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml', {
         'model.formulation': formulation, 'model.modes': modes, 'integrator.step': STEP})
-    return timo_sim.simulate(scene, DURATION, sample_every=round(period / STEP))
+    return timo_sim.simulate(scene, DURATION, sample_every=round(period / STEP), estimate=False)
 
 
 def motion_of(run):

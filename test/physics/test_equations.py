@@ -228,14 +228,16 @@ EQUATIONS = {
 }
 
 
-# `newton` and the two formulations derived from it share code, so these constraints are enough.
-FEWER = ['free', 'x held', 'carrier held', 'shaft driven, x held', 'shaft locked']
+# `newton` and the two formulations derived from it share the code of constraints.
+CASES = [*(('exact', constraints) for constraints in CONSTRAINTS),
+         *(('newton', constraints) for constraints in (
+             'free', 'x held', 'carrier held', 'shaft driven, x held', 'shaft locked')),
+         *((formulation, constraints) for formulation in (
+             'newton_rigid_axial', 'newton_root_stress') for constraints in ('free', 'x held'))]
 
 
 @pytest.mark.usefixtures('any_size')
-@pytest.mark.parametrize('formulation, constraints', [
-    (formulation, constraints) for formulation in EQUATIONS
-    for constraints in (CONSTRAINTS if formulation == 'exact' else FEWER)])
+@pytest.mark.parametrize('formulation, constraints', CASES)
 def test_formulation_agrees_with_its_equations(formulation, constraints):
     scene = scene_of(formulation, constraints)
     run = timo_sim.simulate(scene, DURATION, sample_every=40, estimate=False)

@@ -15,7 +15,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import timo_sim
-from timo_sim.model import FORMULATIONS
 from timo_sim.model.layout import LOADS
 from timo_sim.steps.steps import Steps
 
@@ -29,7 +28,7 @@ def errors(paper, reference, formulation, modes, step):
     """Return the largest errors over 10 s, every 10 ms: x_c, y_c, theta, w(l)."""
     scene = timo_sim.load_scene(paper, {
         'model.formulation': formulation, 'model.modes': modes, 'integrator.step': step})
-    run = timo_sim.simulate(scene, 10.0, sample_every=round(0.01 / step))
+    run = timo_sim.simulate(scene, 10.0, sample_every=round(0.01 / step), estimate=False)
     assert np.allclose(run.t, reference['t'], atol=1e-12)
     return (np.abs(run.carrier[:, 0] - reference['x_c_m']).max(),
             np.abs(run.carrier[:, 1] - reference['y_c_m']).max(),
@@ -55,7 +54,7 @@ def test_newton_has_its_own_error(paper, reference):
 
 def test_inner_points_against_finite_elements(paper, reference):
     scene = timo_sim.load_scene(paper, {'model.modes': 5, 'integrator.step': 0.005})
-    run = timo_sim.simulate(scene, 10.0, sample_every=2)
+    run = timo_sim.simulate(scene, 10.0, sample_every=2, estimate=False)
     for share, name in ((0.25, 'l4'), (0.5, 'l2'), (0.75, '3l4'), (1.0, 'l')):
         xi = share * ARM_LENGTH
         # Five modes are 1e-5 of the wavelength of the sixth off.
@@ -64,7 +63,7 @@ def test_inner_points_against_finite_elements(paper, reference):
 
 
 def test_peaks_of_the_paper(paper):
-    run = timo_sim.simulate(timo_sim.load_scene(paper, {'model.modes': 5}), 10.0)
+    run = timo_sim.simulate(timo_sim.load_scene(paper, {'model.modes': 5}), 10.0, estimate=False)
     across = run.deflection(ARM_LENGTH)[:, 1]
     assert np.abs(across).max() == pytest.approx(88.72e-3, abs=1e-5)
     assert run.t[np.abs(across).argmax()] == pytest.approx(1.81, abs=0.005)
@@ -97,7 +96,7 @@ def test_exact_conserves_energy_and_momentum(modes):
     scene = vibrating('exact', **{
         'model.modes': modes, 'initial.carrier_x_velocity': 0.4,
         'initial.carrier_y_velocity': -0.3, 'initial.shaft_velocity': 1.5})
-    run = timo_sim.simulate(scene, 5.0)
+    run = timo_sim.simulate(scene, 5.0, estimate=False)
     energy, momentum = run.energy(), run.momentum()
     assert np.abs(energy / energy[0] - 1).max() < 1e-8
     # P and spin are constant by construction; computing momenta from a motion adds round-off.
@@ -105,7 +104,7 @@ def test_exact_conserves_energy_and_momentum(modes):
 
 
 def test_exact_conserves_energy_and_momentum_of_a_vibrating_arm():
-    run = timo_sim.simulate(vibrating('exact'), 5.0)
+    run = timo_sim.simulate(vibrating('exact'), 5.0, estimate=False)
     energy, momentum = run.energy(), run.momentum()
     scale = 2.0 * ARM_LENGTH  # momentum of the tip mass at 1 m/s, and its moment about the root
     assert np.abs(energy / energy[0] - 1).max() < 1e-8
@@ -114,7 +113,7 @@ def test_exact_conserves_energy_and_momentum_of_a_vibrating_arm():
 
 def test_newton_conserves_linear_momentum_only():
     """Its equation (29) lacks the moment of axial inertia forces: angular momentum drifts."""
-    run = timo_sim.simulate(vibrating('newton'), 5.0)
+    run = timo_sim.simulate(vibrating('newton'), 5.0, estimate=False)
     momentum = run.momentum()
     # Kept to the error of the step, not by construction: 1e-9 at 1 ms.
     assert np.abs(momentum[:, :2] - momentum[0, :2]).max() < 5e-9
@@ -129,7 +128,7 @@ def test_rigid_arm_is_a_rigid_body(formulation):
         'initial.shaft_velocity': 2.0, 'load.force_x.harmonic.amplitude': [7.0],
         'load.force_x.harmonic.frequency': [1.0], 'load.torque.harmonic.amplitude': [3.0],
         'load.torque.harmonic.frequency': [2.0]})
-    run = timo_sim.simulate(scene, 2.0)
+    run = timo_sim.simulate(scene, 2.0, estimate=False)
     body, section = scene.manipulator, scene.manipulator.arm.section
     rho_a = section.mass_per_length
     mass = body.base_mass + rho_a * 2.0 + body.end_effector_mass
@@ -154,8 +153,7 @@ def test_rigid_arm_is_a_rigid_body(formulation):
 
 
 @pytest.mark.parametrize('formulation, modes', [
-    *((formulation, modes) for formulation in FORMULATIONS for modes in (0, 3)),
-    *MANY_MODES])
+    *((formulation, modes) for formulation in ALL_FORCES for modes in (0, 3)), *MANY_MODES])
 def test_state_and_motion_are_inverse(formulation, modes):
     model = timo_sim.load_scene({'model.formulation': formulation, 'model.modes': modes}).build()
     rng = np.random.default_rng(1)
@@ -169,7 +167,7 @@ def test_state_and_motion_are_inverse(formulation, modes):
 def test_many_modes_agree_with_finite_elements(formulation, modes, paper, reference):
     scene = timo_sim.load_scene(paper, {'model.modes': modes, 'model.formulation': formulation,
                                         'integrator.step': 0.005})
-    run = timo_sim.simulate(scene, 2.0, sample_every=2)
+    run = timo_sim.simulate(scene, 2.0, sample_every=2, estimate=False)
     limit = 2e-6 if formulation == 'exact' else 2e-4
     error = np.abs(run.deflection(ARM_LENGTH)[:, 1] - reference['w_l_m'][:201])
     assert error.max() < limit
@@ -181,7 +179,7 @@ def test_constant_force_gives_momentum_force_times_time(formulation):
         'model.formulation': formulation, 'load.force_x.piecewise.time': [0.0],
         'load.force_x.piecewise.value': [4.0], 'load.force_y.piecewise.time': [0.5],
         'load.force_y.piecewise.value': [-2.0]})
-    run = timo_sim.simulate(scene, 2.0)
+    run = timo_sim.simulate(scene, 2.0, estimate=False)
     momentum = run.momentum()
     limit = 1e-11 if formulation == 'exact' else 1e-7  # by construction, or to the step's error
     assert np.abs(momentum[:, 0] - 4.0 * run.t).max() < limit
@@ -193,7 +191,7 @@ def test_damping_takes_energy_at_the_modal_rate():
     scene = timo_sim.load_scene({
         'arm.damping_ratio': [0.02], 'carrier.mass': 1e9, 'motor.shaft_inertia': 1e9,
         'initial.modal_rates': [1e-3, 0.0, 0.0]})
-    run = timo_sim.simulate(scene, 4.0)
+    run = timo_sim.simulate(scene, 4.0, estimate=False)
     omega, zeta = scene.build().modes.omega[0], 0.02
     damped = omega * np.sqrt(1 - zeta**2)
     expected = 1e-3 * np.exp(-zeta * omega * run.t) * np.sin(damped * run.t) / damped
@@ -210,7 +208,7 @@ def test_a_rotating_arm_stiffens_under_its_centrifugal_force():
         'initial.shaft_velocity': speed, 'initial.modal_rates': [1e-4] + [0.0] * 4,
         # The light arm under tension is a string: the phase of mode 5 grows by 0.4 rad in a step.
         'integrator.step': 5e-5})
-    run = timo_sim.simulate(scene, 10.0)
+    run = timo_sim.simulate(scene, 10.0, estimate=False)
     across = run.deflection(length)[:, 1]
     crossings = run.t[1:][(across[:-1] < 0) & (across[1:] >= 0)]
     measured = 2 * np.pi * (len(crossings) - 1) / (crossings[-1] - crossings[0])
@@ -233,21 +231,21 @@ def test_torque_on_a_straight_arm_gives_the_rigid_acceleration_at_once():
     scene = timo_sim.load_scene({
         'model.modes': 12, 'integrator.step': 1e-5, 'motor.shaft_inertia': 2.0,
         'load.torque.piecewise.time': [0.0], 'load.torque.piecewise.value': [1.0]})
-    run = timo_sim.simulate(scene, 1e-3)
+    run = timo_sim.simulate(scene, 1e-3, estimate=False)
     assert run.deflection(ARM_LENGTH)[-1, 1] < 0.0
     # The effective inertia is between J_m and that of the whole (14.7 kg m2).
     assert 1e-3 / 14.7 < run.shaft_velocity[-1] < 1e-3 / 2.0
 
 
 @pytest.mark.parametrize('modes, step, limit', [
-    (12, 0.010, 1e-4), (12, 0.001, 1e-5), (5, 0.001, 1e-7), (3, 0.001, 1e-8)])
+    (12, 0.010, 1e-4), (12, 0.001, 1e-5), (3, 0.001, 1e-8)])
 def test_fast_spin_with_large_vibration_stays_bounded(modes, step, limit):
     """At 30 rad/s and 0.13 m at the tip; classical Runge-Kutta diverges with N = 5 at 5 ms."""
     start = vibrating('exact', **{'model.modes': modes})
     scene = timo_sim.load_scene(start.values, {
         'integrator.step': step, 'initial.shaft_velocity': 30.0,
         'initial.modal_rates': [5.0 * rate for rate in start.values['initial.modal_rates']]})
-    run = timo_sim.simulate(scene, 5.0)
+    run = timo_sim.simulate(scene, 5.0, estimate=False)
     energy = run.energy()
     assert np.abs(run.deflection(ARM_LENGTH)[:, 1]).max() == pytest.approx(0.13, abs=0.01)
     assert np.abs(energy / energy[0] - 1).max() < limit
@@ -257,10 +255,10 @@ def test_fast_spin_with_large_vibration_stays_bounded(modes, step, limit):
 @pytest.mark.parametrize('formulation', ALL_FORCES)
 def test_an_arm_described_in_pieces_moves_as_the_uniform_arm(formulation, paper):
     values = {'model.formulation': formulation, 'model.modes': 5, 'integrator.step': 0.005}
-    whole = timo_sim.simulate(timo_sim.load_scene(paper, values), 2.0)
+    whole = timo_sim.simulate(timo_sim.load_scene(paper, values), 2.0, estimate=False)
     split = timo_sim.simulate(timo_sim.load_scene(paper, {
         **values, 'arm.profile.position': [0.0, 0.8, 2.0],
-        'arm.profile.density': [2710.0, 2710.0, 2710.0]}), 2.0)
+        'arm.profile.density': [2710.0, 2710.0, 2710.0]}), 2.0, estimate=False)
     # `exact` has other nodes: 1e-6 of a deflection of 0.09 m.
     limit = 1e-7 if formulation == 'exact' else 1e-11
     assert np.abs(split.deflection(ARM_LENGTH) - whole.deflection(ARM_LENGTH)).max() < limit
@@ -272,7 +270,7 @@ def test_a_tapered_arm_conserves_energy_and_momentum():
     scene = vibrating('exact', **{
         'model.modes': 5, 'arm.profile.position': [0.0, 1.2, 1.2, 2.0],
         'arm.profile.height': [0.03, 0.02, 0.015, 0.01], 'initial.shaft_velocity': 1.5})
-    run = timo_sim.simulate(scene, 5.0)
+    run = timo_sim.simulate(scene, 5.0, estimate=False)
     energy, momentum = run.energy(), run.momentum()
     assert np.abs(run.deflection(ARM_LENGTH)[:, 1]).max() > 0.02
     assert np.abs(energy / energy[0] - 1).max() < 1e-7
@@ -280,10 +278,10 @@ def test_a_tapered_arm_conserves_energy_and_momentum():
 
 
 # `axial`: force along the arm over Euler's load of the clamped arm; `across`: force across it [N].
-@pytest.mark.parametrize('name', ['newton', 'newton_rigid_axial'])
-@pytest.mark.parametrize('axial, across, silent', [
-    (0.0, 10.0, True), (-0.02, 10.0, True), (-0.3, 10.0, False), (0.3, 10.0, False),
-    (-1.55, 0.0, False), (-0.95, 1.0, False), (0.0, 120.0, False)])
+@pytest.mark.parametrize('name, axial, across, silent', [
+    ('newton', 0.0, 10.0, True), ('newton', -0.02, 10.0, True), ('newton', -0.3, 10.0, False),
+    ('newton', 0.3, 10.0, False), ('newton', -1.55, 0.0, False), ('newton', -0.95, 1.0, False),
+    ('newton', 0.0, 120.0, False), ('newton_rigid_axial', -0.3, 10.0, False)])
 def test_newton_warns_where_axial_force_and_deflection_matter(name, axial, across, silent):
     """There is no warning where `exact` agrees to a thousandth of the arm's length, only there."""
     base = {'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,
@@ -297,7 +295,7 @@ def test_newton_warns_where_axial_force_and_deflection_matter(name, axial, acros
         scene = timo_sim.load_scene({**base, 'model.formulation': formulation, **forces})
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter('always')
-            runs.append(timo_sim.simulate(scene, 4.0))
+            runs.append(timo_sim.simulate(scene, 4.0, estimate=False))
         expected = silent or formulation == 'exact'
         assert len(told) == (not expected) and (expected or 'axial force' in str(told[0].message))
     newton, exact = (run.deflection(arm.length)[-1, 1] for run in runs)

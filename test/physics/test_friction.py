@@ -17,7 +17,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import timo_sim
-from timo_sim.model import FORMULATIONS
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, TORQUE
 from timo_sim.simulation.simulator import DivergenceError, Simulator
 from timo_sim.steps import friction
@@ -51,13 +50,13 @@ def order(steps, errors):
     return np.polyfit(np.log(steps), np.log(errors), 1)[0]
 
 
-@pytest.mark.parametrize('formulation', FORMULATIONS)
+@pytest.mark.parametrize('formulation', ['exact', 'newton', 'newton_root_stress'])
 def test_a_rigid_arm_speeds_up_coasts_to_rest_and_stays(formulation):
     step, torque, limit, jump = 0.001, 3.0, 1.9, 1.2
     run = timo_sim.simulate(timo_sim.load_scene({
         **STUCK, 'model.formulation': formulation, 'motor.coulomb_friction': limit,
         'integrator.step': step, 'initial.shaft': 0.0, 'load.torque.piecewise.time': [0.0, jump],
-        'load.torque.piecewise.value': [torque, 0.0]}), 4.0)
+        'load.torque.piecewise.value': [torque, 0.0]}), 4.0, estimate=False)
     # Without modes newton_root_stress has no stress at the root, so the shaft turns alone.
     inertia = 2.0 if formulation == 'newton_root_stress' else INERTIA
     faster, slower = (torque - limit) / inertia, limit / inertia
@@ -95,8 +94,7 @@ def test_a_sudden_stop_leaves_the_arm_the_right_vibration():
     assert order(steps, errors) > 2.8 and order(steps, angles) > 2.8
 
 
-@pytest.mark.parametrize('formulation', FORMULATIONS)
-@pytest.mark.parametrize('modes', [0, 3])
+@pytest.mark.parametrize('formulation, modes', [('exact', 0), ('exact', 3), ('newton', 3)])
 def test_loads_below_the_limits_of_friction_move_no_joint(formulation, modes):
     simulator = Simulator(timo_sim.load_scene({
         **ALL, 'model.modes': modes, 'model.formulation': formulation,
@@ -312,7 +310,7 @@ def test_steps_that_cannot_hold_a_joint_give_a_warning(scene, step, warned):
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', timo_sim.ModelWarning)
         run = timo_sim.simulate(timo_sim.load_scene({**scene, 'integrator.step': step}), 5.0,
-                                round(0.05 / step))
+                                round(0.05 / step), estimate=False)
     assert ('take a smaller integrator.step' in (run.warning or '')) == warned
 
 
@@ -321,7 +319,7 @@ def test_scenes_without_friction_do_not_compute_it(monkeypatch):
     locked = timo_sim.load_scene({'motor.coulomb_friction': 1.0, 'motor.shaft': 'locked',
                                   'initial.modal_coordinates': [0.1, 0.0, 0.0]})
     for scene in (locked, timo_sim.load_scene({'initial.shaft_velocity': 1.0})):
-        assert not timo_sim.simulate(scene, 0.1).friction_heat.any()
+        assert not timo_sim.simulate(scene, 0.1, estimate=False).friction_heat.any()
     assert locked.vary({**ALL, 'carrier.held': 'y'}).friction.tolist() == [2.0, 0.0, 0.0]
     held = {**ALL, 'carrier.held': 'both', 'motor.shaft': 'free'}
     assert locked.vary(held).friction.tolist() == [0.0, 0.0, 1.0]

@@ -49,16 +49,15 @@ def test_frequencies_are_those_of_the_table():
     assert ARM.cutoff / (2 * np.pi) == pytest.approx(80220.9, abs=0.05)
 
 
-@pytest.mark.parametrize('count', [1, 8, 40])
-def test_modes_are_orthonormal(count):
+def test_modes_are_orthonormal():
+    count = 40
     points, w, phi, mass, inertia = integrals(modes_of(arm(), count))
     gram = w.T @ (mass[:, np.newaxis] * w) + phi.T @ (inertia[:, np.newaxis] * phi)
     assert np.abs(gram - np.eye(count)).max() < 1e-12
 
 
-@pytest.mark.parametrize('count', [8, 40])
-def test_root_reactions_are_the_modal_inertia_forces(count):
-    modes = modes_of(arm(), count)
+def test_root_reactions_are_the_modal_inertia_forces():
+    modes = modes_of(arm(), 40)
     points, w, phi, mass, inertia = integrals(modes)
     root = np.zeros(1)
     force, moment = mass @ w, (mass * points) @ w + inertia @ phi
@@ -148,14 +147,13 @@ def test_galerkin_agrees_with_the_frequency_equation(tip):
         assert (np.abs(one - other) / np.abs(one).max(axis=0)).max() < 1e-9
 
 
-@pytest.mark.parametrize('count', [2, 4, 9, 41])
-@pytest.mark.parametrize('height', [0.002, 0.02, 0.6])
 @pytest.mark.parametrize('tip', [(0.0, 0.0), (2e-3, 1e-3), (2e3, 0.0), (0.0, 1e4), (2e3, 1e4)])
-def test_guesses_separate_all_modes(tip, height, count):
+def test_guesses_separate_all_modes(tip):
     """Tips have a thousandth to a thousand times the arm's mass; arms are slender and thick."""
-    body = arm(tip=tip, section=Section(0.02, height, 2710.0, 70.5e9, 27e9, 0.85))
-    exact = GalerkinModes(body, count).omega
-    assert np.abs(frequencies(body, count) / exact - 1.0).max() < 1e-6
+    for height, count in ((0.002, 2), (0.02, 4), (0.6, 9), (0.002, 41), (0.6, 41)):
+        body = arm(tip=tip, section=Section(0.02, height, 2710.0, 70.5e9, 27e9, 0.85))
+        exact = GalerkinModes(body, count).omega
+        assert np.abs(frequencies(body, count) / exact - 1.0).max() < 1e-6, (height, count)
 
 
 def test_cantilever_without_tip_body_is_that_of_the_textbook():
@@ -283,10 +281,10 @@ def test_an_arm_described_in_pieces_is_the_uniform_arm():
     assert np.abs(split.omega / whole.omega - 1).max() < 1e-10
 
 
-@pytest.mark.parametrize('count, static', [(1, ('torque',)), (3, ('force', 'torque')),
-                                           (12, ('force',)), (40, ('force', 'torque'))])
-@pytest.mark.parametrize('body', [arm(), arm(tip=(0.0, 0.0)), tapered(height=0.005)],
-                         ids=['heavy tip', 'no tip', 'tapered'])
+@pytest.mark.parametrize('body, count, static', [
+    (arm(), 3, ('force', 'torque')), (arm(tip=(0.0, 0.0)), 40, ('force', 'torque')),
+    (tapered(height=0.005), 1, ('torque',)), (tapered(height=0.005), 12, ('force',))],
+    ids=['heavy tip', 'no tip', 'tapered, 1', 'tapered, 12'])
 def test_static_modes_are_orthonormal_and_span_the_static_shapes(body, count, static):
     modes = modes_of(body, count, static)
     rule = Quadrature(body.arm.breaks, 200)

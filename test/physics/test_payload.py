@@ -125,6 +125,7 @@ def test_the_estimate_of_a_plastic_impact():
     assert 0.5 * error < run.stats['estimated_tip_error_m'] < 2.0 * error
 
 
+@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('values', [{}, {'carrier.held': 'x'}, {'motor.shaft': 'locked'}],
                          ids=['free', 'x held', 'locked'])
 def test_momentum_is_kept_by_an_impact(values):
@@ -206,12 +207,13 @@ def test_of_two_samples_at_the_step_of_a_reset_the_second_is_from_after_it():
 
 
 def test_a_state_after_a_change_is_not_taken_for_one_before():
-    run = timo_sim.simulate({**FREE, **PICKED}, 0.6, sample_every=100)
+    run = timo_sim.simulate({**FREE, **PICKED}, 0.6, sample_every=100, estimate=False)
     assert run.scene.at(run, 0.3).initial_motion() == pytest.approx(run.motion[3])
     with pytest.raises(timo_sim.ParameterError, match='it changes at 0.3 s'):
         run.scene.at(run, 0.4)
 
 
+@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('values', [
     {'carrier.coulomb_friction': 3.0, 'motor.coulomb_friction': 1.0},
     {'model.axial_modes': 1}, {'motor.shaft': 'locked'},

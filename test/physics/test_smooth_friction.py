@@ -166,7 +166,7 @@ def test_longer_steps_than_are_refused_are_unstable():
         model = scene.build()
         steps = Steps(model, product / rate)
         state, load = model.state(scene.initial_motion()), scene.load_at_start()
-        steps.advance(state, load, np.tile(load, (40, 4, 1)), 0, 0, *steps.samples(0, 0))
+        steps.advance(state, load, np.tile(load, (40, 4, 1)), steps.samples(0, 0))
         speed = abs(steps.motion(state, load)[-1])
         assert (speed > 1e-6) == grows
 

@@ -18,12 +18,12 @@ LENGTH = 10.0
 
 
 def run_of(spin_up, **overrides):
-    return timo_sim.simulate(timo_sim.load_scene(spin_up, overrides), 20.0)
+    return timo_sim.simulate(timo_sim.load_scene(spin_up, overrides), 20.0, estimate=False)
 
 
 @pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('modes, step, lowest, tolerance', [
-    (3, 0.01, -0.5738, 1e-4), (5, 0.01, -0.57380, 1e-5), (5, 0.002, -0.57380, 1e-5)])
+    (3, 0.01, -0.5738, 1e-4), (5, 0.002, -0.57380, 1e-5)])
 def test_exact_gives_the_deflection_of_the_literature(spin_up, modes, step, lowest, tolerance):
     run = run_of(spin_up, **{'model.modes': modes, 'integrator.step': step})
     across = run.deflection(LENGTH)[:, 1]
@@ -54,9 +54,9 @@ def test_newton_is_unstable_from_the_speed_that_its_warning_names(spin_up):
             'motor.drive.acceleration': [0.0], 'initial.modal_rates': [1e-3, 0.0, 0.0]})
         if share > 1:
             with pytest.warns(timo_sim.ModelWarning):
-                run = timo_sim.simulate(scene, 20.0)
+                run = timo_sim.simulate(scene, 20.0, estimate=False)
         else:
-            run = timo_sim.simulate(scene, 20.0)
+            run = timo_sim.simulate(scene, 20.0, estimate=False)
         peaks.append(np.abs(run.q[:, 0]).max())
     omega = timo_sim.load_scene(spin_up).build().modes.omega[0]
     # Below: an oscillation at sqrt(omega^2 - theta'^2); above: growth, exp(0.54 t).

@@ -17,6 +17,7 @@ Loading machine code means unpickling, which can run any code: nothing is read f
 file that another user owns or may write to, or that is a symbolic link.
 """
 
+from collections.abc import Iterator
 from contextlib import contextmanager, ExitStack, suppress
 import errno
 import fcntl
@@ -29,6 +30,7 @@ import pickle
 import stat
 import sys
 import tempfile
+from typing import Any
 import uuid
 import warnings
 
@@ -57,14 +59,14 @@ def _name_by_contents(kind):
     return f'{type(kind).__name__}{hashlib.sha256(contents.encode()).hexdigest()[:16]}', ()
 
 
-def correct_names():
+def correct_names() -> None:
     """Let numba name records, nested arrays and NamedTuples by their contents."""
     for kind in (types.Record, types.NestedArray, containers.NamedTuple):
         setattr(kind, 'mangling_args', property(_name_by_contents))
 
 
 @contextmanager
-def jit_enabled():
+def jit_enabled() -> Iterator[None]:
     """Let numba compile, whatever NUMBA_DISABLE_JIT says."""
     usual, config.DISABLE_JIT = config.DISABLE_JIT, 0
     try:
@@ -75,7 +77,7 @@ def jit_enabled():
 
 @functools.cache
 @jit_enabled()
-def compile_powers():
+def compile_powers() -> None:
     """Compile x**2 and x**3 without fast math; call this before other functions are compiled."""
     numba.njit(fastmath=False, error_model='numpy')(_powers).compile((types.float64,))
 
@@ -93,7 +95,7 @@ _SOURCES = [Path(__file__).parents[1] / folder for folder in ('compiled', 'model
 
 
 @functools.cache
-def store_directory():
+def store_directory() -> Path | None:
     """
     Return the folder for machine code of these sources; warn and return None if none is usable.
 
@@ -171,7 +173,7 @@ def _file(name, mode):
         yield file
 
 
-def size_mark(*constants):
+def size_mark(*constants: Any) -> str:
     """Return the name of the file that exists if code for these sizes of constants is on disk."""
     # Packed constants differ by dtype; those of any size share a type.
     layouts = tuple(_text(getattr(entry, 'dtype', type(entry))) for entry in constants)
@@ -180,30 +182,30 @@ def size_mark(*constants):
 
 def _text(layout):
     # A dtype is found by its identity, because its hash takes as long as its text.
-    kept, text = _TEXTS.get(id(layout), (None, ''))
-    if kept is not layout:
+    same, text = _TEXTS.get(id(layout), (None, ''))
+    if same is not layout:
         text = str(layout)
         _TEXTS[id(layout)] = layout, text
     return text
 
 
-def place_of(*constants):
+def mark_of(*constants: Any) -> tuple[Path | None, str]:
     """Return the folder and the name of the file of `size_mark`."""
     return store_directory(), size_mark(*constants)
 
 
-def is_compiled(*constants):
+def is_compiled(*constants: Any) -> bool:
     """Return whether machine code for constants of these sizes is on disk."""
-    place = place_of(*constants)
+    mark = mark_of(*constants)
     with suppress(OSError):
-        if place not in _FOUND:
-            with _file(place[1], 'rb'):
-                _FOUND.add(place)
-    return place in _FOUND
+        if mark not in _FOUND:
+            with _file(mark[1], 'rb'):
+                _FOUND.add(mark)
+    return mark in _FOUND
 
 
 @contextmanager
-def compiling(*constants):
+def compiling(*constants: Any) -> Iterator[None]:
     """Let one process compile for constants of these sizes, while others wait for its code."""
     if is_compiled(*constants):
         yield
@@ -228,7 +230,7 @@ def _no_garbage_collection():
 
 
 @contextmanager
-def lock(name):
+def lock(name: str) -> Iterator[None]:
     """Let one process at a time run a block, of all that share the folder of machine code."""
     with ExitStack() as stack:
         # Where no file can be made or locked, the block runs unlocked: code may be compiled twice.
@@ -250,7 +252,7 @@ class CodeStore:
 
     """
 
-    def __init__(self, function):
+    def __init__(self, function: Any) -> None:
         self._name = f'{function.__module__}.{function.__qualname__}'
         self._code = function.__code__.co_code
 
@@ -259,7 +261,7 @@ class CodeStore:
         key = repr((self._code, signature, fields, codegen.magic_tuple()))
         return f'{self._name}-{hashlib.sha256(key.encode()).hexdigest()}.code'
 
-    def load_overload(self, signature, target):
+    def load_overload(self, signature: Any, target: Any) -> Any:
         """Return the saved machine code for a signature, or None: numba then compiles."""
         target.refresh()
         try:
@@ -273,7 +275,7 @@ class CodeStore:
             return None
         return compiler.CompileResult._rebuild(target, *pickle.loads(data))
 
-    def save_overload(self, signature, result):
+    def save_overload(self, signature: Any, result: Any) -> None:
         """Save the machine code for a signature; warn if that fails."""
         data = serialize.dumps(result._reduce())
         unfinished = uuid.uuid4().hex

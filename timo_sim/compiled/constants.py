@@ -10,6 +10,7 @@
 
 import functools
 import math
+from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils, types
@@ -19,16 +20,16 @@ import numpy as np
 
 from timo_sim.compiled.lanes import LANES, SHARED, WIDTH
 
-_WHOLE = 64  # alignment of lanes in memory [B], a line of the cache
+_CACHE_LINE = 64  # alignment of lanes in memory [B]
 
 
 @functools.cache
-def _layout(fields):
+def _unique(layout):
     # One dtype object per layout, because numba keeps every one that it has seen.
-    return np.dtype(list(fields))
+    return layout
 
 
-def pack(fields):
+def pack(fields: Any) -> Any:
     """
     Return a NamedTuple of numbers and arrays as one block of memory with known shapes.
 
@@ -39,14 +40,14 @@ def pack(fields):
 
     """
     values = {name: np.asarray(value) for name, value in fields._asdict().items()}
-    packed = np.zeros((), _layout(tuple((name, value.dtype.str, value.shape)
-                                        for name, value in values.items())))
+    packed = np.zeros((), _unique(np.dtype([
+        (name, value.dtype.str, value.shape) for name, value in values.items()])))
     for name, value in values.items():
         packed[name] = value
     return packed[()]
 
 
-def pack_lanes(fields):
+def pack_lanes(fields: Any) -> np.ndarray:
     """
     Return a NamedTuple of arrays whose first axis is that of lanes as records with known shapes.
 
@@ -68,24 +69,19 @@ def pack_lanes(fields):
             values[name] = np.moveaxis(stack.reshape(count, WIDTH, *stack.shape[1:]), 1, -1)
         else:
             values[name] = stack[:count]
-    sizes = [_WHOLE * math.ceil(stack[0].nbytes / _WHOLE) for stack in values.values()]
+    sizes = [_CACHE_LINE * math.ceil(stack[0].nbytes / _CACHE_LINE) for stack in values.values()]
     layout = np.dtype({'names': list(values), 'itemsize': sum(sizes),
                        'formats': [(stack.dtype, stack.shape[1:]) for stack in values.values()],
                        'offsets': np.cumsum([0, *sizes[:-1]]).tolist()})
-    memory = np.zeros(count * layout.itemsize + _WHOLE, dtype=np.uint8)
-    begin = -memory.ctypes.data % _WHOLE
-    packed = memory[begin:begin + count * layout.itemsize].view(_kept(layout))
+    memory = np.zeros(count * layout.itemsize + _CACHE_LINE, dtype=np.uint8)
+    begin = -memory.ctypes.data % _CACHE_LINE
+    packed = memory[begin:begin + count * layout.itemsize].view(_unique(layout))
     for name, stack in values.items():
         packed[name] = stack
     return packed
 
 
-@functools.cache
-def _kept(layout):
-    return layout  # as in `_layout`
-
-
-def of_any_size(fields):
+def of_any_size(fields: Any) -> Any:
     """Return a NamedTuple of numbers and arrays for which all sizes share one machine code."""
     values = (np.array(value, order='C') for value in fields)
     return fields._make(value if value.ndim else value.item() for value in values)

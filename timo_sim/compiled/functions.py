@@ -13,7 +13,9 @@ Loops over modes and nodes are short. They are fast if the compiler knows their 
 that no two arrays overlap, see `constants`. The price is machine code for each size of a model.
 """
 
+from collections.abc import Callable
 import inspect
+from typing import Any
 
 import numba
 from numba.core import config
@@ -53,7 +55,7 @@ def _optimise_less_for_any_size(compiled):
 
 
 @jit_enabled()
-def entry_point(function):
+def entry_point(function: Callable) -> Any:
     """Compile a module-level function that Python calls; keep its machine code on disk."""
     compiled = numba.njit(**_OPTIONS)(function)
     _optimise_less_for_any_size(compiled)
@@ -65,13 +67,13 @@ def entry_point(function):
 
 
 @jit_enabled()
-def inner(function):
+def inner(function: Callable) -> Any:
     """Compile a function that only compiled functions call; it becomes part of its callers."""
     return numba.njit(**_OPTIONS, forceinline=True, no_cpython_wrapper=True)(function)
 
 
 @jit_enabled()
-def strict(function):
+def strict(function: Callable) -> Any:
     """Compile a function that only compiled functions call, without any fast math."""
     # fastmath is set to False and not left out: then it would be inherited from the first caller.
     return numba.njit(**{**_OPTIONS, 'fastmath': False}, forceinline=True,
@@ -79,13 +81,13 @@ def strict(function):
 
 
 @jit_enabled()
-def inlined(function):
+def inlined(function: Callable) -> Any:
     """Compile a function that numba inlines into its callers, before LLVM sees them."""
     # `inner` would be slower: LLVM finds out too late that the arrays do not overlap.
     return numba.njit(**_OPTIONS, inline='always')(function)
 
 
-def dispatch(declaration, otherwise=None):
+def dispatch(declaration: Any, otherwise: Callable | None = None) -> Any:
     """
     Declare a function whose body is chosen, at compile time, by the fields of its first argument.
 
@@ -112,6 +114,6 @@ def dispatch(declaration, otherwise=None):
     return declaration
 
 
-def optional(declaration):
+def optional(declaration: Callable) -> Any:
     """Declare a function as `dispatch` does, with its own body where none is registered."""
     return dispatch(declaration, declaration)

@@ -22,6 +22,7 @@ compiler to see such an array, or a record of them, as one of lanes.
 
 import math
 import operator
+from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils, types
@@ -34,7 +35,8 @@ import numpy as np
 WIDTH = 8
 VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 _FUSED = f'llvm.fmuladd.v{WIDTH}f64'
-# The sign of zero may change. numba would give flags that reorder and fuse to what has none.
+# The sign of zero may change. Operations without flags would get numba's fast-math flags, which
+# allow reordering.
 _FLAGS = ('nsz',)
 
 
@@ -295,7 +297,7 @@ def _any_of(context, condition):
     return types.boolean(condition), generate
 
 
-def floor(value):
+def floor(value: Any) -> float:
     """Return the largest whole number up to a value, as a float."""
     return float(math.floor(value))
 
@@ -307,7 +309,7 @@ def _floor(value):
     return lambda value: np.floor(value)
 
 
-def magnitude(value):
+def magnitude(value: Any) -> Any:
     """Return the absolute value."""
     return abs(value)
 
@@ -319,7 +321,7 @@ def _magnitude(value):
     return lambda value: abs(value)
 
 
-def where(condition, yes, no):
+def where(condition: Any, yes: Any, no: Any) -> Any:
     """Return `yes` where a condition holds, else `no`; both have been computed."""
     return yes if condition else no
 
@@ -331,7 +333,7 @@ def _where(condition, yes, no):
     return lambda condition, yes, no: yes if condition else no
 
 
-def some(condition):
+def some(condition: Any) -> Any:
     """Return whether a condition holds, in any lane."""
     return condition
 
@@ -343,7 +345,7 @@ def _some(condition):
     return lambda condition: condition
 
 
-def is_lanes(vector):
+def is_lanes(vector: Any) -> bool:
     """Return whether the numbers of an array are lanes; known to the compiler."""
     return False
 

@@ -15,6 +15,7 @@ are tied to its constants, see `functions`.
 """
 
 from importlib import import_module
+from typing import Any
 
 # Module and class of each formulation by name. Modules are imported on demand, so that listing
 # the names is cheap.
@@ -26,7 +27,7 @@ FORMULATIONS = {
 }
 
 
-def formulation_class(name):
-    """Return the class of a formulation, a subclass of `base.Formulation`."""
+def formulation_class(name: str) -> Any:
+    """Return the class of a formulation, a subclass of `formulation.Formulation`."""
     module, _, attribute = FORMULATIONS[name].partition(':')
     return getattr(import_module(module), attribute)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)
@@ -47,42 +48,42 @@ class Section:
     shear_correction: float
 
     @property
-    def area(self):
+    def area(self) -> float:
         """Section area A [m2]."""
         return self.width * self.height
 
     @property
-    def second_moment(self):
+    def second_moment(self) -> float:
         """Second moment of the section about its neutral axis, I [m4]."""
         return self.width * self.height**3 / 12.0
 
     @property
-    def mass_per_length(self):
+    def mass_per_length(self) -> float:
         """Mass per length rho A [kg/m]."""
         return self.density * self.area
 
     @property
-    def inertia_per_length(self):
+    def inertia_per_length(self) -> float:
         """Rotary inertia per length rho I [kg m]."""
         return self.density * self.second_moment
 
     @property
-    def bending_stiffness(self):
+    def bending_stiffness(self) -> float:
         """Bending stiffness E I [N m2]."""
         return self.young_modulus * self.second_moment
 
     @property
-    def axial_stiffness(self):
+    def axial_stiffness(self) -> float:
         """Axial stiffness E A [N]."""
         return self.young_modulus * self.area
 
     @property
-    def shear_stiffness(self):
+    def shear_stiffness(self) -> float:
         """Shear stiffness kappa G A [N]."""
         return self.shear_correction * self.shear_modulus * self.area
 
     @property
-    def cutoff(self):
+    def cutoff(self) -> float:
         """Cut-off frequency omega_0, above which the second spectrum begins [rad/s]."""
         return math.sqrt(self.shear_stiffness / self.inertia_per_length)
 
@@ -109,18 +110,18 @@ class Beam:
     positions: tuple = ()
 
     @property
-    def uniform(self):
+    def uniform(self) -> bool:
         """Whether the section is the same all along the arm."""
         return not self.positions
 
     @property
-    def breaks(self):
+    def breaks(self) -> np.ndarray:
         """Ends of the spans on which the section is smooth, from 0 to the length [m]."""
         if self.uniform:
             return np.array([0.0, self.length])
         return np.unique([0.0, *self.positions, self.length])
 
-    def at(self, xi):
+    def at(self, xi: np.ndarray) -> Section:
         """Return the sections at distances xi from the root, not at jumps, shape (p,) [m]."""
         if self.uniform:
             return self.section
@@ -168,11 +169,11 @@ class Manipulator:
     coulomb: tuple = ((0.0, 1.0), (0.0, 1.0))
 
     @property
-    def base_mass(self):
+    def base_mass(self) -> float:
         """Mass at the root of the arm, m_c + m_m [kg]."""
         return self.carrier_mass + self.motor_mass
 
-    def inertia(self, quadrature):
+    def inertia(self, quadrature: 'Quadrature') -> tuple[np.ndarray, np.ndarray]:
         """
         Return M(xi) and J(xi) of the paper's Remark 1, times the weights of an integral.
 
@@ -214,7 +215,7 @@ class Constraints:
     locked: float | None = None
 
     @property
-    def free_axes(self):
+    def free_axes(self) -> list[int]:
         """Axes along which the carrier moves, of 0 (x) and 1 (y)."""
         return [axis for axis in range(2) if self.carrier[axis] is None]
 
@@ -222,7 +223,7 @@ class Constraints:
 _FEWEST = 4  # least number of nodes in a span
 
 
-def legendre_values(x, count):
+def legendre_values(x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """
     Evaluate Legendre polynomials and their integrals from -1.
 
@@ -311,11 +312,11 @@ class Quadrature:
 
     """
 
-    def __init__(self, breaks, count, extra=0):
+    def __init__(self, breaks: ArrayLike, count: int, extra: int = 0) -> None:
         self._spans, self.nodes, self.weights, self.points = _spanned(
             tuple(np.asarray(breaks, dtype=float).tolist()), count, extra)
 
-    def integrate_to(self, xi):
+    def integrate_to(self, xi: ArrayLike) -> np.ndarray:
         """
         Return the matrix from nodal values to their integrals from 0 to the given points.
 
@@ -332,7 +333,7 @@ class Quadrature:
         """
         return _integrals(self._spans, tuple(np.asarray(xi, dtype=float).tolist()))
 
-    def interpolate_to(self, xi):
+    def interpolate_to(self, xi: ArrayLike) -> np.ndarray:
         """Return the matrix from nodal values to values at the given points, shape (p, n)."""
         xi = np.asarray(xi, dtype=float)
         rows, past = [], np.zeros(len(xi), dtype=bool)

@@ -47,35 +47,35 @@ share `M_i0 q_0'` (T31); its acceleration is needed only where the state has rat
 """
 
 from copy import copy
-from functools import cached_property
 import math
+from typing import Any
 
 import numpy as np
 
 from timo_sim.compiled.constants import of_any_size
-from timo_sim.model import exact_code  # noqa: F401: ties them to the tables
 from timo_sim.model.exact_code import BAND, BANDS, RateTables, SECTORS, Tables, TurningTables
-from timo_sim.model.formulation import Formulation
+from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.layout import ANGLE, LOADS, SPEED, tip_force, TIP_TORQUE
 
 
 class Exact(Formulation):
     """The `exact` formulation, see the module's text."""
 
-    def build(self):
+    def build(self) -> tuple[Any, np.ndarray]:
         """Return the tables and the linear part, that of the straight arm."""
         modes, nodes = self.modes, self.quadrature.nodes
+        # D integrates slopes at the nodes to the points of mass; d / m_t, and K (T26) or, along an
+        # axis on which the carrier is held, the kernel about the root (T30).
         to_points = self.points.integral.T
-        lever = to_points.T @ self.point_mass / self.mass
+        to_centre = to_points.T @ self.point_mass / self.mass
         about_root = to_points.T @ (self.point_mass[:, np.newaxis] * to_points)
-        about_centre = about_root - self.mass * np.outer(lever, lever)
+        about_centre = about_root - self.mass * np.outer(to_centre, to_centre)
         kernel = np.stack([about_centre if axis in self.axes else about_root for axis in range(2)])
 
+        # Fields of the coordinates q_i, i = 0 is the shaft (T22), and Xi_ij (T26).
         rotation = np.column_stack([np.ones_like(nodes), modes.rotation(nodes)])
         shear = np.column_stack([np.zeros_like(nodes), modes.shear(nodes)])
-        self._stretch = np.zeros_like(shear.T)
-        if self.axial:
-            self._stretch[1:] = modes.stretch(nodes).T
+        self._stretch = np.column_stack([np.zeros_like(nodes), modes.stretch(nodes)]).T
         at_points = np.column_stack([np.ones_like(self.points.xi), self.points.rotation.T])
         rotary = at_points.T @ (self.point_inertia[:, np.newaxis] * at_points)
         rotary[0, 0] += self.manipulator.shaft_inertia
@@ -83,64 +83,26 @@ class Exact(Formulation):
 
         one_axis = len(self.axes) == 1
         # Number of last coordinates whose rates, not momenta, are in the state.
-        self._rates = self.axial or one_axis * (len(rotary) - self.first)
+        self._rate_count = self.axial or one_axis * (len(rotary) - self.driven)
         locked = self.constraints.locked
-        self.sectors = SECTORS if one_axis and self._rates and locked is None else 0
+        self.sectors = SECTORS if one_axis and self._rate_count and locked is None else 0
         self._kernel, self._slope = kernel, rotation + shear
-        tables = Tables(self.mass, kernel if one_axis else kernel[:1], lever, rotation.T, shear.T,
-                        rotary, np.empty(0), damping, self.manipulator.carrier_friction,
-                        np.array(self.manipulator.coulomb), self.axes, self.anchor,
-                        self.points.integral[:, -1], at_points[-1], self.mass * self.gravity)
+        tables = Tables(
+            self.mass, kernel if one_axis else kernel[:1], to_centre, rotation.T, shear.T, rotary,
+            np.empty(0), damping, self.manipulator.carrier_friction,
+            np.array(self.manipulator.coulomb), self.axes, self.held_position,
+            self.points.integral[:, -1], at_points[-1], self.mass * self.gravity)
         tables, linear = self._with_linear_part(tables, locked if one_axis else None)
         if self.sectors and self.axial:
             self._band = BAND * modes.omega[0]
-            inertia = 1.0 if self.first else tables.rotary[0, 0] + kernel.mean(axis=0).sum()
+            inertia = 1.0 if self.driven else tables.rotary[0, 0] + kernel.mean(axis=0).sum()
             return TurningTables._make([*tables, 1.0 / (self._band * inertia),
                                         np.zeros_like(linear)]), linear
         return tables, linear
 
-    def sector(self, state, load):
-        """Return the number of the sector of the shaft angle and of the band of its speed."""
-        axes, band = len(self.axes), 0
-        angle = load[ANGLE] if self.first else state[axes]
-        speed = load[SPEED] if self.first else state[len(state) // 2 + axes]
-        if not (math.isfinite(angle) and math.isfinite(speed)):
-            return 0  # of a run that diverges any will do
-        if self.axial:
-            band = min(max(math.floor(speed * self.tables.pace), -BANDS), BANDS - 1) + BANDS
-        return math.floor(angle * (SECTORS / math.pi)) % SECTORS + SECTORS * band
-
-    def in_sector(self, number):
-        """Return tables and linear part of the straight arm in the middle of a sector, a band."""
-        band, sector = divmod(number, SECTORS)
-        angle = (sector + 0.5) * np.pi / SECTORS
-        tables, linear = self._with_linear_part(Tables._make(self.tables[:len(Tables._fields)]),
-                                                angle)
-        if self.axial:
-            turning = self._about_turning(angle, (band - BANDS + 0.5) * self._band) - linear
-            turning[:, len(self.axes)] *= self.first  # the angle itself is not bounded
-            linear += turning
-            tables = TurningTables._make([*tables, self.tables.pace, turning])
-        return tables._replace(sector=number), linear
-
-    def _about_turning(self, angle, speed):
-        # The rate's derivatives by the state of a straight arm that turns. Without friction that
-        # builds up it is quadratic in speeds and momenta; other differences are good to 1e-8.
-        model = copy(self)
-        model._of_any_size = of_any_size(self.tables._replace(coulomb=np.zeros((2, 2))))
-        motion, load = np.zeros(self.size), np.zeros(LOADS)
-        motion[2] = load[ANGLE] = angle
-        motion[self.size // 2 + 2] = load[SPEED] = speed
-        state, shift = self.state(motion), np.ones(len(self.linear))
-        half = len(state) // 2
-        shift[len(self.axes):half] = 1e-4 / np.append(1.0, self.section_turn)[self.first:]
-        return np.column_stack([
-            (model.rate(state + change, load) - model.rate(state - change, load)) / (2.0 * size)
-            for change, size in zip(np.diag(shift), shift)])
-
     def _with_linear_part(self, tables, angle):
-        # For the straight arm C is E along the arm and Phi + Gamma across it. Without an angle the
-        # mean of the kernels is used for both directions.
+        # Returns the tables and the linear part of the straight arm, whose C is E along the arm
+        # and Phi + Gamma across it. Without an angle both axes have the mean of the kernels.
         slope, stretch, kernel = self._slope.T, self._stretch, self._kernel
         if angle is None:
             mean = kernel.mean(axis=0)
@@ -149,42 +111,37 @@ class Exact(Formulation):
             cosine, sine = np.cos(angle), np.sin(angle)
             x, y = cosine * stretch - sine * slope, sine * stretch + cosine * slope
             matrix = tables.rotary + x @ kernel[0] @ x.T + y @ kernel[1] @ y.T
-        matrix = matrix[self.first:, self.first:]
+        matrix = matrix[self.driven:, self.driven:]
         inverse = straight = np.linalg.inv(matrix)
         stiffness, damping = np.append(0.0, self.modes.omega**2), tables.damping
-        if self._rates:
-            # The state has the rates of the last coordinates, and momenta of those before.
-            last = slice(len(matrix) - self._rates, None)
-            others = slice(len(matrix) - self._rates)
+        if self._rate_count:
+            # The state has the rates of the last coordinates, and momenta of those before: q' is
+            # these rates, and M^-1 (p - M q') for the others (T35).
+            last = slice(len(matrix) - self._rate_count, None)
+            others = slice(len(matrix) - self._rate_count)
             straight = np.eye(len(matrix))
             straight[others, others] = np.linalg.inv(matrix[others, others])
             straight[others, last] = -straight[others, others] @ matrix[others, last]
 
+        # L by blocks: X' = P / m_t, q' = M^-1 p, p' = -omega^2 q - 2 zeta omega q' (T27), (T28).
         axes, half = len(self.axes), len(self.axes) + len(straight)
         linear = np.zeros((2 * half, 2 * half))
         linear[:axes, half:half + axes] = np.eye(axes) / self.mass
         linear[axes:half, half + axes:] = straight
-        linear[half + axes:, axes:half] = -np.diag(stiffness[self.first:])
-        linear[half + axes:, half + axes:] = -damping[self.first:, np.newaxis] * straight
+        linear[half + axes:, axes:half] = -np.diag(stiffness[self.driven:])
+        linear[half + axes:, half + axes:] = -damping[self.driven:, np.newaxis] * straight
         tables = tables._replace(straight=straight)
-        if self._rates:
-            last = slice(-self._rates, None)
+        if self._rate_count:
+            # q'' of the last coordinates, by their own q and q' (T35).
+            last = slice(-self._rate_count, None)
             rate = -inverse[last, last] * [[stiffness[last]], [damping[last]]]
             linear[last] = 0.0
-            linear[last, half - self._rates:half], linear[last, last] = rate
+            linear[last, half - self._rate_count:half], linear[last, last] = rate
             tables = RateTables._make([*tables, stretch[len(stretch) - self.axial:], stiffness,
                                        rate.transpose(1, 0, 2), -1])
         return tables, linear
 
-    @cached_property
-    def reach(self):
-        """Travel of the tip as in other formulations; an axial mode moves it along the arm."""
-        reach, tip = super().reach, [self.manipulator.arm.length]
-        if self.axial:
-            reach[3:] += np.abs(self.modes.displacement(tip))[0]
-        return reach
-
-    def state(self, motion):
+    def state(self, motion: np.ndarray) -> np.ndarray:
         """Return the state that belongs to a motion."""
         half, table = self.size // 2, self.tables
         coordinates, speed = motion[2:half], motion[half + 2:]
@@ -192,19 +149,19 @@ class Exact(Formulation):
         slope = np.stack([-b * table.rotation - sine * table.shear + cosine * self._stretch,
                           a * table.rotation + cosine * table.shear + sine * self._stretch])
         matrix = table.rotary + np.sum(slope @ table.kernel @ slope.transpose(0, 2, 1), axis=0)
-        centre = motion[:2] + np.array([a, b]) @ table.lever
-        momentum = table.mass * (motion[half:half + 2] + speed @ slope @ table.lever)
+        centre = motion[:2] + np.array([a, b]) @ table.to_centre
+        momentum = table.mass * (motion[half:half + 2] + speed @ slope @ table.to_centre)
         momenta = matrix @ speed
-        momenta[len(momenta) - self._rates:] = speed[len(speed) - self._rates:]
-        return np.concatenate([centre[self.axes], coordinates[self.first:],
-                               momentum[self.axes], momenta[self.first:]])
+        momenta[len(momenta) - self._rate_count:] = speed[len(speed) - self._rate_count:]
+        return np.concatenate([centre[self.axes], coordinates[self.driven:],
+                               momentum[self.axes], momenta[self.driven:]])
 
-    def centre_line(self, q, points):
+    def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
         """Return the integral of the slopes from the root."""
         a, b = self._slopes(self._relative(q))[2:]
         return np.stack([a @ points.integral, b @ points.integral], axis=-1)
 
-    def centre_line_rate(self, q, qdot, points):
+    def centre_line_rate(self, q: np.ndarray, qdot: np.ndarray, points: Points) -> np.ndarray:
         """Return the integral of the slopes' rates."""
         cosine, sine, a, b = self._slopes(self._relative(q))
         turning, shearing, stretching = (self._relative(qdot) @ field for field in (
@@ -235,7 +192,7 @@ class Exact(Formulation):
         force = tip_force(loads, motions[:, 2])
         pull_x[:, -1] -= force[0]
         pull_y[:, -1] -= force[1]
-        return np.column_stack([
+        return np.column_stack([  # rates of momentum in x and y, of spin about the root
             body.base_mass * accelerations[:, 0] + pull_x.sum(axis=1),
             body.base_mass * accelerations[:, 1] + pull_y.sum(axis=1),
             body.shaft_inertia * accelerations[:, 2] + section @ self.point_inertia
@@ -252,3 +209,46 @@ class Exact(Formulation):
         cosine, sine, stretch = np.cos(phi), np.sin(phi), coordinates @ self._stretch
         return (cosine, sine, cosine - gamma * sine + stretch * cosine,
                 sine + gamma * cosine + stretch * sine)
+
+    def sector(self, state: np.ndarray, load: np.ndarray) -> int | None:
+        """Return the number of the sector of the shaft angle and of the band of its speed."""
+        if not self.sectors:
+            return None
+        axes, band = len(self.axes), 0
+        angle = load[ANGLE] if self.driven else state[axes]
+        speed = load[SPEED] if self.driven else state[len(state) // 2 + axes]
+        if not (math.isfinite(angle) and math.isfinite(speed)):
+            return 0  # of a run that diverges any will do
+        if self.axial:
+            band = math.floor(speed * self.tables.bands_per_speed)
+            band = min(max(band, -BANDS), BANDS - 1) + BANDS
+        return math.floor(angle * (SECTORS / math.pi)) % SECTORS + SECTORS * band
+
+    def in_sector(self, number: int) -> tuple[Any, np.ndarray]:
+        """Return tables and linear part of the straight arm in the middle of a sector, a band."""
+        band, sector = divmod(number, SECTORS)
+        angle = (sector + 0.5) * np.pi / SECTORS
+        tables, linear = self._with_linear_part(Tables._make(self.tables[:len(Tables._fields)]),
+                                                angle)
+        if self.axial:
+            turning = self._about_turning(angle, (band - BANDS + 0.5) * self._band) - linear
+            turning[:, len(self.axes)] *= self.driven  # the angle itself is not bounded
+            linear += turning
+            tables = TurningTables._make([*tables, self.tables.bands_per_speed, turning])
+        return tables._replace(sector=number), linear
+
+    def _about_turning(self, angle, speed):
+        # The rate's derivatives by the state of a straight arm that turns. Without friction that
+        # builds up it is quadratic in speeds and momenta; other differences are good to 1e-8.
+        model = copy(self)
+        model._of_any_size = of_any_size(self.tables._replace(coulomb=np.zeros((2, 2))))
+        motion, load = np.zeros(self.size), np.zeros(LOADS)
+        motion[2] = load[ANGLE] = angle
+        motion[self.size // 2 + 2] = load[SPEED] = speed
+        state, shift = self.state(motion), np.ones(len(self.linear))
+        half = len(state) // 2
+        shift[len(self.axes):half] = (
+            1e-4 / np.append(1.0, self.section_turn_bound)[self.driven:])
+        return np.column_stack([
+            (model.rate(state + change, load) - model.rate(state - change, load)) / (2.0 * size)
+            for change, size in zip(np.diag(shift), shift)])

@@ -9,211 +9,20 @@
 """Base class of all formulations of the equations of motion: their interface, shared methods."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 import copy
 from functools import cached_property
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from timo_sim.compiled.constants import of_any_size, pack
-from timo_sim.model.bodies import Constraints, Quadrature
+from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import rate_once, tip_once
 from timo_sim.model.layout import rotate
-from timo_sim.model.modes import AxialModes, modes_of
-
-
-class Observables(ABC):
-    """What every formulation tells of its motions; `base.Formulation` sets the attributes."""
-
-    manipulator: Any
-    modes: Any
-    points: Any
-    point_mass: np.ndarray
-    point_inertia: np.ndarray
-    damping: np.ndarray
-    gravity: np.ndarray
-    constrained: np.ndarray
-    size: int
-
-    @abstractmethod
-    def centre_line(self, q, points):
-        """
-        Return the positions of points of the centre line in the arm frame.
-
-        Parameters
-        ----------
-        q : ndarray, shape (n, N)
-        points : Points
-            See `at`.
-
-        Returns
-        -------
-        ndarray, shape (n, p, 2)
-            Along axes I and II, from the root [m].
-
-        """
-
-    @abstractmethod
-    def centre_line_rate(self, q, qdot, points):
-        """Return the rate of `centre_line`, components in the arm frame, shape (n, p, 2) [m/s]."""
-
-    def section_rotation(self, q, points):
-        """Return section rotations from the shaft, shape (n, p) [rad]. Source: paper eq. (36)."""
-        return q @ points.rotation
-
-    def world(self, motions, points):
-        """Return the world positions of points of the centre line, shape (n, p, 2) [m]."""
-        along, across = np.moveaxis(self.centre_line(self._split(motions)[0], points), -1, 0)
-        turned = np.stack(rotate(motions[..., 2, np.newaxis], along, across), axis=-1)
-        return motions[..., np.newaxis, 0:2] + turned
-
-    def energy(self, motions):
-        """
-        Return kinetic plus strain energy, and the potential of gravity, which is 0 at the origin.
-
-        Parameters
-        ----------
-        motions : ndarray, shape (n, 2 (3 + N))
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            [J]
-
-        """
-        q, qdot = self._split(motions)
-        velocity, turning = self.velocities(motions, self.points)
-        base = motions[:, self.size // 2:][:, :3]
-        body = self.manipulator
-        kinetic = (body.base_mass * np.sum(base[:, :2]**2, axis=1)
-                   + body.shaft_inertia * base[:, 2]**2
-                   + np.sum(velocity**2, axis=2) @ self.point_mass
-                   + turning**2 @ self.point_inertia)
-        energy = 0.5 * (kinetic + q**2 @ self.modes.omega**2)
-        if self.gravity.any():
-            energy -= (body.base_mass * motions[:, :2] + np.einsum(
-                'p,npi->ni', self.point_mass, self.world(motions, self.points))) @ self.gravity
-        return energy
-
-    def friction(self, motions):
-        """
-        Return the friction of the equations against carrier [N] and shaft [N m], shape (n, 3).
-
-        It is the viscous one and the Coulomb friction that builds up over a speed; coordinates
-        that are held, locked or driven have none.
-        """
-        speeds, body = motions[:, self.size // 2:][:, :3], self.manipulator
-        viscous = np.array([body.carrier_friction, body.carrier_friction, body.shaft_friction])
-        limit, slow = np.array(body.coulomb)[[0, 0, 1]].T
-        return np.where(self.constrained, 0.0,
-                        viscous * speeds + limit * np.tanh(speeds / slow))
-
-    def dissipation(self, motions):
-        """Return the power that this friction and modal damping take, shape (n,) [W]."""
-        rates = motions[:, self.size // 2:]
-        return (np.sum(self.friction(motions) * rates[:, :3], axis=1)
-                + rates[:, 3:]**2 @ (2.0 * self.damping * self.modes.omega))
-
-    def mass_matrix(self, motion):
-        """
-        Return the mass matrix of all coordinates at a motion, and the tip's velocities.
-
-        Returns
-        -------
-        matrix, tip : ndarray, shapes (3 + N, 3 + N), (3, 3 + N)
-            Of 3 + N rates; the tip's velocity in world axes and angular velocity per rate.
-
-        """
-        half, body = self.size // 2, self.manipulator
-        motions = np.tile(motion, (half, 1))
-        motions[:, half:] = np.eye(half)
-        velocity, turning = self.velocities(motions, self.points)
-        matrix = (np.einsum('kpi,p,lpi->kl', velocity, self.point_mass, velocity)
-                  + (turning * self.point_inertia) @ turning.T)
-        matrix[range(3), range(3)] += [body.base_mass, body.base_mass, body.shaft_inertia]
-        return matrix, np.vstack([velocity[:, -1].T, turning[:, -1]])
-
-    def momentum(self, motions):
-        """
-        Return linear momentum in world axes and angular momentum about the world's origin.
-
-        Parameters
-        ----------
-        motions : ndarray, shape (n, 2 (3 + N))
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            [kg m/s], [kg m/s], [kg m2/s]
-
-        """
-        velocity, turning = self.velocities(motions, self.points)
-        base = motions[:, self.size // 2:][:, :3]
-        body = self.manipulator
-        position = self.world(motions, self.points)
-        linear = body.base_mass * base[:, :2] + np.einsum('p,npi->ni', self.point_mass, velocity)
-        angular = (
-            body.base_mass * (motions[:, 0] * base[:, 1] - motions[:, 1] * base[:, 0])
-            + body.shaft_inertia * base[:, 2]
-            + (position[..., 0] * velocity[..., 1] - position[..., 1] * velocity[..., 0])
-            @ self.point_mass
-            + turning @ self.point_inertia)
-        return np.column_stack([linear, angular])
-
-    def _split(self, motions):
-        half = self.size // 2
-        return motions[..., 3:half], motions[..., half + 3:]
-
-    def velocities(self, motions, points):
-        """
-        Return the velocities of points of the centre line and of the sections there.
-
-        Velocity in world axes, shape (n, p, 2) [m/s], and angular velocity of the sections,
-        shape (n, p) [rad/s].
-
-        """
-        half = self.size // 2
-        q, qdot = self._split(motions)
-        omega = motions[..., half + 2, np.newaxis]
-        along, across = np.moveaxis(self.centre_line(q, points), -1, 0)
-        rate_1, rate_2 = np.moveaxis(self.centre_line_rate(q, qdot, points), -1, 0)
-        first, second = rate_1 - omega * across, rate_2 + omega * along
-        turned = np.stack(rotate(motions[..., 2, np.newaxis], first, second), axis=-1)
-        return (motions[..., np.newaxis, half:half + 2] + turned,
-                omega + self.section_rotation(qdot, points))
-
-
-def clamped_ratios(model, ratios):
-    """
-    Return the ratios of the clamped modes that give the manipulator's vibrations stated ratios.
-
-    Let x_n be the modal coordinates of the manipulator's k-th undamped vibration, of unit modal
-    mass and frequency Omega_k. Damping of the n-th clamped mode adds `2 zeta_n omega_n x_n^2` to
-    `2 zeta_k Omega_k`. This gives as many equations as modes, right to first order in the ratios.
-
-    Parameters
-    ----------
-    model : Formulation
-        Its own damping is not used.
-    ratios : float or ndarray, shape (N,)
-        Stated ratios of the manipulator's vibrations, by ascending frequency.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        An entry is negative if no positive damping of the clamped modes gives these ratios.
-
-    """
-    half, omega = len(model.linear) // 2, model.modes.omega
-    squares, shapes = np.linalg.eig(-model.linear[:half, half:] @ model.linear[half:, :half])
-    vibrating = np.argsort(squares.real)[half - len(omega):]
-    frequency = np.sqrt(squares.real[vibrating])
-    energy = omega[:, np.newaxis]**2 * shapes.real[half - len(omega):, vibrating]**2
-    share = energy / energy.sum(axis=0)  # of the clamped modes in the strain energy, (N, N)
-    # With x_n^2 = share frequency^2 / omega_n^2.
-    matrix = (share / omega[:, np.newaxis]).T * frequency[:, np.newaxis]
-    return np.linalg.solve(matrix, np.broadcast_to(ratios, omega.shape))
+from timo_sim.model.modes import AxialModes, Modes, modes_of
 
 
 class Points(NamedTuple):
@@ -225,7 +34,7 @@ class Points(NamedTuple):
     rotation: np.ndarray    # Phi_n, (N, p)
 
 
-class Formulation(Observables):
+class Formulation(ABC):
     """
     Equations of motion of a manipulator in N assumed modes.
 
@@ -268,24 +77,27 @@ class Formulation(Observables):
 
     sectors, speed_limit = 0, math.inf
 
-    def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
-                 static=(), axial=0, gravity=(0.0, 0.0), basis=None):
+    def __init__(self, manipulator: Manipulator, count: int, damping: ArrayLike = 0.0,
+                 constraints: Constraints = Constraints(), nodes: int | None = None,
+                 static: tuple[str, ...] = (), axial: int = 0,
+                 gravity: Sequence[float] = (0.0, 0.0), basis: Manipulator | None = None) -> None:
         self.manipulator, self.constraints = manipulator, constraints
         self.gravity = np.array(gravity, dtype=float)
         basis = basis or manipulator
-        self.modes, self.axial = modes_of(basis, count, static), axial
+        self.modes: Modes = modes_of(basis, count, static)
+        self.axial = axial
         # Modal masses are 1 with the end effector that the modes were made for.
         self.own_modes = basis == manipulator
         if axial:
             self.modes = AxialModes(self.modes, basis, axial, constraints)
         self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (len(self.modes),))
         self.size = 2 * (3 + len(self.modes))
-        # The first of the coordinates theta, q_1..q_N that is free, and the free axes.
-        self.first = int(constraints.driven)
+        # 1 if the shaft is driven or locked, which makes q_1 the first free coordinate, else 0.
+        self.driven = int(constraints.driven)
         self.axes = np.array(constraints.free_axes, dtype=np.int64)
         # Whether carrier x, carrier y and shaft are held, locked or driven.
         self.constrained = np.array([*(k not in self.axes for k in (0, 1)), constraints.driven])
-        self.anchor = np.array([position or 0.0 for position in constraints.carrier])
+        self.held_position = np.array([position or 0.0 for position in constraints.carrier])
         # Three times the axial modes, so that their strains are resolved.
         self.quadrature = Quadrature(manipulator.arm.breaks,
                                      nodes or self.node_count(max(count, 3 * axial)))
@@ -296,15 +108,24 @@ class Formulation(Observables):
         self.arm_mass = self.point_mass.sum()
         self.mass = manipulator.base_mass + self.arm_mass
         self.tables, self.linear = self.build()
-        self.pack, self.packed = pack, pack(self.tables)
-        self._of_any_size, self._kept = of_any_size(self.tables), {}
+        self.pack: Callable[[Any], Any] = pack
+        self.packed = pack(self.tables)
+        self._of_any_size, self._linear_parts = of_any_size(self.tables), {}
 
-    def kept(self, step):
-        """Return what integrators keep of this model for all runs with a time step [s], a dict."""
-        return self._kept.setdefault(step, {})
+    def linear_parts(self, step: float) -> dict[int | None, Any]:
+        """Return the dict in which all `Steps` of a length [s] share their linear parts."""
+        return self._linear_parts.setdefault(step, {})
+
+    def sector(self, state: np.ndarray, load: np.ndarray) -> int | None:
+        """Return the number of the sector of a state, or None where there are no sectors."""
+        return None
+
+    def in_sector(self, number: int) -> tuple[Any, np.ndarray]:
+        """Return the tables and the linear part of a sector."""
+        raise NotImplementedError(f'{type(self).__name__} has no sectors')
 
     @staticmethod
-    def node_count(count):
+    def node_count(count: int) -> int:
         """
         Return the number of quadrature nodes for N modes.
 
@@ -315,19 +136,20 @@ class Formulation(Observables):
         return 6 if count <= 3 else 4 * math.ceil((1.5 * count + 0.5) / 4.0)
 
     @staticmethod
-    def mass_count(nodes):
+    def mass_count(nodes: int) -> int:
         """Return the number of points that carry mass; products of two modes are integrated."""
         return 2 * nodes + 4
 
     @abstractmethod
-    def build(self):
+    def build(self) -> tuple[Any, np.ndarray]:
         """Return the tables and the linear part."""
 
     @abstractmethod
-    def state(self, motion):
+    def state(self, motion: np.ndarray) -> np.ndarray:
         """Return the state that belongs to a motion, shape (m,)."""
 
-    def effort(self, motions, accelerations, loads):
+    def effort(self, motions: np.ndarray, accelerations: np.ndarray,
+               loads: np.ndarray) -> np.ndarray:
         """
         Return the force on the carrier and torque on the shaft that accelerations need (T42).
 
@@ -344,21 +166,22 @@ class Formulation(Observables):
         """Return the effort where there is no gravity."""
 
     @cached_property
-    def reach(self):
+    def tip_travel(self) -> np.ndarray:
         """Travel of the straight arm's tip per x_c, y_c, theta [m/rad] and q_n, (3 + N,)."""
-        length = self.manipulator.arm.length
-        return np.concatenate([[1.0, 1.0, length], np.abs(self.modes.deflection([length]))[0]])
+        tip, modes = np.array([self.manipulator.arm.length]), self.modes
+        by_modes = np.abs(modes.deflection(tip)) + np.abs(modes.displacement(tip))
+        return np.concatenate([[1.0, 1.0, tip[0]], by_modes[0]])
 
-    def packed_by(self, pack):
+    def packed_by(self, pack: Callable[[Any], Any]) -> 'Formulation':
         """Return the same equations, whose constants `pack` packs for compiled functions."""
         if pack is self.pack:
             return self
         model = copy.copy(self)
-        model.pack, model.packed, model._kept = pack, pack(self.tables), {}
+        model.pack, model.packed, model._linear_parts = pack, pack(self.tables), {}
         return model
 
     @cached_property
-    def largest(self):
+    def magnitude_bound(self) -> float:
         """Largest of the numbers from which an energy is computed."""
         body, points = self.manipulator, self.points
         arrays = (points.deflection, points.rotation, self.point_mass, self.point_inertia,
@@ -367,30 +190,30 @@ class Formulation(Observables):
                        *(np.abs(array).max(initial=0.0) for array in arrays)])
 
     @cached_property
-    def section_turn(self):
+    def section_turn_bound(self) -> np.ndarray:
         """Largest turn, shear and stretch of a section by each modal coordinate, (N,)."""
         xi, modes = self.points.xi, self.modes
-        turn = np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
-        return np.max(turn + np.abs(modes.stretch(xi)) if self.axial else turn, axis=0)
+        return np.max(np.abs(modes.rotation(xi)) + np.abs(modes.shear(xi))
+                      + np.abs(modes.stretch(xi)), axis=0)
 
-    def tip(self, motion):
+    def tip(self, motion: np.ndarray) -> np.ndarray:
         """Return the tip's position in the arm frame [m], rotation from the shaft [rad], (3,)."""
-        place = np.empty(3)
-        tip_once(self.packed, motion, place)
-        return place
+        tip = np.empty(3)
+        tip_once(self.packed, motion, tip)
+        return tip
 
-    def rate(self, state, load):
+    def rate(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         """Return the rate of a state under a load, linear part included, shape (m,)."""
         rate = np.empty(len(state))
         rate_once(self._of_any_size, state, load, rate)
         return self.linear @ state + rate
 
     @cached_property
-    def tip_point(self):
+    def tip_point(self) -> Points:
         """The tip, as `at` returns points."""
         return self.at([self.manipulator.arm.length])
 
-    def at(self, xi):
+    def at(self, xi: ArrayLike) -> Points:
         """
         Return the points at distances xi from the root, shape (p,) [m].
 
@@ -409,7 +232,8 @@ class Formulation(Observables):
         share = np.linalg.pinv(weights[:, np.newaxis] * slope) * weights
         return Points(xi, (integral + missing @ share).T, deflection.T, self.modes.rotation(xi).T)
 
-    def project_on_modes(self, deflection, rotation):
+    def project_on_modes(self, deflection: Callable[[np.ndarray], ArrayLike],
+                         rotation: Callable[[np.ndarray], ArrayLike]) -> np.ndarray:
         """
         Return the modal coordinates (or rates) of a deflection (or velocity) field.
 
@@ -429,3 +253,182 @@ class Formulation(Observables):
         mass, inertia = self.manipulator.inertia(fine)
         return (mass * deflection(fine.points) @ self.modes.deflection(fine.points)
                 + inertia * rotation(fine.points) @ self.modes.rotation(fine.points))
+
+    @abstractmethod
+    def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
+        """
+        Return the positions of points of the centre line in the arm frame.
+
+        Parameters
+        ----------
+        q : ndarray, shape (n, N)
+        points : Points
+            See `at`.
+
+        Returns
+        -------
+        ndarray, shape (n, p, 2)
+            Along axes I and II, from the root [m].
+
+        """
+
+    @abstractmethod
+    def centre_line_rate(self, q: np.ndarray, qdot: np.ndarray, points: Points) -> np.ndarray:
+        """Return the rate of `centre_line`, components in the arm frame, shape (n, p, 2) [m/s]."""
+
+    def section_rotation(self, q: np.ndarray, points: Points) -> np.ndarray:
+        """Return section rotations from the shaft, shape (n, p) [rad]. Source: paper eq. (36)."""
+        return q @ points.rotation
+
+    def world(self, motions: np.ndarray, points: Points) -> np.ndarray:
+        """Return the world positions of points of the centre line, shape (n, p, 2) [m]."""
+        along, across = np.moveaxis(self.centre_line(self._split(motions)[0], points), -1, 0)
+        turned = np.stack(rotate(motions[..., 2, np.newaxis], along, across), axis=-1)
+        return motions[..., np.newaxis, 0:2] + turned
+
+    def energy(self, motions: np.ndarray) -> np.ndarray:
+        """
+        Return kinetic plus strain energy, and the potential of gravity, which is 0 at the origin.
+
+        Parameters
+        ----------
+        motions : ndarray, shape (n, 2 (3 + N))
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            [J]
+
+        """
+        q, qdot = self._split(motions)
+        velocity, turning = self.velocities(motions, self.points)
+        base = motions[:, self.size // 2:][:, :3]
+        body = self.manipulator
+        kinetic = (body.base_mass * np.sum(base[:, :2]**2, axis=1)
+                   + body.shaft_inertia * base[:, 2]**2
+                   + np.sum(velocity**2, axis=2) @ self.point_mass
+                   + turning**2 @ self.point_inertia)
+        energy = 0.5 * (kinetic + q**2 @ self.modes.omega**2)
+        if self.gravity.any():
+            energy -= (body.base_mass * motions[:, :2] + np.einsum(
+                'p,npi->ni', self.point_mass, self.world(motions, self.points))) @ self.gravity
+        return energy
+
+    def friction(self, motions: np.ndarray) -> np.ndarray:
+        """
+        Return the friction of the equations against carrier [N] and shaft [N m], shape (n, 3).
+
+        It is the viscous one and the Coulomb friction that builds up over a speed; coordinates
+        that are held, locked or driven have none.
+        """
+        speeds, body = motions[:, self.size // 2:][:, :3], self.manipulator
+        viscous = np.array([body.carrier_friction, body.carrier_friction, body.shaft_friction])
+        limit, slow = np.array(body.coulomb)[[0, 0, 1]].T
+        return np.where(self.constrained, 0.0,
+                        viscous * speeds + limit * np.tanh(speeds / slow))
+
+    def dissipation(self, motions: np.ndarray) -> np.ndarray:
+        """Return the power that this friction and modal damping take, shape (n,) [W]."""
+        rates = motions[:, self.size // 2:]
+        return (np.sum(self.friction(motions) * rates[:, :3], axis=1)
+                + rates[:, 3:]**2 @ (2.0 * self.damping * self.modes.omega))
+
+    def mass_matrix(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the mass matrix of all coordinates at a motion, and the tip's velocities.
+
+        Returns
+        -------
+        matrix, tip : ndarray, shapes (3 + N, 3 + N), (3, 3 + N)
+            Of 3 + N rates; the tip's velocity in world axes and angular velocity per rate.
+
+        """
+        half, body = self.size // 2, self.manipulator
+        motions = np.tile(motion, (half, 1))
+        motions[:, half:] = np.eye(half)
+        velocity, turning = self.velocities(motions, self.points)
+        matrix = (np.einsum('kpi,p,lpi->kl', velocity, self.point_mass, velocity)
+                  + (turning * self.point_inertia) @ turning.T)
+        matrix[range(3), range(3)] += [body.base_mass, body.base_mass, body.shaft_inertia]
+        return matrix, np.vstack([velocity[:, -1].T, turning[:, -1]])
+
+    def momentum(self, motions: np.ndarray) -> np.ndarray:
+        """
+        Return linear momentum in world axes and angular momentum about the world's origin.
+
+        Parameters
+        ----------
+        motions : ndarray, shape (n, 2 (3 + N))
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            [kg m/s], [kg m/s], [kg m2/s]
+
+        """
+        velocity, turning = self.velocities(motions, self.points)
+        base = motions[:, self.size // 2:][:, :3]
+        body = self.manipulator
+        position = self.world(motions, self.points)
+        linear = body.base_mass * base[:, :2] + np.einsum('p,npi->ni', self.point_mass, velocity)
+        angular = (
+            body.base_mass * (motions[:, 0] * base[:, 1] - motions[:, 1] * base[:, 0])
+            + body.shaft_inertia * base[:, 2]
+            + (position[..., 0] * velocity[..., 1] - position[..., 1] * velocity[..., 0])
+            @ self.point_mass
+            + turning @ self.point_inertia)
+        return np.column_stack([linear, angular])
+
+    def _split(self, motions):
+        half = self.size // 2
+        return motions[..., 3:half], motions[..., half + 3:]
+
+    def velocities(self, motions: np.ndarray, points: Points) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the velocities of points of the centre line and of the sections there.
+
+        Velocity in world axes, shape (n, p, 2) [m/s], and angular velocity of the sections,
+        shape (n, p) [rad/s].
+
+        """
+        half = self.size // 2
+        q, qdot = self._split(motions)
+        omega = motions[..., half + 2, np.newaxis]
+        along, across = np.moveaxis(self.centre_line(q, points), -1, 0)
+        rate_1, rate_2 = np.moveaxis(self.centre_line_rate(q, qdot, points), -1, 0)
+        first, second = rate_1 - omega * across, rate_2 + omega * along
+        turned = np.stack(rotate(motions[..., 2, np.newaxis], first, second), axis=-1)
+        return (motions[..., np.newaxis, half:half + 2] + turned,
+                omega + self.section_rotation(qdot, points))
+
+
+def clamped_ratios(model: Formulation, ratios: ArrayLike) -> np.ndarray:
+    """
+    Return the ratios of the clamped modes that give the manipulator's vibrations stated ratios.
+
+    Let x_n be the modal coordinates of the manipulator's k-th undamped vibration, of unit modal
+    mass and frequency Omega_k. Damping of the n-th clamped mode adds `2 zeta_n omega_n x_n^2` to
+    `2 zeta_k Omega_k`. This gives as many equations as modes, right to first order in the ratios.
+
+    Parameters
+    ----------
+    model : Formulation
+        Its own damping is not used.
+    ratios : float or ndarray, shape (N,)
+        Stated ratios of the manipulator's vibrations, by ascending frequency.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        An entry is negative if no positive damping of the clamped modes gives these ratios.
+
+    """
+    half, omega = len(model.linear) // 2, model.modes.omega
+    squares, shapes = np.linalg.eig(-model.linear[:half, half:] @ model.linear[half:, :half])
+    vibrating = np.argsort(squares.real)[half - len(omega):]
+    frequency = np.sqrt(squares.real[vibrating])
+    energy = omega[:, np.newaxis]**2 * shapes.real[half - len(omega):, vibrating]**2
+    share = energy / energy.sum(axis=0)  # of the clamped modes in the strain energy, (N, N)
+    # With x_n^2 = share frequency^2 / omega_n^2.
+    matrix = (share / omega[:, np.newaxis]).T * frequency[:, np.newaxis]
+    return np.linalg.solve(matrix, np.broadcast_to(ratios, omega.shape))

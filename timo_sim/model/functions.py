@@ -18,6 +18,72 @@ import numpy as np
 from timo_sim.compiled.functions import dispatch, entry_point, inlined, optional, strict
 from timo_sim.compiled.lanes import floor, some, where
 
+
+@dispatch
+def rate(tables, state, load, out):
+    """
+    Write n(y, load), the state's rate less its linear part; loads are included.
+
+    Parameters
+    ----------
+    tables : packed constants
+        The formulation's.
+    state, out : ndarray, shape (m,)
+    load : ndarray, shape (14,)
+        Columns as in `layout`.
+
+    """
+
+
+@optional
+def linear_part_is_valid(tables, state, load):
+    """Return whether the linear part that belongs to the constants is the one for this state."""
+    return True
+
+
+@dispatch
+def observe(tables, state, load, out):
+    """Write the motion (see `formulation.Formulation`) that belongs to a state and a load."""
+
+
+@inlined
+def coulomb(tables, joint, speed):
+    """Return the Coulomb friction against a speed of the carrier, joint 0, or of the shaft, 1."""
+    friction = 0.0
+    if some(tables.coulomb[joint, 0] != 0.0):
+        friction = tables.coulomb[joint, 0] * tanh(speed / tables.coulomb[joint, 1])
+    return friction
+
+
+@dispatch
+def tip(tables, motion, out):
+    """
+    Write the position and rotation of the tip in a motion.
+
+    Parameters
+    ----------
+    tables : packed constants
+        The formulation's.
+    motion : ndarray
+        See `formulation.Formulation`.
+    out : ndarray, shape (3,)
+        Along axes I and II from the root [m], rotation relative to the shaft [rad].
+
+    """
+
+
+@entry_point
+def rate_once(tables, state, load, out):
+    """Call `rate` from Python."""
+    rate(tables, state, load, out)
+
+
+@entry_point
+def tip_once(tables, motion, out):
+    """Call `tip` from Python."""
+    tip(tables, motion, out)
+
+
 # Sine, cosine and hyperbolic tangent for compiled loops, of floats or of lanes.
 #
 # The library's functions need a call for each number. These are arithmetic without branches, which
@@ -70,68 +136,3 @@ def tanh(x):
     for _ in range(6):
         p, q = 2.0 * p * q, q * q + p * p
     return p / q
-
-
-@dispatch
-def rate(tables, state, load, out):
-    """
-    Write n(y, load), the state's rate less its linear part; loads are included.
-
-    Parameters
-    ----------
-    tables : packed constants
-        The formulation's.
-    state, out : ndarray, shape (m,)
-    load : ndarray, shape (14,)
-        Columns as in `layout`.
-
-    """
-
-
-@optional
-def holds(tables, state, load):
-    """Return whether the linear part that belongs to the constants is the one for this state."""
-    return True
-
-
-@dispatch
-def observe(tables, state, load, out):
-    """Write the motion (see `base.Formulation`) that belongs to a state and a load."""
-
-
-@inlined
-def coulomb(tables, joint, speed):
-    """Return the Coulomb friction against a speed of the carrier, joint 0, or of the shaft, 1."""
-    friction = 0.0
-    if some(tables.coulomb[joint, 0] != 0.0):
-        friction = tables.coulomb[joint, 0] * tanh(speed / tables.coulomb[joint, 1])
-    return friction
-
-
-@dispatch
-def tip(tables, motion, out):
-    """
-    Write the position and rotation of the tip in a motion.
-
-    Parameters
-    ----------
-    tables : packed constants
-        The formulation's.
-    motion : ndarray
-        See `base.Formulation`.
-    out : ndarray, shape (3,)
-        Along axes I and II from the root [m], rotation relative to the shaft [rad].
-
-    """
-
-
-@entry_point
-def rate_once(tables, state, load, out):
-    """Call `rate` from Python."""
-    rate(tables, state, load, out)
-
-
-@entry_point
-def tip_once(tables, motion, out):
-    """Call `tip` from Python."""
-    tip(tables, motion, out)

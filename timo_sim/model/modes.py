@@ -10,9 +10,12 @@
 Eigenfrequencies and mode shapes of the arm, clamped at its root, with the end effector.
 
 Bending modes are sums of waves for a uniform arm and found by the Legendre-Galerkin method for
-any other; static shapes and axial modes can follow them.
+any other; static shapes and axial modes can follow them. The order is that of doc/theory.md,
+section 2: closed form (T5) to (T7), Legendre-Galerkin (T8), static shapes (T9); axial modes (T34).
 """
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 import functools
 from typing import NamedTuple
 
@@ -20,7 +23,162 @@ import numpy as np
 
 from timo_sim.compiled.constants import pack
 from timo_sim.compiled.functions import entry_point, strict
-from timo_sim.model.bodies import Quadrature
+from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
+
+
+class Modes(ABC):
+    """
+    Mode shapes, mass-normalised as in doc/theory.md (T3).
+
+    Attributes
+    ----------
+    omega : ndarray, shape (N,)
+        Angular frequencies [rad/s].
+
+    """
+
+    omega: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.omega)
+
+    @abstractmethod
+    def deflection(self, xi: np.ndarray) -> np.ndarray:
+        """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
+
+    @abstractmethod
+    def rotation(self, xi: np.ndarray) -> np.ndarray:
+        """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+
+    @abstractmethod
+    def curvature(self, xi: np.ndarray) -> np.ndarray:
+        """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
+
+    @abstractmethod
+    def shear(self, xi: np.ndarray) -> np.ndarray:
+        """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+
+    def stretch(self, xi: np.ndarray) -> np.ndarray:
+        """Return the axial strain E_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        return np.zeros((len(xi), len(self)))
+
+    def displacement(self, xi: np.ndarray) -> np.ndarray:
+        """Return the integral of E_n from the root to xi, shape (len(xi), N) [1/sqrt(kg)]."""
+        return np.zeros((len(xi), len(self)))
+
+
+@functools.lru_cache(maxsize=16)
+def modes_of(manipulator: Manipulator, count: int,
+             static: tuple[str, ...] = ()) -> Modes:
+    """
+    Return the lowest modes of a manipulator's arm, both spectra together.
+
+    They are cached, because the check of a scene and its run ask for the same modes.
+
+    Parameters
+    ----------
+    manipulator : Manipulator
+    count : int
+        Number of modes N.
+    static : tuple of str
+        Loads on the tip, 'force' or 'torque', whose static shapes replace the last modes.
+
+    Returns
+    -------
+    Modes
+        The closed form for a uniform arm.
+
+    """
+    if count and static:
+        static = static[:count]
+        return StaticModes(manipulator, modes_of(manipulator, count - len(static)), static)
+    if manipulator.arm.uniform:
+        return UniformModes(manipulator, count)
+    return GalerkinModes(manipulator, count)
+
+
+class UniformModes(Modes):
+    """
+    The lowest modes of a uniform arm in closed form, mass-normalised.
+
+    Each is the sum of four waves, see `_waves`. The curvature of a mode is positive at the root.
+
+    Source: paper eqs. (8)-(19), (23).
+
+    Parameters
+    ----------
+    manipulator : Manipulator
+        With a uniform arm.
+    count : int
+        Number of modes N.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (N,)
+        Angular eigenfrequencies, ascending [rad/s].
+
+    Raises
+    ------
+    ValueError
+        If two eigenfrequencies are too close to be separated.
+
+    """
+
+    def __init__(self, manipulator: Manipulator, count: int) -> None:
+        section = manipulator.arm.section
+        self._arm = pack(UniformArm(
+            manipulator.arm.length, section.mass_per_length, section.bending_stiffness,
+            section.shear_stiffness, section.second_moment / section.area,
+            section.young_modulus / (section.shear_correction * section.shear_modulus),
+            manipulator.end_effector_mass, manipulator.end_effector_inertia))
+        self.omega = self._roots(manipulator, count)
+        # The shares of the waves in a mode are the null vector of its boundary conditions (T7).
+        matrices, scales = np.empty((count, 4, 4)), np.empty((count, 4))
+        for omega, matrix, scale in zip(self.omega, matrices, scales):
+            boundary_conditions(self._arm, omega, matrix, scale)
+        self._shape = (np.linalg.svd(matrices)[2][:, -1] / scales).T
+        fine = Quadrature(manipulator.arm.breaks, 4 * count + 40)
+        mass, inertia = manipulator.inertia(fine)
+        deflection, rotation, _, _ = self._fields(fine.points)
+        modal_mass = mass @ deflection**2 + inertia @ rotation**2
+        self._shape *= np.sign(self.curvature(np.zeros(1))[0]) / np.sqrt(modal_mass)
+
+    def deflection(self, xi: np.ndarray) -> np.ndarray:
+        """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
+        return self._fields(xi)[0]
+
+    def rotation(self, xi: np.ndarray) -> np.ndarray:
+        """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        return self._fields(xi)[1]
+
+    def curvature(self, xi: np.ndarray) -> np.ndarray:
+        """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
+        return self._fields(xi)[2]
+
+    def shear(self, xi: np.ndarray) -> np.ndarray:
+        """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        return self._fields(xi)[3]
+
+    def _fields(self, xi):
+        values = np.empty((4, len(xi), len(self)))
+        # A copy, because read-only points would need machine code of their own.
+        fields(self._arm, self.omega, self._shape, np.array(xi, dtype=float), values)
+        return values
+
+    def _roots(self, manipulator, count):
+        omega = np.zeros(count)
+        if count == 0:
+            return omega
+        guesses = frequencies(manipulator, count + 1)
+        # One Galerkin frequency lies between two limits, so the determinant of the boundary
+        # conditions must change sign there. The limits are rounded, because the last bits of the
+        # guesses depend on the number of BLAS threads, and those of the frequencies should not.
+        limits = np.append(0.5 * guesses[0], np.sqrt(guesses[:-1] * guesses[1:]))
+        limits = limits.astype(np.float32).astype(float)
+        found = bisect(self._arm, limits, omega)
+        if found < count:
+            raise ValueError(f'mode {found + 1} of the arm is not separate from its neighbours')
+        return omega
 
 
 # Waves of a uniform arm, whose sums are its mode shapes: boundary conditions and fields, compiled.
@@ -39,7 +197,7 @@ from timo_sim.model.bodies import Quadrature
 # Source: paper eqs. (8)-(19), with the corrections listed in doc/paper.md; doc/theory.md (T5),
 # (T6), and (T7) for the boundary conditions.
 
-class Constants(NamedTuple):
+class UniformArm(NamedTuple):
     """A uniform arm and the body at its tip, for the compiled functions."""
 
     length: float
@@ -54,7 +212,7 @@ class Constants(NamedTuple):
 
 @strict
 def _wave_numbers(arm, omega):
-    """Return both roots s of the characteristic equation, and nu."""
+    """Return both roots s of the characteristic equation (8), and nu of (T5)."""
     k2 = omega * np.sqrt(arm.mass_per_length / arm.bending_stiffness)
     root = np.sqrt((0.5 * (1.0 - arm.ratio) * arm.radius2 * k2)**2 + 1.0)
     mean = 0.5 * (1.0 + arm.ratio) * arm.radius2 * k2
@@ -65,7 +223,7 @@ def _wave_numbers(arm, omega):
 
 @strict
 def _standing(s, xi):
-    """Return cos, sin / k, -k sin, cos of k xi for s = -k^2; hyperbolic for s > 0."""
+    """Return two pairs g, G (T6): cos, sin / k, -k sin, cos of k xi; hyperbolic for s > 0."""
     k = np.sqrt(abs(s))
     if s > 0.0:
         even, odd = np.cosh(k * xi), np.sinh(k * xi)
@@ -98,7 +256,7 @@ def boundary_conditions(arm, omega, matrix, scale):
     Parameters
     ----------
     arm : packed constants
-        Of `Constants`.
+        Of `UniformArm`.
     omega : float
         [rad/s]
     matrix : ndarray, shape (4, 4)
@@ -155,7 +313,7 @@ def bisect(arm, limits, omega):
     Parameters
     ----------
     arm : packed constants
-        Of `Constants`.
+        Of `UniformArm`.
     limits : ndarray, shape (N + 1,)
         Ascending [rad/s].
     omega : ndarray, shape (N,)
@@ -204,7 +362,7 @@ def fields(arm, omega, shape, xi, out):
     Parameters
     ----------
     arm : packed constants
-        Of `Constants`.
+        Of `UniformArm`.
     omega : ndarray, shape (N,)
         Frequencies [rad/s].
     shape : ndarray, shape (4, N)
@@ -228,11 +386,71 @@ def fields(arm, omega, shape, xi, out):
                 out[3, i, n] -= shape[j, n] * nu * integral[j]
 
 
+class GalerkinModes(Modes):
+    """
+    The lowest modes, mass-normalised, of an arm whose section may vary along it.
+
+    Curvature and shear strain are polynomials in each span on which the section is smooth, given
+    by their values at Gauss-Legendre nodes; rotation and deflection are their integrals from
+    the clamped root, so they are continuous where spans meet. With the strain energy
+    `|c|^2 / 2` of scaled nodal strains c and the kinetic energy `|G c'|^2 / 2`, the singular
+    values of G are 1/omega_n. Round-off of the largest costs omega_n a factor omega_n / omega_1
+    in relative accuracy; eigenvalues of G^T G would cost its square. The curvature of a mode is
+    positive at the root.
+
+    Source: weak form of the paper's (1), (2) with M, J of its Remark 1; doc/theory.md (T8).
+
+    Parameters
+    ----------
+    manipulator : Manipulator
+    count : int
+        Number of modes N.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (N,)
+        Angular eigenfrequencies, ascending [rad/s].
+
+    """
+
+    def __init__(self, manipulator: Manipulator, count: int) -> None:
+        # Two nodes for each mode give 1e-12 at the fortieth mode of a slender arm; the others are
+        # a margin for a heavy tip or a strong taper.
+        terms = 2 * count + 30
+        self._strains, self._fields = _operators(tuple(manipulator.arm.breaks.tolist()), terms)[:2]
+        (_, singular, rows), bend, shear = _strain_modes(manipulator, terms)
+        self.omega = 1.0 / singular[:count]
+        scaled = rows[:count].T * self.omega
+        self._curvature = scaled[:len(bend)] * bend[:, np.newaxis]
+        self._shear = scaled[len(bend):] * shear[:, np.newaxis]
+        sign = np.sign(self.curvature(np.zeros(1))[0])
+        self._curvature *= sign
+        self._shear *= sign
+
+    def deflection(self, xi: np.ndarray) -> np.ndarray:
+        """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
+        nodes = self._fields.nodes
+        return self._fields.integrate_to(xi) @ (self.rotation(nodes) + self.shear(nodes))
+
+    def rotation(self, xi: np.ndarray) -> np.ndarray:
+        """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        return self._strains.integrate_to(xi) @ self._curvature
+
+    def curvature(self, xi: np.ndarray) -> np.ndarray:
+        """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
+        return self._strains.interpolate_to(xi) @ self._curvature
+
+    def shear(self, xi: np.ndarray) -> np.ndarray:
+        """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        return self._strains.interpolate_to(xi) @ self._shear
+
+
 @functools.lru_cache(maxsize=8)
 def _operators(breaks, terms):
-    # Returns the nodes of the strains, the finer nodes and points of the fields, and matrices:
-    # nodal strains to integrals at the points, nodal strains to values at the fine nodes, these
-    # to integrals at the points. Three more nodes integrate exactly two fields times a cubic.
+    # Returns the nodes of the strains, the finer nodes and points of the fields, and three
+    # matrices: from nodal strains to integrals at the points, from nodal strains to values at the
+    # fine nodes, and from these to integrals at the points. Three more nodes in a span integrate
+    # the product of two fields and a cubic section exactly.
     nodes, fine = Quadrature(breaks, terms), Quadrature(breaks, terms, extra=3)
     return (nodes, fine, nodes.integrate_to(fine.points), nodes.interpolate_to(fine.nodes),
             fine.integrate_to(fine.points))
@@ -264,7 +482,7 @@ def _strain_modes(manipulator, terms, vectors=True):
     return np.linalg.svd(matrix, full_matrices=False, compute_uv=vectors), bend, shear
 
 
-def frequencies(manipulator, count):
+def frequencies(manipulator: Manipulator, count: int) -> np.ndarray:
     """
     Return the lowest eigenfrequencies of an arm, ascending, shape (count,) [rad/s].
 
@@ -274,80 +492,7 @@ def frequencies(manipulator, count):
     return 1.0 / _strain_modes(manipulator, 2 * count + 8, vectors=False)[0][:count]
 
 
-class GalerkinModes:
-    """
-    The lowest modes, mass-normalised, of an arm whose section may vary along it.
-
-    Curvature and shear strain are polynomials in each span on which the section is smooth, given
-    by their values at Gauss-Legendre nodes; rotation and deflection are their integrals from
-    the clamped root, so they are continuous where spans meet. With the strain energy
-    `|c|^2 / 2` of scaled nodal strains c and the kinetic energy `|G c'|^2 / 2`, the singular
-    values of G are 1/omega_n. Round-off of the largest costs omega_n a factor omega_n / omega_1
-    in relative accuracy; eigenvalues of G^T G would cost its square. The curvature of a mode is
-    positive at the root.
-
-    Source: weak form of the paper's (1), (2) with M, J of its Remark 1; doc/theory.md (T8).
-
-    Parameters
-    ----------
-    manipulator : Manipulator
-    count : int
-        Number of modes N.
-
-    Attributes
-    ----------
-    omega : ndarray, shape (N,)
-        Angular eigenfrequencies, ascending [rad/s].
-
-    """
-
-    def __init__(self, manipulator, count):
-        # Two nodes for each mode give 1e-12 at the fortieth mode of a slender arm; the others are
-        # a margin for a heavy tip or a strong taper.
-        terms = 2 * count + 30
-        self._strains, self._fields = _operators(tuple(manipulator.arm.breaks.tolist()), terms)[:2]
-        (_, singular, rows), bend, shear = _strain_modes(manipulator, terms)
-        self.omega = 1.0 / singular[:count]
-        scaled = rows[:count].T * self.omega
-        self._curvature = scaled[:len(bend)] * bend[:, np.newaxis]
-        self._shear = scaled[len(bend):] * shear[:, np.newaxis]
-        sign = np.sign(self.curvature(np.zeros(1))[0])
-        self._curvature *= sign
-        self._shear *= sign
-
-    def __len__(self):
-        return len(self.omega)
-
-    def deflection(self, xi):
-        """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
-        nodes = self._fields.nodes
-        return self._fields.integrate_to(xi) @ (self.rotation(nodes) + self.shear(nodes))
-
-    def rotation(self, xi):
-        """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return self._strains.integrate_to(xi) @ self._curvature
-
-    def curvature(self, xi):
-        """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
-        return self._strains.interpolate_to(xi) @ self._curvature
-
-    def shear(self, xi):
-        """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return self._strains.interpolate_to(xi) @ self._shear
-
-
-def _outboard(manipulator, rule):
-    """Return bending moment and shear force at the nodes of a rule by load, shape (n_g,) each."""
-    distance = manipulator.arm.length - rule.nodes
-    mass, _ = manipulator.inertia(rule)
-    inner = rule.integrate_to(rule.nodes)
-    weight = mass.sum() - inner @ (mass[:-1] / rule.weights)
-    return {'force': (distance, np.ones_like(distance)),
-            'torque': (np.ones_like(distance), np.zeros_like(distance)),
-            'weight': ((rule.integrate_to(rule.points[-1:]) - inner) @ weight, weight)}
-
-
-class StaticModes:
+class StaticModes(Modes):
     """
     Eigenmodes, then residual static shapes, all normalised as in doc/theory.md (T3).
 
@@ -357,7 +502,8 @@ class StaticModes:
     Parameters
     ----------
     manipulator : Manipulator
-    modes : UniformModes or GalerkinModes
+    modes : Modes
+        The eigenmodes.
     loads : sequence of str
         Of 'force', 'torque', 'weight'.
 
@@ -368,7 +514,8 @@ class StaticModes:
 
     """
 
-    def __init__(self, manipulator, modes, loads):
+    def __init__(self, manipulator: Manipulator, modes: Modes,
+                 loads: Sequence[str]) -> None:
         arm = manipulator.arm
         self._modes = modes
         self._rule = rule = Quadrature(arm.breaks, 4 * len(modes) + 40)
@@ -399,30 +546,38 @@ class StaticModes:
         vectors *= np.sign((rule.interpolate_to(np.zeros(1)) @ curvature @ vectors)[0])
         self._curvature, self._shear = curvature @ vectors, shear @ vectors
 
-    def __len__(self):
-        return len(self._modes) + self._curvature.shape[1]
-
-    def deflection(self, xi):
+    def deflection(self, xi: np.ndarray) -> np.ndarray:
         """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
         nodes = self._rule.integrate_to(self._rule.nodes) @ self._curvature + self._shear
         return np.hstack([self._modes.deflection(xi), self._rule.integrate_to(xi) @ nodes])
 
-    def rotation(self, xi):
+    def rotation(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
         return np.hstack([self._modes.rotation(xi),
                           self._rule.integrate_to(xi) @ self._curvature])
 
-    def curvature(self, xi):
+    def curvature(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
         return np.hstack([self._modes.curvature(xi),
                           self._rule.interpolate_to(xi) @ self._curvature])
 
-    def shear(self, xi):
+    def shear(self, xi: np.ndarray) -> np.ndarray:
         """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
         return np.hstack([self._modes.shear(xi), self._rule.interpolate_to(xi) @ self._shear])
 
 
-class AxialModes:
+def _outboard(manipulator, rule):
+    """Return bending moment and shear force at the nodes of a rule by load, shape (n_g,) each."""
+    distance = manipulator.arm.length - rule.nodes
+    mass, _ = manipulator.inertia(rule)
+    inner = rule.integrate_to(rule.nodes)
+    weight = mass.sum() - inner @ (mass[:-1] / rule.weights)
+    return {'force': (distance, np.ones_like(distance)),
+            'torque': (np.ones_like(distance), np.zeros_like(distance)),
+            'weight': ((rule.integrate_to(rule.points[-1:]) - inner) @ weight, weight)}
+
+
+class AxialModes(Modes):
     """
     Bending modes, followed by axial modes of the same arm with its end effector.
 
@@ -437,7 +592,7 @@ class AxialModes:
 
     Parameters
     ----------
-    bending : UniformModes or GalerkinModes
+    bending : Modes
         N modes.
     manipulator : Manipulator
     count : int
@@ -453,7 +608,8 @@ class AxialModes:
 
     """
 
-    def __init__(self, bending, manipulator, count, constraints):
+    def __init__(self, bending: Modes,
+                 manipulator: Manipulator, count: int, constraints: Constraints) -> None:
         terms, breaks = 2 * count + 30, manipulator.arm.breaks
         self._bending, self._strains = bending, Quadrature(breaks, terms)
         fine = Quadrature(breaks, terms, extra=3)
@@ -472,30 +628,27 @@ class AxialModes:
         self._stretch = scale[:, np.newaxis] * (basis @ (rows.T / singular))
         self._stretch *= np.sign(self._strains.interpolate_to([0.0]) @ self._stretch)
 
-    def __len__(self):
-        return len(self.omega)
-
-    def deflection(self, xi):
+    def deflection(self, xi: np.ndarray) -> np.ndarray:
         """Return W_n(xi), shape (len(xi), N + A) [1/sqrt(kg)]."""
         return self._before_axial(self._bending.deflection(xi))
 
-    def rotation(self, xi):
+    def rotation(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n(xi), shape (len(xi), N + A) [1/(m sqrt(kg))]."""
         return self._before_axial(self._bending.rotation(xi))
 
-    def curvature(self, xi):
+    def curvature(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n'(xi), shape (len(xi), N + A) [1/(m2 sqrt(kg))]."""
         return self._before_axial(self._bending.curvature(xi))
 
-    def shear(self, xi):
+    def shear(self, xi: np.ndarray) -> np.ndarray:
         """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N + A) [1/(m sqrt(kg))]."""
         return self._before_axial(self._bending.shear(xi))
 
-    def stretch(self, xi):
+    def stretch(self, xi: np.ndarray) -> np.ndarray:
         """Return the axial strain E_n(xi), shape (len(xi), N + A) [1/(m sqrt(kg))]."""
         return self._after_bending(self._strains.interpolate_to(xi) @ self._stretch)
 
-    def displacement(self, xi):
+    def displacement(self, xi: np.ndarray) -> np.ndarray:
         """Return the integral of E_n from the root to xi, shape (len(xi), N + A) [1/sqrt(kg)]."""
         return self._after_bending(self._strains.integrate_to(xi) @ self._stretch)
 
@@ -504,117 +657,3 @@ class AxialModes:
 
     def _after_bending(self, fields):
         return np.pad(fields, ((0, 0), (len(self._bending), 0)))
-
-
-@functools.lru_cache(maxsize=16)
-def modes_of(manipulator, count, static=()):
-    """
-    Return the lowest modes of a manipulator's arm, both spectra together.
-
-    They are cached, because the check of a scene and its run ask for the same modes.
-
-    Parameters
-    ----------
-    manipulator : Manipulator
-    count : int
-        Number of modes N.
-    static : tuple of str
-        Loads on the tip, 'force' or 'torque', whose static shapes replace the last modes.
-
-    Returns
-    -------
-    UniformModes, GalerkinModes or StaticModes
-        The closed form for a uniform arm.
-
-    """
-    if count and static:
-        static = static[:count]
-        return StaticModes(manipulator, modes_of(manipulator, count - len(static)), static)
-    kind = UniformModes if manipulator.arm.uniform else GalerkinModes
-    return kind(manipulator, count)
-
-
-class UniformModes:
-    """
-    The lowest modes of a uniform arm in closed form, mass-normalised.
-
-    Each is the sum of four waves, see above. The curvature of a mode is positive at the root.
-
-    Source: paper eqs. (8)-(19), (23).
-
-    Parameters
-    ----------
-    manipulator : Manipulator
-        With a uniform arm.
-    count : int
-        Number of modes N.
-
-    Attributes
-    ----------
-    omega : ndarray, shape (N,)
-        Angular eigenfrequencies, ascending [rad/s].
-
-    Raises
-    ------
-    ValueError
-        If two eigenfrequencies are too close to be separated.
-
-    """
-
-    def __init__(self, manipulator, count):
-        section = manipulator.arm.section
-        self._arm = pack(Constants(
-            manipulator.arm.length, section.mass_per_length, section.bending_stiffness,
-            section.shear_stiffness, section.second_moment / section.area,
-            section.young_modulus / (section.shear_correction * section.shear_modulus),
-            manipulator.end_effector_mass, manipulator.end_effector_inertia))
-        self.omega = self._roots(manipulator, count)
-        matrices, scales = np.empty((count, 4, 4)), np.empty((count, 4))
-        for omega, matrix, scale in zip(self.omega, matrices, scales):
-            boundary_conditions(self._arm, omega, matrix, scale)
-        self._shape = (np.linalg.svd(matrices)[2][:, -1] / scales).T
-        fine = Quadrature(manipulator.arm.breaks, 4 * count + 40)
-        mass, inertia = manipulator.inertia(fine)
-        deflection, rotation, _, _ = self._fields(fine.points)
-        modal_mass = mass @ deflection**2 + inertia @ rotation**2
-        self._shape *= np.sign(self.curvature(np.zeros(1))[0]) / np.sqrt(modal_mass)
-
-    def __len__(self):
-        return len(self.omega)
-
-    def deflection(self, xi):
-        """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
-        return self._fields(xi)[0]
-
-    def rotation(self, xi):
-        """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return self._fields(xi)[1]
-
-    def curvature(self, xi):
-        """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
-        return self._fields(xi)[2]
-
-    def shear(self, xi):
-        """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return self._fields(xi)[3]
-
-    def _fields(self, xi):
-        values = np.empty((4, len(xi), len(self)))
-        # A copy, because read-only points would need machine code of their own.
-        fields(self._arm, self.omega, self._shape, np.array(xi, dtype=float), values)
-        return values
-
-    def _roots(self, manipulator, count):
-        omega = np.zeros(count)
-        if count == 0:
-            return omega
-        guesses = frequencies(manipulator, count + 1)
-        # One Galerkin frequency lies between two limits, so the determinant of the boundary
-        # conditions must change sign there. The limits are rounded, because the last bits of the
-        # guesses depend on the number of BLAS threads, and those of the frequencies should not.
-        limits = np.append(0.5 * guesses[0], np.sqrt(guesses[:-1] * guesses[1:]))
-        limits = limits.astype(np.float32).astype(float)
-        found = bisect(self._arm, limits, omega)
-        if found < count:
-            raise ValueError(f'mode {found + 1} of the arm is not separate from its neighbours')
-        return omega

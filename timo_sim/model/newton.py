@@ -36,12 +36,12 @@ A force (F_1, F_2) and a torque tau_e on the tip add `l F_2 - w(l) F_1 + tau_e` 
 The formulations derived from this one change coefficients of these equations, see `Laws`. (T15)
 and (T11) have a constant matrix A for z = (theta'', q''). It is inverted once, so that
 `z = z_0 - v beta`. beta follows from (31), (32), without the rows of axes along which the carrier
-is held. The row of a driven shaft, whose theta'' is given, is left out too. The state is the
-motion without the coordinates that are held or driven.
+is held. A driven shaft has no row, since its theta'' is given. The state is the motion without the
+coordinates that are held or driven.
 """
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,207 +49,11 @@ from timo_sim.compiled.constants import local
 from timo_sim.compiled.functions import inlined, inner
 from timo_sim.compiled.lanes import some
 from timo_sim.model import functions
-from timo_sim.model.formulation import Formulation
+from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
     ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, rotate, SPEED, tip_force, TIP_I,
     TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
-
-
-class Tables(NamedTuple):
-    """Constants of the compiled functions, from `newton.Laws`; N modes, n free of theta, q."""
-
-    base_mass: float            # m_c + m_m
-    arm_mass: float             # m_a
-    lever: float                # s_a
-    inverse: np.ndarray         # A^-1 of the free rows, (n, n)
-    coupling: np.ndarray        # A_i0 of a driven shaft, (1 + N,)
-    response: np.ndarray        # v = A^-1 c, (1 + N,)
-    across: float               # m_V - h.v: V(0) per beta
-    swing: np.ndarray           # theta'' per k_n, (N,)
-    reaction: np.ndarray        # V(0) per k_n at beta = 0, (N,)
-    in_linear: float            # beta per V(0) of the modal stress in the linear part, or 0
-    softening: np.ndarray       # S, (1 + N, N)
-    shear_row: np.ndarray       # h, (1 + N,)
-    shear_softening: np.ndarray  # U, (N,)
-    axial: np.ndarray           # e, (N,)
-    stiffness: np.ndarray       # omega_n^2, (N,)
-    damping: np.ndarray         # 2 zeta_n omega_n, (N,)
-    drag: np.ndarray            # c_c of the carrier, c_s of the shaft, (2,)
-    coulomb: np.ndarray         # `Manipulator.coulomb`, (2, 2)
-    axes: np.ndarray            # axes along which the carrier is free
-    anchor: np.ndarray          # position at which it is held, (2,)
-    length: float               # l
-    tip_share: float            # share of a load on the tip, see `Laws`
-    sway: np.ndarray            # W_n at the tip, (N,)
-    turn: np.ndarray            # Phi_n at the tip, (N,)
-    gravity: np.ndarray         # g along world x and y, (2,)
-
-
-@inner
-def _dot(left, right):
-    total = 0.0
-    for j in range(len(left)):
-        total += left[j] * right[j]
-    return total
-
-
-@inlined
-def _resistance(tables, joint, speed):
-    """Return the friction against a speed of the carrier, joint 0, or of the shaft, 1."""
-    return tables.drag[joint] * speed + functions.coulomb(tables, joint, speed)
-
-
-@inlined
-def _set_z_0(tables, q, theta_rate, load, tip_2, tip_moment, force, z):
-    """Set z_0: theta'' and q'' at beta = 0, without the modal stress (in the linear part)."""
-    inverse, softening = tables.inverse, tables.softening
-    rows, count = softening.shape
-    first = rows - len(inverse)
-    for i in range(first, rows):
-        if i:
-            force[i] = tables.sway[i - 1] * tip_2 + tables.turn[i - 1] * load[TIP_TORQUE]
-        else:
-            force[i] = load[TORQUE] - _resistance(tables, 1, theta_rate) + tip_moment
-        for n in range(count):
-            force[i] += theta_rate**2 * softening[i, n] * q[n]
-        if first == 1:
-            force[i] -= tables.coupling[i] * load[ACCELERATION]
-    z[0] = load[ACCELERATION]
-    for i in range(first, rows):
-        total = 0.0
-        for j in range(first, rows):
-            total += inverse[i - first, j - first] * force[j]
-        z[i] = total
-
-
-@inlined
-def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
-    """Write the carrier's acceleration in world axes, (T16); return beta."""
-    axes, half = tables.axes, len(state) // 2
-    force_x = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
-    force_y = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
-    for k in range(len(axes)):
-        if axes[k] == 0:
-            force_x -= _resistance(tables, 0, state[half + k])
-        else:
-            force_y -= _resistance(tables, 0, state[half + k])
-    beta = 0.0
-    if len(axes) == 2:
-        force_1 = cosine * force_x + sine * force_y
-        force_2 = cosine * force_y - sine * force_x
-        beta = (force_2 + shear) / (tables.base_mass + tables.across)
-        alpha = (force_1 + axial - tilt * beta) / (tables.base_mass + tables.arm_mass)
-        out[half] = cosine * alpha - sine * beta
-        out[half + 1] = sine * alpha + cosine * beta
-    elif len(axes) == 1:
-        push, along, across = (force_x, cosine, -sine) if axes[0] == 0 else (force_y, sine, cosine)
-        inertia = (tables.base_mass + along**2 * tables.arm_mass + along * across * tilt
-                   + across**2 * tables.across)
-        out[half] = (push + along * axial + across * shear) / inertia
-        beta = across * out[half]
-    return beta
-
-
-@inlined
-def _fall(tables, cosine, sine, tilt, out):
-    """
-    Add what gravity does, see doc/theory.md, section 10.
-
-    Seen by who falls, a carrier that is held is accelerated against gravity, alpha and beta.
-    """
-    axes, half, gravity = tables.axes, len(out) // 2, tables.gravity
-    held_x = 0.0 if len(axes) == 2 or len(axes) == 1 and axes[0] == 0 else -gravity[0]
-    held_y = 0.0 if len(axes) == 2 or len(axes) == 1 and axes[0] == 1 else -gravity[1]
-    alpha, beta = cosine * held_x + sine * held_y, cosine * held_y - sine * held_x
-    if len(axes) == 1:
-        along, across = (cosine, -sine) if axes[0] == 0 else (sine, cosine)
-        inertia = (tables.base_mass + along**2 * tables.arm_mass + along * across * tilt
-                   + across**2 * tables.across)
-        pulled = -(along * (tables.arm_mass * alpha + tilt * beta)
-                   + across * tables.across * beta) / inertia
-        out[half] += pulled
-        beta += across * pulled
-    for k in range(len(axes)):
-        out[half + k] += gravity[axes[k]]
-    free = len(tables.inverse)
-    for i in range(free):
-        out[len(out) - free + i] -= tables.response[len(tables.response) - free + i] * beta
-
-
-@functions.rate.of(Tables)
-def _rate(tables, state, load, out):
-    """Write the state's rate less its linear part."""
-    rows, count = tables.softening.shape
-    first, half = rows - len(tables.inverse), len(state) // 2
-    modal = half - count
-    q, qdot = local((tables.axial,)), local((tables.axial,))
-    for n in range(count):
-        q[n] = state[modal + n]
-        qdot[n] = state[half + modal + n]
-    if first == 0:
-        theta, omega = state[modal - 1], state[half + modal - 1]
-    else:
-        theta, omega = load[ANGLE], load[SPEED]
-
-    # Force on the tip in axes I, II; moment of the tip's load about the shaft.
-    sine, cosine = sincos(theta)
-    tip_1 = load[TIP_I] + cosine * load[TIP_X] + sine * load[TIP_Y]
-    tip_2 = load[TIP_II] - sine * load[TIP_X] + cosine * load[TIP_Y]
-    tip_moment = tables.tip_share * (
-        load[TIP_TORQUE] + tables.length * tip_2 - _dot(tables.sway, q) * tip_1)
-    force, z = local((tables.softening,)), local((tables.softening,))
-    _set_z_0(tables, q, omega, load, tip_2, tip_moment, force, z)
-
-    # P(0) and V(0) at alpha = beta = 0.
-    swing = z[0]
-    linear_shear = 0.0
-    for n in range(count):
-        stress = tables.stiffness[n] * q[n] + tables.damping[n] * qdot[n]
-        swing += tables.swing[n] * stress
-        linear_shear += tables.reaction[n] * stress
-    bent = _dot(tables.axial, q)
-    axial = (bent * swing + 2.0 * omega * _dot(tables.axial, qdot) + omega**2 * tables.lever
-             + tip_1)
-    shear = (linear_shear - _dot(tables.shear_row, z) + omega**2 * _dot(tables.shear_softening, q)
-             + tables.tip_share * tip_2)
-    tilt = bent * tables.response[0]  # -P(0) per beta
-    beta = _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out)
-
-    for i in range(half):
-        out[i] = 0.0
-    beta -= tables.in_linear * linear_shear
-    for i in range(first, rows):
-        out[half + modal - 1 + i] = z[i] - tables.response[i] * beta
-    if some((tables.gravity[0] != 0.0) | (tables.gravity[1] != 0.0)):
-        _fall(tables, cosine, sine, tilt, out)
-
-
-@functions.observe.of(Tables)
-def _observe(tables, state, load, out):
-    """Write the motion of a state."""
-    parts = (0, 0), (len(state) // 2, len(out) // 2)
-    for k in range(2):
-        source, goal = parts[k]
-        for axis in range(2):
-            out[goal + axis] = 0.0 if k else tables.anchor[axis]
-        for j in range(len(tables.axes)):
-            out[goal + tables.axes[j]] = state[source + j]
-        out[goal + 2] = load[SPEED] if k else load[ANGLE]
-        first = len(tables.softening) - len(tables.inverse)
-        for i in range(first, len(tables.softening)):
-            out[goal + 2 + i] = state[source + len(tables.axes) + i - first]
-
-
-@functions.tip.of(Tables)
-def _tip(tables, motion, out):
-    """Write the tip's position (l, w), and its rotation."""
-    out[0] = tables.length
-    out[1] = 0.0
-    out[2] = 0.0
-    for n in range(len(tables.sway)):
-        out[1] += motion[3 + n] * tables.sway[n]
-        out[2] += motion[3 + n] * tables.turn[n]
 
 
 class Laws(NamedTuple):
@@ -277,85 +81,86 @@ class Newton(Formulation):
     """The `newton` formulation, see the module's text."""
 
     @staticmethod
-    def node_count(count):
+    def node_count(count: int) -> int:
         """Return the number of quadrature nodes; they are many, since no step evaluates them."""
         return 4 * count + 40
 
     @staticmethod
-    def mass_count(nodes):
+    def mass_count(nodes: int) -> int:
         """Return the number of points that carry mass, that of the nodes."""
         return nodes
 
     @property
-    def lever(self):
-        """Static moment of the arm about its root, s_a [kg m]."""
+    def first_moment(self) -> float:
+        """First moment of the arm's mass about its root, s_a [kg m]."""
         return self.point_mass @ self.points.xi
 
     @property
-    def moment(self):
-        """Modal static moments a_n, shape (N,)."""
+    def modal_moments(self) -> np.ndarray:
+        """Integrals a_n of mass times deflection, shape (N,)."""
         return self.points.deflection @ self.point_mass
 
     @property
-    def gram(self):
+    def deflection_mass(self) -> np.ndarray:
         """Mass matrix of the deflection alone, G_nl, shape (N, N)."""
         return (self.points.deflection * self.point_mass) @ self.points.deflection.T
 
-    def laws(self):
+    def laws(self) -> Laws:
         """Return the coefficients of the equations of motion."""
         xi, mass, count = self.points.xi, self.point_mass, len(self.modes)
         about_root = self.points.deflection @ (mass * xi)
         matrix = np.eye(1 + count)
         if not self.own_modes:
-            matrix[1:, 1:] = self.gram + (
+            matrix[1:, 1:] = self.deflection_mass + (
                 self.points.rotation * self.point_inertia) @ self.points.rotation.T
         matrix[0, 0] = (self.manipulator.shaft_inertia + mass @ xi**2 + self.point_inertia.sum())
         matrix[0, 1:] = matrix[1:, 0] = about_root + self.points.rotation @ self.point_inertia
-        column = np.append(self.lever, self.moment)
-        return Laws(matrix, column, np.vstack([about_root, self.gram]),
+        column = np.append(self.first_moment, self.modal_moments)
+        return Laws(matrix, column, np.vstack([about_root, self.deflection_mass]),
                     np.vstack([np.zeros(count), np.eye(count)]), self.arm_mass, column,
-                    self.moment, np.zeros(count), self.moment)
+                    self.modal_moments, np.zeros(count), self.modal_moments)
 
-    def build(self):
+    def build(self) -> tuple[Any, np.ndarray]:
         """Return the tables and the linear part; set the speed limit."""
         if len(self.modes):
             # (T19): theta'^2 w acts as a negative stiffness, and the tension that would counter
             # it is not in the equations.
-            weak = self.gram / np.outer(self.modes.omega, self.modes.omega)
+            weak = self.deflection_mass / np.outer(self.modes.omega, self.modes.omega)
             self.speed_limit = 1.0 / np.sqrt(np.linalg.eigvalsh(weak)[-1])
         self._laws = laws = self.laws()
         base_mass = self.manipulator.base_mass
         stiffness, damping = self.modes.omega**2, 2.0 * self.damping * self.modes.omega
-        free, axes = slice(self.first, None), len(self.axes)
+        free, axes = slice(self.driven, None), len(self.axes)
         inverse = np.linalg.inv(laws.matrix[free, free])
         response, per_stress = np.zeros_like(laws.column), np.zeros_like(laws.stress)
         response[free] = inverse @ laws.column[free]
         per_stress[free] = -inverse @ laws.stress[free]
-        across = laws.shear_mass - laws.shear_row @ response
-        reaction = laws.shear_stress - laws.shear_row @ per_stress
+        mass_across = laws.shear_mass - laws.shear_row @ response
+        shear_per_stress = laws.shear_stress - laws.shear_row @ per_stress
         # With one axis held beta per stress depends on the shaft angle: not in the linear part.
-        in_linear = 1.0 / (base_mass + across) if axes == 2 else 0.0
+        linear_beta = 1.0 / (base_mass + mass_across) if axes == 2 else 0.0
 
+        # L by blocks: z by the modal stresses k_n = omega_n^2 q_n + 2 zeta_n omega_n q_n'.
         half, modal = axes + len(inverse), axes + len(inverse) - len(stiffness)
-        rate = (per_stress - in_linear * np.outer(response, reaction))[free]
+        rate = (per_stress - linear_beta * np.outer(response, shear_per_stress))[free]
         linear = np.zeros((2 * half, 2 * half))
         linear[:half, half:] = np.eye(half)
         linear[half + axes:, modal:half] = rate * stiffness
         linear[half + axes:, half + modal:] = rate * damping
         tables = Tables(
-            base_mass, self.arm_mass, self.lever, inverse, laws.matrix[:, 0], response,
-            across, per_stress[0], reaction, in_linear, laws.softening, laws.shear_row,
-            laws.shear_softening, laws.axial, stiffness, damping,
+            base_mass, self.arm_mass, self.first_moment, inverse, laws.matrix[:, 0], response,
+            mass_across, per_stress[0], shear_per_stress, linear_beta, laws.softening,
+            laws.shear_row, laws.shear_softening, laws.axial, stiffness, damping,
             np.array([self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
-            np.array(self.manipulator.coulomb), self.axes, self.anchor,
+            np.array(self.manipulator.coulomb), self.axes, self.held_position,
             self.manipulator.arm.length, laws.tip_share,
             self.points.deflection[:, -1], self.points.rotation[:, -1], self.gravity)
         return tables, linear
 
-    def state(self, motion):
+    def state(self, motion: np.ndarray) -> np.ndarray:
         """Return the state that belongs to a motion."""
         half = self.size // 2
-        free = np.concatenate([self.axes, np.arange(2 + self.first, half)])
+        free = np.concatenate([self.axes, np.arange(2 + self.driven, half)])
         return np.concatenate([motion[free], motion[half + free]])
 
     def _effort(self, motions, accelerations, loads):
@@ -367,11 +172,12 @@ class Newton(Formulation):
         stress = self.tables.stiffness * q + self.tables.damping * qdot
         z = accelerations[:, 2:]
         axial = (-self.arm_mass * alpha + z[:, 0] * (q @ laws.axial) + tip_1
-                 + 2.0 * omega * (qdot @ laws.axial) + omega**2 * self.lever)
+                 + 2.0 * omega * (qdot @ laws.axial) + omega**2 * self.first_moment)
         shear = (-laws.shear_mass * beta - z @ laws.shear_row + stress @ laws.shear_stress
                  + omega**2 * (q @ laws.shear_softening) + laws.tip_share * tip_2)
         tip_moment = laws.tip_share * (
-            loads[:, TIP_TORQUE] + self.tables.length * tip_2 - (q @ self.tables.sway) * tip_1)
+            loads[:, TIP_TORQUE] + self.tables.length * tip_2
+            - (q @ self.tables.tip_deflection) * tip_1)
         torque = (z @ laws.matrix[0] + laws.column[0] * beta - omega**2 * (q @ laws.softening[0])
                   + stress @ laws.stress[0] - tip_moment)
         root_x, root_y = rotate(theta, axial, shear)
@@ -388,7 +194,7 @@ class Newton(Formulation):
         mass = self.point_mass
         return np.array([inboard[-1], -mass @ inboard, (mass * self.points.xi) @ inboard])
 
-    def axial_share(self, state, load):
+    def axial_share(self, state: np.ndarray, load: np.ndarray) -> float:
         """
         Return the geometric stiffness that the equations lack, over that of the first mode (T18).
 
@@ -396,7 +202,7 @@ class Newton(Formulation):
         compression; below -1 the arm would buckle.
         """
         half, axes = len(state) // 2, list(self.axes)
-        angle, speed = (load[ANGLE], load[SPEED]) if self.first else (
+        angle, speed = (load[ANGLE], load[SPEED]) if self.driven else (
             state[len(axes)], state[half + len(axes)])
         acceleration = np.zeros(2)
         acceleration[axes] = self.rate(state, load)[half:half + len(axes)]
@@ -404,32 +210,33 @@ class Newton(Formulation):
         pull, _ = rotate(-angle, *np.ravel(tip_force(load[np.newaxis], np.array([angle]))))
         return float(self._tension @ [pull, alpha, speed**2] / self.modes.omega[0]**2)
 
-    def centre_line(self, q, points):
+    def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
         """Return the points (xi, w)."""
-        across = q @ points.deflection
-        return np.stack([np.broadcast_to(points.xi, across.shape), across], axis=-1)
+        deflection = q @ points.deflection
+        return np.stack([np.broadcast_to(points.xi, deflection.shape), deflection], axis=-1)
 
-    def centre_line_rate(self, q, qdot, points):
+    def centre_line_rate(self, q: np.ndarray, qdot: np.ndarray, points: Points) -> np.ndarray:
         """Return the rates (0, w')."""
-        across = qdot @ points.deflection
-        return np.stack([np.zeros_like(across), across], axis=-1)
+        rate = qdot @ points.deflection
+        return np.stack([np.zeros_like(rate), rate], axis=-1)
 
-
-# The `newton_root_stress` formulation: root reactions from the truncated series.
-#
-# This is the literal reading of the paper's section 3.3: `V(0) = kappa G A (w' - phi)(0)` and
-# `M(0) = E I phi'(0)` with (36), where `kappa G A (W_n' - Phi_n)(0) = omega_n^2 a_n` and
-# `E I Phi_n'(0) = omega_n^2 b_n`; a damped mode adds its damping stress. With the k of `newton`,
-#
-#     J_m theta'' = tau + b.k     V(0) = a.k                               (T20)
-#
-# replace its rows for theta and V(0). A load on the tip acts on the modes and P(0) alone. The mass
-# beyond mode N does not load the carrier: with N = 5 in the paper's scene 5 % of the arm's mass.
 
 class NewtonRootStress(Newton):
-    """The `newton_root_stress` formulation, see the text above."""
+    """
+    The `newton_root_stress` formulation: root reactions from the truncated series.
 
-    def laws(self):
+    This is the literal reading of the paper's section 3.3: `V(0) = kappa G A (w' - phi)(0)` and
+    `M(0) = E I phi'(0)` with (36), where `kappa G A (W_n' - Phi_n)(0) = omega_n^2 a_n` and
+    `E I Phi_n'(0) = omega_n^2 b_n`; a damped mode adds its damping stress. With the k of `newton`,
+
+        J_m theta'' = tau + b.k     V(0) = a.k                               (T20)
+
+    replace its rows for theta and V(0). A load on the tip acts on the modes and P(0) alone. The
+    mass beyond mode N does not load the carrier: with N = 5 in the paper's scene 5 % of the arm's
+    mass.
+    """
+
+    def laws(self) -> Laws:
         """Return the coefficients of the equations of motion."""
         laws, body = super().laws(), self.manipulator
         if body.shaft_inertia == 0.0 and not self.constraints.driven:
@@ -445,21 +252,220 @@ class NewtonRootStress(Newton):
         stress[0] = -laws.matrix[0, 1:]
         zero = np.zeros_like(laws.axial)
         return laws._replace(
-            matrix=matrix, column=np.append(0.0, self.moment), softening=softening, stress=stress,
-            shear_mass=0.0, shear_row=np.zeros_like(laws.column), shear_softening=zero,
-            shear_stress=self.moment, tip_share=0.0)
+            matrix=matrix, column=np.append(0.0, self.modal_moments), softening=softening,
+            stress=stress, shear_mass=0.0, shear_row=np.zeros_like(laws.column),
+            shear_softening=zero, shear_stress=self.modal_moments, tip_share=0.0)
 
-
-# The `newton_rigid_axial` formulation: the axial assumption that the paper warns of.
-#
-# It is `newton` with (35) in place of (34): the axial force at the root is that of a rigid body,
-# `P(0) = -m_a a_I(chi)`, with the acceleration (26) of the mass centre at xi = chi, which includes
-# w(chi). See doc/theory.md (T21).
 
 class NewtonRigidAxial(Newton):
-    """The `newton_rigid_axial` formulation, see the text above."""
+    """
+    The `newton_rigid_axial` formulation: the axial assumption that the paper warns of.
 
-    def laws(self):
+    It is `newton` with (35) in place of (34): the axial force at the root is that of a rigid body,
+    `P(0) = -m_a a_I(chi)`, with the acceleration (26) of the mass centre at xi = chi, which
+    includes w(chi). See doc/theory.md (T21).
+    """
+
+    def laws(self) -> Laws:
         """Return the coefficients of the equations of motion."""
-        centre = np.array([self.lever / self.arm_mass])
+        centre = np.array([self.first_moment / self.arm_mass])
         return super().laws()._replace(axial=self.arm_mass * self.modes.deflection(centre)[0])
+
+
+# Compiled functions. `driven` is 1 if the shaft is driven or locked, so that theta has no row.
+
+class Tables(NamedTuple):
+    """Constants of the compiled functions, from `newton.Laws`; N modes, n free of theta, q."""
+
+    base_mass: float            # m_c + m_m
+    arm_mass: float             # m_a
+    first_moment: float         # s_a
+    inverse: np.ndarray         # A^-1 of the free rows, (n, n)
+    coupling: np.ndarray        # A_i0 of a driven shaft, (1 + N,)
+    response: np.ndarray        # v = A^-1 c, (1 + N,)
+    mass_across: float          # m_V - h.v: -V(0) per beta
+    shaft_per_stress: np.ndarray  # theta'' per k_n, (N,)
+    shear_per_stress: np.ndarray  # V(0) per k_n at beta = 0, (N,)
+    linear_beta: float          # beta per V(0) of the modal stress in the linear part, or 0
+    softening: np.ndarray       # S, (1 + N, N)
+    shear_row: np.ndarray       # h, (1 + N,)
+    shear_softening: np.ndarray  # U, (N,)
+    axial: np.ndarray           # e, (N,)
+    stiffness: np.ndarray       # omega_n^2, (N,)
+    damping: np.ndarray         # 2 zeta_n omega_n, (N,)
+    viscous_friction: np.ndarray  # c_c of the carrier, c_s of the shaft, (2,)
+    coulomb: np.ndarray         # `Manipulator.coulomb`, (2, 2)
+    axes: np.ndarray            # axes along which the carrier is free
+    held_position: np.ndarray   # of a carrier that is held, (2,)
+    length: float               # l
+    tip_share: float            # share of a load on the tip, see `Laws`
+    tip_deflection: np.ndarray  # W_n at the tip, (N,)
+    tip_rotation: np.ndarray    # Phi_n at the tip, (N,)
+    gravity: np.ndarray         # g along world x and y, (2,)
+
+
+@inner
+def _dot(left, right):
+    total = 0.0
+    for j in range(len(left)):
+        total += left[j] * right[j]
+    return total
+
+
+@inlined
+def _resistance(tables, joint, speed):
+    """Return the friction against a speed of the carrier, joint 0, or of the shaft, 1."""
+    return tables.viscous_friction[joint] * speed + functions.coulomb(tables, joint, speed)
+
+
+@inlined
+def _set_z_0(tables, q, theta_rate, load, tip_2, tip_moment, force, z):
+    """Set z_0: theta'' and q'' at beta = 0, without the modal stress (in the linear part)."""
+    inverse, softening = tables.inverse, tables.softening
+    rows, count = softening.shape
+    driven = rows - len(inverse)
+    for i in range(driven, rows):
+        if i:
+            force[i] = (tables.tip_deflection[i - 1] * tip_2
+                        + tables.tip_rotation[i - 1] * load[TIP_TORQUE])
+        else:
+            force[i] = load[TORQUE] - _resistance(tables, 1, theta_rate) + tip_moment
+        for n in range(count):
+            force[i] += theta_rate**2 * softening[i, n] * q[n]
+        if driven:
+            force[i] -= tables.coupling[i] * load[ACCELERATION]
+    z[0] = load[ACCELERATION]
+    for i in range(driven, rows):
+        total = 0.0
+        for j in range(driven, rows):
+            total += inverse[i - driven, j - driven] * force[j]
+        z[i] = total
+
+
+@inlined
+def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
+    """Write the carrier's acceleration in world axes, (T16); return beta."""
+    axes, half = tables.axes, len(state) // 2
+    force_x = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
+    force_y = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
+    for k in range(len(axes)):
+        if axes[k] == 0:
+            force_x -= _resistance(tables, 0, state[half + k])
+        else:
+            force_y -= _resistance(tables, 0, state[half + k])
+    beta = 0.0
+    if len(axes) == 2:
+        force_1 = cosine * force_x + sine * force_y
+        force_2 = cosine * force_y - sine * force_x
+        beta = (force_2 + shear) / (tables.base_mass + tables.mass_across)
+        alpha = (force_1 + axial - tilt * beta) / (tables.base_mass + tables.arm_mass)
+        out[half] = cosine * alpha - sine * beta
+        out[half + 1] = sine * alpha + cosine * beta
+    elif len(axes) == 1:
+        push, along, across = (force_x, cosine, -sine) if axes[0] == 0 else (force_y, sine, cosine)
+        inertia = (tables.base_mass + along**2 * tables.arm_mass + along * across * tilt
+                   + across**2 * tables.mass_across)
+        out[half] = (push + along * axial + across * shear) / inertia
+        beta = across * out[half]
+    return beta
+
+
+@inlined
+def _add_gravity(tables, cosine, sine, tilt, out):
+    """
+    Add what gravity does, see doc/theory.md, section 10.
+
+    In a freely falling frame gravity vanishes and a held carrier accelerates by -g: alpha, beta.
+    """
+    axes, half, gravity = tables.axes, len(out) // 2, tables.gravity
+    held_x = 0.0 if len(axes) == 2 or len(axes) == 1 and axes[0] == 0 else -gravity[0]
+    held_y = 0.0 if len(axes) == 2 or len(axes) == 1 and axes[0] == 1 else -gravity[1]
+    alpha, beta = cosine * held_x + sine * held_y, cosine * held_y - sine * held_x
+    if len(axes) == 1:
+        along, across = (cosine, -sine) if axes[0] == 0 else (sine, cosine)
+        inertia = (tables.base_mass + along**2 * tables.arm_mass + along * across * tilt
+                   + across**2 * tables.mass_across)
+        pulled = -(along * (tables.arm_mass * alpha + tilt * beta)
+                   + across * tables.mass_across * beta) / inertia
+        out[half] += pulled
+        beta += across * pulled
+    for k in range(len(axes)):
+        out[half + k] += gravity[axes[k]]
+    free = len(tables.inverse)
+    for i in range(free):
+        out[len(out) - free + i] -= tables.response[len(tables.response) - free + i] * beta
+
+
+@functions.rate.of(Tables)
+def _rate(tables, state, load, out):
+    """Write the state's rate less its linear part."""
+    rows, count = tables.softening.shape
+    driven, half = rows - len(tables.inverse), len(state) // 2
+    modal = half - count
+    q, qdot = local((tables.axial,)), local((tables.axial,))
+    for n in range(count):
+        q[n] = state[modal + n]
+        qdot[n] = state[half + modal + n]
+    if driven == 0:
+        theta, omega = state[modal - 1], state[half + modal - 1]
+    else:
+        theta, omega = load[ANGLE], load[SPEED]
+
+    # Force on the tip in axes I, II; moment of the tip's load about the shaft.
+    sine, cosine = sincos(theta)
+    tip_1 = load[TIP_I] + cosine * load[TIP_X] + sine * load[TIP_Y]
+    tip_2 = load[TIP_II] - sine * load[TIP_X] + cosine * load[TIP_Y]
+    tip_moment = tables.tip_share * (
+        load[TIP_TORQUE] + tables.length * tip_2 - _dot(tables.tip_deflection, q) * tip_1)
+    force, z = local((tables.softening,)), local((tables.softening,))
+    _set_z_0(tables, q, omega, load, tip_2, tip_moment, force, z)
+
+    # P(0) (T12) and V(0) (T13) at alpha = beta = 0; theta'' with the modal stress.
+    theta_acceleration = z[0]
+    linear_shear = 0.0
+    for n in range(count):
+        stress = tables.stiffness[n] * q[n] + tables.damping[n] * qdot[n]
+        theta_acceleration += tables.shaft_per_stress[n] * stress
+        linear_shear += tables.shear_per_stress[n] * stress
+    bent = _dot(tables.axial, q)
+    axial = (bent * theta_acceleration + 2.0 * omega * _dot(tables.axial, qdot)
+             + omega**2 * tables.first_moment + tip_1)
+    shear = (linear_shear - _dot(tables.shear_row, z) + omega**2 * _dot(tables.shear_softening, q)
+             + tables.tip_share * tip_2)
+    tilt = bent * tables.response[0]  # -P(0) per beta
+    beta = _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out)
+
+    for i in range(half):
+        out[i] = 0.0
+    beta -= tables.linear_beta * linear_shear
+    for i in range(driven, rows):
+        out[half + modal - 1 + i] = z[i] - tables.response[i] * beta
+    if some((tables.gravity[0] != 0.0) | (tables.gravity[1] != 0.0)):
+        _add_gravity(tables, cosine, sine, tilt, out)
+
+
+@functions.observe.of(Tables)
+def _observe(tables, state, load, out):
+    """Write the motion of a state."""
+    parts = (0, 0), (len(state) // 2, len(out) // 2)
+    for k in range(2):
+        source, goal = parts[k]
+        for axis in range(2):
+            out[goal + axis] = 0.0 if k else tables.held_position[axis]
+        for j in range(len(tables.axes)):
+            out[goal + tables.axes[j]] = state[source + j]
+        out[goal + 2] = load[SPEED] if k else load[ANGLE]
+        driven = len(tables.softening) - len(tables.inverse)
+        for i in range(driven, len(tables.softening)):
+            out[goal + 2 + i] = state[source + len(tables.axes) + i - driven]
+
+
+@functions.tip.of(Tables)
+def _tip(tables, motion, out):
+    """Write the tip's position (l, w), and its rotation."""
+    out[0] = tables.length
+    out[1] = 0.0
+    out[2] = 0.0
+    for n in range(len(tables.tip_deflection)):
+        out[1] += motion[3 + n] * tables.tip_deflection[n]
+        out[2] += motion[3 + n] * tables.tip_rotation[n]

@@ -10,16 +10,18 @@
 
 import numpy as np
 
-_SHIFT = 1e-5        # of differences [rad of the most turned section]
-_FARTHEST = 0.3      # that a section turns from one iteration to the next [rad]
-_CLOSE = 1e-12       # [rad]
+from timo_sim.model.formulation import Formulation
+
+_SHIFT = 1e-5             # half-width of differences, as a turn of the most turned section [rad]
+_MAX_TURN = 0.3           # most that a section turns from one iteration to the next [rad]
+_CONVERGED = 1e-12        # turn of the most turned section in the last iteration [rad]
 _ITERATIONS = 400
-_TIP_OVER = 1e-3     # by which an unstable equilibrium is left [rad]
-_LONG = 1e3          # a step over the slowest time constant, from which on it is Newton's
-_UNBALANCED = 1e-9   # force on a free carrier over all forces
+_PUSH = 1e-3              # turn of a section by which an unstable equilibrium is left [rad]
+_NEWTON = 1e3             # step over the slowest time constant, beyond which it is Newton's step
+_UNBALANCED = 1e-9        # share of all forces that may be left on a free carrier
 
 
-def equilibrium(model, motion, load):
+def equilibrium(model: Formulation, motion: np.ndarray, load: np.ndarray) -> np.ndarray:
     """
     Return a motion at rest in which nothing accelerates, shape (2 (3 + N),).
 
@@ -51,24 +53,26 @@ def equilibrium(model, motion, load):
         flow, slope = forces.flow(motion), forces.slope(motion)
         if not np.isfinite(slope).all():
             break
+        # Growth rates of the flow near this motion; the equilibrium is stable if none is positive.
         growth, directions = np.linalg.eig(slope)
         fastest = growth.real.max()
         if time is None:
-            time = _FARTHEST / max(forces.turned_by(flow), _CLOSE)
+            time = _MAX_TURN / max(forces.turned_by(flow), _CONVERGED)
         if fastest > 0.0:
-            time = min(time, 0.5 / fastest)
-        while True:
+            time = min(time, 0.5 / fastest)  # longer steps would go uphill
+        while True:  # an implicit step (T45), shorter as long as a section turns too far
             change = np.linalg.solve(np.eye(len(flow)) / time - slope, flow)
-            if forces.turned_by(change) <= _FARTHEST:
+            if forces.turned_by(change) <= _MAX_TURN:
                 break
             time *= 0.25
         motion = forces.moved(motion, change)
         slowest = max(np.abs(growth).min(), 1e-12 * np.abs(growth).max())
-        if forces.turned_by(change) <= _CLOSE and fastest * time > 0.4:
+        if forces.turned_by(change) <= _CONVERGED and fastest * time > 0.4:
+            # It has come to rest where a direction grows: leave along this one.
             away = directions[:, np.argmax(growth.real)].real
-            motion = forces.moved(motion, _TIP_OVER * away / forces.turned_by(away))
-        elif forces.turned_by(change) <= _CLOSE:
-            found = time * slowest > _LONG
+            motion = forces.moved(motion, _PUSH * away / forces.turned_by(away))
+        elif forces.turned_by(change) <= _CONVERGED:
+            found = time * slowest > _NEWTON
         time *= 4.0
     raise ValueError('no equilibrium was found: the shaft turns, or the arm bends, on and on '
                      'under these loads')
@@ -80,9 +84,9 @@ class _Forces:
     def __init__(self, model, load):
         self._model, self._load = model, load
         self._axes, self._half = len(model.axes), len(model.linear) // 2
-        self._unknown = slice(2 + model.first, model.size // 2)
+        self._unknown = slice(2 + model.driven, model.size // 2)
         self._mobility = model.linear[self._axes:self._half, self._half + self._axes:]
-        self.turn = np.append(1.0, model.section_turn)[model.first:]
+        self.turn = np.append(1.0, model.section_turn_bound)[model.driven:]
 
     def at(self, motion):
         """Return the forces on free axes of the carrier, shaft and modes, shape (m / 2,)."""
@@ -117,7 +121,8 @@ def _check_carrier(model, forces, load):
                              'the forces along it do not balance; hold it with carrier.held')
 
 
-def pick_up(model, motion, mass, inertia):
+def pick_up(model: Formulation, motion: np.ndarray, mass: float,
+            inertia: float) -> tuple[np.ndarray, float]:
     """
     Return the motion after a plastic impact with a load at rest, and the energy that is lost.
 

@@ -199,16 +199,16 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     scene = load_scene(scene)
     formulation = scene.build()
     at = scene.initial_motion() if at is None else np.asarray(at, dtype=float)
-    half, axes, first = formulation.size // 2, list(formulation.axes), formulation.first
+    half, axes, driven = formulation.size // 2, list(formulation.axes), formulation.driven
     load = scene.load_at_start() if scene.values['initial.equilibrium'] else np.zeros(LOADS)
     load[ANGLE] = at[2]
     state = formulation.state(at)
     _check(formulation, at, state, load)
-    free = np.array([*axes, *range(2 + first, half)], dtype=int)
+    free = np.array([*axes, *range(2 + driven, half)], dtype=int)
     free, half = np.concatenate([free, half + free]), len(free)
     length = formulation.manipulator.arm.length
     steps = np.tile(_SHIFT * np.concatenate(
-        [[length, length, 1.0], 1.0 / formulation.section_turn]), 2)
+        [[length, length, 1.0], 1.0 / formulation.section_turn_bound]), 2)
     # Coulomb friction must be linear within the differences of speeds.
     joints = formulation.size // 2 + np.arange(3)
     speeds = np.array(formulation.manipulator.coulomb)[[0, 0, 1], 1]
@@ -246,7 +246,7 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
         lambda motion: outputs.tip_angle(motion)[np.newaxis])
     c = np.vstack([c, across @ a[half:] + turning])
     d = np.vstack([d, across @ b[half:]])
-    return LinearModel(a, b, c, d, _state_names(axes, first, len(formulation.modes)),
+    return LinearModel(a, b, c, d, _state_names(axes, driven, len(formulation.modes)),
                        tuple(inputs), (*outputs.names, 'tip_acceleration_m_per_s2'))
 
 
@@ -346,9 +346,9 @@ class _Outputs:
         return self._formulation.world(motion[np.newaxis], self._tip)[0, 0]
 
 
-def _state_names(axes, first, count):
+def _state_names(axes, driven, count):
     names = [('carrier_x', 'm'), ('carrier_y', 'm')]
-    named = [names[axis] for axis in axes] + [('shaft', 'rad')] * (not first) + [
+    named = [names[axis] for axis in axes] + [('shaft', 'rad')] * (not driven) + [
         (f'mode_{n}', 'm_sqrt_kg') for n in range(1, count + 1)]
     return (*(f'{name}_{unit}' for name, unit in named),
             *(f'{name}_rate_{unit}_per_s' if name.startswith('mode') else

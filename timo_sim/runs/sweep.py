@@ -140,8 +140,8 @@ class Together:
         if alive:
             return ''
         model, motion = self._models[number], self.motion[number]
-        bend = np.abs(motion[3:model.size // 2]) @ model.reach[3:]
-        return divergence(self._scenes[number], round(done), motion, model.reach, bend,
+        bend = np.abs(motion[3:model.size // 2]) @ model.tip_travel[3:]
+        return divergence(self._scenes[number], round(done), motion, model.tip_travel, bend,
                           self.warnings[number])
 
 

@@ -345,7 +345,7 @@ def check_slope(scene):
     if not limit.any():
         return
     model, motion = scene.build(), scene.initial_motion()
-    free = [*model.axes, *range(2 + model.first, model.size // 2)]
+    free = [*model.axes, *range(2 + model.driven, model.size // 2)]
     root = np.sqrt(limit / speed)[[joint for joint in free if joint < 3], np.newaxis]
     rate = 0.0
     # Along the arm the carrier is less mobile than across it.

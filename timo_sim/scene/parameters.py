@@ -524,9 +524,9 @@ def initial_scale(name, scene):
     base, n = _base(name)
     model, length = scene.build(), scene.manipulator.arm.length
     if base == 'initial.modal_coordinates':
-        return 0.1 * length / model.reach[3 + n]
+        return 0.1 * length / model.tip_travel[3 + n]
     if base == 'initial.modal_rates':
-        return 0.1 * length / model.reach[3 + n] * model.modes.omega[n]
+        return 0.1 * length / model.tip_travel[3 + n] * model.modes.omega[n]
     return 0.1 if 'shaft' in name else 0.1 * length
 
 

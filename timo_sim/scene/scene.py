@@ -177,7 +177,7 @@ def check_finite(scene):
         with np.errstate(over='raise', divide='raise', invalid='raise'):
             formulation, motion = scene.build(), scene.initial_motion()
             finite = np.isfinite(formulation.linear).all() and (
-                formulation.largest < _ORDINARY and np.abs(motion).max() < _ORDINARY
+                formulation.magnitude_bound < _ORDINARY and np.abs(motion).max() < _ORDINARY
                 or np.isfinite(formulation.energy(motion[np.newaxis])[0]))
     except ArithmeticError:
         finite = False

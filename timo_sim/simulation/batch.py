@@ -99,7 +99,7 @@ class LaneLoads:
         Returns
         -------
         ndarray, shape (groups, 1 + count, 4, len(columns), WIDTH)
-            See `lane_steps.advance_each`.
+            See `steps.lanes.advance_each`.
 
         """
         shape = 1 + count, STEP_LOADS, len(self.columns)
@@ -230,9 +230,9 @@ class Batch:
             return ''
         scene, model = self.scenes[number], self._models[number]
         motion = self.motion.values[number]
-        bend = np.abs(motion[3:model.size // 2]) @ model.reach[3:]
-        return divergence(scene, round(self.t[number] / scene.step), motion, model.reach, bend,
-                          None)
+        bend = np.abs(motion[3:model.size // 2]) @ model.tip_travel[3:]
+        return divergence(scene, round(self.t[number] / scene.step), motion, model.tip_travel,
+                          bend, None)
 
     def reset(self, mask=None, motion=None) -> None:
         """
@@ -350,7 +350,7 @@ class Batch:
         lanes, loads = self._lanes, self._loads
         commanded = np.broadcast_to(0.0 if commanded is None else commanded, (self.n, LOADS))
         acting = loads.command(commanded, self.steps)
-        lanes.own['base'] = to_lanes(acting)
+        lanes.lane_constants['constant_load'] = to_lanes(acting)
         samples = lanes.room(1 + count // sample_every if sample_every else 0,
                              lanes.motion.shape[1])
         most = max(1, min(CHUNK, _ROOM // (4 * self.n * max(1, len(loads.columns)))))

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.cache import compiling, is_compiled, place_of
+from timo_sim.compiled.cache import compiling, is_compiled, mark_of
 from timo_sim.compiled.constants import of_any_size
 from timo_sim.model.layout import AFTER, Motion
 from timo_sim.scene.parameters import check_runtime, Parameter, steps_in
@@ -82,7 +82,7 @@ class Readings:
 
     def _bend(self):
         # Deflection by all modes together [m].
-        modes, half = self.model.reach[3:], len(self._state) // 2
+        modes, half = self.model.tip_travel[3:], len(self._state) // 2
         return np.abs(self._state[half - len(modes):half]) @ modes
 
 
@@ -231,7 +231,7 @@ class Simulator(Readings):
         if self._finer:
             self._finer.warm_up(tell)
         constants, self._warm = self.integration.constants, True
-        done = place_of(*constants), messages
+        done = mark_of(*constants), messages
         if done in _WARM:
             return
         compiled = is_compiled(*constants)
@@ -328,23 +328,22 @@ class Simulator(Readings):
         actuators = None if commanded is None else self._actuators
         if actuators:
             actuators.command(commanded, first)
-        (motions, heat), done = self.integration.samples(count, sample_every), 0
+        samples, done = self.integration.samples(count, sample_every), 0
         while done < count:
             sample = self._change_tip(first + done)
             part = min(count - done, CHUNK, self.tip_load.next_step - first - done)
             loads = self._table.stages(first + done, part, actuators)
-            reached = self.integration.advance(self._state, self.load, loads, sample_every, done,
-                                               motions, heat)
+            reached = self.integration.advance(self._state, self.load, loads, samples, done)
             if sample is not None and sample_every and done % sample_every == 0:
-                motions[done // sample_every] = sample  # that before the load changes
+                samples.motions[done // sample_every] = sample  # that before the load changes
             self.load = loads[-1, AFTER].copy()
             done += reached
             if reached < part or not (
                     self._bend() <= MOST_BENT * self.model.manipulator.arm.length):
                 self._give_up(before, count, commanded)
         self.steps += count
-        self._note(count, commanded, sample_every, motions)
-        return motions, heat
+        self._note(count, commanded, sample_every, samples.motions)
+        return samples.motions, samples.heat
 
     def _note(self, count, commanded, sample_every, motions):
         # Look for warnings, and keep what `measure_error` needs.
@@ -431,13 +430,13 @@ class Simulator(Readings):
         return self._resting and count > 0
 
     def _rest(self, count, sample_every):
-        motions, heat = self.integration.samples(count, sample_every)
+        samples = self.integration.samples(count, sample_every)
         if sample_every:
-            motions[:] = self.motion.values
+            samples.motions[:] = self.motion.values
         self.steps += count
         if self._finer:  # which rests, too
             self._finer.advance(self._parts * count)
-        return motions, heat
+        return samples.motions, samples.heat
 
     def _give_up(self, before, count, commanded):  # return to the last good state and raise
         self._state, self.load, memory, tip_load, self.model, self.integration = before
@@ -446,5 +445,5 @@ class Simulator(Readings):
             for part in (count // 2, count - count // 2):
                 self.advance(part, commanded)
         raise DivergenceError(warnings.divergence(
-            self.scene, self.steps, self.motion.values, self.model.reach, self._bend(),
+            self.scene, self.steps, self.motion.values, self.model.tip_travel, self._bend(),
             self.warning))

@@ -128,7 +128,7 @@ def divergence(scene, step, motion, reach, bend, warning):
     motion : ndarray, shape (2 (3 + N),)
         The motion after it.
     reach : ndarray, shape (3 + N,)
-        See `Formulation.reach`.
+        See `Formulation.tip_travel`.
     bend : float
         Deflection of the arm [m].
     warning : str or None

@@ -7,12 +7,13 @@
 # language governing permissions and limitations under the License.
 
 """
-Fourth-order exponential time differencing, ETDRK4.
+The step: fourth-order exponential time differencing, ETDRK4, and its matrices.
 
 For `y' = L y + n(y, t)`, with the stiff constant part L propagated exactly. Source: Cox and
 Matthews, J. Comput. Phys. 176 (2002) 430-455, eqs. (26)-(29); doc/theory.md (T36).
 """
 
+from collections.abc import Callable
 import math
 from typing import NamedTuple
 
@@ -22,16 +23,10 @@ from scipy.linalg.lapack import dgebal
 from timo_sim.compiled.constants import local
 from timo_sim.compiled.functions import entry_point, inlined, inner, strict
 from timo_sim.compiled.lanes import is_lanes
-from timo_sim.model.functions import holds, observe, rate
+from timo_sim.model.formulation import Formulation
+from timo_sim.model.functions import linear_part_is_valid, observe, rate
 from timo_sim.model.layout import (
     ACCELERATION, AFTER, ANGLE, END, LOADS, MIDDLE, SPEED, START, STEP_LOADS)
-
-# The matrices of a time step: functions phi_k of the linear part, exact to round-off.
-#
-# Source: Cox and Matthews, J. Comput. Phys. 176 (2002) 430-455, eqs. (26)-(29); doc/theory.md
-# (T36).
-
-_NORM, _TERMS = 2.0, 22  # the series of phi_3 is truncated at a relative 2^23 3! / 26! = 1e-19
 
 
 class Propagator(NamedTuple):
@@ -42,15 +37,15 @@ class Propagator(NamedTuple):
     or those of many linear parts (n, m, m).
     """
 
-    whole: np.ndarray        # phi_0(h L)
-    half: np.ndarray         # phi_0(h L/2)
-    half_weight: np.ndarray  # h/2 phi_1(h L/2)
-    first: np.ndarray        # h (phi_1 - 3 phi_2 + 4 phi_3)(h L)
-    middle: np.ndarray       # h (2 phi_2 - 4 phi_3)(h L)
-    last: np.ndarray         # h (4 phi_3 - phi_2)(h L)
+    whole: np.ndarray          # phi_0(h L)
+    half: np.ndarray           # phi_0(h L/2)
+    half_weight: np.ndarray    # h/2 phi_1(h L/2)
+    start_weight: np.ndarray   # h (phi_1 - 3 phi_2 + 4 phi_3)(h L)
+    middle_weight: np.ndarray  # h (2 phi_2 - 4 phi_3)(h L)
+    end_weight: np.ndarray     # h (4 phi_3 - phi_2)(h L)
 
 
-def propagator(linear, step):
+def propagator(linear: np.ndarray, step: float) -> Propagator:
     """
     Return the matrices of a step.
 
@@ -66,20 +61,25 @@ def propagator(linear, step):
     Propagator
 
     """
-    (whole, phi_1, phi_2, phi_3), half = _of_balanced(_phi, step, linear)
+    (whole, phi_1, phi_2, phi_3), half = _phi_of_balanced(linear, step)
     return Propagator(whole, half[0], 0.5 * step * half[1],
                       step * (phi_1 - 3.0 * phi_2 + 4.0 * phi_3),
                       step * (2.0 * phi_2 - 4.0 * phi_3), step * (4.0 * phi_3 - phi_2))
 
 
-def _of_balanced(function, step, linear):
-    """
-    Return a function of h L, an array with axes before those of L.
+# The series of phi_3 is summed where the norm of its argument is at most _NORM. Cut off after
+# _TERMS terms, its relative error is 2^23 3! / 26! = 1e-19.
+_NORM, _TERMS = 2.0, 22
 
-    `function` takes some matrices that are small enough for a series, (n, m, m), and how often
-    they have to be doubled. Stiffnesses and compliances differ by many decades. Balancing, exact
-    by powers of two, brings the norm of h L to about that of the fastest wave, so that the
-    exponential keeps its digits.
+
+def _phi_of_balanced(linear, step):
+    """
+    Return phi_0 to phi_3 of h L and of h L / 2, shape (2, 4, ..., m, m).
+
+    Stiffnesses and compliances differ by many decades, so that the norm of h L is far above the
+    phase h omega of the fastest vibration. A diagonal matrix S of powers of two balances L:
+    S^-1 L S has a norm of about that phase, S is exact in floating point, and
+    phi_k(L) = S phi_k(S^-1 L S) S^-1. Fewer doublings are then needed, and each costs digits.
     """
     every = linear.reshape(-1, *linear.shape[-2:])
     found = [dgebal(each, scale=1, permute=0) for each in every]
@@ -87,34 +87,47 @@ def _of_balanced(function, step, linear):
     balanced = np.array([each[0].T for each in found]).swapaxes(1, 2)
     z, scale = step * balanced, np.array([each[3] for each in found])
     norms = np.abs(z).sum(axis=1).max(axis=1)
+    # At least two: the last doubling but one gives the functions of h L / 2.
     doublings = np.array([max(2, math.ceil(math.log2(norm / _NORM))) if norm > 0.0 else 2
                           for norm in norms])
-    results = None
-    for number in np.unique(doublings):
+    phi = np.empty((2, 4, *z.shape))
+    for number in np.unique(doublings):  # matrices with the same number go through together
         those = doublings == number
-        some = function((z.swapaxes(1, 2)[those] / 2.0**number).swapaxes(1, 2), number)
-        if results is None:
-            results = np.empty((*some.shape[:-3], *z.shape))
-        results[..., those, :, :] = some
-    results *= scale[:, :, np.newaxis]
-    results /= scale[:, np.newaxis, :]
-    return results.reshape(*results.shape[:-3], *linear.shape)
+        phi[..., those, :, :] = _phi(
+            (z.swapaxes(1, 2)[those] / 2.0**number).swapaxes(1, 2), number)
+    phi *= scale[:, :, np.newaxis]
+    phi /= scale[:, np.newaxis, :]
+    return phi.reshape(*phi.shape[:-3], *linear.shape)
 
 
 def _phi(z, doublings):
     """
-    Return phi_0 to phi_3 of matrices that are doubled, and of their halves.
+    Return phi_0 to phi_3 of matrices that are doubled some times, and of half of that.
 
-    First the series of phi_3 is summed up; then the argument is doubled:
-    `2^k phi_k(2 z) = phi_0(z) phi_k(z) + sum_j phi_j(z) / (k - j)!`, j = 1..k. Source: Skaflestad
-    and Wright, Appl. Numer. Math. 59 (2009) 783-799. Shape (2, 4, n, m, m).
+    The definition of phi_k, divided by z, would cancel for small eigenvalues, such as those of a
+    free manipulator, which are zero. Therefore the series of phi_3 is summed for a small argument,
+    phi_2 to phi_0 follow from `phi_{k-1}(z) = z phi_k(z) + 1/(k-1)!`, and the argument is doubled
+    by `2^k phi_k(2 z) = phi_0(z) phi_k(z) + sum_j phi_j(z) / (k - j)!`, j = 1..k. Source:
+    Skaflestad and Wright, Appl. Numer. Math. 59 (2009) 783-799.
+
+    Parameters
+    ----------
+    z : ndarray, shape (n, m, m)
+        Of a norm up to `_NORM`.
+    doublings : int
+
+    Returns
+    -------
+    ndarray, shape (2, 4, n, m, m)
+
     """
     one = np.eye(z.shape[-1])
-    place = np.arange(len(one))
+    diagonal = np.arange(len(one))
+    # Horner's scheme for phi_3(z) = sum_k z^k / (k + 3)!
     phi_3 = np.broadcast_to(one / float(math.factorial(_TERMS + 3)), z.shape)
     for k in reversed(range(_TERMS)):
         phi_3 = z @ phi_3
-        phi_3[:, place, place] += 1.0 / math.factorial(k + 3)
+        phi_3[:, diagonal, diagonal] += 1.0 / math.factorial(k + 3)
     phi_2 = z @ phi_3 + 0.5 * one
     phi_1 = z @ phi_2 + one
     found = [np.array([z @ phi_1 + one, phi_1, phi_2, phi_3])]
@@ -129,16 +142,18 @@ def _phi(z, doublings):
 _TURN = 1e-5  # largest turn of a section between a motion and those of `flow` [rad]
 
 
-def flow(model, state, rate, load, observe):
+def flow(model: Formulation, state: np.ndarray, rate: np.ndarray, load: np.ndarray,
+         observe: Callable[[np.ndarray, np.ndarray], np.ndarray],
+         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Return motions just before and after states, and half the time between them.
 
-    States and drives are extrapolated linearly over that time.
+    Their difference over that time is a rate of the motion, such as an acceleration. States and
+    drives are extrapolated linearly.
 
     Parameters
     ----------
     model : Formulation
-        Or what `stacked` makes of many.
     state, rate, load : ndarray, shapes (..., k, m), (..., k, m), (..., k, 14)
     observe : function(ndarray, ndarray) -> ndarray
         Takes states and loads, and returns the motions, (..., k, 2 (3 + N)).
@@ -154,10 +169,10 @@ def flow(model, state, rate, load, observe):
     drift[..., ANGLE], drift[..., SPEED] = load[..., SPEED], load[..., ACCELERATION]
     speed = observe(state, load)[..., half + 2:]
     turning = np.abs(speed[..., :1] + speed[..., 1:] @ model.points.rotation).max(axis=-1)
-    shift = _TURN / (_TURN + turning)
-    by_rate, by_drift = shift[..., np.newaxis] * rate, shift[..., np.newaxis] * drift
+    half_time = _TURN / (_TURN + turning)
+    by_rate, by_drift = half_time[..., np.newaxis] * rate, half_time[..., np.newaxis] * drift
     return (observe(state - by_rate, load - by_drift), observe(state + by_rate, load + by_drift),
-            shift)
+            half_time)
 
 
 @inner
@@ -211,7 +226,7 @@ def is_finite(vector):
 
 
 @strict
-def check(state, load, loads, propagator):
+def check_shapes(state, load, loads, propagator):
     """Raise ValueError if a state or loads have other shapes than the compiled step reads."""
     if len(state) != len(propagator.whole) or len(load) != LOADS or (
             loads.shape[1] != STEP_LOADS or loads.shape[2] != LOADS):
@@ -219,36 +234,66 @@ def check(state, load, loads, propagator):
                          'shape (steps, 4, 14)')
 
 
+class Work(NamedTuple):
+    """Work arrays of a step, shape (m,) each."""
+
+    half: np.ndarray      # the start, propagated freely by half a step
+    third: np.ndarray     # the third stage, at the end of the step
+    combined: np.ndarray  # a sum of rates
+    rate_0: np.ndarray    # n at the start
+    rate_a: np.ndarray    # n in the middle, at the first stage
+    rate_b: np.ndarray    # n in the middle, at the second stage
+    rate_c: np.ndarray    # n at the end, at the third stage
+
+
 @inlined
-def one_step(tables, propagator, now, start, middle, end, half, following, combined,
-             rate_0, rate_a, rate_b, rate_c, stage):
-    """Write the state one step after `now` to `stage`, n of the four stages to `rate_*`."""
-    rate(tables, now, start, rate_0)
-    product(propagator.half, now, half)
-    copy(half, stage)
-    add_product(propagator.half_weight, rate_0, stage)
+def work_arrays(propagator):
+    """Return the work arrays of the steps in a call of a compiled function."""
+    size = propagator.whole
+    return Work(local((size,)), local((size,)), local((size,)), local((size,)), local((size,)),
+                local((size,)), local((size,)))
 
-    rate(tables, stage, middle, rate_a)
-    product(propagator.half, stage, following)
-    copy(half, stage)
-    add_product(propagator.half_weight, rate_a, stage)
 
-    rate(tables, stage, middle, rate_b)
+@inlined
+def one_step(tables, propagator, now, start, middle, end, work, following):
+    """
+    Write the state one step after `now` (T36) to `following`.
+
+    `start`, `middle` and `end` are the loads that the stages see. Cox and Matthews call the stages
+    a, b and c. `following` holds a and b until the result is written to it.
+    """
+    rate(tables, now, start, work.rate_0)
+
+    # a = e^(hL/2) y + h/2 phi_1(hL/2) n_0
+    product(propagator.half, now, work.half)
+    copy(work.half, following)
+    add_product(propagator.half_weight, work.rate_0, following)
+    rate(tables, following, middle, work.rate_a)
+
+    # The first term of c, e^(hL/2) a, before b takes the place of a;
+    # b = e^(hL/2) y + h/2 phi_1(hL/2) n_a
+    product(propagator.half, following, work.third)
+    copy(work.half, following)
+    add_product(propagator.half_weight, work.rate_a, following)
+    rate(tables, following, middle, work.rate_b)
+
+    # c = e^(hL/2) a + h/2 phi_1(hL/2) (2 n_b - n_0)
     for i in range(len(propagator.half)):
-        combined[i] = 2.0 * rate_b[i] - rate_0[i]
-    add_product(propagator.half_weight, combined, following)
+        work.combined[i] = 2.0 * work.rate_b[i] - work.rate_0[i]
+    add_product(propagator.half_weight, work.combined, work.third)
+    rate(tables, work.third, end, work.rate_c)
 
-    rate(tables, following, end, rate_c)
+    # The result, with the weights of n_0, of n_a + n_b and of n_c.
     for i in range(len(propagator.half)):
-        combined[i] = rate_a[i] + rate_b[i]
-    product(propagator.whole, now, stage)
-    add_product(propagator.first, rate_0, stage)
-    add_product(propagator.middle, combined, stage)
-    add_product(propagator.last, rate_c, stage)
+        work.combined[i] = work.rate_a[i] + work.rate_b[i]
+    product(propagator.whole, now, following)
+    add_product(propagator.start_weight, work.rate_0, following)
+    add_product(propagator.middle_weight, work.combined, following)
+    add_product(propagator.end_weight, work.rate_c, following)
 
 
 @entry_point
-def advance(tables, propagator, state, load, loads, sample_every, done, samples, remainder):
+def advance(tables, propagator, state, load, loads, sample_every, since, samples, remainder):
     """
     Integrate over some equal steps, as long as the linear part of the tables is valid.
 
@@ -268,7 +313,7 @@ def advance(tables, propagator, state, load, loads, sample_every, done, samples,
         their moments (T37). Then the true load at the end of the step, which samples show.
     sample_every : int
         Steps between samples; 0: none are taken.
-    done : int
+    since : int
         Steps since the first sample.
     samples : ndarray, shape (n, 2 (3 + N))
         Receives the motions `sample_every`, 2 `sample_every`, ... steps after the first sample.
@@ -282,28 +327,25 @@ def advance(tables, propagator, state, load, loads, sample_every, done, samples,
         the one for it.
 
     """
-    check(state, load, loads, propagator)
-    size = propagator.whole
-    now, half, stage, following = local((size,)), local((size,)), local((size,)), local((size,))
-    combined = local((size,))
-    rate_0, rate_a, rate_b, rate_c = local((size,)), local((size,)), local((size,)), local((size,))
+    check_shapes(state, load, loads, propagator)
+    size, work = propagator.whole, work_arrays(propagator)
+    now, following = local((size,)), local((size,))
     copy(state, now)
     for k in range(len(loads) + 1):
         # `Steps.motion` comes from here, too: compiled elsewhere it could be rounded differently.
-        if sample_every and (done + k) % sample_every == 0:
-            observe(tables, now, load, samples[(done + k) // sample_every])
+        if sample_every and (since + k) % sample_every == 0:
+            observe(tables, now, load, samples[(since + k) // sample_every])
         if k == len(loads):
             break
         start, middle, end = loads[k, START], loads[k, MIDDLE], loads[k, END]
-        one_step(tables, propagator, now, start, middle, end, half, following, combined, rate_0,
-                 rate_a, rate_b, rate_c, stage)
-        if not is_finite(stage):
+        one_step(tables, propagator, now, start, middle, end, work, following)
+        if not is_finite(following):
             copy(now, state)
             return k
-        copy(rate_0, remainder)
-        copy(stage, now)
+        copy(work.rate_0, remainder)
+        copy(following, now)
         load = loads[k, AFTER]
-        if k + 1 < len(loads) and not holds(tables, now, load):
+        if k + 1 < len(loads) and not linear_part_is_valid(tables, now, load):
             copy(now, state)
             return k + 1
     copy(now, state)

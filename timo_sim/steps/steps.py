@@ -6,42 +6,35 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Equal time steps of a model."""
+"""Equal time steps of one run: what calls the compiled step, and knows its linear parts."""
 
-from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, LOADS, STEP_LOADS
 from timo_sim.steps import etdrk4
 from timo_sim.steps.etdrk4 import flow, propagator
-
-
-def kept(method):
-    """Make a property of a method without arguments, whose value goes to the object's `kept`."""
-    def get(self):
-        if name not in self.kept:
-            self.kept[name] = method(self)
-        return self.kept[name]
-    name = method.__qualname__
-    return property(get, doc=method.__doc__)
-
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
 CHUNK = 2048  # most steps at once, for which loads are tabulated
 
 
-class LinearPart:
-    """Packed constants of a model for one linear part, and the matrices of its steps."""
+class Samples(NamedTuple):
+    """Motions at equal distances in time, and the heat of friction until then; filled by steps."""
 
-    def __init__(self, pack, packed, linear, step):
-        self._pack, self.packed, self.linear = pack, packed, linear
-        self._step = step
+    every: int           # steps between samples; 0: none are taken
+    motions: np.ndarray  # at the start and after each `every` steps, (n, 2 (3 + N))
+    heat: np.ndarray     # of dry friction since the initial motion [J], (n,)
 
-    @cached_property
-    def propagator(self):
-        """The matrices of a step, packed constants."""
-        return self._pack(propagator(self.linear, self._step))
+
+class LinearPart(NamedTuple):
+    """Constants of a model with one linear part L of its rate, and the matrices of its steps."""
+
+    packed: Any         # constants of the compiled functions, packed
+    propagator: Any     # `etdrk4.Propagator`, packed
+    linear: np.ndarray  # L, (m, m)
 
 
 class Steps:
@@ -57,68 +50,58 @@ class Steps:
     Attributes
     ----------
     memory : ndarray
-        What is kept from step to step besides the state; a caller may copy it and put it back.
-    kept : dict
-        What depends on model and step alone, see `kept`.
+        What one step hands to the next besides the state; a caller may copy it and put it back.
 
     """
 
-    def __init__(self, model, step):
+    def __init__(self, model: Formulation, step: float) -> None:
         self.model, self.step = model, step
         self.memory = np.zeros(0)
-        self.kept = model.kept(step)
-        self._no_samples = np.empty((0, model.size)), np.zeros(0)
+        # All steps of this length share them; the key is the number of a sector, None without.
+        self._parts = model.linear_parts(step)
+        self._no_samples = Samples(0, np.empty((0, model.size)), np.zeros(0))
         self._constant = np.empty((1, STEP_LOADS, LOADS))
         self._remainder = np.zeros(len(model.linear))
 
     @property
-    def friction(self):
+    def friction(self) -> np.ndarray:
         """Dry friction on carrier x, y [N], shaft [N m] at the end of the last step, (3,)."""
         return np.zeros(3)
 
     @property
-    def heat(self):
+    def heat(self) -> float:
         """Heat of dry friction since the initial motion [J]."""
         return 0.0
 
-    def acting(self, load):
+    def acting(self, load: np.ndarray) -> np.ndarray:
         """Return a load plus the dry friction at the end of the last step, shape (14,)."""
         return load
 
-    def reset(self):
+    def reset(self) -> None:
         """Forget friction and heat of earlier steps."""
         self.memory[:] = 0.0
 
-    def continue_from(self, earlier):
+    def continue_from(self, earlier: 'Steps') -> None:
         """Take over the memory from the steps of a model of the same size."""
         self.memory = earlier.memory
 
     @property
-    def constants(self):
-        """The packed constants for whose sizes machine code is needed, a list."""
-        return [self.model.packed, self._part.propagator]
+    def constants(self) -> list[Any]:
+        """The packed constants for whose sizes machine code is needed."""
+        return [self.model.packed, self._part(None).propagator]
 
-    def warm_up(self, state, load):
+    def warm_up(self, state: np.ndarray, load: np.ndarray) -> None:
         """Compile, or load from disk, the functions that `motion` does not call."""
 
-    def samples(self, count, sample_every):
-        """
-        Return arrays to be filled with samples of some steps.
-
-        Returns
-        -------
-        motions : ndarray, shape (1 + count // sample_every, 2 (3 + N))
-            For motions at the start and after each `sample_every` steps; if that is 0, empty.
-        heat : ndarray, shape (1 + count // sample_every,)
-            For the heat of dry friction so far [J].
-
-        """
-        if not sample_every:
+    def samples(self, count: int, every: int) -> Samples:
+        """Return room for samples of `count` steps, at the start and after each `every` steps."""
+        if not every:
             return self._no_samples
-        size = 1 + count // sample_every
-        return np.empty((size, self.model.size)), np.zeros(size)
+        size = 1 + count // every
+        return Samples(every, np.empty((size, self.model.size)), np.zeros(size))
 
-    def advance(self, state, load, loads, sample_every, sampled, motions, heat):
+    def advance(self, state: np.ndarray, load: np.ndarray, loads: np.ndarray, samples: Samples,
+                since: int = 0) -> int:
         """
         Integrate over equal steps.
 
@@ -130,12 +113,10 @@ class Steps:
             Load at the start.
         loads : ndarray, shape (count, 4, 14)
             Loads of the steps, see `model.layout`.
-        sample_every : int
-            Steps between samples; 0: none are taken.
-        sampled : int
+        samples : Samples
+            Receive those of these steps.
+        since : int
             Number of steps from the first sample to these steps.
-        motions, heat : ndarray
-            Receive the samples, see `samples`.
 
         Returns
         -------
@@ -143,78 +124,67 @@ class Steps:
             Steps done; fewer than `count` if the state is no longer finite.
 
         """
-        def integrate(part, first, load):
-            return first + etdrk4.advance(
-                part.packed, part.propagator, state, load, loads[first:], sample_every,
-                sampled + first, motions, self._remainder)
-        return self._by_sectors(state, load, loads, integrate)
-
-    @kept
-    def _part(self):
-        return LinearPart(self.model.pack, self.model.packed, self.model.linear, self.step)
-
-    @kept
-    def _sectors(self):
-        return {}
-
-    def _by_sectors(self, state, load, loads, integrate):
-        """
-        Integrate, with the linear part of each sector through which the shaft turns.
-
-        `integrate`, a function(LinearPart, int, ndarray) -> int, takes the number of steps done
-        and the load there, and returns the new number; a call that does no step is the last.
-        """
         done = 0
         while True:
-            begun, done = done, integrate(self._part_for(state, load), done, load)
-            if not self.model.sectors or done in (begun, len(loads)):
+            part = self._part(self.model.sector(state, load))
+            count = self._run(part, state, load, loads[done:], samples, since + done)
+            done += count
+            if not self.model.sectors or not count or done == len(loads):
                 return done
-            load = loads[done - 1, AFTER]
+            load = loads[done - 1, AFTER]  # the shaft has turned into another sector
 
-    def _part_for(self, state, load):
-        if not self.model.sectors:
-            return self._part
-        number = self.model.sector(state, load)
-        if number not in self._sectors:
-            tables, linear = self.model.in_sector(number)
-            self._sectors[number] = LinearPart(
-                self.model.pack, self.model.pack(tables), linear, self.step)
-        return self._sectors[number]
+    def _run(self, part, state, load, loads, samples, since):
+        """Integrate as long as a linear part is valid; return the number of steps done."""
+        return etdrk4.advance(part.packed, part.propagator, state, load, loads, samples.every,
+                              since, samples.motions, self._remainder)
 
-    def rate(self, state, load):
+    def _part(self, sector):
+        """Return the LinearPart of a sector, made at its first use; None: that of the model."""
+        if sector not in self._parts:
+            model, packed, linear = self.model, self.model.packed, self.model.linear
+            if sector is not None:
+                tables, linear = model.in_sector(sector)
+                packed = model.pack(tables)
+            self._parts[sector] = LinearPart(
+                packed, model.pack(propagator(linear, self.step)), linear)
+        return self._parts[sector]
+
+    def rate(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         """Return the rate of a state under a load that acts, linear part included, shape (m,)."""
-        part = self._part_for(state, load)
+        part = self._part(self.model.sector(state, load))
         self._constant[:] = load
         done = etdrk4.advance(part.packed, part.propagator, state.copy(), load, self._constant,
-                              0, 0, self._no_samples[0], self._remainder)
+                              0, 0, self._no_samples.motions, self._remainder)
         # n is a by-product of a step, so that nothing else is compiled unless the step diverges.
         return part.linear @ state + self._remainder if done else self.model.rate(state, load)
 
-    def motion(self, state, load):
+    def motion(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         """Return the motion of a state under a load, shape (2 (3 + N),)."""
-        motions, heat = self.samples(0, 1)
-        self.advance(state, load, NO_LOADS, 1, 0, motions, heat)
-        return motions[0]
+        samples = self.samples(0, 1)
+        self.advance(state, load, NO_LOADS, samples)
+        return samples.motions[0]
 
-    def tip_acceleration(self, state, load):
+    def tip_acceleration(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         """
         Return the tip's acceleration in world axes under a load that acts, shape (2,) [m/s2].
 
         It is a central difference of the velocity along `flow`, to 1e-9 in ordinary motion.
         """
-        before, after, shift = self.flow(state, load)
+        before, after, half_time = self.flow(state, load)
         model = self.model
         speeds = (model.velocities(side, model.tip_point)[0][0, 0] for side in (after, before))
-        return np.subtract(*speeds) / (2.0 * shift[0])
+        return np.subtract(*speeds) / (2.0 * half_time[0])
 
-    def flow(self, state, load):
-        """Return what `flow` returns of a single state, with k = 1."""
+    def flow(self, state: np.ndarray,
+             load: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what `etdrk4.flow` returns of a single state, with k = 1."""
         return flow(self.model, state[np.newaxis], self.rate(state, load)[np.newaxis],
                     load[np.newaxis], self._observe)
 
-    def _observe(self, state, load):
+    def _observe(self, states, loads):
+        # Motions of one state by the code of a step without friction, as those of `rate` are.
         motions = np.empty((1, self.model.size))
-        part = self._part_for(state[0], load[0])
-        etdrk4.advance(part.packed, part.propagator, state[0], load[0], NO_LOADS, 1, 0, motions,
+        part = self._part(self.model.sector(states[0], loads[0]))
+        etdrk4.advance(part.packed, part.propagator, states[0], loads[0], NO_LOADS, 1, 0, motions,
                        self._remainder)
         return motions

@@ -1,0 +1,67 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Two threads that simulate side by side give the bits of one run after the other."""
+
+from concurrent.futures import ThreadPoolExecutor
+import sys
+from threading import Barrier
+
+import numpy as np
+import pytest
+
+import timo_sim
+from timo_sim.scene import scene as scenes
+
+TURNING = {'initial.shaft_velocity': 3.0, 'load.tip_force_x.harmonic.amplitude': [2.0],
+           'load.tip_force_x.harmonic.frequency': [1.3]}
+SCENES = {
+    # Its linear parts by sectors are made while the shaft turns.
+    'one axis held': {**TURNING, 'carrier.held': 'x'},
+    'dry friction': {**TURNING, 'motor.coulomb_friction': 2.0, 'carrier.coulomb_friction': 1.0},
+    # Another model after 0.1 s, in the modes of the first.
+    'payload': {**TURNING, 'payload.time': [0.1], 'payload.mass': [3.0], 'payload.inertia': [0.6],
+                'end_effector.pick_up': 'at_rest'},
+}
+
+
+def fresh(name):
+    """Return a scene whose models nobody has used."""
+    scenes._shared_model.cache_clear()
+    return timo_sim.load_scene(SCENES[name])
+
+
+def numbers(scene, begin=lambda: None):
+    """Return what runs show, as bytes: of `simulate`, and of short steps under commands."""
+    begin()
+    run = timo_sim.simulate(scene, 0.2, estimate=False)
+    simulator, found = timo_sim.Simulator(scene), [run.motion, run.friction_heat]
+    for number in range(40):
+        simulator.step(tip_force=(0.1 * number, 1.0), duration=0.005)
+        found += [simulator.motion.values, simulator.tip_acceleration(), simulator.effort]
+    return np.concatenate([np.ravel(each) for each in found]).tobytes()
+
+
+@pytest.fixture
+def hurried():
+    """Let threads take turns every microsecond, a thousand times as often as usual."""
+    usual = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(usual)
+
+
+@pytest.mark.parametrize('names', [
+    *((name, name) for name in SCENES), ('one axis held', 'dry friction')], ids=' and '.join)
+def test_threads_give_the_bits_of_one_run_after_the_other(names, hurried):
+    first = fresh(names[0])
+    both = first, first if names[0] == names[1] else timo_sim.load_scene(SCENES[names[1]])
+    start = Barrier(2)
+    with ThreadPoolExecutor(2) as pool:
+        together = [*pool.map(lambda scene: numbers(scene, start.wait), both)]
+    assert together == [numbers(fresh(name)) for name in names]
