@@ -17,8 +17,7 @@ from typing import Any, Callable, NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from timo_sim.model.layout import rotate, TIP_TORQUE, TIP_X, TIP_Y
-from timo_sim.scene.loads import CHANNELS
+from timo_sim.model.layout import INPUTS, rotate, TIP_TORQUE, TIP_X, TIP_Y
 from timo_sim.scene.parameters import did_you_mean, ParameterError, short
 from timo_sim.simulation.snapshot import root_strain
 
@@ -81,9 +80,8 @@ def _cross(first, second):
     return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
 
 
-# By name, the unit of an input.
-INPUTS = {**{name: 'N m' if 'torque' in name else 'N' for name in CHANNELS}, 'voltage': 'V',
-          DRIVE: 'rad'}
+# Units of the inputs that a record may have.
+INPUT_UNITS = {**{each.name: each.unit for each in INPUTS if each.argument}, DRIVE: 'rad'}
 OUTPUTS = {
     'shaft': Output('rad', 'angle of the shaft', lambda run: run.shaft),
     'shaft_velocity': Output('rad/s', 'speed of the shaft', lambda run: run.shaft_velocity),
@@ -115,7 +113,7 @@ UNITS = {
 
 def unit_of(name):
     """Return the unit of a quantity, of which all numbers inside are."""
-    return INPUTS[name] if name in INPUTS else OUTPUTS[name].unit
+    return INPUT_UNITS[name] if name in INPUT_UNITS else OUTPUTS[name].unit
 
 
 HOLDS = 'zero', 'linear'
@@ -201,7 +199,7 @@ class Record:
         """
         ins: dict[str, Channel] = {}
         outs: dict[str, Channel] = {}
-        rules: Any = (ins, inputs, INPUTS, 'input'), (outs, outputs, OUTPUTS, 'output')
+        rules: Any = (ins, inputs, INPUT_UNITS, 'input'), (outs, outputs, OUTPUTS, 'output')
         for kept, given, known, kind in rules:
             for name, channel in given.items():
                 if name not in known:

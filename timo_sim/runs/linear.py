@@ -14,7 +14,7 @@ import numpy as np
 
 from timo_sim.extras import optional
 from timo_sim.model.bodies import Quadrature
-from timo_sim.model.layout import ANGLE, LOADS, rotate, TIP_TORQUE, TIP_X, TIP_Y
+from timo_sim.model.layout import ANGLE, INPUTS, LOADS, rotate, TIP_TORQUE, TIP_X, TIP_Y
 from timo_sim.scene.files import html_table
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError
@@ -154,8 +154,7 @@ def _places(names, chosen, kind):
 # turns most [rad]. The tip's deflection is no measure, since a heavy tip hardly moves.
 _SHIFT = 1e-3
 _STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
-_INPUTS = {f'{channel}_{"N_m" if "torque" in channel else "N"}': column
-           for channel, column in CHANNELS.items()}
+_INPUTS = {INPUTS[column].column: column for column in CHANNELS.values()}
 # Largest rate of a state that counts as an equilibrium [1/s].
 _STILL = 1e-9
 
@@ -307,7 +306,7 @@ class _Outputs:
 
     def residual(self, at):
         """
-        Return the static response of what the modes leave out, per load, shape (12, 14).
+        Return the static response of what the modes leave out, per load, shape (12, LOADS).
 
         It is that of the straight arm in axes of the tip, see doc/theory.md, section 2; other
         outputs than the tip's and other loads than those on the tip have none.

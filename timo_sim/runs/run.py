@@ -298,7 +298,7 @@ class Run(MotionFields, Tables):
         return np.concatenate([getattr(joints, name) for joints in self._joints])
 
     def loads(self) -> np.ndarray:
-        """Return the scene's loads at the samples, (n, 14), see `model.layout`."""
+        """Return the scene's loads at the samples, (n, LOADS), see `model.layout`."""
         load, step = self.scene.load, self.scene.step
         loads = np.empty((len(self.t), LOADS))
         first, last = np.rint(self.t[[0, -1]] / step).astype(int)

@@ -24,6 +24,7 @@ import warnings
 import numpy as np
 
 from timo_sim.model import FORMULATIONS
+from timo_sim.model.layout import INPUTS
 from timo_sim.topics.outputs import FRAMES, outputs, TRANSFORMS
 from timo_sim.topics.sensors import SENSORS
 
@@ -321,12 +322,8 @@ _ALL = [
     _not_negative('model.accuracy', 0.0, 'm', 'tip error for which model.modes and '
                   'integrator.step are chosen; 0: their given values are used'),
     Parameter('integrator.step', 0.001, 's', 'time step', low=1e-9, high=1000.0),
-    *_load('force_x', 'N', 'force on the carrier along world x'),
-    *_load('force_y', 'N', 'force on the carrier along world y'),
-    *_load('torque', 'N m', 'torque on the shaft'),
-    *_load('tip_force_x', 'N', 'force on the end effector along world x'),
-    *_load('tip_force_y', 'N', 'force on the end effector along world y'),
-    *_load('tip_torque', 'N m', 'torque on the end effector'),
+    *[parameter for each in INPUTS if each.prescribed
+      for parameter in _load(each.name, each.unit, each.meaning)],
     Parameter('sensor.seed', 0, '', 'seed of the noise of all sensors', low=0, high=1000000000),
     *[parameter for sensor in SENSORS
       for parameter in _sensor(sensor.name, sensor.unit, sensor.meaning)],

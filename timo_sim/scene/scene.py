@@ -517,7 +517,7 @@ class Scene:
         return initial_motion(self, self._own_model)
 
     def load_at_start(self) -> np.ndarray:
-        """Return the scene's own load at t = 0, shape (14,), see `model.layout`."""
+        """Return the scene's own load at t = 0, shape (LOADS,), see `model.layout`."""
         return self.load.stages(0, 1, self.step)[0, START]
 
 

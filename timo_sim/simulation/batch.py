@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import threading
+from typing import Any
 
 import numpy as np
 
@@ -68,13 +69,13 @@ class LaneLoads:
 
         Parameters
         ----------
-        commanded : ndarray, shape (n, 14)
+        commanded : ndarray, shape (n, LOADS)
             See `model.layout`.
         first : int
 
         Returns
         -------
-        ndarray, shape (n, 14)
+        ndarray, shape (n, LOADS)
             What acts of them and does not vary with time.
 
         """
@@ -287,23 +288,16 @@ class Batch:
             tips[lane] = found[key]
         return tips
 
-    def step(self, torque=0.0, force=(0.0, 0.0), tip_force=(0.0, 0.0), tip_torque=0.0, voltage=0.0,
-             duration: float | None = None) -> Motion:
+    def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """
         Advance under constant commands; the scenes' own loads act as well.
 
         Parameters
         ----------
-        torque : float or array_like, shape (n,)
-            On the shaft [N m].
-        force, tip_force : array_like, shape (2,) or (n, 2)
-            On carrier and tip, world x and y [N].
-        tip_torque : float or array_like, shape (n,)
-            On the end effector [N m].
-        voltage : float or array_like, shape (n,)
-            At a DC motor [V].
         duration : float, optional
             [s], a whole multiple of the time step; by default one step.
+        **commands : float or array_like, shape (n,), (2,) or (n, 2)
+            Those of `Simulator.step`, for all or for each.
 
         Returns
         -------
@@ -313,11 +307,11 @@ class Batch:
         Raises
         ------
         ParameterError
-            If a command is not finite or has another shape, or the duration does not fit the step.
+            If a command is unknown, is not finite or has another shape, or the duration does not
+            fit the step.
 
         """
-        commanded = commanded_load(self._motors, (self.n,), torque=torque, force=force,
-                                   tip_force=tip_force, tip_torque=tip_torque, voltage=voltage)
+        commanded = commanded_load(self._motors, (self.n,), **commands)
         self.advance(1 if duration is None else steps_in(duration, self.scenes[0].step), commanded)
         return self.motion
 
@@ -330,7 +324,7 @@ class Batch:
         ----------
         count : int
             Number of steps.
-        commanded : ndarray, shape (n, 14) or (14,), optional
+        commanded : ndarray, shape (n, LOADS) or (LOADS,), optional
             Commands during all of them, see `model.layout`.
         sample_every : int
             Steps between samples; 0: none are taken.

@@ -116,7 +116,7 @@ class Simulator(Readings):
         The time steps of the model.
     steps : int
         Steps done since the start; sim time is `steps * scene.step`.
-    load : ndarray, shape (14,)
+    load : ndarray, shape (LOADS,)
         Load at the end of the last step, see `model.layout`.
     tip_load : TipLoad
         Mass and inertia at the tip now, and the energy lost in plastic impacts.
@@ -234,23 +234,18 @@ class Simulator(Readings):
             self.integration.rate(self._state, self.integration.acting(self.load))
         _WARM.add(done)
 
-    def step(self, torque=0.0, force=(0.0, 0.0), tip_force=(0.0, 0.0), tip_torque=0.0,
-             voltage=0.0, duration=None):
+    def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """
         Advance under constant commands; the scene's own loads act as well.
 
         Parameters
         ----------
-        torque : float
-            On the shaft [N m].
-        force, tip_force : sequence of float
-            On carrier and tip, world x and y [N].
-        tip_torque : float
-            On the end effector [N m].
-        voltage : float
-            At a DC motor [V].
         duration : float, optional
             [s], a whole multiple of the time step; by default one step.
+        **commands : float or sequence of float
+            On the shaft `torque` [N m]; on the carrier `force` and on the tip `tip_force`, world
+            x and y [N]; on the end effector `tip_torque` [N m]; at a DC motor `voltage` [V]; by
+            default 0. They are the inputs of `model.layout.INPUTS`.
 
         Returns
         -------
@@ -260,14 +255,13 @@ class Simulator(Readings):
         Raises
         ------
         ParameterError
-            If a command is not finite or has another shape, or the duration does not fit the step.
+            If a command is unknown, is not finite or has another shape, or the duration does not
+            fit the step.
         DivergenceError
             As `advance` does.
 
         """
-        commanded = commanded_load(
-            self.scene.values['motor.dc.resistance'] > 0.0, torque=torque, force=force,
-            tip_force=tip_force, tip_torque=tip_torque, voltage=voltage)
+        commanded = commanded_load(self.scene.values['motor.dc.resistance'] > 0.0, **commands)
         self.advance(1 if duration is None else steps_in(duration, self.scene.step), commanded)
         return self.motion
 
@@ -279,7 +273,7 @@ class Simulator(Readings):
         ----------
         count : int
             Number of steps.
-        commanded : ndarray, shape (14,), optional
+        commanded : ndarray, shape (LOADS,), optional
             Command during all of them, see `model.layout`, which acts besides the scene's loads.
         sample_every : int
             Steps between samples; 0: none are taken.

@@ -25,7 +25,7 @@ _STILL, _SWEEPS = 1e-7, 200
 
 
 def applied(loads, theta):
-    """Return carrier forces [N] and shaft torque [N m] of loads, (n, 14), shape (n, 3)."""
+    """Return carrier forces [N] and shaft torque [N m] of loads, (n, LOADS), shape (n, 3)."""
     x, y = rotate(theta, loads[:, FORCE_I], loads[:, FORCE_II])
     return np.column_stack([loads[:, FORCE_X] + x, loads[:, FORCE_Y] + y, loads[:, TORQUE]])
 
@@ -40,7 +40,7 @@ class Joints:
     motions : ndarray, shape (n, 2 (3 + N))
         See `model.layout`.
     accelerations : ndarray, shape (n, 3 + N)
-    loads : ndarray, shape (n, 14)
+    loads : ndarray, shape (n, LOADS)
         Loads that act, dry friction included.
 
     """
@@ -118,7 +118,7 @@ def joints_of_run(scene, model, motions, loads):
     scene : Scene
     model : Formulation
     motions : ndarray, shape (n, 2 (3 + N))
-    loads : ndarray, shape (n, 14)
+    loads : ndarray, shape (n, LOADS)
         Without dry friction.
 
     """
@@ -252,9 +252,9 @@ class Snapshot:
         Number of the step, and sim time [ns].
     motion : ndarray, shape (2 (3 + N),)
         See `model.layout`.
-    load : list of float, length 14
+    load : list of float, length LOADS
         Load at the end of the last step, see `model.layout`.
-    acts : tuple of Steps, ndarray (m,) and ndarray (14,), optional
+    acts : tuple of Steps, ndarray (m,) and ndarray (LOADS,), optional
         The time steps, the state and the load that acts, friction included. Accelerations,
         strains and forces of constraints need it; without it `effort` is that of the load.
 

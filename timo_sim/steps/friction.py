@@ -350,7 +350,7 @@ class FrictionSteps(Steps):
             sample_every, sampled, motions, heat))
 
     def acting(self, load):
-        """Return a load plus the friction at the end of the last step, shape (14,)."""
+        """Return a load plus the friction at the end of the last step, shape (LOADS,)."""
         load = load.copy()
         load[list(COLUMNS)] += self.friction
         return load

@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.log.read import payloads_of
-from timo_sim.model.layout import rotate
-from timo_sim.scene.loads import CHANNELS
+from timo_sim.model.layout import INPUTS, rotate
 from timo_sim.scene.parameters import Parameter
 from timo_sim.simulation.energy import integral, work
 from timo_sim.simulation.loads import pieces
@@ -227,10 +226,10 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
     steps = np.rint(1e-9 * ns / scene.step).astype(int)
     energy = np.concatenate([_in_blocks(model.energy, motion[part])
                              for model, part in pieces(scene, steps, payloads)])
-    # The effort of a driven shaft is that of its drive; a load's torque on it is not in there.
-    unseen = 'torque' if scene.values['motor.shaft'] == 'driven' else 'tip'
-    pushed = any(scene.load.terms[channel] for channel in CHANNELS
-                 if channel.startswith(('tip', unseen)))
+    # Efforts contain forces on the carrier, and torques on the shaft unless it is driven.
+    seen = ('carrier',) if scene.values['motor.shaft'] == 'driven' else ('carrier', 'shaft')
+    pushed = any(scene.load.terms[each.name] for each in INPUTS
+                 if each.prescribed and each.group not in seen)
     known = heat is not None or not scene.friction.any()
     if balanced and known and not pushed and not payloads:
         jumps = np.rint([time / scene.step for terms in scene.load.terms.values()
