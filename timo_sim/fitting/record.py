@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 
 from timo_sim.model.layout import INPUTS, rotate, TIP_TORQUE, TIP_X, TIP_Y
 from timo_sim.scene.parameters import did_you_mean, ParameterError, short
-from timo_sim.simulation.snapshot import root_strain
+from timo_sim.topics.sensors import SENSORS
 
 DRIVE = 'drive'
 
@@ -63,8 +63,7 @@ def _root_strain(run):
     moment = (_rate(run, angular) + _cross(run.motion[:, half:half + 2], linear)
               - _cross(np.einsum('p,npi->ni', model.point_mass, place), model.gravity)
               - _cross(place[:, -1], tip) - load[:, TIP_TORQUE])
-    per_moment, per_q, per_rate = root_strain(model)
-    return run.q @ per_q + run.qdot @ per_rate - per_moment * moment
+    return model.strain(run.motion, 0.0, -moment)
 
 
 def _tip_acceleration(run):
@@ -82,8 +81,14 @@ def _cross(first, second):
 
 # Units of the inputs that a record may have.
 INPUT_UNITS = {**{each.name: each.unit for each in INPUTS if each.argument}, DRIVE: 'rad'}
+
+
+def _of_motion(sensor):
+    return Output(sensor.unit, sensor.meaning, lambda run: sensor.of_motion(run.model, run.motion))
+
+
 OUTPUTS = {
-    'shaft': Output('rad', 'angle of the shaft', lambda run: run.shaft),
+    **{sensor.measured: _of_motion(sensor) for sensor in SENSORS if sensor.of_motion},
     'shaft_velocity': Output('rad/s', 'speed of the shaft', lambda run: run.shaft_velocity),
     'carrier_x': Output('m', 'position of the carrier', lambda run: run.carrier[:, 0]),
     'carrier_y': Output('m', 'position of the carrier', lambda run: run.carrier[:, 1]),

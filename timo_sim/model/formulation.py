@@ -28,6 +28,7 @@ class Observables(ABC):
 
     manipulator: Any
     modes: Any
+    axial: int
     points: Any
     point_mass: np.ndarray
     point_inertia: np.ndarray
@@ -61,6 +62,35 @@ class Observables(ABC):
     def section_rotation(self, q, points):
         """Return section rotations from the shaft, shape (n, p) [rad]. Source: paper eq. (36)."""
         return q @ points.rotation
+
+    def strain(self, motions: np.ndarray, xi: float,
+               moment: np.ndarray | None = None) -> np.ndarray:
+        """
+        Return the strain of the outer fibre of a section, axial strain included, shape (n,).
+
+        It follows from the bending moment there, or from the curvature of the modes, which
+        converges more slowly with their number.
+
+        Parameters
+        ----------
+        motions : ndarray, shape (n, 2 (3 + N))
+        xi : float
+            Distance of the section from the root along the undeformed arm [m].
+        moment : ndarray, shape (n,), optional
+            Bending moment in the section [N m], that of modal damping included.
+
+        """
+        place, modes, (q, qdot) = np.array([xi]), self.modes, self._split(motions)
+        section = self.manipulator.arm.at(place)
+        height, stiffness = (np.ravel(value)[0] for value in (
+            section.height, section.bending_stiffness))
+        curvature = modes.curvature(place)[0]
+        stretch = modes.stretch(place)[0] if self.axial else np.zeros(len(modes))
+        if moment is None:
+            return q @ (0.5 * height * curvature) + q @ stretch
+        # Modal damping adds to the moment, but not to the strain, so its moment is subtracted.
+        damped = -0.5 * height * curvature * 2.0 * self.damping / modes.omega
+        return 0.5 * height / stiffness * moment + q @ stretch + qdot @ damped
 
     def world(self, motions, points):
         """Return the world positions of points of the centre line, shape (n, p, 2) [m]."""

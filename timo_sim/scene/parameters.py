@@ -228,6 +228,7 @@ _MAX_SENSOR_ERROR = 1e9  # keeps sensor arithmetic finite
 _MAX_ANGLE = 1e6         # [rad] up to which sine and cosine are accurate
 _FRAME = r'[^/\s]\S*'    # a name that tf2 accepts
 _OUTPUTS = outputs(1)
+_SENSOR_TOPICS = [output.name for output in _OUTPUTS if output.delay]
 
 _ALL = [
     _positive('arm.length', 2.0, 'm', 'length of the arm'),
@@ -361,8 +362,8 @@ _ALL = [
     Parameter('record', True, '', 'whether the run is logged to an MCAP file', scope=NODE),
     Parameter('record_file', '', '', 'path of the log; empty: timo_sim_DATE_TIME.mcap in the '
               'working directory', scope=NODE),
-    Parameter('record_sensors', False, '', 'whether ~/root_strain, ~/tip_imu/data_raw and '
-              '~/encoder are logged also while nobody subscribes', scope=NODE),
+    Parameter('record_sensors', False, '', f'whether {", ".join(_SENSOR_TOPICS[:-1])} and '
+              f'{_SENSOR_TOPICS[-1]} are logged also while nobody subscribes', scope=NODE),
     Parameter('rerun_live', '', '', 'address of a running viewer of rerun to which the motion is '
               'streamed, such as rerun+http://127.0.0.1:9876/proxy; empty: none', scope=NODE),
     Parameter('publish_arm_shape', False, '', 'whether the centre line is published on '

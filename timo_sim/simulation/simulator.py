@@ -28,64 +28,6 @@ from timo_sim.steps.friction import steps_of
 from timo_sim.steps.steps import CHUNK
 
 
-class Readings:
-    """A part of `Simulator`, which sets the attributes."""
-
-    scene: Any
-    model: Any
-    integration: Any
-    steps: int
-    load: np.ndarray
-    _state: np.ndarray
-
-    @property
-    def t(self):
-        """Sim time [s]."""
-        return self.steps * self.scene.step
-
-    @property
-    def nanoseconds(self):
-        """Sim time [ns]."""
-        return round(self.steps * self.scene.step * 1e9)
-
-    @property
-    def motion(self):
-        """The motion now, see `Motion`."""
-        return Motion(self.integration.motion(self._state, self.load))
-
-    @property
-    def sensors(self):
-        """What the sensors read now: encoder, root_strain, tip_acceleration, gyro."""
-        return Sensors(self.snapshot(state=self._state.copy()))
-
-    @property
-    def deflection(self):
-        """Deflection of the tip in the arm frame, axial and transverse, shape (2,) [m]."""
-        return self.model.tip(self.motion.values)[:2] - [self.model.manipulator.arm.length, 0.0]
-
-    @property
-    def effort(self):
-        """Efforts of carrier x, y [N] and shaft [N m], shape (3,), see `Snapshot.effort`."""
-        return np.array(self.snapshot().effort)
-
-    def snapshot(self, load=None, state=None):
-        """Return a Snapshot of now: valid until the next step, or longer with a kept state."""
-        load = self.load.tolist() if load is None else load
-        acts = (self.integration, self._state if state is None else state,
-                self.integration.acting(self.load))
-        return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
-                        load, acts)
-
-    def tip_acceleration(self):
-        """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
-        return self.integration.tip_acceleration(self._state, self.integration.acting(self.load))
-
-    def _bend(self):
-        # Deflection by all modes together [m].
-        modes, half = self.model.reach[3:], len(self._state) // 2
-        return np.abs(self._state[half - len(modes):half]) @ modes
-
-
 COMPILING = 'compiling once for a model of this size, this takes some seconds'
 # Deflection beyond which the run counts as diverged, in arm lengths.
 MOST_BENT = 10.0
@@ -95,7 +37,7 @@ _MOST_UNMEASURED = 256  # most calls of `advance` that the finer run may be behi
 _WARM = set()  # sizes whose functions this process has, with or without those of messages
 
 
-class Simulator(Readings):
+class Simulator:
     """
     A scene at a certain time step, advanced by the node, `simulate` or a controller's loop.
 
@@ -148,6 +90,53 @@ class Simulator(Readings):
 
     def __repr__(self):
         return f'<Simulator at t = {self.t:.6g} s (step {self.steps}) of {self.scene!r}>'
+
+    @property
+    def t(self):
+        """Sim time [s]."""
+        return self.steps * self.scene.step
+
+    @property
+    def nanoseconds(self):
+        """Sim time [ns]."""
+        return round(self.steps * self.scene.step * 1e9)
+
+    @property
+    def motion(self):
+        """The motion now, see `Motion`."""
+        return Motion(self.integration.motion(self._state, self.load))
+
+    @property
+    def sensors(self):
+        """What the sensors read now: encoder, root_strain, tip_acceleration, gyro."""
+        return Sensors(self.snapshot(state=self._state.copy()))
+
+    @property
+    def deflection(self):
+        """Deflection of the tip in the arm frame, axial and transverse, shape (2,) [m]."""
+        return self.model.tip(self.motion.values)[:2] - [self.model.manipulator.arm.length, 0.0]
+
+    @property
+    def effort(self):
+        """Efforts of carrier x, y [N] and shaft [N m], shape (3,), see `Snapshot.effort`."""
+        return np.array(self.snapshot().effort)
+
+    def snapshot(self, load=None, state=None):
+        """Return a Snapshot of now: valid until the next step, or longer with a kept state."""
+        load = self.load.tolist() if load is None else load
+        acts = (self.integration, self._state if state is None else state,
+                self.integration.acting(self.load))
+        return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
+                        load, acts)
+
+    def tip_acceleration(self):
+        """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
+        return self.integration.tip_acceleration(self._state, self.integration.acting(self.load))
+
+    def _bend(self):
+        # Deflection by all modes together [m].
+        modes, half = self.model.reach[3:], len(self._state) // 2
+        return np.abs(self._state[half - len(modes):half]) @ modes
 
     def reset(self):
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
