@@ -288,7 +288,7 @@ def limited(record, values):
         raise ParameterError('the record has a voltage, which needs a DC motor: '
                              'motor.dc.resistance must be > 0 ohm, and motor.dc.torque_constant')
     inputs = dict(record.inputs)
-    for name, *_, limit, rate in INPUTS:
+    for name, *_, limit, rate, _ in INPUTS:
         if name in inputs and limit and np.isfinite(values[limit]):
             goals = np.clip(inputs[name].values, -values[limit], values[limit])
             inputs[name] = inputs[name]._replace(values=goals)

@@ -31,6 +31,7 @@ class Input(NamedTuple):
     frame: str = 'world'  # axes along which a force acts: world, arm or tip
     limit: str = ''       # parameter with the largest magnitude of its commands; empty: none
     rate_limit: str = ''  # parameter with the largest rate at which they act; empty: none
+    needs: str = ''       # parameter that must be > 0 where it acts; empty: none
 
     @property
     def argument(self) -> str:
@@ -73,11 +74,16 @@ INPUTS = (
     Input('angle', 'rad', 'angle of a driven shaft'),
     Input('speed', 'rad/s', 'speed of a driven shaft'),
     Input('acceleration', 'rad/s2', 'acceleration of a driven shaft'),
-    Input('voltage', 'V', 'voltage at a DC motor', 'shaft', 'world', 'motor.dc.voltage_limit'),
+    Input('voltage', 'V', 'voltage at a DC motor', 'shaft', 'world', 'motor.dc.voltage_limit',
+          needs='motor.dc.resistance'),
+    Input('push_x', 'N', 'force on the arm at push.position along world x', 'push',
+          needs='push.position'),
+    Input('push_y', 'N', 'force on the arm at push.position along world y', 'push',
+          needs='push.position'),
 )
 LOADS = len(INPUTS)
 (FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE, TIP_X, TIP_Y, TIP_I, TIP_II, TIP_TORQUE,
- ANGLE, SPEED, ACCELERATION, VOLTAGE, *_) = range(LOADS)
+ ANGLE, SPEED, ACCELERATION, VOLTAGE, PUSH_X, PUSH_Y, *_) = range(LOADS)
 # Rows of the loads of a step: three that its stages see, then the true load at its end.
 START, MIDDLE, END, AFTER = range(4)
 STAGES, STEP_LOADS = 3, 4

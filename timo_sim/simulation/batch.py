@@ -18,7 +18,8 @@ import numpy as np
 
 from timo_sim.compiled.cache import compiling
 from timo_sim.compiled.lanes import WIDTH
-from timo_sim.model.layout import AFTER, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE
+from timo_sim.model.layout import (
+    AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.scene.parameters import Parameter, ParameterError, steps_in
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.loads import Actuators, commanded_load
@@ -189,8 +190,8 @@ class Batch:
                   for scene, model in zip(self.scenes, self._models)}
         self._initial = np.array([motions[id(scene)] for scene in self.scenes])
         self._initial_state = np.array([states[id(scene)] for scene in self.scenes])
-        self._motors = np.array([scene.values['motor.dc.resistance'] > 0.0
-                                 for scene in self.scenes])
+        self._needed = {each.needs: np.array([scene.values[each.needs] for scene in self.scenes])
+                        for each in INPUTS if each.needs}
         self._loads = LaneLoads(self.scenes)
         self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT)
         self.steps, self._origin, self._warm = 0, np.zeros(self.n, dtype=int), False
@@ -311,7 +312,7 @@ class Batch:
             fit the step.
 
         """
-        commanded = commanded_load(self._motors, (self.n,), **commands)
+        commanded = commanded_load(self._needed, (self.n,), **commands)
         self.advance(1 if duration is None else steps_in(duration, self.scenes[0].step), commanded)
         return self.motion
 
@@ -377,6 +378,9 @@ def _check(scenes):
                 raise ParameterError(f'{name} must be the same in all scenes of a Batch, got '
                                      f'{first.values[name]} and {scene.values[name]} (scene '
                                      f'{number})')
+        if (scene.values['push.position'] > 0.0) != (first.values['push.position'] > 0.0):
+            raise ParameterError('push.position must be > 0 in all scenes of a Batch or in none, '
+                                 f'got {scene.values["push.position"]:g} (scene {number})')
         if [np.shape(part) for part in other.tables] != [np.shape(part) for part in model.tables]:
             raise ParameterError('the models of all scenes of a Batch must have the same size: '
                                  f'scene {number} has {scene.modal_count} modes and '

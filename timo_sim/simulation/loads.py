@@ -40,14 +40,14 @@ def check_arguments(names, source):
                                  f'{", ".join(ARGUMENTS)}{did_you_mean(name, ARGUMENTS)}')
 
 
-def commanded_load(motor, many=(), **commands):
+def commanded_load(values, many=(), **commands):
     """
     Return commands as a load, or as many loads.
 
     Parameters
     ----------
-    motor : bool or ndarray of bool, shape `many`
-        Whether there is a DC motor.
+    values : mapping
+        By name the parameters that inputs need, see `Input.needs`; arrays of shape `many`.
     many : tuple of int
         Shape of the array of loads; the same shape precedes that of commands of their own.
     **commands : float or sequence of float
@@ -60,8 +60,8 @@ def commanded_load(motor, many=(), **commands):
     Raises
     ------
     ParameterError
-        If a name is unknown, a command has not the right number of finite values, or a voltage has
-        no DC motor.
+        If a name is unknown, a command has not the right number of finite values, or a parameter
+        that an input needs is 0: a voltage needs a DC motor.
 
     """
     check_arguments(commands, 'step')
@@ -79,10 +79,13 @@ def commanded_load(motor, many=(), **commands):
             kind += f', or an array of them of shape {(*many, *shape)}' if many else ''
             raise ParameterError(f'{name} must be {kind}, got {short(given)}')
         load[..., columns] = numbers
-    lacking = load[..., VOLTAGE][(load[..., VOLTAGE] != 0.0) & ~np.asarray(motor)]
-    if lacking.size:
-        raise ParameterError(f'voltage = {lacking.flat[0]:g} V needs a DC motor: '
-                             'motor.dc.resistance must be > 0 ohm')
+        for column in np.ravel(columns):
+            each, numbers = INPUTS[column], load[..., column]
+            if each.needs:
+                lacking = numbers[(numbers != 0.0) & (np.asarray(values[each.needs]) == 0.0)]
+                if lacking.size:
+                    raise ParameterError(f'{each.name} = {lacking.flat[0]:g} {each.unit} needs '
+                                         f'{each.needs} > 0, got 0')
     return load
 
 

@@ -232,9 +232,10 @@ class Simulator:
         duration : float, optional
             [s], a whole multiple of the time step; by default one step.
         **commands : float or sequence of float
-            On the shaft `torque` [N m]; on the carrier `force` and on the tip `tip_force`, world
-            x and y [N]; on the end effector `tip_torque` [N m]; at a DC motor `voltage` [V]; by
-            default 0. They are the inputs of `model.layout.INPUTS`.
+            On the shaft `torque` [N m]; on the carrier `force`, on the tip `tip_force` and on the
+            arm at `push.position` `push`, world x and y [N]; on the end effector `tip_torque`
+            [N m]; at a DC motor `voltage` [V]; by default 0. They are those of
+            `model.layout.INPUTS`.
 
         Returns
         -------
@@ -250,7 +251,7 @@ class Simulator:
             As `advance` does.
 
         """
-        commanded = commanded_load(self.scene.values['motor.dc.resistance'] > 0.0, **commands)
+        commanded = commanded_load(self.scene.values, **commands)
         self.advance(1 if duration is None else steps_in(duration, self.scene.step), commanded)
         return self.motion
 
