@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-TOPIC, SENSOR, FORMULATION, LINE = re.findall(
+TOPIC, SENSOR, INPUT, FORMULA, FORMULATION, LINE = re.findall(
     r'```python\n(.*?)```',
     (ROOT / 'doc/design.md').read_text().split('## Add something')[1].split('\n## ')[0], re.S)
 
@@ -27,13 +27,22 @@ RUN = """
 import timo_sim
 scene = timo_sim.load_scene('paper', {
     'model.formulation': 'newton_small_speed', 'model.modes': 1, 'rate.carrier_velocity': 500.0,
-    'sensor.tachometer.noise': 0.0, 'sensor.tachometer.bias': 0.5,
+    'sensor.middle_strain.noise': 0.0, 'sensor.middle_strain.bias': 0.5,
     # The modes of an arm with a profile need no compiled function.
     'arm.profile.position': [0.0, 2.0], 'arm.profile.height': [0.02, 0.02]})
 run = timo_sim.simulate(scene, 1.0, 2, estimate=False)
 simulator = timo_sim.Simulator(scene)
 simulator.step(torque=1.0)
-print(simulator.sensors.tachometer - simulator.motion.shaft_velocity)
+per_q = 0.01 * scene.build().modes.curvature([1.0])[0, 0]  # half the height times curvature
+print(simulator.sensors.middle_strain - per_q * simulator.motion.q[0])
+linear = timo_sim.linearize(scene).select(['torque_N_m', 'disturbance_N_m'], ['middle_strain'])
+print(linear.C[0, 3] / per_q, abs(linear.B[:, 1] - linear.B[:, 0]).max(), abs(linear.B).max())
+ends = [simulators.step(duration=0.1, **commands).values for simulators, commands in (
+    (timo_sim.Simulator(scene), {'torque': 2.0}),
+    (timo_sim.Simulator(scene), {'disturbance': 2.0}),
+    (timo_sim.Simulator(scene.vary({'load.disturbance.piecewise.time': [0.0],
+                                    'load.disturbance.piecewise.value': [2.0]})), {}))]
+print(abs(ends[1] - ends[0]).max(), abs(ends[2] - ends[0]).max(), abs(ends[0]).max())
 velocity = run.columns()['carrier_velocity_y_m_per_s']
 print(abs(velocity - run.carrier_velocity[:, 1]).max(), abs(velocity).max())
 newton = timo_sim.simulate(
@@ -59,6 +68,10 @@ def extended(tmp_path_factory):
     package = folder / 'timo_sim'
     insert(package / 'topics/outputs.py', '    ]\n\n\n# Frames', TOPIC)
     insert(package / 'topics/sensors.py', ')\n', SENSOR)
+    insert(package / 'model/layout.py', ')\nLOADS', INPUT)
+    insert(package / 'model/newton.py', '        for n in range(count):\n            force[i]',
+           FORMULA)
+    insert(package / 'model/newton.py', 'ACCELERATION, ANGLE,', 'LOADS, ')
     (package / 'model/newton_small_speed.py').write_text(FORMULATION)
     insert(package / 'model/__init__.py', '}\n', LINE)
     return folder
@@ -76,8 +89,11 @@ def python(folder, *arguments):
 
 
 def test_in_python(extended):
-    bias, error, size, newton, ours = map(float, python(extended, '-c', RUN).split())
-    assert bias == pytest.approx(0.5, abs=1e-12)
+    (bias, slope, unlike, large, commanded, prescribed, far, error, size, newton, ours) = map(
+        float, python(extended, '-c', RUN).split())
+    assert bias == pytest.approx(0.5, abs=1e-12) and slope == pytest.approx(1.0, rel=1e-9)
+    # The disturbance is another torque, in linear models, commands and scenes.
+    assert max(unlike / large, commanded / far, prescribed / far) < 1e-12
     assert error == 0.0 and size > 0.01
     # The omitted terms are theta'^2, some 0.25 / s2, beside omega^2 > 20 / s2: 1 % at most.
     assert ours == pytest.approx(newton, rel=0.01) and ours != newton

@@ -78,6 +78,17 @@ def test_rows_without_a_number_are_left_out(tmp_path):
     assert len(record.inputs['torque'].t) == 200
 
 
+def test_an_exported_table_needs_no_mapping(tmp_path):
+    """The columns of sensors have the prefix of their topic, see doc/log.md."""
+    columns = {'encoder_shaft_rad': 'shaft', 'root_strain_outer_fibre': 'root_strain',
+               'tip_imu_acceleration_y_m_per_s2': 'tip_acceleration'}
+    (tmp_path / 'a.csv').write_text(f'time_s,{",".join(columns)}\n' + lines(np.column_stack(
+        [T, ANGLE, TORQUE, ANGLE])))
+    record = timo_sim.read_record(tmp_path / 'a.csv')
+    assert set(record.outputs) == set(columns.values())
+    assert np.array_equal(record.outputs['root_strain'].values, TORQUE)
+
+
 NAMED = {'time': {'column': 't'}, 'columns': {'u': 'torque', 'theta': 'shaft'}}
 ROWS = np.column_stack([T, TORQUE, ANGLE])
 

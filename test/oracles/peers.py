@@ -116,7 +116,7 @@ FIXED_STEP = {'RK4': rk4, 'implicit midpoint': implicit_midpoint,
 
 def load_function(scene, drive=None):
     """
-    Return the load of a scene at any time, shape (14,), and the times at which it jumps.
+    Return the load of a scene at any time, shape (LOADS,), and the times at which it jumps.
 
     Parameters
     ----------

@@ -22,14 +22,15 @@ from typing import Any
 import numpy as np
 
 from timo_sim.extras import optional
-from timo_sim.fitting.record import Channel, INPUTS, OUTPUTS, Record, unit_of, UNITS
+from timo_sim.fitting.record import Channel, INPUT_UNITS, OUTPUTS, Record, unit_of, UNITS
 from timo_sim.log.tables import Recording
-from timo_sim.model.layout import VOLTAGE
+from timo_sim.model.layout import INPUTS, with_unit
 from timo_sim.runs.replay import segments_of
 from timo_sim.scene.files import read_yaml
-from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError, PARAMETERS, short
 from timo_sim.topics.commands import COMMANDED, COMMANDS
+from timo_sim.topics.outputs import title
+from timo_sim.topics.sensors import SENSORS
 
 SUFFIXES = '.csv', '.txt', '.dat', '.tsv', '.parquet', '.mat'
 _COMMENT = '%#'
@@ -238,18 +239,18 @@ def _number(text):
     return np.nan if text.lower() in _MISSING else float(text.replace(',', '.'))
 
 
-_COLUMNS = {**CHANNELS, 'voltage': VOLTAGE}
+_COLUMNS = {each.name: column for column, each in enumerate(INPUTS) if each.argument}
 # By output, the topics and columns that show it, the first that a log has; sensors have noise.
-_SENSORS = {'~/encoder': 'encoder', '~/root_strain': 'root_strain',
-            '~/tip_imu/data_raw': 'tip_acceleration'}
 _OUTPUTS = {
-    'shaft': (('~/encoder', 'shaft_rad'), ('joint_states', 'shaft_rad')),
-    'carrier_x': (('joint_states', 'carrier_x_m'),),
-    'carrier_y': (('joint_states', 'carrier_y_m'),),
-    'tip_transverse': (('~/tip_deflection', 'transverse_m'),),
-    'root_strain': (('~/root_strain', 'outer_fibre'),),
-    'tip_acceleration': (('~/tip_imu/data_raw', 'acceleration_y_m_per_s2'),),
+    'shaft': [('joint_states', 'shaft_rad')],
+    'carrier_x': [('joint_states', 'carrier_x_m')],
+    'carrier_y': [('joint_states', 'carrier_y_m')],
+    'tip_transverse': [('~/tip_deflection', 'transverse_m')],
 }
+_MEASURING = [sensor for sensor in SENSORS if sensor.measured]
+_SENSORS = {sensor.topic: sensor.name for sensor in _MEASURING}
+for _sensor in _MEASURING:
+    _OUTPUTS.setdefault(_sensor.measured, []).insert(0, (_sensor.topic, _sensor.columns[-1]))
 
 
 def read_log(path, scene=None, node=None):
@@ -414,12 +415,12 @@ def _record(path, mapping, source):
         entry = {'quantity': entry} if isinstance(entry, str) else entry
         _check_keys(f'columns: {column}', entry, _KEYS['columns'])
         name = entry.get('quantity')
-        known = {**INPUTS, **OUTPUTS}
+        known = {**INPUT_UNITS, **OUTPUTS}
         if not isinstance(name, str) or name not in known:
             raise ParameterError(f'columns: {column}: quantity must be one of '
                                  f'{", ".join(known)}, got {short(name)}'
                                  f'{did_you_mean(name, known)}')
-        kept = inputs if name in INPUTS else outputs
+        kept = inputs if name in INPUT_UNITS else outputs
         if name in kept:
             raise ParameterError(f'columns: {name} is given twice')
         file = _checked(entry, 'file', None)
@@ -514,11 +515,11 @@ def _by_names(table):
 def _quantity(column):
     plain = re.sub(r'^(tip_deflection_|encoder_|motor_torque_|motor_voltage_|carrier_wrench_|'
                    r'tip_wrench_)', '', column)
-    plain = {'transverse_m': 'tip_transverse_m', 'root_strain_outer_fibre': 'root_strain',
-             'tip_imu_data_raw_acceleration_y_m_per_s2': 'tip_acceleration_m_per_s2',
-             'tip_pose_x_m': 'tip_x_m', 'tip_pose_y_m': 'tip_y_m'}.get(plain, plain)
-    for name in (*INPUTS, *OUTPUTS):
-        unit = unit_of(name).replace(' ', '_').replace('/', '_per_')
-        if plain == (f'{name}_{unit}' if unit else name):
+    plain = {'transverse_m': 'tip_transverse_m', 'tip_pose_x_m': 'tip_x_m',
+             'tip_pose_y_m': 'tip_y_m', **{
+                 f'{title(sensor.topic)}_{sensor.columns[-1]}': with_unit(
+                     sensor.measured, sensor.unit) for sensor in _MEASURING}}.get(plain, plain)
+    for name in (*INPUT_UNITS, *OUTPUTS):
+        if plain == with_unit(name, unit_of(name)):
             return name
     return None

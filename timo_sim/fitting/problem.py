@@ -20,6 +20,7 @@ from scipy.interpolate import CubicSpline, make_interp_spline, make_lsq_spline
 from scipy.signal import lfilter
 
 from timo_sim.fitting.record import DRIVE, OUTPUTS, unit_of
+from timo_sim.model.layout import INPUTS
 from timo_sim.runs.run import sampled_run
 from timo_sim.scene.loads import Load, on_boundaries, parabolas, Term
 from timo_sim.scene.parameters import (
@@ -187,11 +188,6 @@ def _measured(problem, begin, values):
 
 
 _DEGREE = 5  # of the spline through a driven angle, whose acceleration is smooth
-# Limits of commands, and of the rates at which they act, by input.
-_LIMITS = {'voltage': ('motor.dc.voltage_limit', None),
-           'torque': ('motor.torque_limit', 'motor.torque_rate_limit'),
-           **{axis: ('carrier.force_limit', 'carrier.force_rate_limit')
-              for axis in ('force_x', 'force_y')}}
 
 
 class Sampled(Term):
@@ -288,12 +284,13 @@ def loads_of(record, scene, sensors, shift=0.0):
 
 def limited(record, values):
     """Return a record whose inputs are what a scene's actuators make of them, by its values."""
-    if 'voltage' in record.inputs and not values['motor.dc.resistance']:
-        raise ParameterError('the record has a voltage, which needs a DC motor: '
-                             'motor.dc.resistance must be > 0 ohm, and motor.dc.torque_constant')
+    for each in INPUTS:
+        if each.name in record.inputs and each.needs and not values[each.needs]:
+            raise ParameterError(f'the record has the input {each.name}, which needs '
+                                 f'{each.needs} > 0, got 0')
     inputs = dict(record.inputs)
-    for name, (limit, rate) in _LIMITS.items():
-        if name in inputs and np.isfinite(values[limit]):
+    for name, *_, limit, rate, _ in INPUTS:
+        if name in inputs and limit and np.isfinite(values[limit]):
             goals = np.clip(inputs[name].values, -values[limit], values[limit])
             inputs[name] = inputs[name]._replace(values=goals)
         if name in inputs and rate and np.isfinite(values[rate]):

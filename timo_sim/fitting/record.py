@@ -17,10 +17,9 @@ from typing import Any, Callable, NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from timo_sim.model.layout import rotate, TIP_TORQUE, TIP_X, TIP_Y
-from timo_sim.scene.loads import CHANNELS
+from timo_sim.model.layout import INPUTS, PUSH_X, PUSH_Y, rotate, TIP_TORQUE, TIP_X, TIP_Y
 from timo_sim.scene.parameters import did_you_mean, ParameterError, short
-from timo_sim.simulation.snapshot import root_strain
+from timo_sim.topics.sensors import SENSORS
 
 DRIVE = 'drive'
 
@@ -64,8 +63,10 @@ def _root_strain(run):
     moment = (_rate(run, angular) + _cross(run.motion[:, half:half + 2], linear)
               - _cross(np.einsum('p,npi->ni', model.point_mass, place), model.gravity)
               - _cross(place[:, -1], tip) - load[:, TIP_TORQUE])
-    per_moment, per_q, per_rate = root_strain(model)
-    return run.q @ per_q + run.qdot @ per_rate - per_moment * moment
+    if model.push_point:
+        place = model.world(run.motion, model.push_point)[:, 0] - run.carrier
+        moment -= _cross(place, load[:, [PUSH_X, PUSH_Y]])
+    return model.strain(run.motion, 0.0, -moment)
 
 
 def _tip_acceleration(run):
@@ -81,11 +82,16 @@ def _cross(first, second):
     return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
 
 
-# By name, the unit of an input.
-INPUTS = {**{name: 'N m' if 'torque' in name else 'N' for name in CHANNELS}, 'voltage': 'V',
-          DRIVE: 'rad'}
+# Units of the inputs that a record may have.
+INPUT_UNITS = {**{each.name: each.unit for each in INPUTS if each.argument}, DRIVE: 'rad'}
+
+
+def _of_motion(sensor):
+    return Output(sensor.unit, sensor.meaning, lambda run: sensor.of_motion(run.model, run.motion))
+
+
 OUTPUTS = {
-    'shaft': Output('rad', 'angle of the shaft', lambda run: run.shaft),
+    **{sensor.measured: _of_motion(sensor) for sensor in SENSORS if sensor.of_motion},
     'shaft_velocity': Output('rad/s', 'speed of the shaft', lambda run: run.shaft_velocity),
     'carrier_x': Output('m', 'position of the carrier', lambda run: run.carrier[:, 0]),
     'carrier_y': Output('m', 'position of the carrier', lambda run: run.carrier[:, 1]),
@@ -115,7 +121,7 @@ UNITS = {
 
 def unit_of(name):
     """Return the unit of a quantity, of which all numbers inside are."""
-    return INPUTS[name] if name in INPUTS else OUTPUTS[name].unit
+    return INPUT_UNITS[name] if name in INPUT_UNITS else OUTPUTS[name].unit
 
 
 HOLDS = 'zero', 'linear'
@@ -201,7 +207,7 @@ class Record:
         """
         ins: dict[str, Channel] = {}
         outs: dict[str, Channel] = {}
-        rules: Any = (ins, inputs, INPUTS, 'input'), (outs, outputs, OUTPUTS, 'output')
+        rules: Any = (ins, inputs, INPUT_UNITS, 'input'), (outs, outputs, OUTPUTS, 'output')
         for kept, given, known, kind in rules:
             for name, channel in given.items():
                 if name not in known:

@@ -53,7 +53,8 @@ from typing import Any
 import numpy as np
 
 from timo_sim.compiled.constants import of_any_size
-from timo_sim.model.exact_code import BAND, BANDS, RateTables, SECTORS, Tables, TurningTables
+from timo_sim.model.exact_code import (
+    BAND, BANDS, PUSHED, RateTables, SECTORS, Tables, TurningTables)
 from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.layout import ANGLE, LOADS, SPEED, tip_force, TIP_TORQUE
 
@@ -96,9 +97,14 @@ class Exact(Formulation):
         if self.sectors and self.axial:
             self._band = BAND * modes.omega[0]
             inertia = 1.0 if self.driven else tables.rotary[0, 0] + kernel.mean(axis=0).sum()
-            return TurningTables._make([*tables, 1.0 / (self._band * inertia),
-                                        np.zeros_like(linear)]), linear
-        return tables, linear
+            return self._with_push(TurningTables._make([
+                *tables, 1.0 / (self._band * inertia), np.zeros_like(linear)])), linear
+        return self._with_push(tables), linear
+
+    def _with_push(self, tables):
+        # With the constants of a force on the arm, if there is one.
+        return PUSHED[type(tables)]._make([
+            *tables, self.push_point.integral[:, 0]]) if self.push_point else tables
 
     def _with_linear_part(self, tables, angle):
         # Returns the tables and the linear part of the straight arm, whose C is E along the arm
@@ -235,7 +241,7 @@ class Exact(Formulation):
             turning[:, len(self.axes)] *= self.driven  # the angle itself is not bounded
             linear += turning
             tables = TurningTables._make([*tables, self.tables.bands_per_speed, turning])
-        return tables._replace(sector=number), linear
+        return self._with_push(tables._replace(sector=number)), linear
 
     def _about_turning(self, angle, speed):
         # The rate's derivatives by the state of a straight arm that turns. Without friction that

@@ -19,7 +19,7 @@ driven or locked, else 0, and thus the number of the first coordinate that is fr
 
 from collections import namedtuple
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,8 +29,8 @@ from timo_sim.compiled.lanes import some
 from timo_sim.model import functions
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
-    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, SPEED, TIP_I, TIP_II, TIP_TORQUE,
-    TIP_X, TIP_Y, TORQUE)
+    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, SPEED, TIP_I,
+    TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
 
 
 class Tables(NamedTuple):
@@ -67,6 +67,15 @@ RateTables = namedtuple(  # type: ignore[misc]
 #   SECTORS times the number of the band, plus that of the sector.
 TurningTables = namedtuple(  # type: ignore[misc]
     'TurningTables', (*RateTables._fields, 'bands_per_speed', 'turning'))
+
+# Constants for a force on the arm, PUSH_X and PUSH_Y of a load. In addition:
+# - push: from slopes to where it acts, (n_g,).
+PUSHED: dict[type, Any] = {
+    kind: namedtuple(f'Pushed{kind.__name__}', (*kind._fields, 'push'))  # type: ignore[misc]
+    for kind in (Tables, RateTables, TurningTables)}
+_TURNING = TurningTables, PUSHED[TurningTables]
+_RATED = RateTables, PUSHED[RateTables], *_TURNING
+_ALL = Tables, PUSHED[Tables], *_RATED
 
 
 # Slopes of the centre line and their derivatives, (T22) to (T24).
@@ -158,6 +167,30 @@ def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors):
             speed[i] -= mass[k, i] * speed[k]
 
 
+# A force on the arm. For every x, x + -0.0 is x: without one the compiler removes these sums.
+
+@optional
+def push_force(tables, load):
+    """Return x, y of the force on the arm."""
+    return -0.0, -0.0
+
+
+@optional
+def push_work(tables, load, j):
+    """Return what this force adds to the force against the slope at node j, in x and y."""
+    return -0.0, -0.0
+
+
+@push_force.of(*PUSHED.values())
+def _push_force(tables, load):
+    return load[PUSH_X], load[PUSH_Y]
+
+
+@push_work.of(*PUSHED.values())
+def _push_work(tables, load, j):
+    return -tables.push[j] * load[PUSH_X], -tables.push[j] * load[PUSH_Y]
+
+
 # Mass centre and carrier, (T25), (T27), (T33), (T44).
 
 @inner
@@ -189,14 +222,17 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
     shaft_y, shaft_x = sincos(angle)
     tip_x = load[TIP_X] + shaft_x * load[TIP_I] - shaft_y * load[TIP_II]
     tip_y = load[TIP_Y] + shaft_y * load[TIP_I] + shaft_x * load[TIP_II]
+    arm_x, arm_y = push_force(tables, load)
     rubs = some((tables.carrier_friction != 0.0) | (tables.coulomb[0, 0] != 0.0))
     for k in range(len(axes)):
         if axes[k] == 0:
-            push_x = load[FORCE_X] + shaft_x * load[FORCE_I] - shaft_y * load[FORCE_II] + tip_x
+            push_x = (load[FORCE_X] + shaft_x * load[FORCE_I] - shaft_y * load[FORCE_II]
+                      + tip_x + arm_x)
             if rubs:
                 push_x -= _resistance(tables, _carrier_speed(tables, state, k, c1, speed))
         else:
-            push_y = load[FORCE_Y] + shaft_y * load[FORCE_I] + shaft_x * load[FORCE_II] + tip_y
+            push_y = (load[FORCE_Y] + shaft_y * load[FORCE_I] + shaft_x * load[FORCE_II]
+                      + tip_y + arm_y)
             if rubs:
                 push_y -= _resistance(tables, _carrier_speed(tables, state, k, c2, speed))
         out[k] = 0.0  # X' = P / m_t is in the linear part
@@ -207,8 +243,8 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
 # Forces on the coordinates, (T28), (T29), (T32).
 
 @inlined
-def _set_moments(tables, torque, forces, cosine, sine, a, b, image_1, image_2, speed, script_a,
-                 script_b):
+def _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, image_2, speed,
+                 script_a, script_b):
     """
     Set A_j and B_j of (T29); return the moment of torque and forces about the shaft.
 
@@ -232,8 +268,9 @@ def _set_moments(tables, torque, forces, cosine, sine, a, b, image_1, image_2, s
             shearing += speed[i] * shear[i, j]
         along = cosine[j] * g1 + sine[j] * g2
         # The force against the slope: -Q_i of (T28), (T32) is the sum of its products with C_i.
-        force_x = to_centre[j] * push_x - to_tip[j] * tip_x
-        force_y = to_centre[j] * push_y - to_tip[j] * tip_y
+        arm_x, arm_y = push_work(tables, load, j)
+        force_x = to_centre[j] * push_x - to_tip[j] * tip_x + arm_x
+        force_y = to_centre[j] * push_y - to_tip[j] * tip_y + arm_y
         script_a[j] = force_x * b[j] - force_y * a[j]
         script_b[j] = force_x * sine[j] - force_y * cosine[j] - turning * along
         moment += script_a[j]
@@ -241,7 +278,7 @@ def _set_moments(tables, torque, forces, cosine, sine, a, b, image_1, image_2, s
     return moment
 
 
-@functions.rate.of(Tables, RateTables, TurningTables)
+@functions.rate.of(*_ALL)
 def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
     rotation, shear, to_centre = tables.rotation, tables.shear, tables.to_centre
@@ -269,8 +306,8 @@ def _rate(tables, state, load, out):
     forces = _translate(tables, state, load, coordinate[0], c1, c2, speed, out)
     torque = load[TORQUE] - functions.coulomb(tables, 1, speed[0])
     script_a, script_b = local((to_centre,)), local((to_centre,))
-    moment = _set_moments(tables, torque, forces, cosine, sine, a, b, image_1, image_2, speed,
-                          script_a, script_b)
+    moment = _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, image_2,
+                          speed, script_a, script_b)
     for i in range(driven, count - rate_count(tables)):
         # Unless one axis is held, T does not depend on the shaft angle; that sum would only give
         # round-off and is left out.
@@ -286,7 +323,7 @@ def _rate(tables, state, load, out):
     subtract_turning(tables, state, out)
 
 
-@functions.observe.of(Tables, RateTables, TurningTables)
+@functions.observe.of(*_ALL)
 def _observe(tables, state, load, out):
     """Write the motion of a state: the carrier's from the mass centre's (T25), and q'."""
     rotation, to_centre = tables.rotation, tables.to_centre
@@ -315,7 +352,7 @@ def _observe(tables, state, load, out):
         out[half + axis] = _carrier_speed(tables, state, k, derivative, speed)
 
 
-@functions.tip.of(Tables, RateTables, TurningTables)
+@functions.tip.of(*_ALL)
 def _tip(tables, motion, out):
     """Write the tip's position, the integral of the slopes, and rotation from the shaft."""
     rotation, shear, to_tip = tables.rotation, tables.shear, tables.to_tip
@@ -344,7 +381,7 @@ def add_stretch_to_slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
     """Add the axial strain to a, b (T23), C1 and C2 (T24)."""
 
 
-@add_stretch_to_slopes.of(RateTables, TurningTables)
+@add_stretch_to_slopes.of(*_RATED)
 def _add_stretch_to_slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
     rotation, stretch = tables.rotation, tables.stretch
     count, nodes = rotation.shape
@@ -369,7 +406,7 @@ def add_stretch_to_tip(tables, motion, out):
     """Add the displacement by axial strain to the tip's position from the shaft."""
 
 
-@add_stretch_to_tip.of(RateTables, TurningTables)
+@add_stretch_to_tip.of(*_RATED)
 def _add_stretch_to_tip(tables, motion, out):
     rotation, stretch, to_tip = tables.rotation, tables.stretch, tables.to_tip
     count, nodes = rotation.shape
@@ -396,7 +433,7 @@ def rate_count(tables):
     return 0
 
 
-@rate_count.of(RateTables, TurningTables)
+@rate_count.of(*_RATED)
 def _rate_count(tables):
     return len(tables.linear_rate)
 
@@ -406,7 +443,7 @@ def take_rates_of_state(tables, state, mass, inverse, speed, factors):
     """Set the rates that are part of the state; copy L and 1/D of the mass matrix to `factors`."""
 
 
-@take_rates_of_state.of(RateTables, TurningTables)
+@take_rates_of_state.of(*_RATED)
 def _take_rates_of_state(tables, state, mass, inverse, speed, factors):
     count = len(speed)
     rates_from = count - len(tables.linear_rate)
@@ -426,7 +463,7 @@ def add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image
     """Add the terms of the axial strain to dT/dq (T29); write the accelerations (T35)."""
 
 
-@add_stretch_forces.of(RateTables, TurningTables)
+@add_stretch_forces.of(*_RATED)
 def _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2,
                         coordinate, speed, factors, out):
     rotation, shear, stretch = tables.rotation, tables.shear, tables.stretch
@@ -462,8 +499,9 @@ def _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, imag
         added = 0.0
         for j in range(nodes):
             added += rotation[i, j] * added_a[j]
-            force_x = to_tip[j] * tip_x - to_centre[j] * push_x
-            force_y = to_tip[j] * tip_y - to_centre[j] * push_y
+            arm_x, arm_y = push_work(tables, load, j)
+            force_x = to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
+            force_y = to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
             total += (force_x * c1[i, j] + force_y * c2[i, j] - image_1[i, j] * a_2[j]
                       - image_2[i, j] * b_2[j])
         # Unless one axis is held, T does not depend on the shaft angle.
@@ -514,14 +552,14 @@ def band(tables, state, load):
     return 0
 
 
-@band.of(TurningTables)
+@band.of(*_TURNING)
 def _band(tables, state, load):
     driven = len(tables.rotation) > len(tables.straight)
     speed = load[SPEED] if driven else state[len(state) // 2 + len(tables.axes)]
     return min(max(math.floor(speed * tables.bands_per_speed), -BANDS), BANDS - 1) + BANDS
 
 
-@functions.linear_part_is_valid.of(RateTables, TurningTables)
+@functions.linear_part_is_valid.of(*_RATED)
 def _linear_part_is_valid(tables, state, load):
     if tables.sector < 0:
         return True
@@ -535,7 +573,7 @@ def subtract_turning(tables, state, out):
     """Subtract what the linear part has for the speed of a band."""
 
 
-@subtract_turning.of(TurningTables)
+@subtract_turning.of(*_TURNING)
 def _subtract_turning(tables, state, out):
     for i in range(len(out)):
         total = 0.0

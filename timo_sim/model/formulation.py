@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from timo_sim.compiled.constants import of_any_size, pack
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import rate_once, tip_once
-from timo_sim.model.layout import rotate
+from timo_sim.model.layout import PUSH_X, PUSH_Y, rotate
 from timo_sim.model.modes import AxialModes, Modes, modes_of
 
 
@@ -61,6 +61,8 @@ class Formulation(ABC):
         Acceleration of free fall along world x and y [m/s2].
     basis : Manipulator, optional
         The same arm with another end effector, whose modes are assumed; by default its own.
+    push : float
+        Distance from the root to where the loads PUSH_X and PUSH_Y act [m]; 0: they do not.
 
     Attributes
     ----------
@@ -80,7 +82,8 @@ class Formulation(ABC):
     def __init__(self, manipulator: Manipulator, count: int, damping: ArrayLike = 0.0,
                  constraints: Constraints = Constraints(), nodes: int | None = None,
                  static: tuple[str, ...] = (), axial: int = 0,
-                 gravity: Sequence[float] = (0.0, 0.0), basis: Manipulator | None = None) -> None:
+                 gravity: Sequence[float] = (0.0, 0.0), basis: Manipulator | None = None,
+                 push: float = 0.0) -> None:
         self.manipulator, self.constraints = manipulator, constraints
         self.gravity = np.array(gravity, dtype=float)
         basis = basis or manipulator
@@ -107,6 +110,7 @@ class Formulation(ABC):
         self.point_mass, self.point_inertia = manipulator.inertia(masses)
         self.arm_mass = self.point_mass.sum()
         self.mass = manipulator.base_mass + self.arm_mass
+        self.push_point = self.at([push]) if push else None
         self.tables, self.linear = self.build()
         self.pack: Callable[[Any], Any] = pack
         self.packed = pack(self.tables)
@@ -154,16 +158,21 @@ class Formulation(ABC):
         Return the force on the carrier and torque on the shaft that accelerations need (T42).
 
         They include loads on carrier and shaft, friction and constraints. There are n motions,
-        accelerations of 3 + N coordinates and loads, of which only those on the tip are used.
+        accelerations of 3 + N coordinates and loads, of which only those on tip and arm are used.
         Shape (n, 3): in world axes [N], then [N m].
         """
         specific = accelerations.copy()
         specific[:, :2] -= self.gravity  # held in gravity is the same as accelerated against it
-        return self._effort(motions, specific, loads)
+        effort = self._effort(motions, specific, loads)
+        if self.push_point:
+            push_x, push_y = loads[:, PUSH_X], loads[:, PUSH_Y]
+            x, y = (self.world(motions, self.push_point)[:, 0] - motions[:, :2]).T
+            effort -= np.column_stack([push_x, push_y, x * push_y - y * push_x])
+        return effort
 
     @abstractmethod
     def _effort(self, motions, accelerations, loads):
-        """Return the effort where there is no gravity."""
+        """Return the effort where there is no gravity and no push on the arm."""
 
     @cached_property
     def tip_travel(self) -> np.ndarray:
@@ -279,6 +288,35 @@ class Formulation(ABC):
     def section_rotation(self, q: np.ndarray, points: Points) -> np.ndarray:
         """Return section rotations from the shaft, shape (n, p) [rad]. Source: paper eq. (36)."""
         return q @ points.rotation
+
+    def strain(self, motions: np.ndarray, xi: float,
+               moment: np.ndarray | None = None) -> np.ndarray:
+        """
+        Return the strain of the outer fibre of a section, axial strain included, shape (n,).
+
+        It follows from the bending moment there, or from the curvature of the modes, which
+        converges more slowly with their number.
+
+        Parameters
+        ----------
+        motions : ndarray, shape (n, 2 (3 + N))
+        xi : float
+            Distance of the section from the root along the undeformed arm [m].
+        moment : ndarray, shape (n,), optional
+            Bending moment in the section [N m], that of modal damping included.
+
+        """
+        place, modes, (q, qdot) = np.array([xi]), self.modes, self._split(motions)
+        section = self.manipulator.arm.at(place)
+        height, stiffness = (np.ravel(value)[0] for value in (
+            section.height, section.bending_stiffness))
+        curvature = modes.curvature(place)[0]
+        stretch = modes.stretch(place)[0] if self.axial else np.zeros(len(modes))
+        if moment is None:
+            return q @ (0.5 * height * curvature) + q @ stretch
+        # Modal damping adds to the moment, but not to the strain, so its moment is subtracted.
+        damped = -0.5 * height * curvature * 2.0 * self.damping / modes.omega
+        return 0.5 * height / stiffness * moment + q @ stretch + qdot @ damped
 
     def world(self, motions: np.ndarray, points: Points) -> np.ndarray:
         """Return the world positions of points of the centre line, shape (n, p, 2) [m]."""

@@ -29,7 +29,7 @@ def rate(tables, state, load, out):
     tables : packed constants
         The formulation's.
     state, out : ndarray, shape (m,)
-    load : ndarray, shape (14,)
+    load : ndarray, shape (LOADS,)
         Columns as in `layout`.
 
     """

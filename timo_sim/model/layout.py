@@ -6,20 +6,84 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Layout of the arrays for loads and motions, and rotations of the plane."""
+"""The table of inputs, the layout of the arrays for loads and motions, rotations of the plane."""
 
 from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-# Columns of a load: forces on the carrier in world axes and in the shaft's axes [N], torque on the
-# shaft [N m]; forces on the tip likewise [N], torque on the end effector [N m]; angle, speed and
-# acceleration of a driven shaft [rad], [rad/s], [rad/s2]; voltage at a DC motor [V], of which the
-# equations see only the torque.
+
+class Input(NamedTuple):
+    """
+    What acts on the manipulator from outside, and its column in a load.
+
+    From its entry in `INPUTS` follow the parameters `load.NAME...` of a scene, arguments of
+    `Simulator.step` and `Batch.step`, limits, columns of commands in logs, inputs of `linearize`
+    and of fits, and scales of sensitivities.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    group: str = ''       # the inputs that a command sets together; empty: commands set it not
+    frame: str = 'world'  # axes along which a force acts: world, arm or tip
+    limit: str = ''       # parameter with the largest magnitude of its commands; empty: none
+    rate_limit: str = ''  # parameter with the largest rate at which they act; empty: none
+    needs: str = ''       # parameter that must be > 0 where it acts; empty: none
+
+    @property
+    def argument(self) -> str:
+        """Name of the argument of `Simulator.step` that sets it, or ''."""
+        known = self.group and self.frame == 'world'
+        return self.name.removesuffix('_x').removesuffix('_y') if known else ''
+
+    @property
+    def prescribed(self) -> bool:
+        """Whether a scene may prescribe it over time: forces and torques, world axes."""
+        return bool(self.argument) and self.unit in ('N', 'N m')
+
+    @property
+    def column(self) -> str:
+        """Name of a column with its numbers, such as `torque_N_m`."""
+        return with_unit(self.name, self.unit)
+
+
+def with_unit(name: str, unit: str) -> str:
+    """Return the name of a column with numbers in a unit: `speed_rad_per_s`."""
+    return f'{name}_{unit}'.replace(' ', '_').replace('/', '_per_') if unit else name
+
+
+_FORCE = 'carrier.force_limit', 'carrier.force_rate_limit'
+# The columns of a load, in this order. Arm axes turn with the shaft. The angle, speed and
+# acceleration are those of a driven shaft. The equations see only the torque of a voltage.
+INPUTS = (
+    Input('force_x', 'N', 'force on the carrier along world x', 'carrier', 'world', *_FORCE),
+    Input('force_y', 'N', 'force on the carrier along world y', 'carrier', 'world', *_FORCE),
+    Input('force_along_arm', 'N', 'force on the carrier along the arm', 'carrier', 'arm', *_FORCE),
+    Input('force_across_arm', 'N', 'force on the carrier across the arm', 'carrier', 'arm',
+          *_FORCE),
+    Input('torque', 'N m', 'torque on the shaft', 'shaft', 'world', 'motor.torque_limit',
+          'motor.torque_rate_limit'),
+    Input('tip_force_x', 'N', 'force on the end effector along world x', 'tip'),
+    Input('tip_force_y', 'N', 'force on the end effector along world y', 'tip'),
+    Input('tip_force_along_arm', 'N', 'force on the end effector along the arm', 'tip', 'arm'),
+    Input('tip_force_across_arm', 'N', 'force on the end effector across the arm', 'tip', 'arm'),
+    Input('tip_torque', 'N m', 'torque on the end effector', 'tip'),
+    Input('angle', 'rad', 'angle of a driven shaft'),
+    Input('speed', 'rad/s', 'speed of a driven shaft'),
+    Input('acceleration', 'rad/s2', 'acceleration of a driven shaft'),
+    Input('voltage', 'V', 'voltage at a DC motor', 'shaft', 'world', 'motor.dc.voltage_limit',
+          needs='motor.dc.resistance'),
+    Input('push_x', 'N', 'force on the arm at push.position along world x', 'push',
+          needs='push.position'),
+    Input('push_y', 'N', 'force on the arm at push.position along world y', 'push',
+          needs='push.position'),
+)
+LOADS = len(INPUTS)
 (FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE, TIP_X, TIP_Y, TIP_I, TIP_II, TIP_TORQUE,
- ANGLE, SPEED, ACCELERATION, VOLTAGE) = range(14)
-LOADS = 14
+ ANGLE, SPEED, ACCELERATION, VOLTAGE, PUSH_X, PUSH_Y, *_) = range(LOADS)
 # Rows of the loads of a step: three that its stages see, then the true load at its end.
 START, MIDDLE, END, AFTER = range(4)
 STAGES, STEP_LOADS = 3, 4
@@ -109,7 +173,7 @@ def rotate(theta, x, y):
 
 
 def tip_force(loads, theta):
-    """Return x, y of the tip force in world axes [N], for loads (..., 14), shaft angles (...)."""
+    """Return x, y of the tip force in world axes [N], for loads (..., LOADS), angles (...)."""
     x, y = rotate(theta, loads[..., TIP_I], loads[..., TIP_II])
     return x + loads[..., TIP_X], y + loads[..., TIP_Y]
 

@@ -40,20 +40,21 @@ is held. A driven shaft has no row, since its theta'' is given. The state is the
 coordinates that are held or driven.
 """
 
+from collections import namedtuple
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from timo_sim.compiled.constants import local
-from timo_sim.compiled.functions import inlined, inner
+from timo_sim.compiled.functions import inlined, inner, optional
 from timo_sim.compiled.lanes import some
 from timo_sim.model import functions
 from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
-    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, rotate, SPEED, tip_force, TIP_I,
-    TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
+    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, rotate, SPEED,
+    tip_force, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
 
 
 class Laws(NamedTuple):
@@ -155,6 +156,9 @@ class Newton(Formulation):
             np.array(self.manipulator.coulomb), self.axes, self.held_position,
             self.manipulator.arm.length, laws.tip_share,
             self.points.deflection[:, -1], self.points.rotation[:, -1], self.gravity)
+        if self.push_point:
+            tables = PushedTables._make([*tables, self.push_point.xi[0],
+                                         self.push_point.deflection[:, 0]])
         return tables, linear
 
     def state(self, motion: np.ndarray) -> np.ndarray:
@@ -186,13 +190,14 @@ class Newton(Formulation):
 
     @cached_property
     def _tension(self):
-        # Geometric stiffness of the first mode per axial force on the tip, per alpha, and per
-        # squared shaft speed.
+        # Geometric stiffness of the first mode per axial force on the tip and on the arm, per
+        # alpha, and per squared shaft speed.
         xi = self.quadrature.nodes
         slope = self.modes.rotation(xi)[:, 0] + self.modes.shear(xi)[:, 0]
         inboard = self.points.integral.T @ slope**2
         mass = self.point_mass
-        return np.array([inboard[-1], -mass @ inboard, (mass * self.points.xi) @ inboard])
+        push = self.push_point.integral[:, 0] @ slope**2 if self.push_point else 0.0
+        return np.array([inboard[-1], push, -mass @ inboard, (mass * self.points.xi) @ inboard])
 
     def axial_share(self, state: np.ndarray, load: np.ndarray) -> float:
         """
@@ -208,7 +213,8 @@ class Newton(Formulation):
         acceleration[axes] = self.rate(state, load)[half:half + len(axes)]
         alpha, _ = rotate(-angle, *(acceleration - self.gravity))
         pull, _ = rotate(-angle, *np.ravel(tip_force(load[np.newaxis], np.array([angle]))))
-        return float(self._tension @ [pull, alpha, speed**2] / self.modes.omega[0]**2)
+        push, _ = rotate(-angle, load[PUSH_X], load[PUSH_Y])
+        return float(self._tension @ [pull, push, alpha, speed**2] / self.modes.omega[0]**2)
 
     def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
         """Return the points (xi, w)."""
@@ -304,6 +310,39 @@ class Tables(NamedTuple):
     gravity: np.ndarray         # g along world x and y, (2,)
 
 
+# Constants for a force on the arm, PUSH_X and PUSH_Y of a load. In addition:
+# - push_place: distance from the root to where it acts;
+# - push_deflection: W_n there, (N,).
+PushedTables = namedtuple(  # type: ignore[misc]
+    'PushedTables', (*Tables._fields, 'push_place', 'push_deflection'))
+
+
+# For every x, x + -0.0 is x: without a force on the arm the compiler removes these sums.
+
+@optional
+def push(tables, q, load, cosine, sine):
+    """Return the force on the arm along axes I, II, and its moment about the shaft."""
+    return -0.0, -0.0, -0.0
+
+
+@optional
+def push_on_mode(tables, n, push_2):
+    """Return what a force across the arm does on a mode."""
+    return -0.0
+
+
+@push.of(PushedTables)
+def _push(tables, q, load, cosine, sine):
+    along = cosine * load[PUSH_X] + sine * load[PUSH_Y]
+    across = cosine * load[PUSH_Y] - sine * load[PUSH_X]
+    return along, across, tables.push_place * across - _dot(tables.push_deflection, q) * along
+
+
+@push_on_mode.of(PushedTables)
+def _push_on_mode(tables, n, push_2):
+    return tables.push_deflection[n] * push_2
+
+
 @inner
 def _dot(left, right):
     total = 0.0
@@ -319,7 +358,7 @@ def _resistance(tables, joint, speed):
 
 
 @inlined
-def _set_z_0(tables, q, theta_rate, load, tip_2, tip_moment, force, z):
+def _set_z_0(tables, q, theta_rate, load, tip_2, push_2, moment, force, z):
     """Set z_0: theta'' and q'' at beta = 0, without the modal stress (in the linear part)."""
     inverse, softening = tables.inverse, tables.softening
     rows, count = softening.shape
@@ -327,9 +366,10 @@ def _set_z_0(tables, q, theta_rate, load, tip_2, tip_moment, force, z):
     for i in range(driven, rows):
         if i:
             force[i] = (tables.tip_deflection[i - 1] * tip_2
-                        + tables.tip_rotation[i - 1] * load[TIP_TORQUE])
+                        + tables.tip_rotation[i - 1] * load[TIP_TORQUE]
+                        + push_on_mode(tables, i - 1, push_2))
         else:
-            force[i] = load[TORQUE] - _resistance(tables, 1, theta_rate) + tip_moment
+            force[i] = load[TORQUE] - _resistance(tables, 1, theta_rate) + moment
         for n in range(count):
             force[i] += theta_rate**2 * softening[i, n] * q[n]
         if driven:
@@ -396,7 +436,7 @@ def _add_gravity(tables, cosine, sine, tilt, out):
         out[len(out) - free + i] -= tables.response[len(tables.response) - free + i] * beta
 
 
-@functions.rate.of(Tables)
+@functions.rate.of(Tables, PushedTables)
 def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
     rows, count = tables.softening.shape
@@ -417,8 +457,9 @@ def _rate(tables, state, load, out):
     tip_2 = load[TIP_II] - sine * load[TIP_X] + cosine * load[TIP_Y]
     tip_moment = tables.tip_share * (
         load[TIP_TORQUE] + tables.length * tip_2 - _dot(tables.tip_deflection, q) * tip_1)
+    push_1, push_2, push_moment = push(tables, q, load, cosine, sine)
     force, z = local((tables.softening,)), local((tables.softening,))
-    _set_z_0(tables, q, omega, load, tip_2, tip_moment, force, z)
+    _set_z_0(tables, q, omega, load, tip_2, push_2, tip_moment + push_moment, force, z)
 
     # P(0) (T12) and V(0) (T13) at alpha = beta = 0; theta'' with the modal stress.
     theta_acceleration = z[0]
@@ -429,9 +470,9 @@ def _rate(tables, state, load, out):
         linear_shear += tables.shear_per_stress[n] * stress
     bent = _dot(tables.axial, q)
     axial = (bent * theta_acceleration + 2.0 * omega * _dot(tables.axial, qdot)
-             + omega**2 * tables.first_moment + tip_1)
+             + omega**2 * tables.first_moment + tip_1 + push_1)
     shear = (linear_shear - _dot(tables.shear_row, z) + omega**2 * _dot(tables.shear_softening, q)
-             + tables.tip_share * tip_2)
+             + tables.tip_share * tip_2 + push_2)
     tilt = bent * tables.response[0]  # -P(0) per beta
     beta = _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out)
 
@@ -444,7 +485,7 @@ def _rate(tables, state, load, out):
         _add_gravity(tables, cosine, sine, tilt, out)
 
 
-@functions.observe.of(Tables)
+@functions.observe.of(Tables, PushedTables)
 def _observe(tables, state, load, out):
     """Write the motion of a state."""
     parts = (0, 0), (len(state) // 2, len(out) // 2)
@@ -460,7 +501,7 @@ def _observe(tables, state, load, out):
             out[goal + 2 + i] = state[source + len(tables.axes) + i - driven]
 
 
-@functions.tip.of(Tables)
+@functions.tip.of(Tables, PushedTables)
 def _tip(tables, motion, out):
     """Write the tip's position (l, w), and its rotation."""
     out[0] = tables.length

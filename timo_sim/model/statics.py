@@ -34,7 +34,7 @@ def equilibrium(model: Formulation, motion: np.ndarray, load: np.ndarray) -> np.
     model : Formulation
     motion : ndarray, shape (2 (3 + N),)
         Where to begin. The carrier and a driven shaft stay there.
-    load : ndarray, shape (14,)
+    load : ndarray, shape (LOADS,)
         See `model.layout`.
 
     Raises

@@ -20,7 +20,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from timo_sim.log.records import names_note, START, SUMMARY
 from timo_sim.log.write import Channel, Recorder
 from timo_sim.topics.cdr import Serializer
-from timo_sim.topics.commands import COMMANDS, INPUTS, JOINTS, LARGEST, Refused
+from timo_sim.topics.commands import COMMANDS, GROUPS, JOINTS, LARGEST, Refused
 from timo_sim.topics.outputs import in_frames, NANOSECONDS
 
 _NEW = 10.0  # [s] of wall time in which a new subscriber discovers the publisher, too
@@ -179,8 +179,6 @@ _READ = {
     'std_msgs/msg/Float64MultiArray': lambda message: ([], [message.data]),
 }
 _WRENCH = 'force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z'
-# By command: the parts of its wrench that have no effect.
-_WITHOUT_EFFECT = {'~/carrier_wrench': (2, 3, 4, 5), '~/tip_wrench': (2, 3, 4)}
 
 
 class Inlet:
@@ -234,8 +232,7 @@ class Inlet:
                 once=True)
             return False
         self.foreign += sum(name not in JOINTS for name in texts[1:])
-        ignored = [_WRENCH[place] for place in _WITHOUT_EFFECT.get(self.command.name, ())
-                   if lists[0][place]]
+        ignored = [_WRENCH[place] for place in self.command.unused if lists[0][place]]
         if ignored:
             self.logger.warning(f'no effect of {", ".join(ignored)}: the arm moves in a plane, '
                                 'the carrier without turning', once=True)
@@ -265,7 +262,7 @@ class Inlet:
 
 class Commands:
     """
-    All command topics of a node, and which of them each input follows.
+    All command topics of a node, and which of them each group of inputs follows.
 
     `voltage` says whether there is a motor that takes one, `frames` names each frame.
 
@@ -274,7 +271,7 @@ class Commands:
     channels : list of Channel
         Of the log, in the order of COMMANDS.
     stale : int
-        How often an input fell to zero because its command was too old.
+        How often a group of inputs fell to zero because its command was too old.
     received : bool
         Whether a command has come since the last call of `apply`, or since this was set to False.
 
@@ -285,7 +282,7 @@ class Commands:
                         if voltage or command.name != '~/motor_voltage']
         self.channels = [inlet.channel for inlet in self._inlets]
         self.stale, self.received = 0, False
-        # Of each input that follows a command: the command's inlet, and the step when it began.
+        # Of each group that follows a command: the command's inlet, and the step when it began.
         self._followed = {}
 
     @property
@@ -321,8 +318,8 @@ class Commands:
         """
         Let pending commands act from this step on, and set inputs to zero that have timed out.
 
-        `commanded`, shape (16,), is updated in place; with `timeout_steps` 0 nothing times out.
-        Return the index in COMMANDS and the serialised message of each command that begins to
+        `commanded`, shape (COMMANDED,), is updated in place; with `timeout_steps` 0 nothing times
+        out. Return the index in COMMANDS and the serialised message of each command that begins to
         act; a time-out counts as a message of zeros.
         """
         started, self.received = [], False
@@ -341,8 +338,8 @@ class Commands:
                     inlet.logger.warning(
                         f'no command for {timeout_steps} steps, the {key} input falls to zero',
                         throttle_duration_sec=5.0)
-                    commanded[list(INPUTS[key])] = 0.0
-                    index = list(INPUTS).index(key)  # see the order of COMMANDS
+                    commanded[GROUPS[key]] = 0.0
+                    index = list(GROUPS).index(key)  # see the order of COMMANDS
                     started.append((index, serialize_message(self._inlets[index].type())))
         return started
 
@@ -352,7 +349,7 @@ class Commands:
                 ] if timeout_steps else []
 
     def clear(self, commanded):
-        """Set all commanded values, (16,), to zero and drop pending commands."""
+        """Set all commanded values, (COMMANDED,), to zero and drop pending commands."""
         commanded[:] = 0.0
         self._followed, self.received = {}, False
         for inlet in self._inlets:

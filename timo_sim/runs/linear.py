@@ -14,12 +14,13 @@ import numpy as np
 
 from timo_sim.extras import optional
 from timo_sim.model.bodies import Quadrature
-from timo_sim.model.layout import ANGLE, LOADS, rotate, TIP_TORQUE, TIP_X, TIP_Y
+from timo_sim.model.layout import ANGLE, INPUTS, LOADS, rotate, TIP_TORQUE, TIP_X, TIP_Y
 from timo_sim.scene.files import html_table
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.snapshot import Joints
+from timo_sim.topics.sensors import SENSORS
 
 _PERIOD = Parameter('dt', 1.0, 's', 'period', low=0.0, open_low=True)
 
@@ -154,8 +155,7 @@ def _places(names, chosen, kind):
 # turns most [rad]. The tip's deflection is no measure, since a heavy tip hardly moves.
 _SHIFT = 1e-3
 _STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
-_INPUTS = {f'{channel}_{"N_m" if "torque" in channel else "N"}': column
-           for channel, column in CHANNELS.items()}
+_INPUTS = {INPUTS[column].column: column for column in CHANNELS.values()}
 # Largest rate of a state that counts as an equilibrium [1/s].
 _STILL = 1e-9
 
@@ -271,13 +271,19 @@ def _jacobian(function, at, steps, columns):
     return np.stack(found, axis=-1)
 
 
+_NAMES = ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'tip_x_m', 'tip_y_m',
+          'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain',
+          'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
+          'shaft_velocity_rad_per_s')
+# Sensors that the motion alone determines, unless they are among these.
+_OF_MOTION = {sensor.output: sensor.of_motion for sensor in SENSORS
+              if sensor.of_motion and sensor.output not in _NAMES}
+
+
 class _Outputs:
     """The outputs of the linear model as functions of a motion."""
 
-    names = ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'tip_x_m', 'tip_y_m',
-             'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain',
-             'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
-             'shaft_velocity_rad_per_s')
+    names = (*_NAMES, *_OF_MOTION)
     root_strain = names.index('root_strain')
 
     def __init__(self, formulation, load):
@@ -291,7 +297,8 @@ class _Outputs:
         return np.concatenate([
             base, self._world(motion), self._formulation.centre_line(q, self._tip)[0, 0],
             self._formulation.section_rotation(q, self._tip)[0],
-            self._strain(motion, np.zeros((1, self._half)), self._load[np.newaxis]), rates])
+            self._strain(motion, np.zeros((1, self._half)), self._load[np.newaxis]), rates,
+            *(read(self._formulation, motion[np.newaxis]) for read in _OF_MOTION.values())])
 
     def strain_per(self, motion, accelerations=None, loads=None):
         """Return the strain at the root per each of k accelerations, or k loads, shape (k,)."""
@@ -307,7 +314,7 @@ class _Outputs:
 
     def residual(self, at):
         """
-        Return the static response of what the modes leave out, per load, shape (12, 14).
+        Return the static response of what the modes leave out, per load, (outputs, LOADS).
 
         It is that of the straight arm in axes of the tip, see doc/theory.md, section 2; other
         outputs than the tip's and other loads than those on the tip have none.

@@ -25,7 +25,7 @@ from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, MotionFields, TORQUE
 from timo_sim.scene.files import html_table
 from timo_sim.scene.parameters import PARAMETERS, warn
 from timo_sim.scene.scene import Scene
-from timo_sim.simulation.energy import dissipated
+from timo_sim.simulation.energy import dissipated, energy
 from timo_sim.simulation.loads import pieces
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import applied, joints_of_run, Snapshot
@@ -219,7 +219,7 @@ class Run(MotionFields, Tables):
 
     def energy(self) -> np.ndarray:
         """Return kinetic plus strain energy and the potential of gravity, shape (n,) [J]."""
-        return np.concatenate([model.energy(self.motion[part]) for model, part in self._pieces])
+        return energy(self._pieces, self.motion)
 
     def dissipated(self) -> np.ndarray:
         """
@@ -230,11 +230,11 @@ class Run(MotionFields, Tables):
         This is not possible for a run with commands or resets: its samples alone are integrated,
         with a ModelWarning if they are too far apart for a relative error of 1e-3.
         """
-        energy, doubt = dissipated(self.scene, self.t, self.motion)
+        taken, doubt = dissipated(self.scene, self.t, self.motion)
         if doubt:
             warn('the dissipated energy is not accurate, because samples are too far apart and '
                  'the run cannot be simulated again: take more samples')
-        return energy
+        return taken
 
     def momentum(self) -> np.ndarray:
         """
@@ -298,7 +298,7 @@ class Run(MotionFields, Tables):
         return np.concatenate([getattr(joints, name) for joints in self._joints])
 
     def loads(self) -> np.ndarray:
-        """Return the scene's loads at the samples, (n, 14), see `model.layout`."""
+        """Return the scene's loads at the samples, (n, LOADS), see `model.layout`."""
         load, step = self.scene.load, self.scene.step
         loads = np.empty((len(self.t), LOADS))
         first, last = np.rint(self.t[[0, -1]] / step).astype(int)

@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import (
-    did_you_mean, INITIAL, initial_names, initial_scale, number_of, Parameter, ParameterError,
+    INITIAL, initial_names, initial_scale, number_of, Parameter, ParameterError,
     placed, short, steps_in, warn)
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.batch import Batch
-from timo_sim.simulation.loads import COMMANDS
+from timo_sim.simulation.loads import ARGUMENTS, check_arguments
 from timo_sim.simulation.warnings import DivergenceError
 
 _LEVELS, _RATIO = 8, 4.0  # differences for each input, and the ratio of their steps
@@ -173,12 +174,10 @@ class _Command(NamedTuple):
 
 
 def _checked(commands):
+    check_arguments(commands, 'commands')
     found = {}
     for name, values in commands.items():
-        if name not in COMMANDS:
-            raise ParameterError(f'commands has {short(name, str)}, which is none of '
-                                 f'{", ".join(COMMANDS)}{did_you_mean(name, COMMANDS)}')
-        shape = np.shape(COMMANDS[name])
+        shape = np.shape(ARGUMENTS[name])
         try:
             found[name] = np.array(values, dtype=float)
         except (TypeError, ValueError):
@@ -218,8 +217,8 @@ def _of_commands(scene, commanded, duration):
                + model.point_mass @ model.points.xi**2)
     # What would move a rigid arm by its length, or turn it by a radian, within the run.
     by_force, by_torque = (size / duration**2 for size in (model.mass * body.arm.length, inertia))
-    scales = {'torque': by_torque, 'force': by_force, 'tip_force': by_force,
-              'tip_torque': by_torque, 'voltage': 1.0}
+    of_unit = {'N': by_force, 'N m': by_torque, 'V': 1.0}
+    scales = {each.argument: of_unit[each.unit] for each in INPUTS if each.argument}
     for name, values in commanded.items():
         for place in np.ndindex(values.shape):
             yield _Command(name + ''.join(f'[{k}]' for k in place), scales[name], name, place)

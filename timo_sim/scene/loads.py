@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 
 from timo_sim.model.layout import (
-    ACCELERATION, AFTER, ANGLE, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TIP_TORQUE, TIP_X,
-    TIP_Y, TORQUE)
+    ACCELERATION, AFTER, ANGLE, INPUTS, LOADS, STAGES, STEP_LOADS)
 from timo_sim.scene.parameters import ParameterError
 
 # Replace a load that has a kink inside a step by a parabola with the same moments.
@@ -95,8 +94,8 @@ def parabolas(function, breaks, degree, first, count):
     return (steps - first).astype(int), np.einsum('ij,mj...->mi...', _PARABOLA, moments)
 
 
-CHANNELS = {'force_x': FORCE_X, 'force_y': FORCE_Y, 'torque': TORQUE, 'tip_force_x': TIP_X,
-            'tip_force_y': TIP_Y, 'tip_torque': TIP_TORQUE}
+# Columns of the inputs that a scene may prescribe over time, by name.
+CHANNELS = {each.name: column for column, each in enumerate(INPUTS) if each.prescribed}
 
 
 @functools.lru_cache(maxsize=2)
@@ -289,7 +288,7 @@ class Load:
 
     def stages(self, first, count, step, room=None):
         """
-        Return the loads of steps first, first + 1, ..., shape (count, 4, 14), see `layout`.
+        Return the loads of steps first, first + 1, ..., shape (count, 4, LOADS), see `layout`.
 
         If `room`, an array for at least as many steps, is given, they are written there and a view
         is returned. Its entries must be zeros, or earlier results of this load.

@@ -24,6 +24,7 @@ import warnings
 import numpy as np
 
 from timo_sim.model import FORMULATIONS
+from timo_sim.model.layout import INPUTS
 from timo_sim.topics.outputs import FRAMES, outputs, TRANSFORMS
 from timo_sim.topics.sensors import SENSORS
 
@@ -227,6 +228,7 @@ _MAX_SENSOR_ERROR = 1e9  # keeps sensor arithmetic finite
 _MAX_ANGLE = 1e6         # [rad] up to which sine and cosine are accurate
 _FRAME = r'[^/\s]\S*'    # a name that tf2 accepts
 _OUTPUTS = outputs(1)
+_SENSOR_TOPICS = [output.name for output in _OUTPUTS if output.delay]
 
 _ALL = [
     _positive('arm.length', 2.0, 'm', 'length of the arm'),
@@ -321,12 +323,10 @@ _ALL = [
     _not_negative('model.accuracy', 0.0, 'm', 'tip error for which model.modes and '
                   'integrator.step are chosen; 0: their given values are used'),
     Parameter('integrator.step', 0.001, 's', 'time step', low=1e-9, high=1000.0),
-    *_load('force_x', 'N', 'force on the carrier along world x'),
-    *_load('force_y', 'N', 'force on the carrier along world y'),
-    *_load('torque', 'N m', 'torque on the shaft'),
-    *_load('tip_force_x', 'N', 'force on the end effector along world x'),
-    *_load('tip_force_y', 'N', 'force on the end effector along world y'),
-    *_load('tip_torque', 'N m', 'torque on the end effector'),
+    *[parameter for each in INPUTS if each.prescribed
+      for parameter in _load(each.name, each.unit, each.meaning)],
+    _not_negative('push.position', 0.0, 'm', 'distance from the root to the point of the arm at '
+                  'which load.push_x and load.push_y act; 0: there is none'),
     Parameter('sensor.seed', 0, '', 'seed of the noise of all sensors', low=0, high=1000000000),
     *[parameter for sensor in SENSORS
       for parameter in _sensor(sensor.name, sensor.unit, sensor.meaning)],
@@ -364,8 +364,8 @@ _ALL = [
     Parameter('record', True, '', 'whether the run is logged to an MCAP file', scope=NODE),
     Parameter('record_file', '', '', 'path of the log; empty: timo_sim_DATE_TIME.mcap in the '
               'working directory', scope=NODE),
-    Parameter('record_sensors', False, '', 'whether ~/root_strain, ~/tip_imu/data_raw and '
-              '~/encoder are logged also while nobody subscribes', scope=NODE),
+    Parameter('record_sensors', False, '', f'whether {", ".join(_SENSOR_TOPICS[:-1])} and '
+              f'{_SENSOR_TOPICS[-1]} are logged also while nobody subscribes', scope=NODE),
     Parameter('rerun_live', '', '', 'address of a running viewer of rerun to which the motion is '
               'streamed, such as rerun+http://127.0.0.1:9876/proxy; empty: none', scope=NODE),
     Parameter('publish_arm_shape', False, '', 'whether the centre line is published on '

@@ -12,12 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import threading
+from typing import Any
 
 import numpy as np
 
 from timo_sim.compiled.cache import compiling
 from timo_sim.compiled.lanes import WIDTH
-from timo_sim.model.layout import AFTER, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE
+from timo_sim.model.layout import (
+    AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.scene.parameters import Parameter, ParameterError, steps_in
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.loads import Actuators, commanded_load
@@ -68,13 +70,13 @@ class LaneLoads:
 
         Parameters
         ----------
-        commanded : ndarray, shape (n, 14)
+        commanded : ndarray, shape (n, LOADS)
             See `model.layout`.
         first : int
 
         Returns
         -------
-        ndarray, shape (n, 14)
+        ndarray, shape (n, LOADS)
             What acts of them and does not vary with time.
 
         """
@@ -188,8 +190,8 @@ class Batch:
                   for scene, model in zip(self.scenes, self._models)}
         self._initial = np.array([motions[id(scene)] for scene in self.scenes])
         self._initial_state = np.array([states[id(scene)] for scene in self.scenes])
-        self._motors = np.array([scene.values['motor.dc.resistance'] > 0.0
-                                 for scene in self.scenes])
+        self._needed = {each.needs: np.array([scene.values[each.needs] for scene in self.scenes])
+                        for each in INPUTS if each.needs}
         self._loads = LaneLoads(self.scenes)
         self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT)
         self.steps, self._origin, self._warm = 0, np.zeros(self.n, dtype=int), False
@@ -287,23 +289,16 @@ class Batch:
             tips[lane] = found[key]
         return tips
 
-    def step(self, torque=0.0, force=(0.0, 0.0), tip_force=(0.0, 0.0), tip_torque=0.0, voltage=0.0,
-             duration: float | None = None) -> Motion:
+    def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """
         Advance under constant commands; the scenes' own loads act as well.
 
         Parameters
         ----------
-        torque : float or array_like, shape (n,)
-            On the shaft [N m].
-        force, tip_force : array_like, shape (2,) or (n, 2)
-            On carrier and tip, world x and y [N].
-        tip_torque : float or array_like, shape (n,)
-            On the end effector [N m].
-        voltage : float or array_like, shape (n,)
-            At a DC motor [V].
         duration : float, optional
             [s], a whole multiple of the time step; by default one step.
+        **commands : float or array_like, shape (n,), (2,) or (n, 2)
+            Those of `Simulator.step`, for all or for each.
 
         Returns
         -------
@@ -313,11 +308,11 @@ class Batch:
         Raises
         ------
         ParameterError
-            If a command is not finite or has another shape, or the duration does not fit the step.
+            If a command is unknown, is not finite or has another shape, or the duration does not
+            fit the step.
 
         """
-        commanded = commanded_load(self._motors, (self.n,), torque=torque, force=force,
-                                   tip_force=tip_force, tip_torque=tip_torque, voltage=voltage)
+        commanded = commanded_load(self._needed, (self.n,), **commands)
         self.advance(1 if duration is None else steps_in(duration, self.scenes[0].step), commanded)
         return self.motion
 
@@ -330,7 +325,7 @@ class Batch:
         ----------
         count : int
             Number of steps.
-        commanded : ndarray, shape (n, 14) or (14,), optional
+        commanded : ndarray, shape (n, LOADS) or (LOADS,), optional
             Commands during all of them, see `model.layout`.
         sample_every : int
             Steps between samples; 0: none are taken.
@@ -383,6 +378,9 @@ def _check(scenes):
                 raise ParameterError(f'{name} must be the same in all scenes of a Batch, got '
                                      f'{first.values[name]} and {scene.values[name]} (scene '
                                      f'{number})')
+        if (scene.values['push.position'] > 0.0) != (first.values['push.position'] > 0.0):
+            raise ParameterError('push.position must be > 0 in all scenes of a Batch or in none, '
+                                 f'got {scene.values["push.position"]:g} (scene {number})')
         if [np.shape(part) for part in other.tables] != [np.shape(part) for part in model.tables]:
             raise ParameterError('the models of all scenes of a Batch must have the same size: '
                                  f'scene {number} has {scene.modal_count} modes and '

@@ -16,66 +16,76 @@ from typing import Any
 import numpy as np
 
 from timo_sim.model.layout import (
-    AFTER, END, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TIP_TORQUE, TIP_X,
-    TIP_Y, TORQUE, VOLTAGE)
+    AFTER, END, INPUTS, LOADS, STAGES, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.model.statics import pick_up
 from timo_sim.scene.loads import on_boundaries, parabolas
-from timo_sim.scene.parameters import ParameterError, short
+from timo_sim.scene.parameters import did_you_mean, ParameterError, short
 from timo_sim.scene.scene import motor_constants
 from timo_sim.steps.steps import CHUNK, NO_LOADS
 
-# Columns of a load with a limit, and the parameters of the limit and of the largest rate.
-_LIMITED = {
-    (FORCE_X, FORCE_Y, FORCE_I, FORCE_II): ('carrier.force_limit', 'carrier.force_rate_limit'),
-    (TORQUE,): ('motor.torque_limit', 'motor.torque_rate_limit'),
-    (VOLTAGE,): ('motor.dc.voltage_limit', None),
-}
-# Columns of a load that the commands of `Simulator.step` set.
-COMMANDS: dict[str, Any] = {
-    'torque': TORQUE, 'force': [FORCE_X, FORCE_Y], 'tip_force': [TIP_X, TIP_Y],
-    'tip_torque': TIP_TORQUE, 'voltage': VOLTAGE}
+# Columns of a load that each argument of `Simulator.step` sets: one, or a list of two.
+ARGUMENTS: dict[str, Any] = {}
+for _column, _input in enumerate(INPUTS):
+    if _input.argument in ARGUMENTS:
+        ARGUMENTS[_input.argument] = [ARGUMENTS[_input.argument], _column]
+    elif _input.argument:
+        ARGUMENTS[_input.argument] = _column
 
 
-def commanded_load(motor, many=(), **commands):
+def check_arguments(names, source):
+    """Raise ParameterError unless all are names of ARGUMENTS; `source` is what has them."""
+    for name in names:
+        if name not in ARGUMENTS:
+            raise ParameterError(f'{source} has {short(name, str)}, which is none of '
+                                 f'{", ".join(ARGUMENTS)}{did_you_mean(name, ARGUMENTS)}')
+
+
+def commanded_load(values, many=(), **commands):
     """
     Return commands as a load, or as many loads.
 
     Parameters
     ----------
-    motor : bool or ndarray of bool, shape `many`
-        Whether there is a DC motor.
+    values : mapping
+        By name the parameters that inputs need, see `Input.needs`; arrays of shape `many`.
     many : tuple of int
         Shape of the array of loads; the same shape precedes that of commands of their own.
     **commands : float or sequence of float
-        See `Simulator.step`.
+        By name of ARGUMENTS, see `Simulator.step`.
 
     Returns
     -------
-    ndarray, shape (*many, 14)
+    ndarray, shape (*many, LOADS)
 
     Raises
     ------
     ParameterError
-        If a command has not the right number of finite values, or a voltage has no DC motor.
+        If a name is unknown, a command has not the right number of finite values, or a parameter
+        that an input needs is 0: a voltage needs a DC motor.
 
     """
+    check_arguments(commands, 'step')
     load = np.zeros((*many, LOADS))
-    for name, columns in COMMANDS.items():
+    for name, given in commands.items():
+        columns = ARGUMENTS[name]
         shape = np.shape(columns)
         try:
-            numbers = np.asarray(commands[name], dtype=float)
+            numbers = np.asarray(given, dtype=float)
             good = numbers.shape in (shape, (*many, *shape)) and np.isfinite(numbers).all()
         except (TypeError, ValueError):
             good = False
         if not good:
             kind = 'two finite numbers' if shape else 'a finite number'
             kind += f', or an array of them of shape {(*many, *shape)}' if many else ''
-            raise ParameterError(f'{name} must be {kind}, got {short(commands[name])}')
+            raise ParameterError(f'{name} must be {kind}, got {short(given)}')
         load[..., columns] = numbers
-    lacking = load[..., VOLTAGE][(load[..., VOLTAGE] != 0.0) & ~np.asarray(motor)]
-    if lacking.size:
-        raise ParameterError(f'voltage = {lacking.flat[0]:g} V needs a DC motor: '
-                             'motor.dc.resistance must be > 0 ohm')
+        for column in np.ravel(columns):
+            each, numbers = INPUTS[column], load[..., column]
+            if each.needs:
+                lacking = numbers[(numbers != 0.0) & (np.asarray(values[each.needs]) == 0.0)]
+                if lacking.size:
+                    raise ParameterError(f'{each.name} = {lacking.flat[0]:g} {each.unit} needs '
+                                         f'{each.needs} > 0, got 0')
     return load
 
 
@@ -93,12 +103,12 @@ class Actuators:
         The scene's parameters, by name.
     first : int, optional
         Step from which they act.
-    reached : ndarray, shape (14,), optional
+    reached : ndarray, shape (LOADS,), optional
         Load that has acted until then, see `model.layout`; by default none.
 
     Attributes
     ----------
-    limit : ndarray, shape (14,)
+    limit : ndarray, shape (LOADS,)
         Limits of commands.
     slow : ndarray of int
         Columns of a load with a limit of their rate.
@@ -110,10 +120,11 @@ class Actuators:
     def __init__(self, values, first=0, reached=None):
         self._period = values['integrator.step']
         self.limit, self._rate = np.full(LOADS, np.inf), np.full(LOADS, np.inf)
-        for columns, names in _LIMITED.items():
-            for bounds, name in zip((self.limit, self._rate), names):
-                if name:
-                    bounds[list(columns)] = values[name]
+        for column, each in enumerate(INPUTS):
+            if each.limit:
+                self.limit[column] = values[each.limit]
+            if each.rate_limit:
+                self._rate[column] = values[each.rate_limit]
         self.slow = np.flatnonzero(np.isfinite(self._rate))
         self.gain, _ = motor_constants(values)
         self._ideal = np.isinf([self.limit, self._rate]).all() and not self.gain
@@ -121,7 +132,7 @@ class Actuators:
         self._given, self._goal = b'', self._start
 
     def command(self, commanded, first):
-        """Take the commands from step `first` on, shape (14,)."""
+        """Take the commands from step `first` on, shape (LOADS,)."""
         given = commanded.tobytes()
         if given == self._given:
             return
@@ -136,11 +147,11 @@ class Actuators:
         return on_boundaries(way / (self._rate[self.slow] * self._period))
 
     def reached(self, step):
-        """Return what acts of the commands at a step, (14,); a voltage is not yet a torque."""
+        """Return what acts of the commands at a step, (LOADS,); a voltage is not yet a torque."""
         return self._at(np.array((step - self._since) * self._period))
 
     def loads(self, first, count):
-        """Return what acts in some steps, shape (14,) or (count, 4, 14)."""
+        """Return what acts in some steps, shape (LOADS,) or (count, 4, LOADS)."""
         if self._ideal:
             return self._goal
         begin, period = first - self._since, self._period
@@ -184,7 +195,7 @@ class LoadTable:
         self._room = NO_LOADS
 
     def at_start(self):
-        """Return the scene's own load at its beginning, shape (14,)."""
+        """Return the scene's own load at its beginning, shape (LOADS,)."""
         return self._load.stages(0, 1, self._step)[0, 0]
 
     def stages(self, first, count, actuators=None):
@@ -200,7 +211,7 @@ class LoadTable:
 
         Returns
         -------
-        ndarray, shape (count, 4, 14)
+        ndarray, shape (count, 4, LOADS)
 
         """
         begin, block = self._begin, self._block

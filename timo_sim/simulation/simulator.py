@@ -27,16 +27,78 @@ from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.friction import steps_of
 from timo_sim.steps.steps import CHUNK
 
+COMPILING = 'compiling once for a model of this size, this takes some seconds'
+# Deflection beyond which the run counts as diverged, in arm lengths.
+MOST_BENT = 10.0
+COUNT = Parameter('count', 1, '', 'number of steps', low=0)
+SAMPLE_EVERY = Parameter('sample_every', 1, '', 'steps between samples, 0: none', low=0)
+_MOST_BEHIND = 256  # most calls of `advance` that the finer run may be behind
+# Steps for which the finer run is called at once: a call takes as long as some steps.
+STEPS_BEHIND = 8
+_WARM = set()  # sizes whose functions this process has, with or without those of messages
 
-class Readings:
-    """A part of `Simulator`, which sets the attributes."""
 
-    scene: Any
-    model: Any
-    integration: Any
+class _Call(NamedTuple):
+    # A call of `advance`, or many alike, that the finer run has yet to follow.
     steps: int
-    load: np.ndarray
-    _state: np.ndarray
+    commanded: np.ndarray | None
+    every: int
+    motions: np.ndarray
+
+
+class Simulator:
+    """
+    A scene at a certain time step, advanced by the node, `simulate` or a controller's loop.
+
+    Parameters
+    ----------
+    scene : Scene, or what `load_scene` takes
+    estimate : bool
+        Whether a finer run is advanced beside this one, to estimate its error, see
+        `simulation.finer`. It takes some twenty times as long as the run alone.
+    pack : function, optional
+        Packs the constants of compiled functions, see `Formulation.packed_by`.
+
+    Attributes
+    ----------
+    scene : Scene
+    model : Formulation
+    integration : Steps
+        The time steps of the model.
+    steps : int
+        Steps done since the start; sim time is `steps * scene.step`.
+    load : ndarray, shape (LOADS,)
+        Load at the end of the last step, see `model.layout`.
+    tip_load : TipLoad
+        Mass and inertia at the tip now, and the energy lost in plastic impacts.
+    warning : str or None
+        Why the results should not be trusted, and the remedy.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> simulator = timo_sim.Simulator(timo_sim.load_scene('paper'))
+    >>> motion = simulator.step(torque=1.0, duration=0.002)
+    >>> simulator.steps
+    2
+
+    """
+
+    def __init__(self, scene, estimate=False, pack=None):
+        self.steps, self._warm, scene = 0, False, load_scene(scene)
+        self._lock = threading.RLock()  # threads take turns; a diverged advance calls another
+        self.tip_load, self._pack = TipLoad(scene), pack
+        self._take(scene, scene.build())
+        self._estimate = estimate and has_finer(scene)
+        self._finer = None
+        self.reset()
+
+    def _take(self, scene, model):
+        self.scene, self.model = scene, model.packed_by(self._pack or model.pack)
+        self.integration = steps_of(self.model, scene.step, scene.friction)
+
+    def __repr__(self):
+        return f'<Simulator at t = {self.t:.6g} s (step {self.steps}) of {self.scene!r}>'
 
     @property
     def t(self):
@@ -84,82 +146,6 @@ class Readings:
         # Deflection by all modes together [m].
         modes, half = self.model.tip_travel[3:], len(self._state) // 2
         return np.abs(self._state[half - len(modes):half]) @ modes
-
-
-COMPILING = 'compiling once for a model of this size, this takes some seconds'
-# Deflection beyond which the run counts as diverged, in arm lengths.
-MOST_BENT = 10.0
-COUNT = Parameter('count', 1, '', 'number of steps', low=0)
-SAMPLE_EVERY = Parameter('sample_every', 1, '', 'steps between samples, 0: none', low=0)
-_MOST_BEHIND = 256  # most calls of `advance` that the finer run may be behind
-# Steps for which the finer run is called at once: a call takes as long as some steps.
-STEPS_BEHIND = 8
-
-
-class _Call(NamedTuple):
-    # A call of `advance`, or many alike, that the finer run has yet to follow.
-    steps: int
-    commanded: np.ndarray | None
-    every: int
-    motions: np.ndarray
-
-
-_WARM = set()  # sizes whose functions this process has, with or without those of messages
-
-
-class Simulator(Readings):
-    """
-    A scene at a certain time step, advanced by the node, `simulate` or a controller's loop.
-
-    Parameters
-    ----------
-    scene : Scene, or what `load_scene` takes
-    estimate : bool
-        Whether a finer run is advanced beside this one, to estimate its error, see
-        `simulation.finer`. It takes some twenty times as long as the run alone.
-    pack : function, optional
-        Packs the constants of compiled functions, see `Formulation.packed_by`.
-
-    Attributes
-    ----------
-    scene : Scene
-    model : Formulation
-    integration : Steps
-        The time steps of the model.
-    steps : int
-        Steps done since the start; sim time is `steps * scene.step`.
-    load : ndarray, shape (14,)
-        Load at the end of the last step, see `model.layout`.
-    tip_load : TipLoad
-        Mass and inertia at the tip now, and the energy lost in plastic impacts.
-    warning : str or None
-        Why the results should not be trusted, and the remedy.
-
-    Examples
-    --------
-    >>> import timo_sim
-    >>> simulator = timo_sim.Simulator(timo_sim.load_scene('paper'))
-    >>> motion = simulator.step(torque=1.0, duration=0.002)
-    >>> simulator.steps
-    2
-
-    """
-
-    def __init__(self, scene, estimate=False, pack=None):
-        self.steps, self._warm, scene = 0, False, load_scene(scene)
-        self._lock = threading.RLock()  # threads take turns; a diverged advance calls another
-        self.tip_load, self._pack = TipLoad(scene), pack
-        self._take(scene, scene.build())
-        self._estimate = estimate and has_finer(scene)
-        self._finer = None
-        self.reset()
-
-    def _take(self, scene, model):
-        self.scene, self.model = scene, model.packed_by(self._pack or model.pack)
-        self.integration = steps_of(self.model, scene.step, scene.friction)
-
-    def __repr__(self):
-        return f'<Simulator at t = {self.t:.6g} s (step {self.steps}) of {self.scene!r}>'
 
     def reset(self):
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
@@ -246,23 +232,19 @@ class Simulator(Readings):
             self.integration.rate(self._state, self.integration.acting(self.load))
         _WARM.add(done)
 
-    def step(self, torque=0.0, force=(0.0, 0.0), tip_force=(0.0, 0.0), tip_torque=0.0,
-             voltage=0.0, duration=None):
+    def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """
         Advance under constant commands; the scene's own loads act as well.
 
         Parameters
         ----------
-        torque : float
-            On the shaft [N m].
-        force, tip_force : sequence of float
-            On carrier and tip, world x and y [N].
-        tip_torque : float
-            On the end effector [N m].
-        voltage : float
-            At a DC motor [V].
         duration : float, optional
             [s], a whole multiple of the time step; by default one step.
+        **commands : float or sequence of float
+            On the shaft `torque` [N m]; on the carrier `force`, on the tip `tip_force` and on the
+            arm at `push.position` `push`, world x and y [N]; on the end effector `tip_torque`
+            [N m]; at a DC motor `voltage` [V]; by default 0. They are those of
+            `model.layout.INPUTS`.
 
         Returns
         -------
@@ -272,14 +254,13 @@ class Simulator(Readings):
         Raises
         ------
         ParameterError
-            If a command is not finite or has another shape, or the duration does not fit the step.
+            If a command is unknown, is not finite or has another shape, or the duration does not
+            fit the step.
         DivergenceError
             As `advance` does.
 
         """
-        commanded = commanded_load(
-            self.scene.values['motor.dc.resistance'] > 0.0, torque=torque, force=force,
-            tip_force=tip_force, tip_torque=tip_torque, voltage=voltage)
+        commanded = commanded_load(self.scene.values, **commands)
         self.advance(1 if duration is None else steps_in(duration, self.scene.step), commanded)
         return self.motion
 
@@ -291,7 +272,7 @@ class Simulator(Readings):
         ----------
         count : int
             Number of steps.
-        commanded : ndarray, shape (14,), optional
+        commanded : ndarray, shape (LOADS,), optional
             Command during all of them, see `model.layout`, which acts besides the scene's loads.
         sample_every : int
             Steps between samples; 0: none are taken.

@@ -25,7 +25,7 @@ _STILL, _SWEEPS = 1e-7, 200
 
 
 def applied(loads, theta):
-    """Return carrier forces [N] and shaft torque [N m] of loads, (n, 14), shape (n, 3)."""
+    """Return carrier forces [N] and shaft torque [N m] of loads, (n, LOADS), shape (n, 3)."""
     x, y = rotate(theta, loads[:, FORCE_I], loads[:, FORCE_II])
     return np.column_stack([loads[:, FORCE_X] + x, loads[:, FORCE_Y] + y, loads[:, TORQUE]])
 
@@ -40,7 +40,7 @@ class Joints:
     motions : ndarray, shape (n, 2 (3 + N))
         See `model.layout`.
     accelerations : ndarray, shape (n, 3 + N)
-    loads : ndarray, shape (n, 14)
+    loads : ndarray, shape (n, LOADS)
         Loads that act, dry friction included.
 
     """
@@ -76,22 +76,7 @@ class Joints:
     @property
     def root_strain(self):
         """Strain of the outer fibre at the root, axial strain included, shape (n,)."""
-        per_moment, per_q, per_rate = root_strain(self._model)
-        half = self._motions.shape[1] // 2
-        return per_moment * self.root_moment + self._motions[:, 3:half] @ per_q + (
-            self._motions[:, half + 3:] @ per_rate)
-
-
-def root_strain(model):
-    """Return the strain of the outer fibre per moment at the root, per q and per rate of q."""
-    root, modes = np.zeros(1), model.modes
-    section = model.manipulator.arm.at(root)
-    height, stiffness = (np.ravel(value)[0] for value in (
-        section.height, section.bending_stiffness))
-    axial = modes.stretch(root)[0] if model.axial else np.zeros(len(modes))
-    # Modal damping adds to the moment, but not to the strain, so its moment is subtracted.
-    return (0.5 * height / stiffness, axial,
-            -0.5 * height * modes.curvature(root)[0] * 2.0 * model.damping / modes.omega)
+        return self._model.strain(self._motions, 0.0, self.root_moment)
 
 
 def accelerations_of(integration, state, load):
@@ -118,7 +103,7 @@ def joints_of_run(scene, model, motions, loads):
     scene : Scene
     model : Formulation
     motions : ndarray, shape (n, 2 (3 + N))
-    loads : ndarray, shape (n, 14)
+    loads : ndarray, shape (n, LOADS)
         Without dry friction.
 
     """
@@ -252,21 +237,23 @@ class Snapshot:
         Number of the step, and sim time [ns].
     motion : ndarray, shape (2 (3 + N),)
         See `model.layout`.
-    load : list of float, length 14
+    load : list of float, length LOADS
         Load at the end of the last step, see `model.layout`.
-    acts : tuple of Steps, ndarray (m,) and ndarray (14,), optional
+    acts : tuple of Steps, ndarray (m,) and ndarray (LOADS,), optional
         The time steps, the state and the load that acts, friction included. Accelerations,
         strains and forces of constraints need it; without it `effort` is that of the load.
 
     Attributes
     ----------
+    model, step, nanoseconds, motion
+        As given.
     time : tuple of int
         Sim time in [s] and [ns].
 
     """
 
     def __init__(self, scene, model, step, nanoseconds, motion, load, acts=None):
-        self._scene, self._model, self._load, self._acts = scene, model, load, acts
+        self._scene, self.model, self._load, self._acts = scene, model, load, acts
         self.step, self.nanoseconds, self.motion = step, nanoseconds, motion
         self.time = divmod(nanoseconds, NANOSECONDS)
         self._values = motion.tolist()
@@ -302,7 +289,7 @@ class Snapshot:
         load = self._load
         effort = (*place(load[FORCE_X], load[FORCE_Y], self._values[2], load[FORCE_I],
                          load[FORCE_II]), load[TORQUE])
-        constrained = self._model.constrained
+        constrained = self.model.constrained
         if self._acts is None or not constrained.any():
             return effort
         return tuple(np.where(constrained, self._joints.reactions[0], effort).tolist())
@@ -310,7 +297,7 @@ class Snapshot:
     @cached_property
     def tip(self):
         """Position of the tip in the arm frame [m], and its rotation from the shaft [rad]."""
-        return self._model.tip(self.motion).tolist()
+        return self.model.tip(self.motion).tolist()
 
     @property
     def root_strain(self):
@@ -320,14 +307,14 @@ class Snapshot:
     @property
     def tip_turning(self):
         """Angular velocity of the end effector [rad/s]."""
-        rotation = self._model.points.rotation[:, -1]
+        rotation = self.model.points.rotation[:, -1]
         return self._values[self._half + 2] + float(rotation @ self.motion[self._half + 3:])
 
     @property
     def tip_acceleration(self):
         """Specific force at the tip, acceleration less gravity, in its axes [m/s2]."""
         integration, state, acting = self._acts
-        x, y = (integration.tip_acceleration(state, acting) - self._model.gravity).tolist()
+        x, y = (integration.tip_acceleration(state, acting) - self.model.gravity).tolist()
         return rotate(-(self._values[2] + self.tip[2]), x, y)
 
     def sensor(self, name):
@@ -341,15 +328,15 @@ class Snapshot:
 
     @cached_property
     def energy(self):
-        """Kinetic plus strain energy [J]."""
-        return float(self._model.energy(self.motion[np.newaxis])[0])
+        """Kinetic plus strain energy and the potential of gravity [J]."""
+        return float(self.model.energy(self.motion[np.newaxis])[0])
 
     @property
     def gravity(self):
         """Gravity in the plane of motion [m/s2]."""
-        return math.hypot(*self._model.gravity)
+        return math.hypot(*self.model.gravity)
 
     @property
     def length(self):
         """Length of the arm [m]."""
-        return self._model.manipulator.arm.length
+        return self.model.manipulator.arm.length

@@ -154,7 +154,7 @@ def flow(model: Formulation, state: np.ndarray, rate: np.ndarray, load: np.ndarr
     Parameters
     ----------
     model : Formulation
-    state, rate, load : ndarray, shapes (..., k, m), (..., k, m), (..., k, 14)
+    state, rate, load : ndarray, shapes (..., k, m), (..., k, m), (..., k, LOADS)
     observe : function(ndarray, ndarray) -> ndarray
         Takes states and loads, and returns the motions, (..., k, 2 (3 + N)).
 
@@ -230,8 +230,8 @@ def check_shapes(state, load, loads, propagator):
     """Raise ValueError if a state or loads have other shapes than the compiled step reads."""
     if len(state) != len(propagator.whole) or len(load) != LOADS or (
             loads.shape[1] != STEP_LOADS or loads.shape[2] != LOADS):
-        raise ValueError('a step takes a state of its model, a load of shape (14,) and loads of '
-                         'shape (steps, 4, 14)')
+        raise ValueError('a step takes a state of its model, a load of shape (LOADS,) and loads of '
+                         'shape (steps, 4, LOADS)')
 
 
 class Work(NamedTuple):
@@ -305,9 +305,9 @@ def advance(tables, propagator, state, load, loads, sample_every, since, samples
         The matrices of the step.
     state : ndarray, shape (m,)
         Advanced in place.
-    load : ndarray, shape (14,)
+    load : ndarray, shape (LOADS,)
         Load at the start, for the first sample.
-    loads : ndarray, shape (steps, 4, 14)
+    loads : ndarray, shape (steps, 4, LOADS)
         Load of each step at its start, middle and end, as the step itself sees it: of a jump on
         the boundary between two steps each sees its own side, and changes inside a step enter by
         their moments (T37). Then the true load at the end of the step, which samples show.

@@ -90,7 +90,7 @@ class FrictionSteps(Steps):
                        samples.every, since, samples.motions, samples.heat)
 
     def acting(self, load: np.ndarray) -> np.ndarray:
-        """Return a load plus the friction at the end of the last step, shape (14,)."""
+        """Return a load plus the friction at the end of the last step, shape (LOADS,)."""
         load = load.copy()
         load[list(COLUMNS)] += self.friction
         return load

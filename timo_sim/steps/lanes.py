@@ -30,8 +30,8 @@ from timo_sim.steps.etdrk4 import copy, one_step, propagator, Propagator, work_a
 class LaneConstants(NamedTuple):
     """What each lane has of its own besides the constants of its model and step."""
 
-    constant_load: np.ndarray  # the part of its load that does not vary within a call, (14,)
-    load: np.ndarray           # room for the loads of a step, (4, 14)
+    constant_load: np.ndarray  # the part of its load that does not vary within a call, (LOADS,)
+    load: np.ndarray           # room for the loads of a step, (4, LOADS)
     tip_travel: np.ndarray     # travel of the tip per modal coordinate, (N,)
     bend_limit: np.ndarray     # deflection beyond which it diverges [m], (1,)
     motion: np.ndarray         # room for a motion, (2 (3 + N),)

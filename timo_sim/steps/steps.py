@@ -74,7 +74,7 @@ class Steps:
         return 0.0
 
     def acting(self, load: np.ndarray) -> np.ndarray:
-        """Return a load plus the dry friction at the end of the last step, shape (14,)."""
+        """Return a load plus the dry friction at the end of the last step, shape (LOADS,)."""
         return load
 
     def reset(self) -> None:
@@ -109,9 +109,9 @@ class Steps:
         ----------
         state : ndarray, shape (m,)
             Advanced in place.
-        load : ndarray, shape (14,)
+        load : ndarray, shape (LOADS,)
             Load at the start.
-        loads : ndarray, shape (count, 4, 14)
+        loads : ndarray, shape (count, 4, LOADS)
             Loads of the steps, see `model.layout`.
         samples : Samples
             Receive those of these steps.

@@ -8,30 +8,29 @@
 
 """The command topics: which inputs a message sets, and when it is refused."""
 
+from collections.abc import Callable, Mapping, Sequence
 import math
-from typing import Callable, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.model.layout import (
-    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, rotate, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y,
-    TORQUE, VOLTAGE)
+from timo_sim.model.layout import Input, INPUTS, LOADS, rotate, TIP_I, TIP_II
 from timo_sim.topics.outputs import FRAMES
 
 # Commanded values have the columns of a load, and two more: a force on the tip in the axes of the
 # tip, which `acting` turns into a load.
-ALONG_TIP, ACROSS_TIP = LOADS, LOADS + 1
-COMMANDED = LOADS + 2
-# By input, its columns and their names with units. Each input follows the latest message that set
-# it; of messages that begin to act in the same step, the later entry of COMMANDS wins.
-INPUTS = {
-    'carrier': {FORCE_X: 'force_x_N', FORCE_Y: 'force_y_N', FORCE_I: 'force_along_arm_N',
-                FORCE_II: 'force_across_arm_N'},
-    'shaft': {TORQUE: 'torque_N_m', VOLTAGE: 'voltage_V'},
-    'tip': {TIP_X: 'tip_force_x_N', TIP_Y: 'tip_force_y_N', TIP_I: 'tip_force_along_arm_N',
-            TIP_II: 'tip_force_across_arm_N', TIP_TORQUE: 'tip_torque_N_m',
-            ALONG_TIP: 'tip_force_along_tip_N', ACROSS_TIP: 'tip_force_across_tip_N'},
-}
+_COMMANDED = (
+    *INPUTS,
+    Input('tip_force_along_tip', 'N', 'force on the end effector along its axis', 'tip', 'tip'),
+    Input('tip_force_across_tip', 'N', 'force on the end effector across it', 'tip', 'tip'),
+)
+COMMANDED, ALONG_TIP, ACROSS_TIP = len(_COMMANDED), LOADS, LOADS + 1
+# The columns of each group of inputs. A group follows the latest message that set it; of messages
+# that begin to act in the same step, the later entry of COMMANDS wins.
+GROUPS: dict[str, list[int]] = {}
+for _column, _input in enumerate(_COMMANDED):
+    if _input.group:
+        GROUPS.setdefault(_input.group, []).append(_column)
 JOINTS = 'carrier_x', 'carrier_y', 'shaft'
 PLAIN = {name: name for name in FRAMES}  # frames under their default names
 LARGEST = 65536  # [B] of a command that is accepted; ordinary ones have some hundreds
@@ -104,49 +103,53 @@ class Command(NamedTuple):
     A command topic.
 
     `load` takes the texts and the lists of numbers of a message, and the names of frames; it
-    returns the values of each input that the message sets, or raises Refused.
+    returns the values of each group of inputs that the message sets, or raises Refused.
     """
 
     name: str
     type_name: str
-    load: Callable[[list, list, dict], dict]
-    inputs: tuple  # keys of INPUTS that it may set
+    load: Callable[..., dict]
+    groups: tuple[str, ...]    # keys of GROUPS that it may set
+    unused: tuple[int, ...] = ()  # numbers of a wrench without effect, of which the node warns
 
     @property
-    def columns(self):
+    def columns(self) -> list[int]:
         """Columns of the commanded values that it may set."""
-        return [column for key in self.inputs for column in INPUTS[key]]
+        return [column for group in self.groups for column in GROUPS[group]]
 
     @property
-    def names(self):
+    def names(self) -> tuple[str, ...]:
         """Names of these columns, with units."""
-        return tuple(name for key in self.inputs for name in INPUTS[key].values())
+        return tuple(_COMMANDED[column].column for column in self.columns)
 
-    def row(self, texts, lists, frames=PLAIN):
+    def row(self, texts: Sequence[str], lists: Sequence[Sequence[float]],
+            frames: Mapping[str, str] = PLAIN) -> np.ndarray:
         """
         Return values for its columns [N, N m, V], NaN where it sets none, or raise Refused.
 
         `texts` and `lists` are those of the message; `frames` names each of `outputs.FRAMES`.
         """
         found = self.load(texts, lists, frames)
-        return np.concatenate([found.get(key, [math.nan] * len(INPUTS[key]))
-                               for key in self.inputs])
+        return np.concatenate([found.get(group, [math.nan] * len(GROUPS[group]))
+                               for group in self.groups])
 
-    def apply(self, row, commanded):
-        """Write a row into commanded values, (16,), in place; return the inputs that it sets."""
+    def apply(self, row: np.ndarray, commanded: np.ndarray) -> set[str]:
+        """Write a row into commanded values, (COMMANDED,); return the groups that it sets."""
         given = np.flatnonzero(~np.isnan(row))
         columns = np.array(self.columns)[given]
         commanded[columns] = row[given]
-        return {key for key in self.inputs if not INPUTS[key].keys().isdisjoint(columns)}
+        return {group for group in self.groups if not set(GROUPS[group]).isdisjoint(columns)}
 
 
-# The first three are in the order of INPUTS: the log shows a time-out of an input as a message of
+# The first three are in the order of GROUPS: the log shows a time-out of a group as a message of
 # zeros on its topic among these.
 COMMANDS = [
-    Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped', _carrier_wrench, ('carrier',)),
+    Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped', _carrier_wrench, ('carrier',),
+            unused=(2, 3, 4, 5)),
     Command('~/motor_torque', 'std_msgs/msg/Float64',
             lambda texts, lists, frames: {'shaft': (_scalar(lists), 0.0)}, ('shaft',)),
-    Command('~/tip_wrench', 'geometry_msgs/msg/WrenchStamped', _tip_wrench, ('tip',)),
+    Command('~/tip_wrench', 'geometry_msgs/msg/WrenchStamped', _tip_wrench, ('tip',),
+            unused=(2, 3, 4)),
     Command('~/joint_command', 'sensor_msgs/msg/JointState', _joint_command,
             ('carrier', 'shaft')),
     Command('~/commands', 'std_msgs/msg/Float64MultiArray', _commands, ('carrier', 'shaft')),
@@ -155,14 +158,14 @@ COMMANDS = [
 ]
 
 
-def turns(commanded):
-    """Return whether commanded values, (16,), have a force in the axes of the tip, which turn."""
+def turns(commanded: np.ndarray) -> bool:
+    """Return whether commanded values, (COMMANDED,), have a force in the axes of the tip."""
     return commanded[ALONG_TIP] != 0.0 or commanded[ACROSS_TIP] != 0.0
 
 
-def acting(commanded, simulator):
+def acting(commanded: np.ndarray, simulator: Any) -> np.ndarray:
     """
-    Return the load, shape (14,), of commanded values, (16,), in a Simulator's next step.
+    Return the load, (LOADS,), of commanded values, (COMMANDED,), in a Simulator's next step.
 
     A force in the axes of the tip takes their direction in the middle of the step, extrapolated
     from the motion at its start: the error is of second order in the step.

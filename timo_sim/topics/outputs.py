@@ -15,6 +15,7 @@ import numpy as np
 
 from timo_sim.model.layout import place
 from timo_sim.topics.cdr import columns, form, Number
+from timo_sim.topics.sensors import IMU, Sensor, SENSORS
 
 NANOSECONDS = 1000000000
 _GRAVITY = 9.80665  # [m/s2]
@@ -133,6 +134,34 @@ _POSE = {
 }
 
 
+def _imu(x, y, turning):
+    return {
+        'header': _frame('tip'),
+        # REP 145: -1 means no orientation; a covariance of zeros means that it is unknown.
+        'orientation_covariance': [-1.0] + 8 * [0.0],
+        # An accelerometer shows specific force: +g along z where the plane is horizontal.
+        'linear_acceleration': {**_xy(x, y), 'z': Number()},
+        'angular_velocity': {'z': Number(turning)},
+        'linear_acceleration_covariance': _diagonal(Number(), Number(), 0.0),
+        'angular_velocity_covariance': _diagonal(0.0, 0.0, Number())}
+
+
+def _sensor_outputs():
+    """Yield the Outputs of all sensors, one for each topic."""
+    topics: dict[str, list[Sensor]] = {}
+    for sensor in SENSORS:
+        topics.setdefault(sensor.topic, []).append(sensor)
+    for topic, sensors in topics.items():
+        columns = [column for sensor in sensors for column in sensor.columns]
+        delay, read = f'sensor.{title(topic)}.delay', _readings(*(each.name for each in sensors))
+        if topic == IMU:
+            yield Output(topic, 'sensor_msgs/msg/Imu', read, _imu(*columns), delay, _imu_unlogged)
+        else:
+            joint = sensors[0].joint or sensors[0].name
+            yield Output(topic, 'sensor_msgs/msg/JointState', read, {
+                'name': [joint], 'position': _numbers(*columns)}, delay)
+
+
 def outputs(modes):
     """Return the list of Outputs, the topics that carry the motion, for a number of modes."""
     names = [f'mode_{n + 1}' for n in range(modes)]
@@ -142,7 +171,6 @@ def outputs(modes):
                         'position': _numbers(*(f'{name}_m_sqrt_kg' for name in names)),
                         'velocity': _numbers(*(f'{name}_rate_m_sqrt_kg_per_s'
                                                for name in names))})]
-    imu = _readings('tip_acceleration', 'gyro')
     return [
         Output('joint_states', 'sensor_msgs/msg/JointState', lambda snapshot: (
             *snapshot.joint_positions, *snapshot.joint_velocities, *snapshot.effort), {
@@ -159,23 +187,7 @@ def outputs(modes):
         Output('~/carrier_pose', 'geometry_msgs/msg/PoseStamped',
                lambda snapshot: (*snapshot.joint_positions[:2], 0.0, 1.0), _POSE),
         Output('/clock', 'rosgraph_msgs/msg/Clock', lambda snapshot: (), {}),
-        Output('~/root_strain', 'sensor_msgs/msg/JointState', _readings('root_strain'), {
-            'name': ['root_strain'], 'position': _numbers('outer_fibre')},
-            delay='sensor.root_strain.delay'),
-        Output('~/tip_imu/data_raw', 'sensor_msgs/msg/Imu', imu, {
-            'header': _frame('tip'),
-            # REP 145: -1 means no orientation; a covariance of zeros means that it is unknown.
-            'orientation_covariance': [-1.0] + 8 * [0.0],
-            # An accelerometer shows specific force: +g along z where the plane is horizontal.
-            'linear_acceleration': {**_xy('acceleration_x_m_per_s2', 'acceleration_y_m_per_s2'),
-                                    'z': Number()},
-            'angular_velocity': {'z': Number('turning_rad_per_s')},
-            'linear_acceleration_covariance': _diagonal(Number(), Number(), 0.0),
-            'angular_velocity_covariance': _diagonal(0.0, 0.0, Number())},
-            delay='sensor.tip_imu.delay', unlogged=_imu_unlogged),
-        Output('~/encoder', 'sensor_msgs/msg/JointState', _readings('encoder'), {
-            'name': ['shaft'], 'position': _numbers('shaft_rad')},
-            delay='sensor.encoder.delay'),
+        *_sensor_outputs(),
     ]
 
 

@@ -15,10 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.log.read import payloads_of
-from timo_sim.model.layout import rotate
-from timo_sim.scene.loads import CHANNELS
+from timo_sim.model.layout import INPUTS, rotate
 from timo_sim.scene.parameters import Parameter
-from timo_sim.simulation.energy import integral, work
+from timo_sim.simulation.energy import energy, integral, work
 from timo_sim.simulation.loads import pieces
 from timo_sim.topics.commands import COMMANDS
 
@@ -225,12 +224,11 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
     if half > 3:
         traces.append(Trace('modal', tuple(f'q{n}' for n in range(1, half - 2)), ns, modal))
     steps = np.rint(1e-9 * ns / scene.step).astype(int)
-    energy = np.concatenate([_in_blocks(model.energy, motion[part])
-                             for model, part in pieces(scene, steps, payloads)])
-    # The effort of a driven shaft is that of its drive; a load's torque on it is not in there.
-    unseen = 'torque' if scene.values['motor.shaft'] == 'driven' else 'tip'
-    pushed = any(scene.load.terms[channel] for channel in CHANNELS
-                 if channel.startswith(('tip', unseen)))
+    stored = energy(pieces(scene, steps, payloads), motion)
+    # Efforts contain forces on the carrier, and torques on the shaft unless it is driven.
+    seen = ('carrier',) if scene.values['motor.shaft'] == 'driven' else ('carrier', 'shaft')
+    pushed = any(scene.load.terms[each.name] for each in INPUTS
+                 if each.prescribed and each.group not in seen)
     known = heat is not None or not scene.friction.any()
     if balanced and known and not pushed and not payloads:
         jumps = np.rint([time / scene.step for terms in scene.load.terms.values()
@@ -239,15 +237,15 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
         done = work(ns, motion[:, :3], motion[:, half:half + 3], effort, jumps)
         done -= integral(ns, _in_blocks(formulation.dissipation, motion))
         done -= 0.0 if heat is None else np.diff(heat)
-        gained = np.diff(energy)
+        gained = np.diff(stored)
         gained[np.asarray(resets, dtype=int) - 1] = 0.0
         done[np.asarray(resets, dtype=int) - 1] = 0.0
-        curves = np.column_stack([energy, energy[0] + np.append(0.0, np.cumsum(done))])
+        curves = np.column_stack([stored, stored[0] + np.append(0.0, np.cumsum(done))])
         balance = np.append(0.0, np.cumsum(gained - done))[:, np.newaxis]
         traces += [Trace('energy', ('energy', 'first energy + work - losses'), ns, curves),
                    Trace('balance', ('energy - work + losses',), ns, balance)]
     else:
-        traces.append(Trace('energy', ('energy',), ns, energy[:, np.newaxis]))
+        traces.append(Trace('energy', ('energy',), ns, stored[:, np.newaxis]))
 
     def poses(part):
         return Poses(formulation.world(motion[part], line), motion[part, 2], effort[part])
