@@ -156,10 +156,10 @@ class Newton(Formulation):
             np.array(self.manipulator.coulomb), self.axes, self.held_position,
             self.manipulator.arm.length, laws.tip_share,
             self.points.deflection[:, -1], self.points.rotation[:, -1], self.gravity)
-        if self.push_point:
-            tables = PushedTables._make([*tables, self.push_point.xi[0],
-                                         self.push_point.deflection[:, 0]])
-        return tables, linear
+        if not self.push_point:
+            return tables, linear
+        return PushedTables._make([*tables, self.push_point.xi[0],
+                                   self.push_point.deflection[:, 0]]), linear
 
     def state(self, motion: np.ndarray) -> np.ndarray:
         """Return the state that belongs to a motion."""

@@ -225,13 +225,16 @@ def is_finite(vector):
     return True
 
 
+_SHAPES = (f'a step takes a state of its model, a load of shape ({LOADS},) and loads of shape '
+           f'(steps, {STEP_LOADS}, {LOADS})')
+
+
 @strict
 def check_shapes(state, load, loads, propagator):
     """Raise ValueError if a state or loads have other shapes than the compiled step reads."""
     if len(state) != len(propagator.whole) or len(load) != LOADS or (
             loads.shape[1] != STEP_LOADS or loads.shape[2] != LOADS):
-        raise ValueError('a step takes a state of its model, a load of shape (LOADS,) and loads of '
-                         'shape (steps, 4, LOADS)')
+        raise ValueError(_SHAPES)
 
 
 class Work(NamedTuple):
