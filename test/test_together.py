@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.runs.run import sampled_run
+from timo_sim.runs.run import run_scene
 from timo_sim.runs.sweep import Job, kind_of, run_job, SUMMARY, Together
 
 DURATION = 2.0
@@ -103,14 +103,14 @@ def test_motions_are_those_of_simulate(paper, base, variation):
     kind, = {kind_of(scene, steps) for scene in scenes}
     found = Together(scenes, kind)
     for k, scene in enumerate(scenes):
-        run = sampled_run(scene, steps)
+        run = run_scene(scene, steps)
         assert found.motion[k] == pytest.approx(run.motion[-1], rel=1e-10, abs=1e-11)
 
 
 def test_a_load_that_is_too_fast_gives_a_warning(paper):
     scene = scene_of(paper, **{'load.torque.harmonic.frequency': [30.0]})
     together, = Together([scene], kind_of(scene, 200)).warnings
-    assert together == sampled_run(scene, 200).warning and 'too high' in together
+    assert together == run_scene(scene, 200).warning and 'too high' in together
 
 
 def test_runs_that_lanes_do_not_know_are_done_alone(paper):

@@ -257,7 +257,7 @@ def simulate(scene, duration, settings, output, rate, estimate, view, png):
 
     Exit codes: 0 good; 1 the run diverges (samples up to there are written); 2 bad input.
     """
-    from timo_sim.runs.accuracy import resolved
+    from timo_sim.runs.accuracy import resolve
     from timo_sim.runs.simulate import simulate
     from timo_sim.scene.parameters import ModelWarning, whole_ratio
     from timo_sim.scene.scene import load_scene
@@ -269,7 +269,7 @@ def simulate(scene, duration, settings, output, rate, estimate, view, png):
         import rerun  # noqa: F401
     if output and output.endswith('.parquet'):
         import pyarrow  # noqa: F401
-    scene, steps = resolved(load_scene(scene, parsed(settings)), duration, click.echo)
+    scene, steps = resolve(load_scene(scene, parsed(settings)), duration, click.echo)
     if rate:
         every = whole_ratio('1/integrator.step', 1.0 / scene.step, '--rate', rate)
     else:

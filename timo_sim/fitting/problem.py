@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline, make_interp_spline, make_lsq_spline
 from scipy.signal import lfilter
 
 from timo_sim.fitting.record import DRIVE, OUTPUTS, unit_of
-from timo_sim.runs.run import sampled_run
+from timo_sim.runs.run import run_scene
 from timo_sim.scene.loads import Load, on_boundaries, parabolas, Term
 from timo_sim.scene.parameters import (
     did_you_mean, INITIAL, initial_names, initial_scale, ModelWarning, number_of, ParameterError,
@@ -459,7 +459,7 @@ class Problem:
         duration = (self.record.duration if end is None else end) - begin + self._latest(values)
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)
-            return sampled_run(scene, max(1, math.ceil(duration / scene.step - _NEAR)))
+            return run_scene(scene, max(1, math.ceil(duration / scene.step - _NEAR)))
 
     def _latest(self, values):
         return max(0.0, *(-values.get(f'{name}.delay', 0.0) for name in self.record.outputs))

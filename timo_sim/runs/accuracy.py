@@ -18,10 +18,10 @@ import numpy as np
 
 from timo_sim.compiled.constants import of_any_size
 from timo_sim.model.layout import Motion
-from timo_sim.runs.run import sampled_run
+from timo_sim.runs.run import run_scene
 from timo_sim.scene.parameters import ParameterError, PARAMETERS, steps_in, warn
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
-from timo_sim.simulation.finer import finer, has_finer, parts_of, tip_distance
+from timo_sim.simulation.finer import can_refine, choose_parts, refine, tip_distance
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import (
     DivergenceError, inaccurate, MOST_APART, NO_FINER_RUN, unseen_load)
@@ -149,7 +149,7 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
     raise _refused(scene, f'is not reached, but {MARGIN * error:.1e} m is, with {size}')
 
 
-def resolved(scene, duration, tell=None):
+def resolve(scene, duration, tell=None):
     """
     Return the scene, with modes and step chosen if it states an error, and its number of steps.
 
@@ -242,7 +242,7 @@ def samples_between(steps, sample_every):
                 if sample_every % k == 0)
 
 
-def measured(run):
+def measure_error(run):
     """
     Return a run with its measured error, and the warning that this calls for.
 
@@ -251,7 +251,7 @@ def measured(run):
     Parameters
     ----------
     run : Run
-        Of `sampled_run`.
+        Of `run_scene`.
 
     Returns
     -------
@@ -260,10 +260,10 @@ def measured(run):
 
     """
     scene = run.scene
-    if not has_finer(scene) or len(run.t) < 2:
+    if not can_refine(scene) or len(run.t) < 2:
         return run
-    for parts in parts_of(scene):
-        fine = finer(scene, parts)
+    for parts in choose_parts(scene):
+        fine = refine(scene, parts)
         error = _distance(run, fine, parts)
         if error is not None:
             break
@@ -282,7 +282,7 @@ def _distance(run, fine, parts):
     # The distance of a run's tip from that of a finer scene [m], or None if this diverges.
     steps = parts * run.stats['steps']
     try:
-        other = sampled_run(fine, steps, steps // (len(run.t) - 1), pack=of_any_size)
+        other = run_scene(fine, steps, steps // (len(run.t) - 1), pack=of_any_size)
     except DivergenceError:
         return None
     return tip_distance(run.model, run.values, other.model, other.values)
@@ -306,7 +306,7 @@ def _remedy(run, parts, error):
         changes['model.formulation exact'] = 1, 0, 0, 'exact'
     moved = {}
     for text, change in changes.items():
-        moved[text] = _distance(run, finer(scene, *change), change[0]) or 0.0
+        moved[text] = _distance(run, refine(scene, *change), change[0]) or 0.0
         if moved[text] > 0.5 * error:
             return text
     return max(moved, key=lambda text: moved[text])

@@ -24,7 +24,7 @@ from timo_sim.log.records import CHANGE, change_note, LogError, other_ground, RE
 from timo_sim.log.tables import Recording
 from timo_sim.log.write import NewLog
 from timo_sim.model.layout import LOADS
-from timo_sim.runs.accuracy import resolved
+from timo_sim.runs.accuracy import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import (
@@ -272,7 +272,7 @@ def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration
     scene = scene_from(values)
     same = recording.facts and scene == recording.scene
     if scene.values['model.accuracy']:
-        scene, _ = resolved(scene, duration or 0.0)
+        scene, _ = resolve(scene, duration or 0.0)
     values.update(scene.values)
     segments = segments_of(recording, scene, values, start, duration)
     log = None

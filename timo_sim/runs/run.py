@@ -338,7 +338,7 @@ class Run(MotionFields, Tables):
 _REPORTED = 1024  # steps from one report to the next
 
 
-def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=None, pack=None):
+def run_scene(scene, steps, sample_every=1, report=lambda count: None, tell=None, pack=None):
     """
     Return the Run of a resolved scene; without the progress bar and ModelWarning of `simulate`.
 

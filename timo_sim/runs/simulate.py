@@ -15,8 +15,8 @@ import sys
 
 from tqdm import tqdm
 
-from timo_sim.runs.accuracy import measured, resolved, samples_between
-from timo_sim.runs.run import Run, sampled_run
+from timo_sim.runs.accuracy import measure_error, resolve, samples_between
+from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.parameters import Parameter, ParameterError, warn
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.warnings import DivergenceError
@@ -71,7 +71,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     (1001, 2)
 
     """
-    scene, steps = resolved(load_scene(scene), duration)
+    scene, steps = resolve(load_scene(scene), duration)
     sample_every = _EVERY.check(sample_every)
     if steps % sample_every:
         raise ParameterError(
@@ -80,14 +80,14 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
               leave=False) as bar:
         try:
             between = samples_between(steps, sample_every) if estimate else 1
-            run = sampled_run(scene, steps, sample_every // between, bar.update, _tell)
+            run = run_scene(scene, steps, sample_every // between, bar.update, _tell)
         except DivergenceError as error:
             error.run = _thinned(error.run, between)
             raise
         except MemoryError:
             raise MemoryError(f'{1 + steps // sample_every} samples do not fit into memory: take '
                               f'sample_every > {sample_every}') from None
-        run = _thinned(measured(run) if estimate else run, between)
+        run = _thinned(measure_error(run) if estimate else run, between)
     if run.warning:
         warn(run.warning)
     return run

@@ -30,8 +30,8 @@ import numpy as np
 from timo_sim.compiled.cache import compiling
 from timo_sim.compiled.lanes import WIDTH
 from timo_sim.extras import optional
-from timo_sim.runs.accuracy import measured, resolved
-from timo_sim.runs.run import sampled_run
+from timo_sim.runs.accuracy import measure_error, resolve
+from timo_sim.runs.run import run_scene
 from timo_sim.scene.files import flatten
 from timo_sim.scene.parameters import Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in
 from timo_sim.scene.scene import load_scene, SceneLike
@@ -239,7 +239,7 @@ def run_job(job):
     with np.errstate(all='ignore'):
         for row, variation in enumerate(job.variations):
             with _reasons(table['reason'], [row]):
-                scene, steps = resolved(job.scene.vary(variation), job.duration)
+                scene, steps = resolve(job.scene.vary(variation), job.duration)
                 kind = kind_of(scene, steps) if job.together else None
                 found.setdefault((kind, None if kind else row), []).append((row, scene))
         for (kind, _), runs in found.items():
@@ -267,14 +267,14 @@ def _fill(table, numbers, kind, runs, duration):
         table['warning'][rows] = [text or '' for text in done.warnings]
         numbers[rows] = _summaries(done, kind.steps)
     else:
-        run = sampled_run(scenes[0], steps_in(duration, scenes[0].step))
+        run = run_scene(scenes[0], steps_in(duration, scenes[0].step))
         table['warning'][rows] = run.warning or ''
         numbers[rows] = _summary(run)
 
 
 def _measure(table, numbers, row, scene, duration):
     """Measure the error of a run, and fill it in with the warning that it calls for."""
-    run = measured(sampled_run(scene, steps_in(duration, scene.step)))
+    run = measure_error(run_scene(scene, steps_in(duration, scene.step)))
     numbers[row, -1] = run.stats['estimated_tip_error_m']
     table['warning'][row] = run.warning or ''
 

@@ -28,7 +28,7 @@ _AXIAL_PHASE = 4.0
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates', 'arm.damping_ratio'
 
 
-def finer(scene, parts, modes=None, axial=MORE_AXIAL, formulation='exact'):
+def refine(scene, parts, modes=None, axial=MORE_AXIAL, formulation='exact'):
     """
     Return a finer scene.
 
@@ -77,17 +77,17 @@ def _on_boundaries(times, step):
                  for time, number in zip(times, nearest))
 
 
-def has_finer(scene):
+def can_refine(scene):
     """Return whether a scene has a finer one: the coordinates of static modes have no meaning."""
     return scene.values['model.static_modes'] == 'none' or not any(
         any(scene.values[name]) for name in _LISTS[:2])
 
 
-def parts_of(scene):
+def choose_parts(scene):
     """Return the parts of a step that may do for a finer run, a tuple of int, fewest first."""
     # Events of dry friction are found to the first order of the step only.
     tried = PARTS[1:] if scene.friction.any() else PARTS
-    least = next((parts for parts in tried if _resolves(finer(scene, parts))), PARTS[-1])
+    least = next((parts for parts in tried if _resolves(refine(scene, parts))), PARTS[-1])
     return tuple(parts for parts in PARTS if parts >= least)
 
 
