@@ -13,7 +13,7 @@ import pytest
 
 import timo_sim
 from timo_sim.runs.run import run_scene
-from timo_sim.runs.sweep import Job, kind_of, run_job, SUMMARY, Together
+from timo_sim.runs.sweep import Job, lane_kind, LaneRuns, run_job, SUMMARY
 
 DURATION = 2.0
 NUMBERS = [column.name for column in SUMMARY if column.name != 'tip_error']
@@ -100,8 +100,8 @@ def test_bits_do_not_depend_on_the_other_runs(table, paper, jobs):
 def test_motions_are_those_of_simulate(paper, base, variation):
     scenes = [scene_of(paper, **base).vary(each) for each in variation]
     steps = round(DURATION / 0.01)
-    kind, = {kind_of(scene, steps) for scene in scenes}
-    found = Together(scenes, kind)
+    kind, = {lane_kind(scene, steps) for scene in scenes}
+    found = LaneRuns(scenes, kind)
     for k, scene in enumerate(scenes):
         run = run_scene(scene, steps)
         assert found.motion[k] == pytest.approx(run.motion[-1], rel=1e-10, abs=1e-11)
@@ -109,19 +109,19 @@ def test_motions_are_those_of_simulate(paper, base, variation):
 
 def test_a_load_that_is_too_fast_gives_a_warning(paper):
     scene = scene_of(paper, **{'load.torque.harmonic.frequency': [30.0]})
-    together, = Together([scene], kind_of(scene, 200)).warnings
+    together, = LaneRuns([scene], lane_kind(scene, 200)).warnings
     assert together == run_scene(scene, 200).warning and 'too high' in together
 
 
 def test_runs_that_lanes_do_not_know_are_done_alone(paper):
     for more in ({'carrier.held': 'x'}, {'model.formulation': 'newton'},
                  {'model.modes': 0}):
-        assert kind_of(scene_of(paper, **more), 200) is None
+        assert lane_kind(scene_of(paper, **more), 200) is None
 
 
 def test_an_error_of_one_run_is_not_that_of_the_others(paper, monkeypatch):
     """The others have the same numbers, to the last bit, as if none had failed."""
-    class Failing(Together):
+    class Failing(LaneRuns):
         def __init__(self, scenes, kind):
             if any(scene.values['initial.shaft'] == 1.0 for scene in scenes):
                 raise FloatingPointError('a singular matrix')
@@ -131,7 +131,7 @@ def test_an_error_of_one_run_is_not_that_of_the_others(paper, monkeypatch):
     job = Job(0, scene_of(paper), DURATION,
               tuple({'initial.shaft': angle} for angle in angles), ('initial.shaft',), True)
     usual = run_job(job)
-    monkeypatch.setattr('timo_sim.runs.sweep.Together', Failing)
+    monkeypatch.setattr('timo_sim.runs.sweep.LaneRuns', Failing)
     found = run_job(job)
     assert [*found['reason']] == 8 * [''] + ['a singular matrix']
     for name in NUMBERS:
