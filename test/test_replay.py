@@ -240,6 +240,12 @@ def test_a_log_gives_the_same_bits_and_a_falsified_one_does_not(log, tmp_path):
     assert 'joint_states carrier_x_m' in text
 
 
+def test_a_log_of_an_old_version_is_refused_with_the_version_that_reads_it(log):
+    log.write_bytes(log.read_bytes().replace(timo_sim.__version__.encode(), b'0.1.0'))
+    assert 'run.mcap is of timo_sim 0.1.0, whose logs timo_sim 0.2.0 was the last to read' in call(
+        'replay', log, code=2)
+
+
 def test_a_changed_scene_gives_differences_with_time_and_unit(log, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = call('replay', log, '--set', 'model.modes=5', '--set', 'end_effector.mass=2.5')

@@ -380,10 +380,7 @@ DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
 
 
 _TIP = 'end_effector.mass', 'end_effector.inertia'
-# 0.2.0 renamed these. Before 0.2.0 a limit of 0 meant no limit; now it is refused.
-SPLIT = 'integrator.tolerance'  # 0.2.0 and earlier split steps by it; logs are read without it
-_RENAMED = {'motor.dc.gear': 'motor.dc.gear_ratio', 'step_count': 'steps_per_call'}
-_LIMITS = [name for name, parameter in PARAMETERS.items() if not parameter.finite]
+SPLIT = 'integrator.tolerance'  # 0.2.0 split steps by it; its logs are read without it
 
 
 def check(values, source):
@@ -440,12 +437,6 @@ def check_runtime(values, later):
         raise ParameterError(f'{fixed[0]} = {short(later[fixed[0]])} cannot be set while a '
                              f'simulation{" of newton_root_stress" * (fixed[0] in _TIP)} runs; '
                              f'it stays {short(values[fixed[0]])}')
-
-
-def current(values):
-    """Return values that an older version logged, with their present names and meanings."""
-    return {_RENAMED.get(name, name): math.inf if name in _LIMITS and value == 0.0 else value
-            for name, value in values.items() if name != SPLIT}
 
 
 def changed(values):
