@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 import timo_sim
 from timo_sim.fitting.problem import loads_of, Problem
 from timo_sim.fitting.record import Channel, OUTPUTS
-from timo_sim.fitting.search import covariance, unknown, whiteness
+from timo_sim.fitting.search import covariance, unidentified_combinations, whiteness
 
 ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.height': 0.001, 'arm.width': 0.02,
        'arm.density': 7800.0, 'arm.young_modulus': 2e11, 'arm.shear_modulus': 7.7e10,
@@ -372,7 +372,7 @@ def test_whiteness_is_a_probability():
 
 def test_unknown_combinations():
     jacobian = np.column_stack([np.arange(9.0), np.arange(9.0), 5.0 * np.ones(9)])
-    parts, = unknown(jacobian, ['a', 'b', 'c'], {'a', 'b'})
+    parts, = unidentified_combinations(jacobian, ['a', 'b', 'c'], {'a', 'b'})
     assert {name: round(part, 6) for name, part in parts.items()} in (
         {'a': 0.707107, 'b': -0.707107}, {'a': -0.707107, 'b': 0.707107})
 

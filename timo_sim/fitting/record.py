@@ -113,8 +113,8 @@ UNITS = {
 }
 
 
-def unit_of(name):
-    """Return the unit of a quantity, of which all numbers inside are."""
+def unit_of(name: str) -> str:
+    """Return the unit of a quantity; values in a Record have it."""
     return INPUTS[name] if name in INPUTS else OUTPUTS[name].unit
 
 
