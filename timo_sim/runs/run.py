@@ -19,6 +19,7 @@ import time
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from timo_sim.extras import optional
 from timo_sim.model.formulation import Formulation
@@ -113,7 +114,7 @@ class Run(MotionFields):
                 name: f'{value:.3g}' for name, value in self.stats.items()
                 if isinstance(value, (int, float))}, 'scene': repr(self.scene)})
 
-    def position(self, xi) -> np.ndarray:
+    def position(self, xi: ArrayLike) -> np.ndarray:
         """
         Return positions of points of the centre line in world axes, (n, 2) or (n, p, 2) [m].
 
@@ -125,7 +126,7 @@ class Run(MotionFields):
         """
         return self._pick(xi, self.model.world(self.motion, self._at(xi)))
 
-    def deflection(self, xi) -> np.ndarray:
+    def deflection(self, xi: ArrayLike) -> np.ndarray:
         """
         Return the axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m].
 
@@ -135,7 +136,7 @@ class Run(MotionFields):
         straight = np.column_stack([points.xi, np.zeros_like(points.xi)])
         return self._pick(xi, self.model.centre_line(self.q, points) - straight)
 
-    def rotation(self, xi) -> np.ndarray:
+    def rotation(self, xi: ArrayLike) -> np.ndarray:
         """
         Return the rotation of sections relative to the shaft, (n,) or (n, p) [rad].
 
