@@ -126,14 +126,18 @@ def test_xi_must_be_on_the_arm(paper):
             run.position(xi)
 
 
-@pytest.mark.parametrize('arguments, words', [
+REFUSED = [
     (['papr'], 'did you mean paper?'),
     (['paper', '--set', 'model.mode=2'], 'did you mean model.modes?'),
-    (['paper', '--duration', '0.1', '-o', 'run.txt'], 'must end with .parquet or .csv')])
-def test_the_command_refuses(arguments, words, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    result = CliRunner().invoke(main, ['simulate', *arguments])
-    assert result.exit_code == 2 and words in result.output
+    (['paper', '--duration', '0.1', '-o', 'run.txt'], 'must end with .parquet or .csv')
+]
+
+
+def test_the_command_refuses(tmp_path, monkeypatch):
+    for arguments, words in REFUSED:
+        monkeypatch.chdir(tmp_path)
+        result = CliRunner().invoke(main, ['simulate', *arguments])
+        assert result.exit_code == 2 and words in result.output
 
 
 @pytest.mark.parametrize('arguments', [
