@@ -16,8 +16,8 @@ from oracles import spectral_elements
 import pytest
 import timo_sim
 from timo_sim.compiled.constants import pack
-from timo_sim.runs.run import sampled_run
-from timo_sim.simulation.finer import finer
+from timo_sim.runs.run import run_scene
+from timo_sim.simulation.finer import refine
 
 # A free arm that turns fast, a stroke on the tip of an arm with one mode, an axial force.
 STROKE = {'load.tip_torque.piecewise.time': [0.1, 0.12],
@@ -134,7 +134,7 @@ def test_the_measured_error_does_not_depend_on_the_samples_asked_for():
 def test_a_comparison_changes_no_model_that_others_use():
     """A later scene of the same bodies has the bits of one that nothing came before."""
     before, _ = timo_sim.Simulator(SHARED).advance(50, sample_every=10)
-    fine = finer(timo_sim.load_scene(SHARED), 2)
+    fine = refine(timo_sim.load_scene(SHARED), 2)
     quietly(SHARED, 0.05, estimate=True)
     assert fine.build().pack is pack
     assert isinstance(fine.build().packed, np.void)
@@ -200,7 +200,7 @@ def test_lists_of_modes_grow_with_the_modes():
     scene = timo_sim.load_scene({
         'model.modes': 2, 'model.axial_modes': 1, 'arm.damping_ratio': [0.1, 0.2, 0.3],
         'initial.modal_coordinates': [1e-3, 2e-3, 3e-6], 'initial.modal_rates': [4.0, 5.0, 6.0]})
-    fine = finer(scene, 2)
+    fine = refine(scene, 2)
     assert fine.values['arm.damping_ratio'] == (0.1, 0.2, 0.2, 0.2, 0.2, 0.3, 0.3)
     motion = scene.initial_motion(), fine.initial_motion()
     tips = [each.build().tip(initial) for each, initial in zip((scene, fine), motion)]
@@ -219,6 +219,6 @@ def test_one_mode_has_a_finer_run_but_what_starts_bent_in_static_modes_has_none(
 @pytest.mark.usefixtures('any_size')
 def test_steps_with_dry_friction_are_fine_enough():
     run = quietly(DRY, 2.0)
-    fine = sampled_run(finer(run.scene, 16), 16 * run.stats['steps'], 16 * 5)
+    fine = run_scene(refine(run.scene, 16), 16 * run.stats['steps'], 16 * 5)
     error = np.linalg.norm(run.position(0.329) - fine.position(0.329), axis=1).max()
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.1)

@@ -123,8 +123,8 @@ def test_errors_of_steps_give_a_warning():
 
 def without_warnings(monkeypatch):
     """Remove the warnings of runs."""
-    speaking = truth.sampled_run
-    monkeypatch.setattr(truth, 'sampled_run', lambda *arguments: replace(
+    speaking = truth.run_scene
+    monkeypatch.setattr(truth, 'run_scene', lambda *arguments: replace(
         speaking(*arguments), warning=None))
     monkeypatch.setattr(truth, 'measured', lambda run: run)
 

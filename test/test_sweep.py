@@ -18,11 +18,18 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.runs.sweep import executor_of, jobs_of, SUMMARY
+from timo_sim.runs.run import run_scene
+from timo_sim.runs.sweep import (
+    executor_of, Job, jobs_of, lane_kind, LaneRuns, run_job, SUMMARY)
 from timo_sim.version import __version__
 
 FAST = {'integrator.step': 0.01}
 NUMBERS = [column.name for column in SUMMARY if column.name != 'tip_error']
+
+DURATION = 2.0
+PULSES = {'load.torque': {'harmonic': {'amplitude': [], 'frequency': [], 'phase': []},
+                          'piecewise': {'time': [0.0, 0.5, 1.0], 'value': [20.0, -20.0, 0.0]}}}
+BAD = [{'end_effector.mass': -1.0}, {'initial.modal_rates': [1.0]}, {'integrator.step': 0.03}]
 
 
 @pytest.fixture(scope='module')
@@ -33,7 +40,8 @@ def scene(paper):
 
 def expected(run):
     """Return the numbers of a row, computed from a run."""
-    deflection, rotation = run.deflection(2.0)[:, 1], run.rotation(2.0)
+    length = run.scene.values['arm.length']
+    deflection, rotation = run.deflection(length)[:, 1], run.rotation(length)
     peak = np.argmax(np.abs(deflection))
     return [abs(deflection[peak]), run.t[peak], np.sqrt(np.mean(deflection**2)), deflection[-1],
             np.abs(rotation).max(), *run.carrier[-1], run.shaft[-1]]
@@ -114,18 +122,22 @@ def test_a_run_with_a_warning_has_it_in_its_row(scene):
     assert table['warning'].tolist() == [str(caught[0].message), '']
 
 
-@pytest.mark.parametrize('given, words', [
+BAD_ARGUMENTS = [
     ({'variations': []}, 'at least one element, got none'),
     ({'duration': 0.125}, 'the ratio is 12.5'),
     ({'variations': [{'arm.length': lambda: 2.0}]}, 'variations must be picklable'),
     ({'variations': [3]}, 'values must be given by name, got 3'),
     ({'variations': {'arm.length': [2.0]}}, 'variations must be a list of values by name, got {'),
     ({'variations': [{'arm': {'length': 2.0}, 'arm.length': 3.0}]}, 'arm.length is given twice'),
-    ({'workers': 1.5}, 'workers must be a whole number >= 1, got 1.5')])
-def test_invalid_arguments_are_refused(scene, given, words):
-    with pytest.raises(timo_sim.ParameterError, match=words) as caught:
-        timo_sim.simulate_many(scene, **{'variations': [{}], 'duration': 0.1, **given})
-    assert '\n' not in str(caught.value)
+    ({'workers': 1.5}, 'workers must be a whole number >= 1, got 1.5')
+]
+
+
+def test_invalid_arguments_are_refused(scene):
+    for given, words in BAD_ARGUMENTS:
+        with pytest.raises(timo_sim.ParameterError, match=words) as caught:
+            timo_sim.simulate_many(scene, **{'variations': [{}], 'duration': 0.1, **given})
+        assert '\n' not in str(caught.value)
 
 
 def test_jobs_hold_every_run_once_and_are_short_and_many(scene):
@@ -165,3 +177,99 @@ timo_sim.simulate_many(scene, [{{}}], 0.01, workers=1)
                           env={**os.environ, 'PYTHONPATH': str(tmp_path)})
     assert (done.returncode, done.stdout) == (1, 'script\n')
     assert f'began with timo_sim {__version__}, and 99.0 is installed now' in done.stderr
+
+
+def variations():
+    """Return 72 variations, most of which can be done together."""
+    random = np.random.default_rng(5)
+    found = [{'end_effector.mass': random.uniform(0.5, 5.0),
+              'initial.shaft_velocity': random.uniform(-1.0, 1.0),
+              'load.torque.harmonic.amplitude': [random.uniform(1.0, 8.0)]} for _ in range(53)]
+    found += [{**PULSES, 'arm.length': length} for length in np.linspace(1.5, 2.5, 9)]
+    found += [*BAD, {'initial.shaft_velocity': 300.0}, {}, {'carrier.held': 'x'},
+              {'model.modes': 0},
+              {'payload': {'time': [1.0], 'mass': [2.1], 'inertia': [0.51]}},
+              {'model.formulation': 'newton'}, {'motor.coulomb_friction': 0.5},
+              {'motor.coulomb_friction': 0.5, 'motor.coulomb_speed': 0.2}]
+    return found
+
+
+@pytest.fixture(scope='module')
+def table(scene):
+    """Return the rows of a sweep over `variations`."""
+    return timo_sim.simulate_many(scene, variations(), DURATION, workers=2)
+
+
+def test_rows_of_lanes_are_those_of_simulate(table, scene):
+    for row, variation in enumerate(variations()):
+        if row % 4 and row < 53:
+            continue
+        try:
+            run = timo_sim.simulate(scene.vary(variation), DURATION, estimate=False)
+        except (timo_sim.ParameterError, timo_sim.DivergenceError) as error:
+            assert table['reason'][row] == ' '.join(str(error).split())
+            assert np.isnan(numbers(table, row)).all() and table['warning'][row] == ''
+            continue
+        assert (table['reason'][row], table['warning'][row]) == ('', run.warning or '')
+        np.testing.assert_allclose(numbers(table, row), expected(run), rtol=1e-10, atol=1e-11)
+    assert sum(map(bool, table['reason'])) == len(BAD) + 1
+
+
+def test_bits_of_lanes_do_not_depend_on_the_other_runs(table, scene):
+    """One worker, and three jobs that hold other runs, in the opposite order."""
+    every = variations()[::-1]
+    parts = [run_job(Job(first, scene, DURATION, tuple(every[first:first + 24]), (), True))
+             for first in range(0, 72, 24)]
+    for name in (*NUMBERS, 'reason', 'warning'):
+        again = np.concatenate([part[name] for part in parts])[::-1]
+        np.testing.assert_array_equal(table[name], again)
+
+
+@pytest.mark.parametrize('base, variation', [
+    ({}, [{'end_effector.mass': mass} for mass in (0.5, 2.0, 6.0)]),
+    ({}, [{'initial.shaft_velocity': speed} for speed in (0.0, 1.0, 3.0)]),
+    (PULSES, [{'arm.length': length} for length in (1.6, 2.0)]),
+    ({'carrier.held': 'both', 'motor.shaft': 'driven', 'motor.drive': {
+        'time': [0.0, 1.0], 'angle': [0.0, 0.4], 'speed': [0.0, 0.0],
+        'acceleration': [0.0, 0.0]}, 'gravity': [0.0, -9.81]},
+     [{'end_effector.mass': mass} for mass in (1.0, 2.0)])],
+    ids=['masses', 'speeds', 'pulses', 'driven'])
+def test_motions_of_lanes_are_those_of_simulate(scene, base, variation):
+    scenes = [scene.vary(base).vary(each) for each in variation]
+    steps = round(DURATION / 0.01)
+    kind, = {lane_kind(each, steps) for each in scenes}
+    found = LaneRuns(scenes, kind)
+    for k, each in enumerate(scenes):
+        run = run_scene(each, steps)
+        assert found.motion[k] == pytest.approx(run.motion[-1], rel=1e-10, abs=1e-11)
+
+
+def test_a_load_that_is_too_fast_gives_a_warning(scene):
+    fast = scene.vary({'load.torque.harmonic.frequency': [30.0]})
+    warning, = LaneRuns([fast], lane_kind(fast, 200)).warnings
+    assert warning == run_scene(fast, 200).warning and 'too high' in warning
+
+
+def test_runs_that_lanes_do_not_know_are_done_alone(scene):
+    for more in ({'carrier.held': 'x'}, {'model.formulation': 'newton'}, {'model.modes': 0}):
+        assert lane_kind(scene.vary(more), 200) is None
+
+
+def test_an_error_of_one_run_is_not_that_of_the_others(scene, monkeypatch):
+    """The others have the same numbers, to the last bit, as if none had failed."""
+    class Failing(LaneRuns):
+        def __init__(self, scenes, kind):
+            if any(scene.values['initial.shaft'] == 1.0 for scene in scenes):
+                raise FloatingPointError('a singular matrix')
+            super().__init__(scenes, kind)
+
+    angles = np.linspace(0.0, 1.0, 9)
+    job = Job(0, scene, DURATION,
+              tuple({'initial.shaft': angle} for angle in angles), ('initial.shaft',), True)
+    usual = run_job(job)
+    monkeypatch.setattr('timo_sim.runs.sweep.LaneRuns', Failing)
+    found = run_job(job)
+    assert [*found['reason']] == 8 * [''] + ['a singular matrix']
+    for name in NUMBERS:
+        np.testing.assert_array_equal(found[name][:8], usual[name][:8])
+        assert np.isnan(found[name][8])

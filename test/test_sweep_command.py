@@ -165,7 +165,7 @@ def test_random_values_fill_their_ranges_and_repeat_with_their_seed(write):
         assert abs(share.mean() - 0.5) < 0.1
 
 
-@pytest.mark.parametrize('entries, words', [
+BAD_FILES = [
     ({}, 'one of runs, grid, random; got scene, duration, parameters'),
     ({'grid': {'model.modes': [1]}, 'runs': [{}]}, 'one of runs, grid, random'),
     ({'grids' * 99: {}}, "got ['gridsgrids"),
@@ -185,15 +185,18 @@ def test_random_values_fill_their_ranges_and_repeat_with_their_seed(write):
     ({'random': {**RANDOM, 'count': 0}}, 'random: count must be a whole number >= 1, got 0'),
     ({'random': {**RANDOM, 'ranges': {'end_effector.mass': [5.0, 0.5]}}}, 'in ascending order'),
     ({'random': {**RANDOM, 'ranges': {'arm.length': [1.0] * 99}}}, 'a lower and an upper end'),
-    ({'random': {**RANDOM, 'ranges': {'model.modes': [1.5, 3]}}}, 'model.modes must be a whole'),
-])
-def test_files_that_are_refused_in_a_short_line(write, entries, words):
-    path = write(**entries)
-    with pytest.raises((timo_sim.ParameterError, FileNotFoundError)) as caught:
-        read_plan(path)
-    told = str(caught.value)
-    assert words in told and 'yaml' in told
-    assert len(told.removesuffix(f' ({path})')) < 250 and '\n' not in told
+    ({'random': {**RANDOM, 'ranges': {'model.modes': [1.5, 3]}}}, 'model.modes must be a whole')
+]
+
+
+def test_files_that_are_refused_in_a_short_line(write):
+    for entries, words in BAD_FILES:
+        path = write(**entries)
+        with pytest.raises((timo_sim.ParameterError, FileNotFoundError)) as caught:
+            read_plan(path)
+        told = str(caught.value)
+        assert words in told and 'yaml' in told
+        assert len(told.removesuffix(f' ({path})')) < 250 and '\n' not in told
 
 
 def test_bad_input_ends_with_one_line_and_code_2(write, tmp_path):

@@ -99,11 +99,14 @@ def test_links_are_the_frames_of_the_scene(tmp_path):
         assert told.returncode == 0 and 'root Link: odom' in told.stdout, told.stderr
 
 
-@pytest.mark.parametrize('scene, changes, words', [
+REFUSED = [
     ('papper', {}, 'did you mean paper?'),
     ('paper', {'arm.length': -1.0}, 'arm.length must be a finite number > 0 m, got -1.0'),
-    ('paper', {'frame.tip': 'arm'}, 'must differ'),
-])
-def test_an_invalid_scene_gives_one_line_and_code_2(scene, changes, words):
-    text = urdf(scene, changes, code=2)
-    assert words in text and text.count('\n') == 1
+    ('paper', {'frame.tip': 'arm'}, 'must differ')
+]
+
+
+def test_an_invalid_scene_gives_one_line_and_code_2():
+    for scene, changes, words in REFUSED:
+        text = urdf(scene, changes, code=2)
+        assert words in text and text.count('\n') == 1

@@ -9,7 +9,7 @@
 """Simulate a planar mobile manipulator with a flexible Timoshenko arm."""
 
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from timo_sim.version import __version__
 
@@ -63,11 +63,11 @@ __all__ = [
     'simulate', 'simulate_many']
 
 
-def __getattr__(name):
+def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     return getattr(import_module(f'{__name__}.{_MODULES[name]}'), name)
 
 
-def __dir__():
+def __dir__() -> list[str]:
     return __all__

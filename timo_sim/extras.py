@@ -8,6 +8,7 @@
 
 """Optional packages, and the extras of this package that install them."""
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 _EXTRAS = {
@@ -21,8 +22,8 @@ class MissingPackage(ModuleNotFoundError):
 
 
 @contextmanager
-def optional():
-    """Import inside of this: a missing package is a MissingPackage."""
+def optional() -> Iterator[None]:
+    """Raise MissingPackage where an import inside of this context fails."""
     try:
         yield
     except ModuleNotFoundError as error:

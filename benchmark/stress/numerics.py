@@ -36,7 +36,7 @@ from benchmark.stress.scenes import cell  # noqa: E402
 from benchmark.stress.truth import judge, SEEN, shares, VERDICTS  # noqa: E402
 from oracles.linear_beam import LinearBeam  # noqa: E402
 import timo_sim  # noqa: E402
-from timo_sim.runs.run import sampled_run  # noqa: E402
+from timo_sim.runs.run import run_scene  # noqa: E402
 
 CELLS = 1020  # in full
 _FACTOR = 5.0  # a good estimate is within this factor of the true error
@@ -195,7 +195,7 @@ def long_rows(quick=False):
         for formulation in 'exact', 'newton':
             scene = timo_sim.load_scene({'model.formulation': formulation, **values})
             try:
-                run = sampled_run(scene, round(hour / scene.step), 1000)
+                run = run_scene(scene, round(hour / scene.step), 1000)
             except timo_sim.DivergenceError as error:
                 yield name, formulation, '', '', str(error).split(':')[0]
                 continue

@@ -34,8 +34,8 @@ import numpy as np
 
 from oracles import spectral_elements
 import timo_sim
-from timo_sim.runs.accuracy import measured
-from timo_sim.runs.run import sampled_run
+from timo_sim.runs.accuracy import measure_error
+from timo_sim.runs.run import run_scene
 
 ACCURATE, SEEN = 1e-3, 1e-6  # [lengths]
 VERDICTS = ['accurate', 'flagged', 'refused', 'silent', 'open']
@@ -178,9 +178,9 @@ def _run(cell, changes, parts=1, looked_at=False):
     """Return the path of the tip, shape (n, 2) [m], statistics and warning; or None, None, why."""
     try:
         scene = timo_sim.load_scene({**cell.values, **changes})
-        run = sampled_run(scene, parts * cell.steps, parts * cell.every)
+        run = run_scene(scene, parts * cell.steps, parts * cell.every)
         if looked_at:  # as `simulate` does
-            run = measured(run)
+            run = measure_error(run)
         return run.position(cell.values['arm.length']), run.stats, run.warning
     except (timo_sim.ParameterError, timo_sim.DivergenceError) as error:
         return None, None, str(error)

@@ -18,7 +18,7 @@ import timo_sim
 from timo_sim.compiled.constants import of_any_size
 from timo_sim.log.read import payloads_of
 from timo_sim.runs.replay import replay
-from timo_sim.runs.run import sampled_run
+from timo_sim.runs.run import run_scene
 from timo_sim.simulation.energy import work
 from timo_sim.simulation.loads import pieces
 from timo_sim.simulation.simulator import Simulator
@@ -120,7 +120,7 @@ def test_the_estimate_of_a_plastic_impact():
     scene = timo_sim.load_scene({**PLASTIC, 'model.modes': 5, 'integrator.step': 0.001})
     fine = timo_sim.load_scene({**PLASTIC, 'model.modes': 40, 'integrator.step': 0.00025})
     run = timo_sim.simulate(scene, 0.8, 10)
-    true = sampled_run(fine, 3200, 40, pack=of_any_size)
+    true = run_scene(fine, 3200, 40, pack=of_any_size)
     error = np.linalg.norm(run.position(2.0) - true.position(2.0), axis=1).max()
     assert 0.5 * error < run.stats['estimated_tip_error_m'] < 2.0 * error
 

@@ -257,7 +257,7 @@ def simulate(scene, duration, settings, output, rate, estimate, view, png):
 
     Exit codes: 0 good; 1 the run diverges (samples up to there are written); 2 bad input.
     """
-    from timo_sim.runs.accuracy import resolved
+    from timo_sim.runs.accuracy import resolve
     from timo_sim.runs.simulate import simulate
     from timo_sim.scene.parameters import ModelWarning, whole_ratio
     from timo_sim.scene.scene import load_scene
@@ -269,7 +269,7 @@ def simulate(scene, duration, settings, output, rate, estimate, view, png):
         import rerun  # noqa: F401
     if output and output.endswith('.parquet'):
         import pyarrow  # noqa: F401
-    scene, steps = resolved(load_scene(scene, parsed(settings)), duration, click.echo)
+    scene, steps = resolve(load_scene(scene, parsed(settings)), duration, click.echo)
     if rate:
         every = whole_ratio('1/integrator.step', 1.0 / scene.step, '--rate', rate)
     else:
@@ -351,13 +351,13 @@ def fit(record, more, scene, free, bounds, settings, mapping, outputs,
 
     Exit codes: 0 good; 2 bad input.
     """
-    from timo_sim.fitting.result import fit, read
+    from timo_sim.fitting.result import fit, read_scene_and_record
     from timo_sim.scene.parameters import ModelWarning
     from timo_sim.scene.scene import load_scene
     if png:
         from timo_sim.view.plot import write
     changes, ends = parsed(settings), _bounds(bounds)
-    scene, record = read(scene, record, mapping)
+    scene, record = read_scene_and_record(scene, record, mapping)
     if outputs:
         record = record.select(*outputs.split(','))
     with warnings.catch_warnings():
@@ -436,9 +436,9 @@ def urdf(scene, settings):
 def _filled(body, frames):
     """Return the URDF of a Manipulator with these names of frames."""
     from xml.etree import ElementTree
-    from timo_sim.scene.files import shared
+    from timo_sim.scene.files import shared_file
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
-    robot = ElementTree.parse(shared('urdf/timo_sim.urdf'), parser).getroot()
+    robot = ElementTree.parse(shared_file('urdf/timo_sim.urdf'), parser).getroot()
     for path, values in _values(body).items():
         next(robot.iterfind(path)).attrib.update({
             name: ' '.join(f'{number:.9g}' for number in numbers)

@@ -28,6 +28,7 @@ from timo_sim.model.layout import INPUTS, with_unit
 from timo_sim.runs.replay import segments_of
 from timo_sim.scene.files import read_yaml
 from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError, PARAMETERS, short
+from timo_sim.scene.scene import Scene
 from timo_sim.topics.commands import COMMANDED, COMMANDS
 from timo_sim.topics.outputs import title
 from timo_sim.topics.sensors import SENSORS
@@ -45,21 +46,21 @@ class Table:
     Parameters
     ----------
     columns : list of tuple
-        Of each column its names, a list, and its values, shape (n,) or (n, m).
+        The names and the values, shape (n,) or (n, m), of each column.
     hint : str
         For errors: why columns have no names.
 
     """
 
-    def __init__(self, columns, hint=''):
+    def __init__(self, columns: list[tuple[list[str], np.ndarray]], hint: str = '') -> None:
         self._columns, self._hint = columns, hint
 
     @property
-    def names(self):
-        """All names of columns, a list."""
+    def names(self) -> list[str]:
+        """All names of columns."""
         return [name for names, _ in self._columns for name in names]
 
-    def column(self, key):
+    def column(self, key: str | int) -> np.ndarray:
         """
         Return the values of a column, shape (n,), as they are in the file.
 
@@ -94,7 +95,7 @@ class Table:
                    f'{name}:0 to {name}:{len(_series(values)) - 1}')
 
 
-def read_table(path):
+def read_table(path: Path) -> Table:
     """Return the Table in a file, or raise ParameterError."""
     if path.exists() and not path.is_file():  # a pipe or device may have no end
         raise ParameterError(f'{path} is not a file')
@@ -253,15 +254,16 @@ for _sensor in _MEASURING:
     _OUTPUTS.setdefault(_sensor.measured, []).insert(0, (_sensor.topic, _sensor.columns[-1]))
 
 
-def read_log(path, scene=None, node=None):
+def read_log(path: str | Path, scene: Scene | None = None,
+             node: str | None = None) -> tuple[Scene, Record]:
     """
-    Return the scene of a log, None for a plain bag, and its Record after its last reset.
+    Return `scene`, by default that of a log, and the log's Record after its last reset.
 
     Parameters
     ----------
     path : str or Path
     scene : Scene, optional
-        For the time step of the commands in a plain bag.
+        Needed for a plain bag.
     node : str, optional
         See `Recording`.
 
@@ -291,7 +293,7 @@ def read_log(path, scene=None, node=None):
         *(round(channel.t[0] / own.step) for channel in outputs.values()),
         *(step for step, *_ in segment.commands[:1])], default=0)
     # Sensors send late what they measured; their delay is part of the scene, not of the stamps.
-    return recording.scene, Record.of(_inputs(segment, own, begin), outputs, source=str(path))
+    return scene or own, Record.of(_inputs(segment, own, begin), outputs, source=str(path))
 
 
 def _inputs(segment, scene, begin):
@@ -407,7 +409,8 @@ def _record(path, mapping, source):
                              + short(columns))
     inputs, outputs, noise, begun = {}, {}, {}, []
 
-    def origin(value):  # the first stamp, which is subtracted, because it may take most digits
+    def origin(value):
+        # The first stamp is subtracted from all, because it may take most of their digits.
         begun.append(value)
         return begun[0]
 
@@ -423,21 +426,21 @@ def _record(path, mapping, source):
         kept = inputs if name in INPUT_UNITS else outputs
         if name in kept:
             raise ParameterError(f'columns: {name} is given twice')
-        file = _checked(entry, 'file', None)
+        file = _entry(entry, 'file', None)
         values = _numbers(table(file).column(column), column)
         factor = _factor(f'columns: {column}', entry.get('unit'), unit_of(name))
-        factor *= _checked(entry, 'scale', 1.0)
+        factor *= _entry(entry, 'scale', 1.0)
         own = entry.get('time', {})
         _check_keys(f'columns: {column}: time', own, _KEYS['time'])
         t = _times({**time, **own}, file, table, len(values), origin)
         with np.errstate(over='ignore'):  # what is not finite is left out
-            values = factor * values + _checked(entry, 'offset', 0.0)
+            values = factor * values + _entry(entry, 'offset', 0.0)
         kept[name] = Channel(t, values, hold=entry.get('hold', 'zero'),
-                             knots=_checked(entry, 'knots', None))
+                             knots=_entry(entry, 'knots', None))
         if 'noise' in entry:
-            noise[name] = abs(factor) * _checked(entry, 'noise', None)
+            noise[name] = abs(factor) * _entry(entry, 'noise', None)
     record = Record.of(inputs, outputs, noise, str(path))
-    start, end = _checked(mapping, 'start', 0.0), _checked(mapping, 'end', np.inf)
+    start, end = _entry(mapping, 'start', 0.0), _entry(mapping, 'end', np.inf)
     return record.cut(start, end) if (start, end) != (0.0, np.inf) else record
 
 
@@ -445,10 +448,10 @@ def _times(entry, file, table, count, origin):
     """Return times in s, shape (count,), from the first stamp of all."""
     if 'period' in entry:
         with np.errstate(over='ignore'):
-            return _checked(entry, 'period', None) * np.arange(count)
+            return _entry(entry, 'period', None) * np.arange(count)
     if 'column' not in entry:
         raise ParameterError('time must have a column or a period [s]')
-    values = table(_checked(entry, 'file', file)).column(entry['column'])
+    values = table(_entry(entry, 'file', file)).column(entry['column'])
     if len(values) != count:
         raise ParameterError(f'time must have as many samples as each column, got {len(values)} '
                              f'for {count}')
@@ -485,7 +488,7 @@ def _factor(entry, unit, base):
     return known[base if unit is None else unit]
 
 
-def _checked(entry, name, default):
+def _entry(entry, name, default):
     return _RULES[name].check(entry[name]) if name in entry else default
 
 

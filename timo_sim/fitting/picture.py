@@ -8,6 +8,8 @@
 
 """The picture of a fit: what was measured, what a run predicts, and their difference."""
 
+from typing import Any
+
 from matplotlib.figure import Figure
 import numpy as np
 
@@ -18,7 +20,7 @@ _SHOWN = {'tip_transverse': 'tip deflection', 'tip_angle': 'tip angle',
           'tip_acceleration': 'tip acceleration'}
 
 
-def plot(fit):
+def plot(fit: Any) -> Figure:
     """Return a Figure of a Fit; the part of the record that was held out is shaded."""
     record = fit.record
     rows = [*record.inputs, *record.outputs]

@@ -10,28 +10,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
 import math
+from typing import Any
 import warnings
 
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline, make_lsq_spline
 from scipy.signal import lfilter
 
-from timo_sim.fitting.record import DRIVE, OUTPUTS, unit_of
+from timo_sim.fitting.record import Channel, DRIVE, OUTPUTS, Record, unit_of
 from timo_sim.model.layout import INPUTS
-from timo_sim.runs.run import sampled_run
+from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.loads import Load, on_boundaries, parabolas, Term
-from timo_sim.scene.parameters import (
-    did_you_mean, INITIAL, initial_names, initial_scale, ModelWarning, number_of, ParameterError,
-    placed, short)
-from timo_sim.scene.scene import motor_constants
+from timo_sim.scene.parameters import did_you_mean, ModelWarning, ParameterError, short
+from timo_sim.scene.scene import (
+    INITIAL, initial_names, initial_scale, motor_constants, number_of, overrides_of, Scene)
 from timo_sim.simulation.warnings import DivergenceError
 
-# Of a quantity of the record, by default; an input has no lag.
+# What a quantity of the record is multiplied by, added to and late by; only an output has a lag.
 SENSOR = {'gain': 1.0, 'bias': 0.0, 'delay': 0.0, 'lag': 0.0}
-_FURTHEST = 1e3  # factor by which a positive parameter may differ from its start
+_MOST_FACTOR = 1e3  # by which a positive parameter may differ from its start
 
 
 @dataclass(frozen=True)
@@ -61,19 +62,20 @@ class Free:
     log: bool
     unit: str
 
-    def coordinate(self, value):
+    def coordinate(self, value: float) -> float:
         """Return the coordinate of the fit for a value."""
         with np.errstate(divide='ignore'):
             return np.log(value) if self.log else value / self.scale
 
-    def value(self, coordinate):
+    def value(self, coordinate: float) -> float:
         """Return the value for a coordinate."""
         return math.exp(coordinate) if self.log else float(coordinate * self.scale)
 
 
-def free_parameters(names, bounds, scene, record):
+def free_parameters(names: Sequence[str], bounds: Mapping[str, Sequence[float]], scene: Scene,
+                    record: Record) -> list[Free]:
     """
-    Return the Free parameters of a fit, a list.
+    Return the Free parameters of a fit.
 
     Parameters
     ----------
@@ -109,7 +111,7 @@ def _free(name, bounds, scene, record):
     channels = {**record.inputs, **record.outputs}
     if quantity in channels and kind in SENSOR and (kind != 'lag' or quantity in record.outputs):
         values = channels[quantity].values
-        # A search that begins at a bound leaves it slowly.
+        # A lag begins above its bound of 0, because a search leaves a bound slowly.
         start = 2.0 * record.period if kind == 'lag' else SENSOR[kind]
         low, high, scale, log, unit = {
             'gain': (0.0, math.inf, 1.0, True, ''),
@@ -140,7 +142,7 @@ def _free(name, bounds, scene, record):
                              f'{short(bounds)}')
     low, high = max(low, given[0]), min(high, given[1])
     if log:
-        low, high = max(low, start / _FURTHEST), min(high, start * _FURTHEST)
+        low, high = max(low, start / _MOST_FACTOR), min(high, start * _MOST_FACTOR)
     if not low <= start <= high:
         raise ParameterError(f'{name} = {start:g} must be within its bounds, {low:g} to {high:g}, '
                              'where the fit begins')
@@ -150,11 +152,12 @@ def _free(name, bounds, scene, record):
 _NEAREST = 5  # samples to each side from which the angle and speed of the shaft are taken
 
 
-def initial_states(problem, values):
+def initial_states(problem: Problem, values: Mapping[str, float]) -> list[list[Free]]:
     """
-    Return the Free parameters of the initial state of each window, a list of lists.
+    Return the Free parameters of the initial state of each window.
 
-    They begin with the motion of one run, and the shaft where the record shows it.
+    Their first values are the motion of one run of the whole record; those of the shaft are
+    measured ones, if the record has its angle.
     """
     try:
         run = problem.run(values, 0.0, problem.until)
@@ -166,7 +169,7 @@ def initial_states(problem, values):
         half = len(motion) // 2
         guess = dict(zip(('initial.carrier_x', 'initial.carrier_y', 'initial.shaft'), motion))
         guess |= dict(zip((f'{name}_velocity' for name in [*guess]), motion[half:half + 3]))
-        guess |= _measured(problem, window.begin, values)
+        guess |= _measured_shaft(problem, window.begin, values)
         scene = problem.scene.vary({
             **{name: float(value) for name, value in guess.items() if name in window.names},
             'initial.modal_coordinates': motion[3:half], 'initial.modal_rates': motion[half + 3:]})
@@ -174,7 +177,7 @@ def initial_states(problem, values):
     return found
 
 
-def _measured(problem, begin, values):
+def _measured_shaft(problem, begin, values):
     channel = problem.record.outputs.get('shaft')
     if channel is None:
         return {}
@@ -207,13 +210,14 @@ class Sampled(Term):
 
     """
 
-    def __init__(self, channel, gain=1.0, bias=0.0, delay=0.0, shift=0.0):
+    def __init__(self, channel: Channel, gain: float = 1.0, bias: float = 0.0,
+                 delay: float = 0.0, shift: float = 0.0) -> None:
         t, values = channel.t + (delay - shift), gain * channel.values + bias
         self._t, self._values, self._holds = t, values, channel.hold == 'zero'
         # The integral from the first sample on, before which its value holds.
         self._integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
 
-    def stages(self, first, count, step):
+    def stages(self, first: int, count: int, step: float) -> np.ndarray:
         if self._holds:
             impulse = np.diff(self._integrate(step * np.arange(first, first + count + 1)))
             return (impulse / step)[:, np.newaxis]
@@ -221,7 +225,7 @@ class Sampled(Term):
         values = np.interp(at, self._t, self._values)
         return np.column_stack([values[:-2:2], values[1::2], values[2::2]])
 
-    def parabolas(self, first, count, step):
+    def parabolas(self, first: int, count: int, step: float) -> np.ndarray:
         if self._holds:
             return super().parabolas(first, count, step)
         return parabolas(lambda at: np.interp(at * step, self._t, self._values),
@@ -239,12 +243,13 @@ class Driven(Term):
     Parameters are as for `Sampled`.
     """
 
-    def __init__(self, channel, gain=1.0, bias=0.0, delay=0.0, shift=0.0):
+    def __init__(self, channel: Channel, gain: float = 1.0, bias: float = 0.0,
+                 delay: float = 0.0, shift: float = 0.0) -> None:
         self._spline = _spline(channel.t.tobytes(), channel.values.tobytes(), channel.knots)
         self._ends, self._late = channel.t[[0, -1]], delay - shift
         self._gain, self._bias = gain, bias
 
-    def stages(self, first, count, step):
+    def stages(self, first: int, count: int, step: float) -> np.ndarray:
         """Return angle, speed and acceleration at the stages of steps, shape (count, 3, 3)."""
         at = 0.5 * step * np.arange(2 * first, 2 * (first + count) + 1) - self._late
         inside = (self._ends[0] <= at) & (at <= self._ends[1])
@@ -255,7 +260,8 @@ class Driven(Term):
         return np.stack([motion[:-2:2], motion[1::2], motion[2::2]], axis=1)
 
 
-def loads_of(record, scene, sensors, shift=0.0):
+def loads_of(record: Record, scene: Scene, sensors: Callable[[str, str], float],
+             shift: float = 0.0) -> Load:
     """
     Return the Load of a scene under its own loads and the inputs of a record.
 
@@ -269,7 +275,8 @@ def loads_of(record, scene, sensors, shift=0.0):
         Time in the record at which the scene's begins [s].
 
     """
-    terms, drive = {name: [*own] for name, own in scene.load.terms.items()}, scene.load.drive
+    terms: dict[str, list[Term]] = {name: [*own] for name, own in scene.load.terms.items()}
+    drive: Any = scene.load.drive
     for name, channel in record.inputs.items():
         gain, bias, delay = (sensors(name, kind) for kind in ('gain', 'bias', 'delay'))
         if name == DRIVE:
@@ -282,7 +289,7 @@ def loads_of(record, scene, sensors, shift=0.0):
     return Load({name: tuple(found) for name, found in terms.items()}, drive)
 
 
-def limited(record, values):
+def limit_inputs(record: Record, values: Mapping[str, Any]) -> Record:
     """Return a record whose inputs are what a scene's actuators make of them, by its values."""
     for each in INPUTS:
         if each.name in record.inputs and each.needs and not values[each.needs]:
@@ -294,11 +301,11 @@ def limited(record, values):
             goals = np.clip(inputs[name].values, -values[limit], values[limit])
             inputs[name] = inputs[name]._replace(values=goals)
         if name in inputs and rate and np.isfinite(values[rate]):
-            inputs[name] = _ramped(inputs[name], values[rate])
+            inputs[name] = _ramp(inputs[name], values[rate])
     return replace(record, inputs=inputs)
 
 
-def _ramped(channel, rate):
+def _ramp(channel, rate):
     """Return a channel that moves to each of its values on a straight line of this slope."""
     if channel.hold != 'zero':
         raise ParameterError('an input with a limited rate must have hold: zero, because its '
@@ -337,18 +344,18 @@ def _spline(t, angle, knots):
                              f'where these have gaps, got {knots:g} s') from None
 
 
-_NEAR = 1e-6      # [steps] distance from a step within which a sample is at it
+_AT_STEP = 1e-6   # [steps] distance from a step within which a sample is taken at it
 _MOST_STEPS = 1e7
-_LOST = 1e3       # residual, in standard deviations, of a run that diverges
+_DIVERGED = 1e3   # residual, in standard deviations, of a run that diverges
 
 
 @dataclass(frozen=True)
 class Window:
     """A part of a record that is predicted from an initial state of its own."""
 
-    begin: float    # [s]
-    end: float      # [s], excluded but for the last window
-    names: tuple    # of the free parameters of its initial state; empty: that of the scene
+    begin: float            # [s]
+    end: float              # [s], excluded but for the last window
+    names: tuple[str, ...]  # free parameters of its initial state; empty: that of the scene
 
 
 class Problem:
@@ -373,7 +380,9 @@ class Problem:
 
     """
 
-    def __init__(self, scene, record, names, bounds, until, window=None):
+    def __init__(self, scene: Scene, record: Record, names: Sequence[str],
+                 bounds: Mapping[str, Sequence[float]], until: float,
+                 window: float | None = None) -> None:
         if DRIVE in record.inputs and scene.values['motor.shaft'] != 'driven':
             scene = scene.vary({'motor.shaft': 'driven', 'motor.drive': {
                 'time': [0.0], 'angle': [0.0], 'speed': [0.0], 'acceleration': [0.0]}})
@@ -385,10 +394,10 @@ class Problem:
                                  f'{_MOST_STEPS:g} steps of {scene.step:g} s are fitted: cut it, '
                                  'if the unit of its times is right')
         self.scene, self.until = scene, until
-        self.record = limited(record, scene.values)
+        self.record = limit_inputs(record, scene.values)
         self.free = free_parameters(names, bounds, scene, record)
         self.windows = [Window(0.0, until, ())]
-        self._own = {name for name in initial_names(scene)} if window else set()
+        self._own = set(initial_names(scene)) if window else set()
         if window:
             self._divide(window)
         still = not (scene.load or scene.load.drive or scene.initial_motion()[3:].any()
@@ -414,21 +423,23 @@ class Problem:
         names = tuple(initial_names(self.scene))
         self.windows = [Window(begin, end, names) for begin, end in zip(edges, edges[1:])]
 
-    def values(self, x):
+    def values(self, x: np.ndarray) -> dict[str, float]:
         """Return the values of the free parameters, by name, for coordinates of the fit."""
         return {free.name: free.value(each) for free, each in zip(self.free, x)}
 
-    def scene_of(self, values, initial=None):
+    def scene_of(self, values: Mapping[str, float],
+                 initial: Mapping[str, float] | None = None) -> Scene:
         """Return the scene with free values, and an initial state, without the record's loads."""
         own = {name: value for name, value in values.items() if not self._is_sensor(name)}
-        return self.scene.vary(placed({**own, **(initial or {})}, self.scene))
+        return self.scene.vary(overrides_of({**own, **(initial or {})}, self.scene))
 
     def _is_sensor(self, name):
         quantity, _, kind = name.rpartition('.')
         return kind in SENSOR and (quantity in self.record.inputs
                                    or quantity in self.record.outputs)
 
-    def run(self, values, begin=0.0, end=None, initial=None, scene=None):
+    def run(self, values: Mapping[str, float], begin: float = 0.0, end: float | None = None,
+            initial: Mapping[str, float] | None = None, scene: Scene | None = None) -> Run:
         """
         Return the Run that predicts a part of the record.
 
@@ -456,69 +467,71 @@ class Problem:
         duration = (self.record.duration if end is None else end) - begin + self._latest(values)
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)
-            return sampled_run(scene, max(1, math.ceil(duration / scene.step - _NEAR)))
+            return run_scene(scene, max(1, math.ceil(duration / scene.step - _AT_STEP)))
 
     def _latest(self, values):
         return max(0.0, *(-values.get(f'{name}.delay', 0.0) for name in self.record.outputs))
 
     @staticmethod
-    def sensor(values):
+    def sensor(values: Mapping[str, float]) -> Callable[[str, str], float]:
         """Return a function of quantity and kind: the gain, bias or delay of a sensor."""
         return lambda name, kind: values.get(f'{name}.{kind}', SENSOR[kind])
 
-    def predictions(self, run, values, begin=0.0, end=math.inf):
+    def predictions(self, run: Run, values: Mapping[str, float], begin: float = 0.0,
+                    end: float = math.inf) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return what each output should show at its samples in a part: by name, times, values."""
         sensor, found = self.sensor(values), {}
         for name, channel in self.record.outputs.items():
-            t = channel.t[samples(channel.t, begin, end, self.until)]
-            seen = _lagging(OUTPUTS[name].of_run(run), sensor(name, 'lag') / run.scene.step)
-            found[name] = t, sensor(name, 'gain') * _at(
+            t = channel.t[_is_within(channel.t, begin, end, self.until)]
+            seen = _with_lag(OUTPUTS[name].of_run(run), sensor(name, 'lag') / run.scene.step)
+            found[name] = t, sensor(name, 'gain') * _interpolate(
                 t - begin - sensor(name, 'delay'), run, seen) + sensor(name, 'bias')
         return found
 
-    def residuals(self, values, deviations, window, initial=None):
+    def residuals(self, values: Mapping[str, float], deviations: Mapping[str, float],
+                  window: Window, initial: Mapping[str, float] | None = None) -> np.ndarray:
         """
-        Return the residuals of a window, in standard deviations, all outputs after each other.
+        Return the residuals of a window, in standard deviations, one output after another.
 
-        A run that diverges has large ones.
+        Those of a run that diverges are all large.
         """
-        measured = self.measured(window)
+        measured = self.measurements(window)
         try:
             run = self.run(values, window.begin, window.end, initial)
             predicted = self.predictions(run, values, window.begin, window.end)
         except (DivergenceError, ParameterError):
-            return np.full(sum(map(len, measured.values())), _LOST)
+            return np.full(sum(map(len, measured.values())), _DIVERGED)
         return np.concatenate([(predicted[name][1] - measured[name]) / deviations[name]
                                for name in measured])
 
-    def measured(self, window):
+    def measurements(self, window: Window) -> dict[str, np.ndarray]:
         """Return the measured samples of a window, by output."""
-        return {name: channel.values[samples(channel.t, window.begin, window.end, self.until)]
+        return {name: channel.values[_is_within(channel.t, window.begin, window.end, self.until)]
                 for name, channel in self.record.outputs.items()}
 
 
-def samples(t, begin, end, until):
-    """Return where times are in a part from `begin` to `end`, which ends after it at `until`."""
+def _is_within(t, begin, end, until):
+    """Return which times are from `begin` to `end`; `end` itself counts only at `until`."""
     return (t >= begin) & ((t < end) | (t <= end if end == until else False))
 
 
-def _lagging(values, lag):
-    """Return what a sensor of first order shows, with a time constant in steps."""
+def _with_lag(values, lag):
+    """Return what a first-order sensor shows; its time constant `lag` is in steps."""
     if lag <= 0.0:
         return values
-    # Exact for straight lines between the samples; it begins at rest.
+    # The filter is exact for straight lines between the samples, and begins at rest.
     fade = math.exp(-1.0 / lag)
     old, new = lag * (1.0 - fade) - fade, 1.0 - lag * (1.0 - fade)
     return lfilter([new, old], [1.0, -fade], values, zi=[values[0] * (1.0 - new)])[0]
 
 
-def _at(times, run, values):
+def _interpolate(times, run, values):
     """Return a quantity of a run at times, shape (n,) [s]."""
     position = times / run.scene.step
     whole = np.rint(position)
-    if np.abs(position - whole).max(initial=0.0) <= _NEAR:
+    if np.abs(position - whole).max(initial=0.0) <= _AT_STEP:
         return values[np.clip(whole, 0, len(values) - 1).astype(int)]
     if len(values) < 4:
         return np.interp(times, run.t, values)
-    # A run shows nothing from before it begins but its first motion.
+    # Before the start of the run, its first motion is used.
     return CubicSpline(run.t, values)(np.clip(times, 0.0, run.t[-1]))

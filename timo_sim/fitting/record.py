@@ -119,8 +119,8 @@ UNITS = {
 }
 
 
-def unit_of(name):
-    """Return the unit of a quantity, of which all numbers inside are."""
+def unit_of(name: str) -> str:
+    """Return the unit of a quantity; values in a Record have it."""
     return INPUT_UNITS[name] if name in INPUT_UNITS else OUTPUTS[name].unit
 
 

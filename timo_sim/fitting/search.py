@@ -8,13 +8,14 @@
 
 """The search for the parameters with the least squares of residuals in standard deviations."""
 
+from collections.abc import Collection, Sequence
 import math
 
 import numpy as np
 from scipy.linalg import matmul_toeplitz
 from scipy.optimize import least_squares
 
-from timo_sim.fitting.problem import initial_states, Window
+from timo_sim.fitting.problem import initial_states, Problem, Window
 from timo_sim.scene.parameters import ParameterError
 from timo_sim.simulation.warnings import DivergenceError
 
@@ -23,13 +24,14 @@ NORMAL = 1.959964    # standard deviations of a 95 % interval
 _LAGS = 20           # of the test for whiteness
 _ORDER = 12          # largest of an autoregressive process
 _NOTHING = 1e-30     # sensitivity of residuals that counts as none
-_FAR = 1e3           # deviation of a combination of which residuals say nothing
+_FAR = 1e3           # deviation of a combination on which residuals do not depend
 _ROUND_OFF = 1e-9    # singular value, relative to the largest, below which it is that of noise
-# Of the largest part in a combination, from which on a parameter is named: any, or a lost one.
+# Parts of the largest in a combination, above which a parameter is named: any, or one that is
+# not identified.
 _PART, _SMALL = 0.25, 0.02
 
 
-def whiteness(residuals):
+def whiteness(residuals: np.ndarray) -> float:
     """
     Return the probability that white residuals are as correlated as these, by Ljung and Box.
 
@@ -50,7 +52,8 @@ def whiteness(residuals):
     return float(chi2.sf(n * (n + 2.0) * np.sum(correlation**2 / (n - lag)), lags))
 
 
-def covariance(jacobians, residuals):
+def covariance(jacobians: Sequence[np.ndarray],
+               residuals: Sequence[np.ndarray]) -> tuple[np.ndarray, bool]:
     """
     Return the covariance of parameters estimated by least squares.
 
@@ -76,12 +79,13 @@ def covariance(jacobians, residuals):
     norms = np.maximum(np.linalg.norm(whole, axis=0), _NOTHING)
     u, s, vt = np.linalg.svd(whole / norms, full_matrices=False)
     root = vt.T / norms[:, np.newaxis]
-    # What is below the errors of the derivatives may be nothing.
+    # Singular values below the errors of the derivatives may be zero.
     s = np.where(s < _ROUND_OFF * s[0], np.minimum(s, np.abs(root).max(axis=0) / _FAR), s)
     root /= np.maximum(s, _NOTHING)
     white = all(whiteness(each) >= WHITE for each in residuals if len(each) > 4)
     if not white:
-        # Between orthonormal columns: by the parameters, round-off may exceed the least of it.
+        # It is computed for orthonormal columns, because for the parameters themselves round-off
+        # may exceed its smallest eigenvalue.
         parts = np.split(u, np.cumsum([len(each) for each in residuals])[:-1])
         size, axes = np.linalg.eigh(sum(map(_of_sums, parts, residuals)))
         root = root @ (axes * np.sqrt(np.maximum(size, 1.0)))
@@ -89,11 +93,11 @@ def covariance(jacobians, residuals):
 
 
 def _of_sums(columns, residuals):
-    """Return the covariance of sums of residuals weighted by columns, shape (n, p)."""
+    """Return the covariance, shape (p, p), of sums of residuals weighted by columns, (n, p)."""
     n = len(residuals)
     lags = range(min(_ORDER, n // 10) + 1)
     found = np.array([residuals[k:] @ residuals[:n - k] for k in lags]) / n
-    # The recursion of Levinson and Durbin.
+    # Levinson and Durbin: each order follows from the one before.
     past, rest, best = np.zeros(0), found[0], (np.inf, np.zeros(0), found[0])
     for order in lags:
         if order:
@@ -109,9 +113,11 @@ def _of_sums(columns, residuals):
     return columns.T @ matmul_toeplitz(covariances, columns)
 
 
-def unknown(jacobian, names, doubtful, most=1.0):
+def unidentified_combinations(jacobian: np.ndarray, names: Sequence[str],
+                              doubtful: Collection[str],
+                              most: float = 1.0) -> list[dict[str, float]]:
     """
-    Return which combinations of parameters the residuals hardly depend on.
+    Return the combinations of parameters on which the residuals hardly depend.
 
     Parameters
     ----------
@@ -138,10 +144,10 @@ def unknown(jacobian, names, doubtful, most=1.0):
             sign = np.sign(parts[np.argmax(np.abs(parts))])
             found.append({name: float(sign * part)
                           for name, part, kept in zip(names, parts, large) if kept})
-    return [parts for parts in found if doubtful & parts.keys()]
+    return [parts for parts in found if not parts.keys().isdisjoint(doubtful)]
 
 
-def r_squared(measured, predicted):
+def r_squared(measured: np.ndarray, predicted: np.ndarray) -> float:
     """Return the coefficient of determination R^2; NaN if nothing was measured to vary."""
     spread = np.sum((measured - measured.mean())**2)
     return float(1.0 - np.sum((measured - predicted)**2) / spread) if spread else np.nan
@@ -150,15 +156,15 @@ def r_squared(measured, predicted):
 LOSSES = 'linear', 'soft_l1', 'huber', 'cauchy'
 # Steps of differences in coordinates of the fit: of a search, and two for the intervals.
 _FORWARD, _CENTRAL, _WIDE = 1e-6, 3e-4, 1e-3
-_ROUGH = 0.3         # relative difference of derivatives by steps, from which on they are told
-_FIRST = 0.25        # part of the record that is fitted first, where runs are closer to it
-_LEAST = 1e-5        # least standard deviation, in the first
-_GUESS = 0.1         # first standard deviation, in those of what an output shows
+_ROUGH = 0.3         # relative difference of derivatives by two steps, above which a run jumps
+_FIRST = 0.25        # part of the record that is fitted first: early, runs are closer to it
+_LEAST = 1e-5        # least standard deviation, relative to the first
+_GUESS = 0.1         # first standard deviation, relative to that of an output's values
 _LOOSE, _TIGHT = 1e-4, 1e-7      # relative changes of the sum of squares at which a search ends
 _ROUNDS = 6          # most searches with standard deviations from the one before
-_SETTLED = 0.01      # relative change of standard deviations after which they are good
+_SETTLED = 0.01      # relative change of standard deviations that counts as none
 _PRIOR = 10.0        # standard deviation of initial states of windows, in their scales
-# Of the torque or force that accelerates a free body: sizes of dry friction that are tried.
+# Sizes of dry friction that are tried, as shares of the force that accelerates the free body.
 _TRIED = 0.01, 0.1, 1.0
 _MAD = 1.4826        # standard deviations in a median absolute deviation
 
@@ -166,13 +172,13 @@ _MAD = 1.4826        # standard deviations in a median absolute deviation
 class Search:
     """A search for the least sum of squares; x are the coordinates of all that is free."""
 
-    def __init__(self, problem, loss):
+    def __init__(self, problem: Problem, loss: str) -> None:
         self.problem, self.loss, record = problem, loss, problem.record
         self.deviations = {
             name: channel.noise or _GUESS * float(np.std(
                 channel.values[channel.t <= problem.until])) or 1.0
             for name, channel in record.outputs.items()}
-        # Without noise they would fall until squares overflow.
+        # Deviations have a lower bound: without noise they would fall until squares overflow.
         self._least = {name: _LEAST * each for name, each in self.deviations.items()}
         free = problem.free
         self.x = np.array([each.coordinate(each.start) for each in free])
@@ -180,10 +186,10 @@ class Search:
         self._high = np.array([each.coordinate(each.high) for each in free])
         self._windows = problem.windows
         self._states = []  # of each window, the Free parameters of its initial state
-        self.against = {}  # by output, its correlation with the first run where that is negative
+        self.against = {}  # by output, its least correlation with the first run, at most 0
         self._prior = np.zeros(0)
 
-    def do(self):
+    def run(self) -> None:
         """Find x and the standard deviations of the sensors."""
         self._check_start()
         whole = self.problem.windows
@@ -195,10 +201,10 @@ class Search:
         self._begin_windows()
         for _ in range(_ROUNDS):
             self._solve(_LOOSE)
-            if self._deviate() < _SETTLED:
+            if self._estimate_deviations() < _SETTLED:
                 break
         self._solve(_TIGHT)
-        self._deviate()
+        self._estimate_deviations()
 
     def _check_start(self):
         problem = self.problem
@@ -239,7 +245,7 @@ class Search:
             first += len(every)
         return self.problem.values(x), states
 
-    def first_state(self):
+    def first_state(self) -> dict[str, float]:
         """Return the initial state of the first window by name, if windows have their own."""
         return self._split(self.x)[1][0]
 
@@ -247,9 +253,9 @@ class Search:
         values, states = self._split(x)
         parts = [self.problem.residuals({**values, **(more or {})}, self.deviations, window, state)
                  for window, state in zip(self._windows, states)]
-        return np.concatenate([*parts, self._of_prior(x)])
+        return np.concatenate([*parts, self._prior_residuals(x)])
 
-    def _of_prior(self, x):
+    def _prior_residuals(self, x):
         return (x[len(self.problem.free):] - self._prior) / _PRIOR
 
     def _jacobian(self, x, step=_FORWARD, central=False):
@@ -257,14 +263,15 @@ class Search:
         problem = self.problem
         count, states = len(problem.free), self._split(x)[1]
         here = self._residuals(x)
-        sizes = [sum(map(len, problem.measured(window).values())) for window in self._windows]
+        sizes = [sum(map(len, problem.measurements(window).values())) for window in self._windows]
         edges = np.concatenate([[0], np.cumsum(sizes)])
         found = np.zeros((len(here), len(x)))
 
         def difference(k, windows):
             size = step
             if central and k < count and problem.free[k].name.endswith('.delay'):
-                # Delays by parts of a step would be told by how loads change within it.
+                # A delay is varied by whole steps: within a step the run depends on it only
+                # through the interpolation of the load.
                 size = problem.scene.step / problem.free[k].scale * (step / _CENTRAL)
             up = size if x[k] + size <= self._high[k] else -size
             ends = [(x + up * (np.arange(len(x)) == k), up)]
@@ -291,13 +298,13 @@ class Search:
         found[edges[-1]:, count:] = np.eye(len(x) - count) / _PRIOR
         return found
 
-    def _deviate(self):
+    def _estimate_deviations(self):
         """Estimate the standard deviations of the sensors; return the largest relative change."""
         values, states = self._split(self.x)
         apart = {name: [] for name in self.deviations}
         for window, state in zip(self._windows, states):
             residuals, first = self.problem.residuals(values, self.deviations, window, state), 0
-            for name, measured in self.problem.measured(window).items():
+            for name, measured in self.problem.measurements(window).items():
                 apart[name].append(residuals[first:first + len(measured)])
                 first += len(measured)
         change = 0.0
@@ -312,7 +319,8 @@ class Search:
                 self.deviations[name] = new
         return change
 
-    def derivatives(self):
+    def derivatives(self) -> tuple[list[np.ndarray], list[np.ndarray], list[str],
+                                   dict[str, tuple[float, float]]]:
         """
         Return the derivatives at the end.
 
@@ -332,7 +340,7 @@ class Search:
         wide, count = self._jacobian(self.x, _WIDE, True), len(self.problem.free)
         size, other = np.linalg.norm(jacobian, axis=0), np.linalg.norm(wide, axis=0)
         rough = np.linalg.norm(jacobian - wide, axis=0) > _ROUGH * np.minimum(size, other)
-        # Of those that depend on jumps of the run the smaller, from which intervals are wider.
+        # Where a run jumps, the smaller derivative is taken: it makes the interval wider.
         jacobian[:, rough & (other < size)] = wide[:, rough & (other < size)]
         jumps = [free.name for free, jumps in zip(self.problem.free, rough[:count]) if jumps]
         weight = {'linear': lambda z: np.ones_like(z), 'soft_l1': lambda z: (1.0 + z)**-0.5,
@@ -341,7 +349,7 @@ class Search:
         root, jacobians, parts, first = np.sqrt(weight), [], [], 0
         friction = self._friction(jacobian * root[:, np.newaxis], residuals, root)
         for window in self._windows:
-            for measured in self.problem.measured(window).values():
+            for measured in self.problem.measurements(window).values():
                 rows = slice(first, first + len(measured))
                 jacobians.append(jacobian[rows] * root[rows, np.newaxis])
                 parts.append(residuals[rows] * root[rows])
@@ -387,7 +395,7 @@ def _correlations(problem, predicted):
     """Return the correlations of outputs with a run, the least of all and of the first part."""
     found = {}
     for name, (t, values) in predicted.items():
-        measured = problem.measured(Window(0.0, problem.until, ()))[name]
+        measured = problem.measurements(Window(0.0, problem.until, ()))[name]
         for part in (t <= problem.until, t <= _FIRST * problem.until):
             if part.sum() > 2 and np.ptp(values[part]) and np.ptp(measured[part]):
                 each = float(np.corrcoef(values[part], measured[part])[0, 1])

@@ -29,7 +29,6 @@ from mcap.records import Chunk
 from mcap.writer import MCAP0_MAGIC
 import zstandard
 
-from timo_sim.scene.parameters import current
 from timo_sim.version import __version__
 
 LARGEST_CHUNK = 64 * 1024 * 1024  # [B] uncompressed
@@ -196,8 +195,7 @@ def read_notes(index):
             elif record.name == RESET:
                 resets.append((_step(content), place))
             elif record.name == CHANGE:
-                changes.append((_step(content), place, current(dict(
-                    json.loads(content['values'])))))
+                changes.append((_step(content), place, dict(json.loads(content['values']))))
         except (KeyError, TypeError, ValueError, RecursionError):
             raise LogError(f'{index.name} has a malformed metadata record {record.name}: '
                            f'{str(content)[:80]!r}') from None

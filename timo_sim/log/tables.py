@@ -20,7 +20,7 @@ import numpy as np
 from timo_sim.log.read import Index, Reader
 from timo_sim.log.records import files_of, LogError, open_file, printable, read_names, read_notes
 from timo_sim.log.write import Chunk
-from timo_sim.scene.parameters import current, frame_names, ParameterError, SPLIT
+from timo_sim.scene.parameters import frame_names, ParameterError, SPLIT
 from timo_sim.scene.scene import load_scene
 from timo_sim.topics.cdr import CdrError, layout
 from timo_sim.topics.commands import COMMANDS, LARGEST, Refused
@@ -256,6 +256,9 @@ class Recording:
         if split and any(read_notes(index).facts for index in self.parts):
             raise LogError(f'{self.title} has {len(self.parts)} logs: name one')
         self.facts, self.summary, resets, self.changes = read_notes(self.index)
+        if self.facts.get('timo_sim', '').startswith('0.1.'):
+            raise LogError(f'{self.title} is of timo_sim {self.facts["timo_sim"][:9]}, whose logs '
+                           'timo_sim 0.2.0 was the last to read')
         self.resets, self.reset_places = np.array(resets, dtype=np.int64).reshape(-1, 2).T
         self.name = node or self.facts.get('node') or self._find_node()
         # If ros2_control publishes joint_states, the node publishes its own below its name.
@@ -276,8 +279,8 @@ class Recording:
 
     @cached_property
     def parameters(self):
-        """All logged parameters of the node by present name, not checked."""
-        return current(self._logged_parameters)
+        """All logged parameters of the node that are still known, not checked."""
+        return {name: value for name, value in self._logged_parameters.items() if name != SPLIT}
 
     @cached_property
     def _logged_parameters(self):

@@ -26,7 +26,7 @@ from timo_sim.ros.parameters import ParameterNode, resolved_scene, steps_between
 from timo_sim.ros.topics import Commands, LateOutlet, MotionOutlet, RunLog
 from timo_sim.scene.parameters import (
     changed, frame_names, LATEST, ParameterError, PARAMETERS, SCENE, short, whole_ratio)
-from timo_sim.scene.scene import implausible, scene_from
+from timo_sim.scene.scene import find_implausible, scene_from
 from timo_sim.simulation.simulator import Simulator, STEPS_BEHIND
 from timo_sim.topics.outputs import outputs, TRANSFORMS
 
@@ -110,7 +110,7 @@ class SimNode(ParameterNode):
         super().__init__('timo_sim', **options)
         self._stop, self._values, scene = stop, values, self._simulator.scene
         self._lock = threading.Lock()
-        doubts = implausible(scene.values)
+        doubts = find_implausible(scene.values)
         if doubts:
             self.get_logger().warning(doubts)
         self._step = scene.step

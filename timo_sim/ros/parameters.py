@@ -22,7 +22,7 @@ from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from timo_sim.runs.accuracy import choose_resolution
-from timo_sim.scene.files import foreign, QOS
+from timo_sim.scene.files import is_of_rclpy, QOS
 from timo_sim.scene.parameters import (
     check, did_you_mean, Parameter as Rule, ParameterError, PARAMETERS, RATES, short, whole_ratio)
 
@@ -44,7 +44,7 @@ class ParameterNode(Node):
         # ROS reads y as true, also in `ros2 param dump`, which writes it without quotes.
         if given.get('carrier.held') is True:
             given['carrier.held'] = 'y'
-        for name in filter(foreign, [*given]):
+        for name in filter(is_of_rclpy, [*given]):
             value = given.pop(name)
             if name.startswith(QOS):
                 _check_qos(name, value)
@@ -77,7 +77,7 @@ class ParameterNode(Node):
 
         def callback(parameters):
             changed = {parameter.name: parameter.value for parameter in parameters
-                       if not foreign(parameter.name)}
+                       if not is_of_rclpy(parameter.name)}
             try:
                 changed = check(changed, _SOURCE)
                 apply(changed)
@@ -158,7 +158,7 @@ def _refused(error):
 def _converted(parameter):
     # `ros2 param set` sends [0, 0.5] as a text and [1] as whole numbers.
     name, value = parameter.name, parameter.value
-    if foreign(name) or value is None:
+    if is_of_rclpy(name) or value is None:
         return parameter
     if isinstance(value, str) and _is_list(name) and (value[:1], value[-1:]) == ('[', ']'):
         value = value[1:-1].split(',')

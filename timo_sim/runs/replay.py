@@ -10,11 +10,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 import math
 from pathlib import Path
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -24,20 +25,164 @@ from timo_sim.log.records import CHANGE, change_note, LogError, other_ground, RE
 from timo_sim.log.tables import Recording
 from timo_sim.log.write import NewLog
 from timo_sim.model.layout import LOADS
-from timo_sim.runs.accuracy import resolved
+from timo_sim.runs.accuracy import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import (
     check, frame_names, LATEST, Parameter, ParameterError, PARAMETERS, SPLIT, steps_in,
     whole_ratio)
-from timo_sim.scene.scene import scene_from
+from timo_sim.scene.scene import Scene, scene_from
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.commands import acting, COMMANDED, COMMANDS, turns
 from timo_sim.topics.outputs import outputs, title, with_angles
 
-_ROUNDING = 1e-9
+_ROUNDING = 1e-9  # relative error of times in steps
+_BATCH = 500  # most steps of one compiled call
 _START = Parameter('start', 0.0, 's', 'sim time of the first message', low=-LATEST, high=LATEST)
+
+
+def open_log(path: str | Path, node: str | None = None) -> Run:
+    """
+    Open a log of the node, or of `Run.save`, as a run.
+
+    Parameters
+    ----------
+    path : str or Path
+    node : str, optional
+        Fully qualified name of the node; needed if the file has several.
+
+    Returns
+    -------
+    Run
+        Its samples are the messages of joint_states; `run.recording.topics` has all topics.
+
+    Raises
+    ------
+    LogError
+        If the file is not a log, or is a plain bag, without a scene.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> path = timo_sim.simulate(timo_sim.load_scene('paper'), 1.0).save('run.mcap')
+    >>> timo_sim.open_log(path).shaft.shape
+    (1001,)
+
+    """
+    recording = Recording(path, node)
+    if recording.scene is None:
+        raise LogError(f'{recording.title} is a plain bag, which does not contain the scene: '
+                       'timo_sim export makes a table of it')
+    _, ns, motion = recording.motion()
+    scene = recording.scene
+    heat = np.full(len(ns), np.nan) if scene.friction.any() else np.zeros(len(ns))
+    return Run(scene, scene.build(), 1e-9 * ns, motion, heat, None, recording.summary, recording,
+               payloads_of(recording))
+
+
+def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
+           output: str | Path | None = None, scene_file: str | Path | None = None,
+           start: float = 0.0, duration: float | None = None, node: str | None = None,
+           show: Callable[[str], object] = print) -> bool:
+    """
+    Replay a log or a bag, compare what it publishes with what was logged, and report.
+
+    Parameters
+    ----------
+    file : str or Path
+    changes : dict, optional
+        Values by dotted name that differ from those of the recorded scene.
+    output : str or Path, optional
+        New log; by default none for an unchanged scene, else one in the working directory, named
+        after `file` with `_replay` appended.
+    scene_file : str or Path, optional
+        Parameter file instead of the scene in the log; needed for a plain bag.
+    start, duration : float, optional
+        See `segments_of`.
+    node : str, optional
+        See `Recording`.
+    show : function(str)
+        Called with each line of the report.
+
+    Returns
+    -------
+    bool
+        Whether the run did not diverge and, if nothing was changed, all logged numbers are the
+        same to the last bit.
+
+    Raises
+    ------
+    LogError
+        If the file is not a log, is damaged, or has nothing to replay.
+    ParameterError
+        If a value breaks its rule, a plain bag has no scene, or steps do not fit the log.
+
+    """
+    recording = Recording(file, node)
+    values = _values(recording, scene_file, changes or {})
+    if not recording.facts:
+        recording.frames = frame_names(values)
+    scene = scene_from(values)
+    same = recording.facts and scene == recording.scene
+    if scene.values['model.accuracy']:
+        scene, _ = resolve(scene, duration or 0.0)
+    values.update(scene.values)
+    segments = segments_of(recording, scene, values, start, duration)
+    log = None
+    if output or not same:
+        path = output or Path(recording.path.stem + '_replay.mcap')
+        log = NewLog(path, scene, values, recording.name, replay_of=recording.title)
+    again = Replay(scene, segments, log)
+    begun = time.monotonic()
+    try:
+        with tqdm(total=segments[-1].last, unit='step', unit_scale=True, delay=1.0, disable=None,
+                  leave=False) as bar:
+            again.run(bar.update)
+    finally:
+        if log:
+            log.close()
+    _report(show, recording, segments, again, time.monotonic() - begun)
+    count, differing, found = _compare(segments, scene, recording.topics)
+    logged = _count_logged(segments, scene, recording)
+    show(f'{count} of {logged} logged numbers compared' + (
+        '' if not same else f': {differing} differ' if differing else
+        ': all are the same to the last bit' if count == logged and not recording.unread else
+        ', the same to the last bit'))
+    for text in recording.unread.values():
+        show(text)
+    if found and not (same and not differing):
+        if not same and (scene.values['model.formulation']
+                         != recording.scene.values['model.formulation']):
+            # Formulations have different modes, so that modal coordinates cannot be compared.
+            found = [row for row in found if not row.name.startswith('modal_state')]
+        _show_table(show, found)
+    ground = other_ground(recording.facts)
+    if ground:
+        show(f'logged with {ground}: last bits may differ')
+    if recording.split_steps:
+        show(f'logged with {SPLIT}, which is no more: its steps are not split again')
+    if log:
+        show(f'new log: {log.path}')
+    if again.diverged:
+        show(again.diverged)
+    return not (again.diverged or same and (differing or count < logged or recording.unread))
+
+
+def _values(recording, scene_file, changes):
+    if scene_file is not None:
+        given, source = read_parameter_file(scene_file), str(scene_file)
+    elif recording.facts:
+        # `recording.scene` raises LogError if values are wrong; it has none of the node's own.
+        checked, source = recording.scene.values, recording.title
+        given = {**recording.parameters, **checked}
+    else:
+        raise ParameterError(f'{recording.title} is a plain bag, which does not contain the '
+                             'scene: give it by --scene')
+    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+    values.update(check(given, source))
+    values.update(check(changes, '--set'))
+    return values
 
 
 @dataclass
@@ -54,7 +199,8 @@ class Segment:
     done: dict = field(default_factory=dict)      # how many samples were replayed so far
 
 
-def segments_of(recording, scene, values, start=0.0, duration=None):
+def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], start: float = 0.0,
+                duration: float | None = None) -> list[Segment]:
     """
     Return the segments of a recording, counted in steps of a scene.
 
@@ -103,27 +249,29 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
             exact = series.step * (recording.scene.step / scene.step)
         else:
             exact = 1e-9 * (series.ns + shift) / scene.step
-        return _whole(exact, must_fit, scene.step, series.topic)
+        return _to_steps(exact, must_fit, scene.step, series.topic)
 
-    # The motion in a plain bag is not compared: when commands began to act is not known exactly.
+    # The motion in a plain bag is not compared, because it is not known exactly when its commands
+    # began to act.
     own = motions if recording.facts else {}
-    acting = [(number, series, steps(series, False)) for number, series in commands]
+    # Of each topic of commands: its index in COMMANDS, its series, the steps of its messages.
+    commanding = [(number, series, steps(series, False)) for number, series in commands]
     published = {name: steps(series, True) for name, series in own.items()}
-    delays = late_steps(known, recording.scene, scene.step) if own else {}
-    last = _last(acting, {name: at + delays[name] for name, at in published.items()}, motions,
-                 shift, scene, duration)
+    delays = _delays_in_steps(known, recording.scene, scene.step) if own else {}
+    last = _last_step(commanding, {name: at + delays[name] for name, at in published.items()},
+                      motions, shift, scene, duration)
     if recording.facts:
         resets = _steps_of(recording.resets, recording, scene)
-        before = [series.resets for _, series, _ in acting]
+        before = [series.resets for _, series, _ in commanding]
     else:
         logged, ns = _resets_of_bag(motions, scene)
-        resets = _whole(1e-9 * ns / scene.step, False, scene.step, 'the resets')
-        before = [np.searchsorted(logged, series.log_ns, 'right') for _, series, _ in acting]
+        resets = _to_steps(1e-9 * ns / scene.step, False, scene.step, 'the resets')
+        before = [np.searchsorted(logged, series.log_ns, 'right') for _, series, _ in commanding]
     ends = [*resets.tolist(), last]
-    unasked = {'/clock', *(name for name, output in known.items()
-                           if output.delay and not values.get('record_sensors'))}
-    # Late messages that are under way at the end, or at a reset, do not arrive.
-    late = late_steps(known, scene, scene.step)
+    unlogged = {'/clock', *(name for name, output in known.items()
+                            if output.delay and not values.get('record_sensors'))}
+    # Delayed messages that are not yet published at the end, or at a reset, are lost.
+    late = _delays_in_steps(known, scene, scene.step)
     result = []
     for number, end in enumerate(ends):
         first = ends[number - 1] if number else 0
@@ -131,17 +279,17 @@ def segments_of(recording, scene, values, start=0.0, duration=None):
         if end < first:
             break
         inside = [(int(at[k]), kind, series.values[k], series.data[k])
-                  for (kind, series, at), count in zip(acting, before)
+                  for (kind, series, at), count in zip(commanding, before)
                   for k in np.flatnonzero((count == number) & (at < end))]
         changes = [(int(_steps_of(step, recording, scene)), values)
                    for count, (step, _, values) in zip(changed, recording.changes)
                    if count == number]
         until = {name: end - steps for name, steps in late.items()}
         samples, logged = {}, {}
-        for name, at in published.items():  # what arrives in time
+        for name, at in published.items():
             which = (own[name].resets == number) & (at <= until[name])
             samples[name], logged[name] = at[which], own[name].values[which]
-        for name in known.keys() - samples.keys() - unasked:
+        for name in known.keys() - samples.keys() - unlogged:
             if 'joint_states' in samples:  # modal_state, if the scene of the log has no modes
                 at = samples['joint_states']
                 samples[name] = at[at <= until[name]]
@@ -176,7 +324,7 @@ def _steps_of(steps, recording, scene):
     return np.ceil(np.asarray(steps) * ratio - _ROUNDING).astype(int)
 
 
-def late_steps(known, scene, step):
+def _delays_in_steps(known, scene, step):
     """Return how many whole steps the messages of each topic come after their measurement."""
     return {name: math.floor(scene.values[output.delay] / step + 1e-6) if output.delay else 0
             for name, output in known.items()}
@@ -190,7 +338,7 @@ def _shift(recording, commands, motions, start):
         int(series.ns[0]) for series in commands if len(series.ns))
 
 
-def _whole(exact, must_fit, step, topic):
+def _to_steps(exact, must_fit, step, topic):
     """Return times in steps, rounded up; raise ParameterError if they must fit and do not."""
     whole = np.ceil(exact - _ROUNDING * np.maximum(1.0, np.abs(exact))).astype(np.int64)
     missed = np.abs(whole - exact) > 1e-6
@@ -201,10 +349,10 @@ def _whole(exact, must_fit, step, topic):
     return np.maximum(whole, 0)
 
 
-def _last(acting, published, motions, shift, scene, duration):
+def _last_step(commanding, published, motions, shift, scene, duration):
     ends = [at.max(initial=0) for at in published.values()]
     if not published:
-        ends += [at.max(initial=0) for _, _, at in acting]
+        ends += [at.max(initial=0) for _, _, at in commanding]
         ends += [math.floor(1e-9 * (series.ns.max(initial=0) + shift) / scene.step)
                  for series in motions.values()]
     end = int(max(ends))
@@ -215,120 +363,6 @@ def _last(acting, published, motions, shift, scene, duration):
         raise ParameterError(f'duration = {duration:g} s is beyond the end of the log, '
                              f'{end * scene.step:.9g} s')
     return wanted
-
-
-_BATCH = 500  # most steps of one compiled call
-
-
-class Difference(NamedTuple):
-    """The difference of a replayed quantity from the logged one."""
-
-    name: str       # topic and column
-    largest: float  # in the unit that the column names
-    rms: float
-    time: float     # when it is largest [s]
-
-
-def replay(file, changes=None, output=None, scene_file=None, start=0.0, duration=None, node=None,
-           show=print):
-    """
-    Replay a log or a bag, compare what it publishes with what was logged, and report.
-
-    Parameters
-    ----------
-    file : str or Path
-    changes : dict, optional
-        Values by dotted name that differ from those of the recorded scene.
-    output : str or Path, optional
-        New log; by default none for an unchanged scene, else one in the working directory, named
-        after `file` with `_replay` appended.
-    scene_file : str or Path, optional
-        Parameter file instead of the scene in the log; needed for a plain bag.
-    start, duration : float, optional
-        See `segments_of`.
-    node : str, optional
-        See `Recording`.
-    show : function(str)
-        Called with each line of the report.
-
-    Returns
-    -------
-    bool
-        Whether the run did not diverge and, if nothing was changed, all logged numbers are the
-        same to the last bit.
-
-    Raises
-    ------
-    LogError
-        If the file is not a log, is damaged, or has nothing to replay.
-    ParameterError
-        If a value breaks its rule, a plain bag has no scene, or steps do not fit the log.
-
-    """
-    recording = Recording(file, node)
-    values = _values(recording, scene_file, changes or {})
-    if not recording.facts:
-        recording.frames = frame_names(values)
-    scene = scene_from(values)
-    same = recording.facts and scene == recording.scene
-    if scene.values['model.accuracy']:
-        scene, _ = resolved(scene, duration or 0.0)
-    values.update(scene.values)
-    segments = segments_of(recording, scene, values, start, duration)
-    log = None
-    if output or not same:
-        path = output or Path(recording.path.stem + '_replay.mcap')
-        log = NewLog(path, scene, values, recording.name, replay_of=recording.title)
-    again = Replay(scene, segments, log)
-    begun = time.monotonic()
-    try:
-        with tqdm(total=segments[-1].last, unit='step', unit_scale=True, delay=1.0, disable=None,
-                  leave=False) as bar:
-            again.run(bar.update)
-    finally:
-        if log:
-            log.close()
-    _tell(show, recording, segments, again, time.monotonic() - begun)
-    count, differing, found = _compare(segments, scene, recording.topics)
-    logged = _logged(segments, scene, recording)
-    show(f'{count} of {logged} logged numbers compared' + (
-        '' if not same else f': {differing} differ' if differing else
-        ': all are the same to the last bit' if count == logged and not recording.unread else
-        ', the same to the last bit'))
-    for text in recording.unread.values():
-        show(text)
-    if found and not (same and not differing):
-        if not same and (scene.values['model.formulation']
-                         != recording.scene.values['model.formulation']):
-            # Formulations have different modes, so that modal coordinates cannot be compared.
-            found = [row for row in found if not row.name.startswith('modal_state')]
-        _show_table(show, found)
-    ground = other_ground(recording.facts)
-    if ground:
-        show(f'logged with {ground}: last bits may differ')
-    if recording.split_steps:
-        show(f'logged with {SPLIT}, which is no more: its steps are not split again')
-    if log:
-        show(f'new log: {log.path}')
-    if again.diverged:
-        show(again.diverged)
-    return not (again.diverged or same and (differing or count < logged or recording.unread))
-
-
-def _values(recording, scene_file, changes):
-    if scene_file is not None:
-        given, source = read_parameter_file(scene_file), str(scene_file)
-    elif recording.facts:
-        # `recording.scene` raises LogError if values are wrong; it has none of the node's own.
-        checked, source = recording.scene.values, recording.title
-        given = {**recording.parameters, **checked}
-    else:
-        raise ParameterError(f'{recording.title} is a plain bag, which does not contain the '
-                             'scene: give it by --scene')
-    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-    values.update(check(given, source))
-    values.update(check(changes, '--set'))
-    return values
 
 
 class Replay:
@@ -343,14 +377,15 @@ class Replay:
 
     """
 
-    def __init__(self, scene, segments, log=None):
+    def __init__(self, scene: Scene, segments: list[Segment],
+                 log: NewLog | None = None) -> None:
         self.simulator = Simulator(scene)
         self.simulator.warm_up()
-        self.diverged = None
+        self.diverged: str | None = None
         self._segments, self._log = segments, log
         self._outputs = {output.name: output for output in outputs(scene.modal_count)}
 
-    def run(self, report=lambda count: None):
+    def run(self, report: Callable[[int], object] = lambda count: None) -> None:
         """Run all segments; `report(count)` is called after each `count` further steps."""
         for number, segment in enumerate(self._segments):
             if number:
@@ -406,8 +441,17 @@ class Replay:
             report(following - step)
 
 
+class _Difference(NamedTuple):
+    """The difference of a replayed quantity from the logged one."""
+
+    name: str       # topic and column
+    largest: float  # in the unit that the column names
+    rms: float
+    time: float     # when it is largest [s]
+
+
 def _compare(segments, scene, topics):
-    """Return how many numbers were compared, how many of them differ, and the Differences."""
+    """Return how many numbers were compared, how many of them differ, and by how much."""
     count, differing, result = 0, 0, []
     for output in outputs(scene.modal_count):
         topic = output.name
@@ -428,15 +472,15 @@ def _compare(segments, scene, topics):
     return count, differing, result
 
 
-def _logged(segments, scene, recording):
+def _count_logged(segments, scene, recording):
     """Return how many numbers of the node's outputs the log has until the end of the replay."""
     series = {output.name: (output, recording.topics[output.name])
               for output in outputs(scene.modal_count) if output.name in recording.topics}
     if not recording.facts:
         return sum(found.values.size for _, found in series.values())
     end = round(segments[-1].last * scene.step / recording.scene.step, 6)
-    late = late_steps({name: output for name, (output, _) in series.items()}, recording.scene,
-                      recording.scene.step)
+    late = _delays_in_steps({name: output for name, (output, _) in series.items()},
+                            recording.scene, recording.scene.step)
     return sum(found.values[found.step + late[name] <= end].size
                for name, (_, found) in series.items())
 
@@ -446,11 +490,11 @@ def _differences(topic, time, logged, replayed):
         before, now = (values[:, columns.index(column)] for columns, values in (logged, replayed))
         distance = np.abs(now - before)
         place = int(np.argmax(distance))
-        yield Difference(f'{title(topic)} {column}', float(distance[place]),
-                         float(np.sqrt(np.mean(distance**2))), float(time[place]))
+        yield _Difference(f'{title(topic)} {column}', float(distance[place]),
+                          float(np.sqrt(np.mean(distance**2))), float(time[place]))
 
 
-def _tell(show, recording, segments, again, seconds):
+def _report(show, recording, segments, again, seconds):
     simulator = again.simulator
     commands = sum(len(segment.commands) for segment in segments)
     sim_time = simulator.steps * simulator.scene.step
@@ -472,42 +516,3 @@ def _show_table(show, found):
         show(f'{row.name:<{width}}  {row.largest:9.2e}  {row.time:8.4g} s  {row.rms:9.2e}')
     if len(different) < len(found):
         show(f'{len(found) - len(different)} other quantities are the same')
-
-
-def open_log(path: str | Path, node: str | None = None) -> Run:
-    """
-    Open a log of the node, or of `Run.save`, as a run.
-
-    Parameters
-    ----------
-    path : str or Path
-    node : str, optional
-        Fully qualified name of the node; needed if the file has several.
-
-    Returns
-    -------
-    Run
-        Its samples are the messages of joint_states; `run.recording.topics` has all topics.
-
-    Raises
-    ------
-    LogError
-        If the file is not a log, or is a plain bag, without a scene.
-
-    Examples
-    --------
-    >>> import timo_sim
-    >>> path = timo_sim.simulate(timo_sim.load_scene('paper'), 1.0).save('run.mcap')
-    >>> timo_sim.open_log(path).shaft.shape
-    (1001,)
-
-    """
-    recording = Recording(path, node)
-    if recording.scene is None:
-        raise LogError(f'{recording.title} is a plain bag, which does not contain the scene: '
-                       'timo_sim export makes a table of it')
-    _, ns, motion = recording.motion()
-    scene = recording.scene
-    heat = np.full(len(ns), np.nan) if scene.friction.any() else np.zeros(len(ns))
-    return Run(scene, scene.build(), 1e-9 * ns, motion, heat, None, recording.summary, recording,
-               payloads_of(recording))

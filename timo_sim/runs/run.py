@@ -6,10 +6,11 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The class Run: motions at sampled times, and the quantities and tables made of them."""
+"""A run of a scene: motions at sampled times, and the quantities and tables made of them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 import math
@@ -18,6 +19,7 @@ import time
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from timo_sim.extras import optional
 from timo_sim.model.formulation import Formulation
@@ -37,87 +39,12 @@ if TYPE_CHECKING:
     import pandas
 
 
-class Tables:
-    """A part of `Run`, whose attributes it uses."""
-
-    scene: Any
-    model: Any
-    t: np.ndarray
-    motion: Any
-    effort: Any
-    _pieces: Any
-
-    def columns(self) -> dict[str, np.ndarray]:
-        """Return what the node publishes, except sensors, as columns named with units, (n,)."""
-        from timo_sim.log.export import named
-        snapshots, found = list(self._snapshots()), {'time_s': self.t}
-        for output in self._outputs():
-            values = np.array([output.numbers(snapshot) for snapshot in snapshots])
-            names, values = with_angles(output.columns, values)
-            found.update(zip(named(output.name, names), values.T))
-        return found
-
-    def to_pandas(self) -> pandas.DataFrame:
-        """Return `columns` as a pandas.DataFrame with the time as index."""
-        with optional():
-            import pandas
-        return pandas.DataFrame(self.columns()).set_index('time_s')
-
-    def save(self, path: str | Path) -> Path:
-        """
-        Write the run to a file.
-
-        Parameters
-        ----------
-        path : str or Path
-            `*.mcap`: a log, as the node writes it, which `timo_sim.open_log` reads; `*.parquet` or
-            `*.csv`: a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
-            existing table is a LogError.
-
-        Returns
-        -------
-        Path
-            The file that was written.
-
-        """
-        from timo_sim.log.export import write_table
-        from timo_sim.log.write import NewLog
-        path = Path(path)
-        if path.suffix != '.mcap':
-            write_table(self.columns(), path)
-            return path
-        values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-        log = NewLog(path, self.scene, {**values, **self.scene.values}, saved_by='Run.save')
-        try:
-            for snapshot in self._snapshots():
-                for output in self._outputs():
-                    log.output(output.name, snapshot, output.numbers(snapshot))
-        finally:
-            log.close()
-        return log.path
-
-    def _outputs(self):
-        # Topics that follow from the motion alone; sensors need the simulator.
-        return [output for output in outputs(self.scene.modal_count)
-                if output.columns and not output.delay]
-
-    def _snapshots(self):
-        steps = np.rint(self.t / self.scene.step).astype(int).tolist()
-        models = [model for model, part in self._pieces for _ in range(*part.indices(len(steps)))]
-        for step, model, motion, effort in zip(steps, models, self.motion, self.effort):
-            # Before the first step nothing has acted, but constraints hold.
-            shown = effort if step else np.where(self.model.constrained, effort, 0.0)
-            load = [0.0] * LOADS
-            load[FORCE_X], load[FORCE_Y], load[TORQUE] = shown.tolist()
-            yield Snapshot(self.scene, model, step, round(step * self.scene.step * 1e9),
-                           motion, load)
-
-
-_BLOCK = 1024  # steps whose loads are worked out at once
+_BLOCK = 1024     # samples whose loads are worked out at once
+_REPORTED = 1024  # steps from one report to the next
 
 
 @dataclass(frozen=True, repr=False)
-class Run(MotionFields, Tables):
+class Run(MotionFields):
     """
     A run of n samples with N modes, simulated or read from a log.
 
@@ -187,7 +114,7 @@ class Run(MotionFields, Tables):
                 name: f'{value:.3g}' for name, value in self.stats.items()
                 if isinstance(value, (int, float))}, 'scene': repr(self.scene)})
 
-    def position(self, xi) -> np.ndarray:
+    def position(self, xi: ArrayLike) -> np.ndarray:
         """
         Return positions of points of the centre line in world axes, (n, 2) or (n, p, 2) [m].
 
@@ -199,7 +126,7 @@ class Run(MotionFields, Tables):
         """
         return self._pick(xi, self.model.world(self.motion, self._at(xi)))
 
-    def deflection(self, xi) -> np.ndarray:
+    def deflection(self, xi: ArrayLike) -> np.ndarray:
         """
         Return the axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m].
 
@@ -209,7 +136,7 @@ class Run(MotionFields, Tables):
         straight = np.column_stack([points.xi, np.zeros_like(points.xi)])
         return self._pick(xi, self.model.centre_line(self.q, points) - straight)
 
-    def rotation(self, xi) -> np.ndarray:
+    def rotation(self, xi: ArrayLike) -> np.ndarray:
         """
         Return the rotation of sections relative to the shaft, (n,) or (n, p) [rad].
 
@@ -310,6 +237,55 @@ class Run(MotionFields, Tables):
         loads[0] = load.stages(first, 1, step)[0, 0]
         return loads
 
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return what the node publishes, except sensors, as columns named with units, (n,)."""
+        from timo_sim.log.export import named
+        snapshots, found = list(self._snapshots()), {'time_s': self.t}
+        for output in self._outputs():
+            values = np.array([output.numbers(snapshot) for snapshot in snapshots])
+            names, values = with_angles(output.columns, values)
+            found.update(zip(named(output.name, names), values.T))
+        return found
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return `columns` as a pandas.DataFrame with the time as index."""
+        with optional():
+            import pandas
+        return pandas.DataFrame(self.columns()).set_index('time_s')
+
+    def save(self, path: str | Path) -> Path:
+        """
+        Write the run to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            `*.mcap`: a log, as the node writes it, which `timo_sim.open_log` reads; `*.parquet` or
+            `*.csv`: a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
+            existing table is a LogError.
+
+        Returns
+        -------
+        Path
+            The file that was written.
+
+        """
+        from timo_sim.log.export import write_table
+        from timo_sim.log.write import NewLog
+        path = Path(path)
+        if path.suffix != '.mcap':
+            write_table(self.columns(), path)
+            return path
+        values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+        log = NewLog(path, self.scene, {**values, **self.scene.values}, saved_by='Run.save')
+        try:
+            for snapshot in self._snapshots():
+                for output in self._outputs():
+                    log.output(output.name, snapshot, output.numbers(snapshot))
+        finally:
+            log.close()
+        return log.path
+
     def plot(self) -> Figure:
         """Draw the tip, carrier and shaft over time and the arm in the plane; needs matplotlib."""
         with optional():
@@ -323,6 +299,22 @@ class Run(MotionFields, Tables):
         from timo_sim.view.track import of_run
         show_tracks([lambda: of_run(self)], web=web)
 
+    def _outputs(self):
+        # Topics that follow from the motion alone; sensors need the simulator.
+        return [output for output in outputs(self.scene.modal_count)
+                if output.columns and not output.delay]
+
+    def _snapshots(self):
+        steps = np.rint(self.t / self.scene.step).astype(int).tolist()
+        models = [model for model, part in self._pieces for _ in range(*part.indices(len(steps)))]
+        for step, model, motion, effort in zip(steps, models, self.motion, self.effort):
+            # Before the first step nothing has acted, but constraints hold.
+            shown = effort if step else np.where(self.model.constrained, effort, 0.0)
+            load = [0.0] * LOADS
+            load[FORCE_X], load[FORCE_Y], load[TORQUE] = shown.tolist()
+            yield Snapshot(self.scene, model, step, round(step * self.scene.step * 1e9),
+                           motion, load)
+
     def _at(self, xi):
         length, xi = self.scene.manipulator.arm.length, np.atleast_1d(np.asarray(xi, dtype=float))
         outside = xi[~((0.0 <= xi) & (xi <= length))]
@@ -335,10 +327,10 @@ class Run(MotionFields, Tables):
         return values[:, 0] if np.ndim(xi) == 0 else values
 
 
-_REPORTED = 1024  # steps from one report to the next
-
-
-def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=None, pack=None):
+def run_scene(scene: Scene, steps: int, sample_every: int = 1,
+              report: Callable[[int], object] = lambda count: None,
+              tell: Callable[[str], object] | None = None,
+              pack: Callable | None = None) -> Run:
     """
     Return the Run of a resolved scene; without the progress bar and ModelWarning of `simulate`.
 
@@ -351,8 +343,8 @@ def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=No
     motion[0], heat = simulator.motion.values, np.zeros(len(motion))
     begun = time.monotonic()
 
-    def run(count):
-        samples = slice(count // sample_every + 1)
+    def run_until(step):
+        samples = slice(step // sample_every + 1)
         stats = {'steps': simulator.steps, 'wall_time_s': time.monotonic() - begun,
                  'estimated_tip_error_m': math.nan, 'impact_loss_J': simulator.tip_load.lost}
         return Run(scene, scene.build(), np.arange(samples.stop) * sample_every * scene.step,
@@ -366,12 +358,13 @@ def sampled_run(scene, steps, sample_every=1, report=lambda count: None, tell=No
         try:
             motion[samples], heat[samples] = simulator.advance(count, sample_every=sample_every)
         except DivergenceError as error:
+            # A call that fails returns no samples: a second simulator takes those that are good.
             last = simulator.steps // sample_every * sample_every
-            again = Simulator(scene, pack=pack)  # a batch that fails returns no samples
+            again = Simulator(scene, pack=pack)
             again.advance(first)
             samples = slice(samples.start, last // sample_every + 1)
             motion[samples], heat[samples] = again.advance(last - first, sample_every=sample_every)
-            error.run = run(last)
+            error.run = run_until(last)
             raise
         report(count)
-    return run(steps)
+    return run_until(steps)

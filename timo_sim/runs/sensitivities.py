@@ -18,9 +18,9 @@ import numpy as np
 
 from timo_sim.model.layout import INPUTS
 from timo_sim.scene.parameters import (
-    INITIAL, initial_names, initial_scale, number_of, Parameter, ParameterError,
-    placed, short, steps_in, warn)
-from timo_sim.scene.scene import load_scene, SceneLike
+    Parameter, ParameterError, short, steps_in, warn)
+from timo_sim.scene.scene import (
+    INITIAL, initial_names, initial_scale, load_scene, number_of, overrides_of, SceneLike)
 from timo_sim.simulation.batch import Batch
 from timo_sim.simulation.loads import ARGUMENTS, check_arguments
 from timo_sim.simulation.warnings import DivergenceError
@@ -155,7 +155,7 @@ class _Number(NamedTuple):
 
     def changed(self, scene, commanded, change):
         """Return the scene and commands with this input changed."""
-        return scene.vary(placed({self.name: self.value + change}, scene)), commanded
+        return scene.vary(overrides_of({self.name: self.value + change}, scene)), commanded
 
 
 class _Command(NamedTuple):

@@ -15,13 +15,14 @@ import sys
 
 from tqdm import tqdm
 
-from timo_sim.runs.accuracy import measured, resolved, samples_between
-from timo_sim.runs.run import Run, sampled_run
+from timo_sim.runs.accuracy import measure_error, resolve
+from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.parameters import Parameter, ParameterError, warn
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.warnings import DivergenceError
 
 _EVERY = Parameter('sample_every', 1, '', 'steps between samples', low=1)
+_LEAST_COMPARED = 200  # samples at which the tips of two runs are compared
 
 
 def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
@@ -71,33 +72,39 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     (1001, 2)
 
     """
-    scene, steps = resolved(load_scene(scene), duration)
+    scene, steps = resolve(load_scene(scene), duration)
     sample_every = _EVERY.check(sample_every)
     if steps % sample_every:
         raise ParameterError(
             f'sample_every = {sample_every} must divide the number of steps, {steps}')
+    parts = _parts_of_samples(steps, sample_every) if estimate else 1
     with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
               leave=False) as bar:
         try:
-            between = samples_between(steps, sample_every) if estimate else 1
-            run = sampled_run(scene, steps, sample_every // between, bar.update, _tell)
+            run = run_scene(scene, steps, sample_every // parts, bar.update, _print)
         except DivergenceError as error:
-            error.run = _thinned(error.run, between)
+            error.run = _thin(error.run, parts)
             raise
         except MemoryError:
             raise MemoryError(f'{1 + steps // sample_every} samples do not fit into memory: take '
                               f'sample_every > {sample_every}') from None
-        run = _thinned(measured(run) if estimate else run, between)
+        run = _thin(measure_error(run) if estimate else run, parts)
     if run.warning:
         warn(run.warning)
     return run
 
 
-def _thinned(run, every):
-    # Without the samples that were only needed for the comparison.
+def _parts_of_samples(steps, sample_every):
+    # Between two samples of a short run, further ones are taken to compare it with a finer one.
+    parts = -(-_LEAST_COMPARED * sample_every // max(1, steps))
+    return next(k for k in range(min(parts, sample_every), sample_every + 1)
+                if sample_every % k == 0)
+
+
+def _thin(run, every):
     return replace(run, t=run.t[::every], values=run.values[::every],
                    friction_heat=run.friction_heat[::every])
 
 
-def _tell(text):
+def _print(text):
     print(f'timo_sim: {text}', file=sys.stderr, flush=True)

@@ -8,9 +8,11 @@
 
 """Many runs of one scene with varied parameters, on many cores or machines."""
 
+from __future__ import annotations
+
 from collections import deque
-from collections.abc import Iterable, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 import itertools
@@ -30,11 +32,11 @@ import numpy as np
 from timo_sim.compiled.cache import compiling
 from timo_sim.compiled.lanes import WIDTH
 from timo_sim.extras import optional
-from timo_sim.runs.accuracy import measured, resolved
-from timo_sim.runs.run import sampled_run
+from timo_sim.runs.accuracy import measure_error, resolve
+from timo_sim.runs.run import run_scene
 from timo_sim.scene.files import flatten
 from timo_sim.scene.parameters import Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in
-from timo_sim.scene.scene import load_scene, SceneLike
+from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.batch import LaneLoads, refusal
 from timo_sim.simulation.simulator import MOST_BENT
 from timo_sim.simulation.warnings import divergence, unseen_load
@@ -42,115 +44,12 @@ from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
 from timo_sim.steps.steps import CHUNK
 from timo_sim.version import __version__
 
-
-class Kind(NamedTuple):
-    """What runs must have in common to be done together."""
-
-    step: float   # [s]
-    steps: int    # their number
-    sizes: tuple  # of the models
-    joints: tuple
-
-
-def kind_of(scene, steps):
-    """
-    Return the Kind of a run, or None if it cannot be done together with others.
-
-    It depends on the run alone, so that its numbers do not depend on what else a sweep has.
-    """
-    values = scene.values
-    if values['model.formulation'] != 'exact' or not scene.modal_count or refusal(scene):
-        return None
-    return Kind(scene.step, steps,
-                (values['model.modes'], values['model.axial_modes'],
-                 len(scene.build().quadrature.nodes), values['push.position'] > 0.0),
-                (values['carrier.held'], values['motor.shaft']))
-
-
-class Together:
-    """
-    Runs that are done together.
-
-    Parameters
-    ----------
-    scenes : list of Scene
-    kind : Kind
-        Of all of them.
-
-    Attributes
-    ----------
-    motion : ndarray, shape (n, 2 (3 + N))
-        At the end.
-    peak, peak_time, rotation, squares : ndarray, shape (n,)
-        Largest |w(l)| [m] and its time [s], largest |phi(l)| [rad], sum of w(l)^2 over the start
-        and the ends of steps [m2].
-    deflection : ndarray, shape (n,)
-        w(l) at the end [m].
-    warnings : list of (str or None)
-    reasons : list of str
-        Why a run failed, or ''.
-
-    """
-
-    def __init__(self, scenes, kind):
-        self._scenes, self._models = scenes, [scene.build() for scene in scenes]
-        self._lanes = LaneSteps(self._models, kind.step, MOST_BENT)
-        self._lanes.state[:] = to_lanes(np.array([
-            model.state(scene.initial_motion())
-            for scene, model in zip(scenes, self._models)]))
-        self._loads = LaneLoads(scenes)
-        self._origin = np.zeros(len(scenes), dtype=int)
-        with compiling(*self._lanes.constants):
-            self._lanes.advance(self._loads.columns, self._loads.varying(0, 0, self._origin))
-        self.warnings = [unseen_load(scene) for scene in scenes]
-        self.peak, self.rotation, self.squares = np.zeros((3, len(scenes)))
-        self.peak_time = np.zeros(len(scenes))
-        self._take(0, self._tips(self._lanes.tip[:, np.newaxis]))
-        for first in range(0, kind.steps, CHUNK):
-            self._advance(first, min(CHUNK, kind.steps - first))
-        self.motion = from_lanes(self._lanes.motion, len(scenes))
-        self.deflection = from_lanes(self._lanes.tip, len(scenes))[:, 1]
-        self.reasons = [self._reason(number) for number in range(len(scenes))]
-
-    def _advance(self, first, count):
-        lanes = self._lanes
-        tips = lanes.room(count, 3)
-        lanes.advance(self._loads.columns, self._loads.varying(first, count, self._origin),
-                      tips=tips)
-        self._take(first + 1, self._tips(np.concatenate(
-            [tips[:, 1:], lanes.tip[:, np.newaxis]], axis=1)))
-
-    def _tips(self, places):
-        # In one order of memory, on which the last bits of sums depend.
-        return np.ascontiguousarray(from_lanes(places, len(self._scenes)))
-
-    def _take(self, first, tips):
-        # Tips after the steps `first`, `first` + 1, ..., (n, k, 3), for the summary.
-        size = np.abs(tips[:, :, 1])
-        at = np.argmax(size, axis=1)
-        found = size[np.arange(len(size)), at]
-        self.peak_time = np.where(found > self.peak, (first + at) * self._lanes.step,
-                                  self.peak_time)
-        self.peak = np.maximum(self.peak, found)
-        self.rotation = np.maximum(self.rotation, np.abs(tips[:, :, 2]).max(axis=1))
-        self.squares += np.sum(size**2, axis=1)
-
-    def _reason(self, number):
-        alive, done = from_lanes(self._lanes.progress, len(self._scenes))[number]
-        if alive:
-            return ''
-        model, motion = self._models[number], self.motion[number]
-        bend = np.abs(motion[3:model.size // 2]) @ model.tip_travel[3:]
-        return divergence(self._scenes[number], round(done), motion, model.tip_travel, bend,
-                          self.warnings[number])
-
-
 # Most steps and runs of a job, and about the fewest jobs of a sweep. A job takes well below a
 # second, so that little is lost if a worker dies, and all workers end at about the same time.
 _STEPS, _RUNS, _FEWEST_JOBS = 100_000, 96, 32
 _FAILURES = ArithmeticError, ValueError, MemoryError  # of a run, not of the program
-_MEASURED = 256  # runs from one whose error is measured to the next
-_MANY = 64  # least number of runs of a sweep for which the machine code of lanes pays
+_MEASURED_EVERY = 256  # runs from one whose error is measured to the next
+_LEAST_FOR_LANES = 64  # runs of a sweep from which on the machine code of lanes pays
 
 
 class Column(NamedTuple):
@@ -174,49 +73,121 @@ SUMMARY = (
 )
 
 
+def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], duration: float,
+                  workers: int | None = None,
+                  scheduler: str | None = None) -> dict[str, np.ndarray]:
+    """
+    Simulate variations of a scene on all cores, or on a Dask cluster, and keep a summary of each.
+
+    From 64 runs on, those of the `exact` formulation whose steps need no special care are done
+    together, as lanes of a vector (see `Batch`), several times faster. Their numbers are those of
+    `simulate` for that variation to about 1e-11; those of other runs, and of a shorter sweep, to
+    the last bit, on the same kind of processor and with one BLAS thread. No bit of a row depends
+    on the other runs or on the number of workers. The error of the first of each 256 runs is
+    measured by a finer run. A run that fails has a row with a reason. The first run with a new
+    number of modes compiles for some seconds; the machine code is kept.
+
+    Parameters
+    ----------
+    scene : Scene, or what `load_scene` takes
+    variations : iterable of dict
+        Overrides of each run, by (nested or dotted) name of a parameter.
+    duration : float
+        Sim time of each run [s], a whole multiple of the time step.
+    workers : int, optional
+        Number of processes; by default the number of cores that this process may use.
+    scheduler : str, optional
+        Address of a Dask scheduler, to use its workers instead of processes of this machine.
+
+    Returns
+    -------
+    dict of ndarray, shape (n,)
+        Columns by name, one row for each run: `run`, its number from 0; each varied parameter
+        (NaN or None for a value that breaks its rule); `peak_deflection`, `peak_time`,
+        `rms_deflection`, `final_deflection`, `peak_rotation`, `final_carrier_x`,
+        `final_carrier_y`, `final_shaft`, `tip_error`, see `timo_sim.runs.sweep.SUMMARY` (NaN for
+        a run that failed); `warning`, as `Run.warning`, or ''; `reason`, why the run failed, or
+        ''.
+
+    Raises
+    ------
+    ParameterError
+        If the duration does not fit the step of the scene, there are no variations, one of them
+        cannot be sent to a process, or `workers` is less than 1.
+    ConnectionError
+        If the scheduler cannot be reached, or a worker process is killed.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> variations = [{'end_effector.mass': mass} for mass in (1.0, 2.0)]
+    >>> table = timo_sim.simulate_many(timo_sim.load_scene('paper'), variations, duration=1.0)
+    >>> table['peak_deflection'].shape
+    (2,)
+
+    """
+    if not isinstance(variations, Iterable) or isinstance(variations, Mapping):
+        raise ParameterError('variations must be a list of values by name, got '
+                             + short(variations))
+    variations = list(variations)
+    if not variations:
+        raise ParameterError('variations must have at least one element, got none')
+    try:
+        pickle.dumps(variations)
+    except (AttributeError, TypeError, pickle.PicklingError) as error:
+        raise ParameterError(f'variations must be picklable: {error}') from None
+    # In order of appearance. An unknown name has no column; the `reason` of its row names it.
+    names = [name for name in {name: None for each in variations for name in flatten(each)}
+             if name in PARAMETERS and PARAMETERS[name].scope == SCENE]
+    jobs = jobs_of(load_scene(scene), duration, len(variations), variations, names)
+    with executor_of(workers, scheduler) as (executor, width):
+        tables = [table for _, table in run_jobs(executor, width, jobs)]
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+
+
+def run_jobs(executor: Executor, width: int,
+             jobs: Iterable[Job]) -> Iterator[tuple[Job, dict[str, np.ndarray]]]:
+    """
+    Yield each job with its table, in order.
+
+    About three jobs for each of `width` workers are pending: all are busy, and memory stays
+    bounded.
+    """
+    pending = deque()
+    for job in jobs:
+        pending.append((job, executor.submit(run_job, job)))
+        if len(pending) > 3 * width:
+            first, future = pending.popleft()
+            yield first, future.result()
+    for first, future in pending:
+        yield first, future.result()
+
+
 class Job(NamedTuple):
     """Runs `first`, `first + 1`, ... of a sweep over a scene."""
 
     first: int
-    scene: object      # Scene
+    scene: Scene
     duration: float    # [s]
     variations: tuple  # of dictionaries of overrides
     names: tuple       # of the parameters that have a column
-    together: bool = False  # whether runs that can be lanes are
+    in_lanes: bool = False  # whether runs that can be lanes are
 
 
-def jobs_of(scene, duration, count, variations, names):
+def jobs_of(scene: Scene, duration: float, count: int, variations: Iterable[Mapping[str, Any]],
+            names: Iterable[str]) -> Iterator[Job]:
     """Yield the jobs of a sweep of `count` runs, which do not depend on the number of workers."""
-    steps, together = max(1, steps_in(duration, scene.step)), count >= _MANY
+    steps, in_lanes = max(1, steps_in(duration, scene.step)), count >= _LEAST_FOR_LANES
     length = max(1, min(_RUNS, _STEPS // steps, math.ceil(count / _FEWEST_JOBS)))
-    if together:
+    if in_lanes:
         length = WIDTH * math.ceil(length / WIDTH)
-    rest = iter(variations)
+    remaining = iter(variations)
     for first in range(0, count, length):
-        yield Job(first, scene, duration, tuple(itertools.islice(rest, length)), tuple(names),
-                  together)
+        yield Job(first, scene, duration, tuple(itertools.islice(remaining, length)),
+                  tuple(names), in_lanes)
 
 
-def _summary(run):
-    # The numbers of `SUMMARY`.
-    tip = run.model.tip_point
-    deflection = run.model.centre_line(run.q, tip)[:, 0, 1]
-    rotation = run.model.section_rotation(run.q, tip)[:, 0]
-    size = np.abs(deflection)
-    peak = np.argmax(size)
-    return (size[peak], run.t[peak], np.sqrt(np.mean(deflection**2)), deflection[-1],
-            np.abs(rotation).max(), *run.carrier[-1], run.shaft[-1],
-            run.stats['estimated_tip_error_m'])
-
-
-def _summaries(runs, steps):
-    # The numbers of `SUMMARY` for each of some runs that were done together.
-    return np.column_stack([
-        runs.peak, runs.peak_time, np.sqrt(runs.squares / (steps + 1)),
-        runs.deflection, runs.rotation, runs.motion[:, :3], np.full(len(runs.peak), np.nan)])
-
-
-def run_job(job):
+def run_job(job: Job) -> dict[str, np.ndarray]:
     """
     Do the runs of a job.
 
@@ -239,19 +210,19 @@ def run_job(job):
     with np.errstate(all='ignore'):
         for row, variation in enumerate(job.variations):
             with _reasons(table['reason'], [row]):
-                scene, steps = resolved(job.scene.vary(variation), job.duration)
-                kind = kind_of(scene, steps) if job.together else None
+                scene, steps = resolve(job.scene.vary(variation), job.duration)
+                kind = lane_kind(scene, steps) if job.in_lanes else None
                 found.setdefault((kind, None if kind else row), []).append((row, scene))
         for (kind, _), runs in found.items():
             try:
                 _fill(table, numbers, kind, runs, job.duration)
-            except _FAILURES:  # of one of them: each gets a reason of its own, alone
+            except _FAILURES:  # One of them failed: each is done alone, for a reason of its own.
                 for run in runs:
                     with _reasons(table['reason'], [run[0]]):
                         _fill(table, numbers, kind, [run], job.duration)
         for (kind, _), runs in found.items():
             for row, scene in runs:
-                if (job.first + row) % _MEASURED == 0 and not table['reason'][row]:
+                if (job.first + row) % _MEASURED_EVERY == 0 and not table['reason'][row]:
                     _measure(table, numbers, row, scene, job.duration)
         failed = table['reason'] != ''
         numbers[failed], table['warning'][failed] = np.nan, ''
@@ -259,22 +230,22 @@ def run_job(job):
 
 
 def _fill(table, numbers, kind, runs, duration):
-    """Do runs, of (row, Scene), together if they are of a Kind; fill in their rows."""
+    """Do runs, of (row, Scene), together if they are of a LaneKind; fill in their rows."""
     rows, scenes = (list(part) for part in zip(*runs))
     if kind:
-        done = Together(scenes, kind)
+        done = LaneRuns(scenes, kind)
         table['reason'][rows] = done.reasons
         table['warning'][rows] = [text or '' for text in done.warnings]
         numbers[rows] = _summaries(done, kind.steps)
     else:
-        run = sampled_run(scenes[0], steps_in(duration, scenes[0].step))
+        run = run_scene(scenes[0], steps_in(duration, scenes[0].step))
         table['warning'][rows] = run.warning or ''
         numbers[rows] = _summary(run)
 
 
 def _measure(table, numbers, row, scene, duration):
     """Measure the error of a run, and fill it in with the warning that it calls for."""
-    run = measured(sampled_run(scene, steps_in(duration, scene.step)))
+    run = measure_error(run_scene(scene, steps_in(duration, scene.step)))
     numbers[row, -1] = run.stats['estimated_tip_error_m']
     table['warning'][row] = run.warning or ''
 
@@ -306,6 +277,127 @@ def _cells(parameter, values):
     return column
 
 
+def _summary(run):
+    # The numbers of `SUMMARY`.
+    tip = run.model.tip_point
+    deflection = run.model.centre_line(run.q, tip)[:, 0, 1]
+    rotation = run.model.section_rotation(run.q, tip)[:, 0]
+    size = np.abs(deflection)
+    peak = np.argmax(size)
+    return (size[peak], run.t[peak], np.sqrt(np.mean(deflection**2)), deflection[-1],
+            np.abs(rotation).max(), *run.carrier[-1], run.shaft[-1],
+            run.stats['estimated_tip_error_m'])
+
+
+def _summaries(runs, steps):
+    # The numbers of `SUMMARY` for each of some runs that were done together.
+    return np.column_stack([
+        runs.peak, runs.peak_time, np.sqrt(runs.squares / (steps + 1)),
+        runs.deflection, runs.rotation, runs.motion[:, :3], np.full(len(runs.peak), np.nan)])
+
+
+class LaneKind(NamedTuple):
+    """What runs must have in common to be lanes of one vector."""
+
+    step: float   # [s]
+    steps: int    # their number
+    sizes: tuple  # of the models
+    joints: tuple
+
+
+def lane_kind(scene: Scene, steps: int) -> LaneKind | None:
+    """
+    Return the LaneKind of a run, or None if it cannot be a lane.
+
+    It depends on the run alone, so that its numbers do not depend on what else a sweep has.
+    """
+    values = scene.values
+    if values['model.formulation'] != 'exact' or not scene.modal_count or refusal(scene):
+        return None
+    return LaneKind(scene.step, steps,
+                    (values['model.modes'], values['model.axial_modes'],
+                     len(scene.build().quadrature.nodes), values['push.position'] > 0.0),
+                    (values['carrier.held'], values['motor.shaft']))
+
+
+class LaneRuns:
+    """
+    Runs that are done together, as lanes of vectors.
+
+    Parameters
+    ----------
+    scenes : list of Scene
+    kind : LaneKind
+        Of all of them.
+
+    Attributes
+    ----------
+    motion : ndarray, shape (n, 2 (3 + N))
+        At the end.
+    peak, peak_time, rotation, squares : ndarray, shape (n,)
+        Largest |w(l)| [m] and its time [s], largest |phi(l)| [rad], sum of w(l)^2 over the start
+        and the ends of steps [m2].
+    deflection : ndarray, shape (n,)
+        w(l) at the end [m].
+    warnings : list of (str or None)
+    reasons : list of str
+        Why a run failed, or ''.
+
+    """
+
+    def __init__(self, scenes: list[Scene], kind: LaneKind) -> None:
+        self._scenes, self._models = scenes, [scene.build() for scene in scenes]
+        self._lanes = LaneSteps(self._models, kind.step, MOST_BENT)
+        self._lanes.state[:] = to_lanes(np.array([
+            model.state(scene.initial_motion())
+            for scene, model in zip(scenes, self._models)]))
+        self._loads = LaneLoads(scenes)
+        self._origin = np.zeros(len(scenes), dtype=int)
+        with compiling(*self._lanes.constants):
+            self._lanes.advance(self._loads.columns, self._loads.varying(0, 0, self._origin))
+        self.warnings = [unseen_load(scene) for scene in scenes]
+        self.peak, self.rotation, self.squares = np.zeros((3, len(scenes)))
+        self.peak_time = np.zeros(len(scenes))
+        self._summarise(0, self._tips(self._lanes.tip[:, np.newaxis]))
+        for first in range(0, kind.steps, CHUNK):
+            self._advance(first, min(CHUNK, kind.steps - first))
+        self.motion = from_lanes(self._lanes.motion, len(scenes))
+        self.deflection = from_lanes(self._lanes.tip, len(scenes))[:, 1]
+        self.reasons = [self._reason(number) for number in range(len(scenes))]
+
+    def _advance(self, first, count):
+        lanes = self._lanes
+        tips = lanes.room(count, 3)
+        lanes.advance(self._loads.columns, self._loads.varying(first, count, self._origin),
+                      tips=tips)
+        self._summarise(first + 1, self._tips(np.concatenate(
+            [tips[:, 1:], lanes.tip[:, np.newaxis]], axis=1)))
+
+    def _tips(self, places):
+        # The order in memory is always the same, because the last bits of sums depend on it.
+        return np.ascontiguousarray(from_lanes(places, len(self._scenes)))
+
+    def _summarise(self, first, tips):
+        # `tips` are those after the steps `first`, `first` + 1, ..., shape (n, k, 3).
+        size = np.abs(tips[:, :, 1])
+        at = np.argmax(size, axis=1)
+        found = size[np.arange(len(size)), at]
+        self.peak_time = np.where(found > self.peak, (first + at) * self._lanes.step,
+                                  self.peak_time)
+        self.peak = np.maximum(self.peak, found)
+        self.rotation = np.maximum(self.rotation, np.abs(tips[:, :, 2]).max(axis=1))
+        self.squares += np.sum(size**2, axis=1)
+
+    def _reason(self, number):
+        alive, done = from_lanes(self._lanes.progress, len(self._scenes))[number]
+        if alive:
+            return ''
+        model, motion = self._models[number], self.motion[number]
+        bend = np.abs(motion[3:model.size // 2]) @ model.tip_travel[3:]
+        return divergence(self._scenes[number], round(done), motion, model.tip_travel, bend,
+                          self.warnings[number])
+
+
 _WORKERS = Parameter('workers', 1, '', 'processes', low=1)
 _ENVIRONMENT = {'PYTHONSAFEPATH': '1', 'OPENBLAS_NUM_THREADS': '1', 'OMP_NUM_THREADS': '1',
                 'MKL_NUM_THREADS': '1'}
@@ -313,7 +405,8 @@ _STARTING = threading.Lock()
 
 
 @contextmanager
-def executor_of(workers=None, scheduler=None):
+def executor_of(workers: int | None = None,
+                scheduler: str | None = None) -> Iterator[tuple[Executor, int]]:
     """
     Yield an executor and how many calls it does at a time.
 
@@ -413,91 +506,3 @@ def _end_with_parent():
     assert parent is not None
     parent.join()
     os._exit(1)
-
-
-def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], duration: float,
-                  workers: int | None = None,
-                  scheduler: str | None = None) -> dict[str, np.ndarray]:
-    """
-    Simulate variations of a scene on all cores, or on a Dask cluster, and keep a summary of each.
-
-    From 64 runs on, those of the `exact` formulation whose steps need no special care are done
-    together, as lanes of a vector (see `Batch`), several times faster. Their numbers are those of
-    `simulate` for that variation to about 1e-11; those of other runs, and of a shorter sweep, to
-    the last bit, on the same kind of processor and with one BLAS thread. No bit of a row depends
-    on the other runs or on the number of workers. Runs are not compared with finer ones. A run
-    that fails has a row with a reason. The first run with a new number of modes compiles for some
-    seconds; the machine code is kept.
-
-    Parameters
-    ----------
-    scene : Scene, or what `load_scene` takes
-    variations : iterable of dict
-        Overrides of each run, by (nested or dotted) name of a parameter.
-    duration : float
-        Sim time of each run [s], a whole multiple of the time step.
-    workers : int, optional
-        Number of processes; by default the number of cores that this process may use.
-    scheduler : str, optional
-        Address of a Dask scheduler, to use its workers instead of processes of this machine.
-
-    Returns
-    -------
-    dict of ndarray, shape (n,)
-        Columns by name, one row for each run: `run`, its number from 0; each varied parameter
-        (NaN or None for a value that breaks its rule); `peak_deflection`, `peak_time`,
-        `rms_deflection`, `final_deflection`, `peak_rotation`, `final_carrier_x`,
-        `final_carrier_y`, `final_shaft`, see `timo_sim.runs.sweep.SUMMARY` (NaN for a run that
-        failed); `warning`, as `Run.warning`, or ''; `reason`, why the run failed, or ''.
-
-    Raises
-    ------
-    ParameterError
-        If the duration does not fit the step of the scene, there are no variations, one of them
-        cannot be sent to a process, or `workers` is less than 1.
-    ConnectionError
-        If the scheduler cannot be reached, or a worker process is killed.
-
-    Examples
-    --------
-    >>> import timo_sim
-    >>> variations = [{'end_effector.mass': mass} for mass in (1.0, 2.0)]
-    >>> table = timo_sim.simulate_many(timo_sim.load_scene('paper'), variations, duration=1.0)
-    >>> table['peak_deflection'].shape
-    (2,)
-
-    """
-    if not isinstance(variations, Iterable) or isinstance(variations, Mapping):
-        raise ParameterError('variations must be a list of values by name, got '
-                             + short(variations))
-    variations = list(variations)
-    if not variations:
-        raise ParameterError('variations must have at least one element, got none')
-    try:
-        pickle.dumps(variations)
-    except (AttributeError, TypeError, pickle.PicklingError) as error:
-        raise ParameterError(f'variations must be picklable: {error}') from None
-    # In order of appearance. An unknown name has no column; the `reason` of its row names it.
-    names = [name for name in {name: None for each in variations for name in flatten(each)}
-             if name in PARAMETERS and PARAMETERS[name].scope == SCENE]
-    jobs = jobs_of(load_scene(scene), duration, len(variations), variations, names)
-    with executor_of(workers, scheduler) as (executor, width):
-        tables = [table for _, table in done(executor, width, jobs)]
-    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-
-
-def done(executor, width, jobs):
-    """
-    Yield each job with its table, in order.
-
-    About three jobs for each of `width` workers are pending: all are busy, and memory stays
-    bounded.
-    """
-    pending = deque()
-    for job in jobs:
-        pending.append((job, executor.submit(run_job, job)))
-        if len(pending) > 3 * width:
-            first, future = pending.popleft()
-            yield first, future.result()
-    for first, future in pending:
-        yield first, future.result()

@@ -13,6 +13,7 @@ A part appears under its name only when it is whole. A sweep that was killed goe
 that are missing; each job is in the result once.
 """
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 import fcntl
@@ -30,7 +31,7 @@ import pyarrow
 from pyarrow import parquet
 from tqdm import tqdm
 
-from timo_sim.runs.sweep import done, executor_of, jobs_of, SUMMARY
+from timo_sim.runs.sweep import executor_of, Job, jobs_of, run_jobs, SUMMARY
 from timo_sim.scene.files import flatten, read_yaml, whole_file
 from timo_sim.scene.parameters import (
     check, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in)
@@ -50,12 +51,12 @@ class Plan:
 
     scene: Scene
     duration: float  # [s]
-    names: list      # of the parameters that vary
+    names: list[str]  # of the parameters that vary
     count: int       # number of runs
     kind: str        # one of _KINDS
     given: Any       # the file's entry of this kind
 
-    def variations(self):
+    def variations(self) -> Iterator[dict[str, Any]]:
         """Yield the overrides of each run, the same ones each time."""
         if self.kind == 'runs':
             yield from self.given
@@ -68,18 +69,18 @@ class Plan:
                 yield {name: np.asarray(random.uniform(*ends)).tolist()
                        for name, ends in self.given['ranges'].items()}
 
-    def jobs(self):
+    def jobs(self) -> Iterator[Job]:
         """Yield the jobs of the sweep, the same ones each time."""
         return jobs_of(self.scene, self.duration, self.count, self.variations(), self.names)
 
     @property
-    def fingerprint(self):
+    def fingerprint(self) -> str:
         """A text that differs for plans whose results may differ."""
         content = __version__, self.scene.values, self.duration, self.kind, self.given
         return hashlib.sha256(repr(content).encode()).hexdigest()
 
 
-def read_plan(path):
+def read_plan(path: Path | str) -> Plan:
     """
     Read and check the file of a sweep, see config/sweep.yaml.
 
@@ -174,7 +175,8 @@ _TYPES = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(),
           str: pyarrow.string(), tuple: pyarrow.list_(pyarrow.float64())}
 
 
-def run_sweep(file, output=None, workers=None, scheduler=None):
+def run_sweep(file: Path | str, output: Path | str | None = None, workers: int | None = None,
+              scheduler: str | None = None) -> None:
     """
     Do the sweep of a file, or those jobs of it that are missing.
 
@@ -210,7 +212,7 @@ def run_sweep(file, output=None, workers=None, scheduler=None):
                     else:
                         yield job
 
-            for job, table in done(executor, width, missing()):
+            for job, table in run_jobs(executor, width, missing()):
                 add_part(parts, job, table, schema)
                 bar.update(len(job.variations))
         for unfinished in parts.glob('.*'):  # a part that a killed process was writing
@@ -223,7 +225,7 @@ def run_sweep(file, output=None, workers=None, scheduler=None):
 
 
 @contextmanager
-def parts_of(output):
+def parts_of(output: Path) -> Iterator[Path]:
     """Yield the folder of the parts of an output, which no other process has meanwhile."""
     parts = output.with_name(output.name + '.parts')
     _refuse(output)
@@ -248,7 +250,7 @@ def _refuse(output):
         raise ParameterError(f'{output} exists: remove it or choose another --output')
 
 
-def has_part(parts, job, schema):
+def has_part(parts: Path, job: Job, schema: pyarrow.Schema) -> bool:
     """Return whether the part of a job exists; raise ParameterError if it is of another sweep."""
     try:
         found = parquet.read_schema(_path(parts, job))
@@ -260,7 +262,8 @@ def has_part(parts, job, schema):
     return True
 
 
-def add_part(parts, job, table, schema):
+def add_part(parts: Path, job: Job, table: dict[str, np.ndarray],
+             schema: pyarrow.Schema) -> None:
     """Write the table of a job."""
     with whole_file(_path(parts, job)) as path:
         parquet.write_table(pyarrow.table(table, schema), path)
@@ -270,7 +273,7 @@ def _path(parts, job):
     return parts / f'{job.first:012d}.parquet'
 
 
-def schema_of(plan):
+def schema_of(plan: Plan) -> pyarrow.Schema:
     """Return the columns of a sweep, with units and meanings; its metadata identify the sweep."""
     fields = [_field('run', pyarrow.int64(), '', 'number of the run, from 0')]
     for name in plan.names:

@@ -8,7 +8,7 @@
 
 """Read scenes from ROS parameter files, given by path or by the name of an installed scene."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from html import escape
 import os
@@ -16,6 +16,7 @@ from pathlib import Path
 import re
 import stat
 import tempfile
+from typing import Any
 
 import yaml
 
@@ -30,14 +31,14 @@ _SHARED = [_ABOVE[0], *(prefix / 'share/timo_sim' for prefix in _ABOVE[3:4])]
 _FOLDERS = [folder / 'config' for folder in _SHARED]
 
 
-def shared(path):
+def shared_file(path: str) -> Path:
     """Return the path of a file that is installed with the package, as urdf/timo_sim.urdf."""
     return next((folder / path for folder in _SHARED if (folder / path).exists()),
                 _SHARED[-1] / path)
 
 
 @contextmanager
-def whole_file(path, new=False):
+def whole_file(path: Path | str, new: bool = False) -> Iterator[Path]:
     """
     Yield a path to write to; what is there at the end becomes the file or folder `path`.
 
@@ -60,12 +61,12 @@ def whole_file(path, new=False):
         part.replace(path)
 
 
-def foreign(name):
+def is_of_rclpy(name: str) -> bool:
     """Return whether a parameter is rclpy's own, by its name."""
     return name in ('use_sim_time', 'start_type_description_service') or name.startswith(QOS)
 
 
-def scene_file(source):
+def scene_file(source: Path | str) -> Path:
     """Return the path of a scene's file, or raise FileNotFoundError with the known names."""
     path = Path(source)
     if path.is_file() or path.suffix or path.name != str(source):
@@ -79,7 +80,7 @@ def scene_file(source):
     return known[path.name]
 
 
-def read_parameter_file(path):
+def read_parameter_file(path: Path | str) -> dict[str, Any]:
     """
     Return the values for the node `/timo_sim` in a ROS parameter file, unchecked, by dotted name.
 
@@ -96,10 +97,10 @@ def read_parameter_file(path):
         others = f'; it has those of {short(", ".join(sections), str)}' if sections else ''
         raise ParameterError(
             f'{path} must have parameters under timo_sim: ros__parameters:{others}')
-    return {name: value for name, value in values.items() if not foreign(name)}
+    return {name: value for name, value in values.items() if not is_of_rclpy(name)}
 
 
-def read_sections(path):
+def read_sections(path: Path | str) -> dict[str, dict[str, Any]]:
     """
     Return the sections of a ROS parameter file: unchecked values by dotted name, by node.
 
@@ -123,23 +124,23 @@ def read_sections(path):
     return found
 
 
-def is_for(section, node):
+def is_for(section: str, node: str) -> bool:
     """Return whether a section of a ROS parameter file is for a node, by its full name."""
     wild = {'*': r'/\w+', '**': r'(/\w+)*'}
-    return re.fullmatch(''.join(wild.get(name, '/' + re.escape(name))
-                                for name in section.split('/')[1:]), node)
+    pattern = ''.join(wild.get(name, '/' + re.escape(name)) for name in section.split('/')[1:])
+    return bool(re.fullmatch(pattern, node))
 
 
 class _Loader(yaml.SafeLoader):
     """A loader that accepts only YAML which ROS and PyYAML read alike."""
 
-    def compose_node(self, parent, index):
+    def compose_node(self, parent: Any, index: Any) -> Any:
         """Refuse aliases, which ROS does not know."""
         if self.check_event(yaml.AliasEvent):
             self._refuse('an alias, which ROS does not take', self.peek_event())
         return super().compose_node(parent, index)
 
-    def flatten_mapping(self, node):
+    def flatten_mapping(self, node: Any) -> None:
         """Refuse duplicate names, and merge keys, which ROS reads as ordinary names."""
         seen = set()
         for name, _ in node.value:
@@ -154,7 +155,7 @@ class _Loader(yaml.SafeLoader):
         raise yaml.constructor.ConstructorError(None, None, words, place.start_mark)
 
 
-def read_yaml(path):
+def read_yaml(path: Path | str) -> Any:
     """Return the content of a YAML file, or raise ParameterError."""
     path = Path(path)
     if not stat.S_ISREG(mode := path.stat().st_mode) and not stat.S_ISDIR(mode):
@@ -163,7 +164,7 @@ def read_yaml(path):
     return parse_yaml(path.read_bytes(), path)
 
 
-def parse_yaml(content, source):
+def parse_yaml(content: bytes | str, source: Path | str) -> Any:
     """Return the content of YAML text or bytes, or raise ParameterError that names the source."""
     try:
         return yaml.load(content, _Loader)
@@ -173,7 +174,7 @@ def parse_yaml(content, source):
         raise ParameterError(f'{source} is not a YAML file: {reason}') from None
 
 
-def flatten(values, prefix=''):
+def flatten(values: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
     """Return nested or dotted values as one dictionary by dotted name, or raise ParameterError."""
     flat = {}
     for name, value in _mapping(values).items():
@@ -193,7 +194,7 @@ def _mapping(values):
     return values
 
 
-def html_table(title, rows):
+def html_table(title: str, rows: Mapping[str, Any]) -> str:
     """Return a table of names and values as HTML."""
     cells = ''.join(f'<tr><th style="text-align:left">{escape(str(name))}</th>'
                     f'<td style="text-align:left">{escape(str(value))}</td></tr>'

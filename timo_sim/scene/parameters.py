@@ -13,12 +13,14 @@ The defaults are the paper's manipulator (its Tables 1 and 3) at rest, without l
 given by dotted name; [k] stands for an element of a list.
 """
 
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 import difflib
 import math
 import re
 import reprlib
 import sys
+from typing import Any
 import warnings
 
 import numpy as np
@@ -63,7 +65,7 @@ class Parameter:
     alone: bool = False      # whether a number stands for a list of this one
 
     @property
-    def rule(self):
+    def rule(self) -> str:
         """The rule for values, in words."""
         kind = {bool: 'true or false', int: 'a whole number',
                 float: 'a finite number' if self.finite else 'a number',
@@ -82,7 +84,7 @@ class Parameter:
         none = '' if self.finite else ', .inf for no limit'
         return ' '.join([kind, ' and '.join(bounds)]).strip() + unit + none
 
-    def check(self, value):
+    def check(self, value: Any) -> Any:
         """
         Return the value converted to the parameter's type, or raise ParameterError.
 
@@ -122,7 +124,7 @@ class Parameter:
         return number
 
 
-def warn(text):
+def warn(text: str) -> None:
     """Give a ModelWarning whose place is the caller's line outside of this package."""
     level, frame = 1, sys._getframe()
     # functools, because it calls the functions of cached properties.
@@ -132,7 +134,7 @@ def warn(text):
     warnings.warn(text, ModelWarning, stacklevel=level)
 
 
-def short(value, show=_SHORT.repr):
+def short(value: Any, show: Callable[[Any], str] = _SHORT.repr) -> str:
     """Return any value as one line of at most 60 characters."""
     try:
         shown = show(value)
@@ -142,13 +144,13 @@ def short(value, show=_SHORT.repr):
     return shown if len(shown) <= 60 else shown[:57] + '...'
 
 
-def did_you_mean(name, names):
+def did_you_mean(name: Any, names: Iterable[str]) -> str:
     """Return '; did you mean X?' for the name that is most like the given one, or ''."""
     close = difflib.get_close_matches(str(name), names, n=1)
     return f'; did you mean {close[0]}?' if close else ''
 
 
-def whole_ratio(name, value, unit_name, unit):
+def whole_ratio(name: str, value: float, unit_name: str, unit: float) -> int:
     """
     Return how many times `unit` fits into `value`, or raise ParameterError if it is not whole.
 
@@ -380,13 +382,10 @@ DELAYS = [name for name in PARAMETERS if name.endswith('.delay')]
 
 
 _TIP = 'end_effector.mass', 'end_effector.inertia'
-# 0.2.0 renamed these. Before 0.2.0 a limit of 0 meant no limit; now it is refused.
-SPLIT = 'integrator.tolerance'  # 0.2.0 and earlier split steps by it; logs are read without it
-_RENAMED = {'motor.dc.gear': 'motor.dc.gear_ratio', 'step_count': 'steps_per_call'}
-_LIMITS = [name for name, parameter in PARAMETERS.items() if not parameter.finite]
+SPLIT = 'integrator.tolerance'  # 0.2.0 split steps by it; its logs are read without it
 
 
-def check(values, source):
+def check(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     """
     Return values by dotted name, converted to the types of their parameters.
 
@@ -408,7 +407,7 @@ def check(values, source):
     return checked
 
 
-def frame_names(values):
+def frame_names(values: Mapping[str, Any]) -> dict[str, str]:
     """
     Return the names of `topics.outputs.FRAMES` in messages, a dictionary.
 
@@ -425,13 +424,13 @@ def frame_names(values):
     return names
 
 
-def steps_in(duration, step):
+def steps_in(duration: Any, step: float) -> int:
     """Return how many time steps a duration has, both in s, or raise ParameterError."""
     return whole_ratio('duration', PARAMETERS['duration'].check(duration),
                        'integrator.step', step)
 
 
-def check_runtime(values, later):
+def check_runtime(values: Mapping[str, Any], later: Mapping[str, Any]) -> None:
     """Raise ParameterError if `later` changes what cannot be set while a simulation runs."""
     reactions = values['model.formulation'] == 'newton_root_stress'
     fixed = [name for name, value in later.items() if value != values[name] and (
@@ -442,103 +441,6 @@ def check_runtime(values, later):
                              f'it stays {short(values[fixed[0]])}')
 
 
-def current(values):
-    """Return values that an older version logged, with their present names and meanings."""
-    return {_RENAMED.get(name, name): math.inf if name in _LIMITS and value == 0.0 else value
-            for name, value in values.items() if name != SPLIT}
-
-
-def changed(values):
+def changed(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values that differ from their defaults."""
     return {name: value for name, value in values.items() if value != PARAMETERS[name].default}
-
-
-INITIAL = 'initial'  # stands for the whole initial state
-_FIXED = 'model.', 'integrator.', 'sensor.', 'payload.time', 'motor.drive'
-_INDEXED = re.compile(r'(.+)\[(\d+)\]')
-
-
-def number_of(name, scene, others='', names=()):
-    """
-    Return the Parameter of a name, and its value in a scene.
-
-    Parameters
-    ----------
-    name : str
-    scene : Scene
-    others : str
-        What else the caller knows, for the text of an error.
-    names : iterable of str
-        Names of these, of which one may be meant.
-
-    Raises
-    ------
-    ParameterError
-        If the name is unknown or ambiguous, or it is no number of the physics.
-
-    """
-    base, place = _base(name)
-    parameter = PARAMETERS.get(base)
-    if parameter is None:
-        raise ParameterError(f'{short(name, str)} cannot be free: it is '
-                             f'{"neither" if others else "not"} a parameter of the scene{others}'
-                             f'{did_you_mean(base, [*PARAMETERS, *names])}')
-    value = scene.values.get(base)
-    if base.startswith('initial.modal') and value == ():
-        value = (0.0,) * scene.modal_count
-    if (parameter.scope != SCENE or base.startswith(_FIXED)
-            or not isinstance(value, (float, tuple)) or value is True):
-        raise ParameterError(f'{name} cannot be free: it is no number of the physics')
-    if isinstance(value, tuple):
-        if place is None and len(value) == 1:
-            place = 0
-        if place is None or place >= len(value):
-            raise ParameterError(f'{name} cannot be free: {base} has {len(value)} elements, of '
-                                 f'which one is named {base}[0]')
-        return parameter, value[place]
-    if place is not None:
-        raise ParameterError(f'{name} cannot be free: {base} is one number')
-    if not math.isfinite(value) or parameter.name.endswith('_limit'):
-        raise ParameterError(f'{name} cannot be free: it is a limit')
-    return parameter, value
-
-
-def _base(name):
-    match = _INDEXED.fullmatch(name)
-    return (match.group(1), int(match.group(2))) if match else (name, None)
-
-
-def initial_names(scene):
-    """Return the names of all numbers of the initial state that are not prescribed."""
-    still = scene.build().constrained
-    joints = [joint for joint, held in zip(('carrier_x', 'carrier_y', 'shaft'), still) if not held]
-    modes = range(scene.modal_count)
-    return [*(f'initial.{joint}' for joint in joints),
-            *(f'initial.{joint}_velocity' for joint in joints),
-            *(f'initial.modal_coordinates[{n}]' for n in modes),
-            *(f'initial.modal_rates[{n}]' for n in modes)]
-
-
-def initial_scale(name, scene):
-    """Return what of the initial state moves the tip by a tenth of the arm, or turns it by 0.1."""
-    base, n = _base(name)
-    model, length = scene.build(), scene.manipulator.arm.length
-    if base == 'initial.modal_coordinates':
-        return 0.1 * length / model.tip_travel[3 + n]
-    if base == 'initial.modal_rates':
-        return 0.1 * length / model.tip_travel[3 + n] * model.modes.omega[n]
-    return 0.1 if 'shaft' in name else 0.1 * length
-
-
-def placed(values, scene):
-    """Return numbers of the scene, by name, as overrides of whole parameters."""
-    found = {}
-    for name, value in values.items():
-        base, place = _base(name)
-        if isinstance(scene.values[base], tuple):
-            whole = found.get(base) or scene.values[base] or (0.0,) * scene.modal_count
-            place = place or 0
-            found[base] = (*whole[:place], value, *whole[place + 1:])
-        else:
-            found[base] = value
-    return found

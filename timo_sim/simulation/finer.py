@@ -16,6 +16,7 @@ is the estimated error: nothing about the motion is assumed, so it also holds wh
 
 import numpy as np
 
+from timo_sim.model.layout import Motion
 from timo_sim.scene.scene import scene_from
 from timo_sim.simulation.warnings import unseen_load
 
@@ -28,7 +29,7 @@ _AXIAL_PHASE = 4.0
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates', 'arm.damping_ratio'
 
 
-def finer(scene, parts, modes=None, axial=MORE_AXIAL, formulation='exact'):
+def refine(scene, parts, modes=None, axial=MORE_AXIAL, same_equations=False):
     """
     Return a finer scene.
 
@@ -40,7 +41,9 @@ def finer(scene, parts, modes=None, axial=MORE_AXIAL, formulation='exact'):
     modes, axial : int, optional
         Further modes in bending, by default three, or three times the present ones where loads
         are picked up, too; further axial modes.
-    formulation : str
+    same_equations : bool
+        Whether formulation and static modes stay as they are; by default the formulation is
+        `exact`, without static modes.
 
     Returns
     -------
@@ -64,8 +67,9 @@ def finer(scene, parts, modes=None, axial=MORE_AXIAL, formulation='exact'):
                            *axial * [ratio * (along or across)[-1]]]
     lists.update((name, _on_boundaries(value, scene.step)) for name, value in values.items()
                  if name.endswith('.time'))
-    return scene_from({**values, **lists, 'model.formulation': formulation,
-                       'model.accuracy': 0.0, 'model.static_modes': 'none',
+    equations = {} if same_equations else {'model.formulation': 'exact',
+                                           'model.static_modes': 'none'}
+    return scene_from({**values, **lists, **equations, 'model.accuracy': 0.0,
                        'model.modes': bending + modes, 'model.axial_modes': stretching + axial,
                        'integrator.step': scene.step / parts})
 
@@ -77,17 +81,17 @@ def _on_boundaries(times, step):
                  for time, number in zip(times, nearest))
 
 
-def has_finer(scene):
+def can_refine(scene):
     """Return whether a scene has a finer one: the coordinates of static modes have no meaning."""
     return scene.values['model.static_modes'] == 'none' or not any(
         any(scene.values[name]) for name in _LISTS[:2])
 
 
-def parts_of(scene):
+def choose_parts(scene):
     """Return the parts of a step that may do for a finer run, a tuple of int, fewest first."""
     # Events of dry friction are found to the first order of the step only.
     tried = PARTS[1:] if scene.friction.any() else PARTS
-    least = next((parts for parts in tried if _resolves(finer(scene, parts))), PARTS[-1])
+    least = next((parts for parts in tried if _resolves(refine(scene, parts))), PARTS[-1])
     return tuple(parts for parts in PARTS if parts >= least)
 
 
@@ -98,7 +102,7 @@ def _resolves(scene):
         axial and scene.step * scene.build().modes.omega[-axial:].min() > _AXIAL_PHASE)
 
 
-def tip_distance(model, motions, other, others):
+def tip_distance(model, motions, other, others, in_arm=False):
     """
     Return the largest distance between two tips [m].
 
@@ -107,7 +111,12 @@ def tip_distance(model, motions, other, others):
     model, other : Formulation
     motions, others : ndarray, shapes (n, 2 (3 + N)) and (n, 2 (3 + M))
         At the same times.
+    in_arm : bool
+        Whether places in the arm frame are compared, too, not only those in the world.
 
     """
-    apart = model.world(motions, model.tip_point) - other.world(others, other.tip_point)
-    return float(np.linalg.norm(apart[:, 0], axis=1).max(initial=0.0))
+    places = [lambda model, motion: model.world(motion, model.tip_point)]
+    if in_arm:
+        places.append(lambda model, motion: model.centre_line(Motion(motion).q, model.tip_point))
+    return max(float(np.linalg.norm(place(model, motions)[:, 0] - place(other, others)[:, 0],
+                                    axis=1).max(initial=0.0)) for place in places)

@@ -20,7 +20,7 @@ from timo_sim.model.layout import AFTER, Motion
 from timo_sim.scene.parameters import check_runtime, Parameter, steps_in
 from timo_sim.scene.scene import load_scene
 from timo_sim.simulation import warnings
-from timo_sim.simulation.finer import finer, has_finer, parts_of, tip_distance
+from timo_sim.simulation.finer import can_refine, choose_parts, refine, tip_distance
 from timo_sim.simulation.loads import Actuators, commanded_load, LoadTable, TipLoad
 from timo_sim.simulation.snapshot import Sensors, Snapshot
 from timo_sim.simulation.warnings import DivergenceError
@@ -89,7 +89,7 @@ class Simulator:
         self._lock = threading.RLock()  # threads take turns; a diverged advance calls another
         self.tip_load, self._pack = TipLoad(scene), pack
         self._take(scene, scene.build())
-        self._estimate = estimate and has_finer(scene)
+        self._estimate = estimate and can_refine(scene)
         self._finer = None
         self.reset()
 
@@ -169,8 +169,8 @@ class Simulator:
         if self._finer:
             self._finer.reset()
         elif self._estimate:
-            self._parts = parts_of(self.scene)[0]
-            self._finer = Simulator(finer(self.scene, self._parts), pack=of_any_size)
+            self._parts = choose_parts(self.scene)[0]
+            self._finer = Simulator(refine(self.scene, self._parts), pack=of_any_size)
 
     def change(self, scene):
         """
@@ -189,7 +189,7 @@ class Simulator:
     def _change(self, scene):
         self.measure_error()
         if self._finer:
-            self._finer.change(finer(scene, self._parts))
+            self._finer.change(refine(scene, self._parts))
         first = self.steps - self._origin
         self._actuators = Actuators(scene.values, first, self._actuators.reached(first))
         self._continue_with(scene, self.tip_load.of_change(self.scene, scene))

@@ -175,8 +175,7 @@ def of_recording(recording, name):
         series[command.name].step for command in COMMANDS if command.name in series]
     return of_motion(name, scene, ns, motion, joints.values[place, 6:9],
                      resets[(0 < resets) & (resets < len(ns))],
-                     not (recording.changes or unseen
-                          or driven and recording.facts.get('timo_sim') == '0.1.0'),
+                     not (recording.changes or unseen),
                      payloads=payloads_of(recording), commands=np.concatenate([[], *commands]))
 
 
