@@ -30,8 +30,7 @@ from oracles import hostile_logs
 from oracles.hostile_logs import places
 from oracles.log_readers import limited, outcome
 import timo_sim
-from timo_sim.log.read import recover
-from timo_sim.log.records import LogError
+from timo_sim.log.read import LogError, recover
 
 MEMORY = 1200          # [MB] of address space for hostile files
 MEMORY_DISK = '/dev/shm' if os.access('/dev/shm', os.W_OK) else None  # three times as fast

@@ -25,7 +25,7 @@ from ros_process import Process
 import timo_sim
 from timo_sim.cli import main
 from timo_sim.log import info as info_module
-from timo_sim.log.read import Index
+from timo_sim.log.read import LogFile
 from timo_sim.log.write import Channel, Recorder
 from timo_sim.topics.cdr import Serializer
 from timo_sim.topics.outputs import outputs
@@ -98,7 +98,7 @@ def test_a_gigabyte_takes_no_longer_than_its_index(tmp_path, monkeypatch):
         recorder.write(0, k, k * 10000000, bytes(12))
         recorder.note('', {})  # which ends a chunk
     recorder.close()
-    assert len(Index(path).chunks) == 4000
+    assert len(LogFile(path).chunks) == 4000
 
     def counted(name, method):
         def call(self, chunk):
@@ -107,7 +107,7 @@ def test_a_gigabyte_takes_no_longer_than_its_index(tmp_path, monkeypatch):
         return call
 
     for name in done:
-        monkeypatch.setattr(Index, name, counted(name, getattr(Index, name)))
+        monkeypatch.setattr(LogFile, name, counted(name, getattr(LogFile, name)))
     assert '100 Hz' in call('info', path)
     assert done['times'] == 4000 and done['read'] <= 50
 

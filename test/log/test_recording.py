@@ -26,7 +26,8 @@ import timo_sim
 from timo_sim.cli import main
 from timo_sim.log.export import table
 from timo_sim.log.info import info
-from timo_sim.log.records import CHANGE, LogError, START
+from timo_sim.log.notes import CHANGE, START
+from timo_sim.log.read import LogError
 from timo_sim.log.tables import common, Recording
 from timo_sim.log.write import Channel, Recorder
 from timo_sim.topics.cdr import Serializer

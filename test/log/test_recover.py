@@ -36,8 +36,7 @@ from oracles.hostile_logs import payload, places
 from oracles.log_readers import contents, decoded, limited, outcome
 from timo_sim.cli import main
 from timo_sim.log import write as recorder_module
-from timo_sim.log.read import recover
-from timo_sim.log.records import LogError
+from timo_sim.log.read import LogError, recover
 from timo_sim.log.write import Channel, Recorder
 
 SEED = 20240  # of the random damage

@@ -18,7 +18,7 @@ from mcap.records import Channel, Message, Schema
 from oracles.rewritten_logs import records
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.log.read import Index
+from timo_sim.log.read import LogFile
 from timo_sim.topics.outputs import outputs
 
 
@@ -102,7 +102,7 @@ class Judge:
             _ensure(f'{messages} messages' in text, f'{messages} messages are there: {text}')
             if new.exists():
                 _ensure(readable(new) == content, f'something is missing: {text}')
-                Index(new)
+                LogFile(new)
         finally:
             new.unlink(missing_ok=True)
         return 'right'

@@ -18,8 +18,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from timo_sim.log.info import info
-from timo_sim.log.read import recover
-from timo_sim.log.records import LogError
+from timo_sim.log.read import LogError, recover
 from timo_sim.log.tables import Recording
 
 

@@ -150,7 +150,7 @@ def export(file, output, topic, bag, node):
     time, before and after it.
     """
     from timo_sim.log.export import export, export_bag
-    from timo_sim.log.records import LogError
+    from timo_sim.log.read import LogError
     if bag and (topic or node):
         raise LogError(f'--bag takes the whole file: leave out {"--topic" if topic else "--node"}')
     click.echo(export_bag(file, output) if bag else export(file, output, topic, node))

@@ -15,6 +15,7 @@ Besides messages, a file has what rosbag2 writes: the QoS of topics, and its own
 from collections import Counter, defaultdict, deque
 from contextlib import suppress
 import errno
+import fcntl
 import os
 from pathlib import Path
 import re
@@ -28,18 +29,19 @@ import lz4.frame
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
-    AttachmentIndex, Channel as ChannelRecord, Chunk as ChunkRecord, ChunkIndex, DataEnd, Footer,
-    Header, Metadata, MetadataIndex, Schema, Statistics, SummaryOffset)
+    Channel as ChannelRecord, Chunk as ChunkRecord, ChunkIndex, DataEnd, Footer, Header, Metadata,
+    MetadataIndex, Schema, Statistics, SummaryOffset)
 from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 import yaml
 
-from timo_sim.log.records import bytes_of, HEAD, hold, Peak, printable, START, start_note, SUMMARY
+from timo_sim.log.notes import Peak, START, start_note, SUMMARY
 from timo_sim.scene.parameters import changed, frame_names
 from timo_sim.topics.cdr import schema_text, Serializer, TYPE_HASHES
 from timo_sim.topics.commands import COMMANDS
 from timo_sim.topics.outputs import in_frames, outputs
 
-# Opcode, length of what follows; channel, sequence number, log time and publish time.
+HEAD = struct.Struct('<BQ')  # of a record: opcode, and length of the content
+# Head of a message's record; channel, sequence number, log time and publish time.
 _MESSAGE = struct.Struct('<BQHIQQ')
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
 _FOR_EVER = {'sec': 9223372036, 'nsec': 854775807}
@@ -49,6 +51,11 @@ _QOS = {
     'history': 'keep_last', 'depth': DEPTH, 'reliability': 'reliable', 'durability': 'volatile',
     'deadline': _FOR_EVER, 'lifespan': _FOR_EVER, 'liveliness': 'automatic',
     'liveliness_lease_duration': _FOR_EVER, 'avoid_ros_namespace_conventions': False}
+
+
+def printable(path: Path | str) -> str:
+    """Return a path as text that can be printed anywhere; on Linux a name may be any bytes."""
+    return os.fsencode(path).decode(errors='replace')
 
 
 class Chunk:
@@ -67,18 +74,14 @@ class Chunk:
         self.data = bytearray()
         self.index = defaultdict(list)
 
-    def add(self, channel, sequence, time, data):
-        """Append a message."""
-        self.index[channel] += time, len(self.data)
+    def add(self, channel: int, sequence: int, log_time: int, publish_time: int,
+            data: bytes) -> None:
+        """Append a message with its times [ns]."""
+        self.index[channel] += log_time, len(self.data)
         length = _MESSAGE.size - HEAD.size + len(data)
-        self.data += _MESSAGE.pack(_MESSAGE_OPCODE, length, channel, sequence, time, time)
+        self.data += _MESSAGE.pack(
+            _MESSAGE_OPCODE, length, channel, sequence, log_time, publish_time)
         self.data += data
-
-    def add_record(self, channel, time, content):
-        """Append a message from another file: the content of its record."""
-        self.index[channel] += time, len(self.data)
-        self.data += HEAD.pack(_MESSAGE_OPCODE, len(content))
-        self.data += content
 
 
 class Writer:
@@ -103,7 +106,6 @@ class Writer:
         self._schemas, self._channels = [], []
         # Kept as bytes: a log of a day has so many that objects would fill the memory.
         self._chunk_indexes, self._metadata_indexes = RecordBuilder(), RecordBuilder()
-        self._attachment_indexes = RecordBuilder()
         self._statistics = Statistics(
             attachment_count=0, channel_count=0, channel_message_counts=Counter(), chunk_count=0,
             message_count=0, metadata_count=0, message_start_time=0, message_end_time=0,
@@ -122,19 +124,6 @@ class Writer:
         length = self._write(Metadata(name=name, metadata=values))
         MetadataIndex(offset=offset, length=length, name=name).write(self._metadata_indexes)
         self._statistics.metadata_count += 1
-
-    def add_attachment(self, attachment):
-        """Add an Attachment."""
-        offset = self.size
-        about = {name: getattr(attachment, name)
-                 for name in ('log_time', 'create_time', 'name', 'media_type')}
-        AttachmentIndex(offset=offset, length=self._write(attachment),
-                        data_size=len(attachment.data), **about).write(self._attachment_indexes)
-        self._statistics.attachment_count += 1
-
-    def add_private(self, opcode, content):
-        """Add a private record, whose meaning the application that wrote it knows."""
-        self._put(HEAD.pack(opcode, len(content)) + content)
 
     def add_chunk(self, chunk):
         """Compress a chunk that has messages, and write it with its index."""
@@ -175,17 +164,16 @@ class Writer:
         self._write(DataEnd(self._crc))
         start, data, offsets = self.size, b'', []
         for opcode, group in (
-                (Opcode.SCHEMA, bytes_of(*self._schemas)),
-                (Opcode.CHANNEL, bytes_of(*self._channels)),
-                (Opcode.STATISTICS, bytes_of(self._statistics)),
+                (Opcode.SCHEMA, _bytes_of(*self._schemas)),
+                (Opcode.CHANNEL, _bytes_of(*self._channels)),
+                (Opcode.STATISTICS, _bytes_of(self._statistics)),
                 (Opcode.CHUNK_INDEX, self._chunk_indexes.end()),
-                (Opcode.ATTACHMENT_INDEX, self._attachment_indexes.end()),
                 (Opcode.METADATA_INDEX, self._metadata_indexes.end())):
             offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + len(data),
                                          group_length=len(group)))
             data += group
         offsets_start = start + len(data)
-        data += bytes_of(*offsets)
+        data += _bytes_of(*offsets)
         # The checksum covers the footer up to the checksum itself.
         head = struct.pack('<BQQQ', Opcode.FOOTER, 20, start, offsets_start)
         self._put(data)
@@ -194,12 +182,19 @@ class Writer:
         self._put(MCAP0_MAGIC)
 
     def _write(self, record):
-        return self._put(bytes_of(record))
+        return self._put(_bytes_of(record))
 
     def _put(self, data):
         self._crc = zlib.crc32(data, self._crc)
         self.size += len(data)
         return self._stream.write(data)
+
+
+def _bytes_of(*records):
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return builder.end()
 
 
 class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
@@ -346,7 +341,7 @@ class Recorder:
         if self.error is not None:
             return
         with self._lock:
-            self._chunk.add(index + 1, step & 0xffffffff, stamp, data)
+            self._chunk.add(index + 1, step & 0xffffffff, stamp, stamp, data)
             if len(self._chunk.data) < CHUNK_SIZE:
                 return
         self._pass_on()
@@ -490,7 +485,9 @@ def create(path):
                 name, flags | os.O_APPEND, 0o666))
         except FileExistsError:
             continue
-        hold(stream)
+        with suppress(OSError):  # some network file systems have no locks
+            # Marks it as being written until the stream is closed or its process ends.
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return candidate, stream
     raise FileExistsError(f'{path} and 9999 numbered names after it exist')
 

@@ -19,7 +19,7 @@ import time
 from rclpy.context import Context
 from std_srvs.srv import SetBool, Trigger
 
-from timo_sim.log.records import CHANGE, change_note, Peak, RESET, start_note
+from timo_sim.log.notes import CHANGE, change_note, Peak, RESET, start_note
 from timo_sim.ros.diagnostics import Health
 from timo_sim.ros.loop import Loop, NotNow
 from timo_sim.ros.parameters import ParameterNode, resolved_scene, steps_between_messages

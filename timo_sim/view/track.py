@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from timo_sim.log.read import payloads_of
 from timo_sim.model.layout import rotate
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import Parameter
@@ -178,7 +177,7 @@ def of_recording(recording, name):
                      resets[(0 < resets) & (resets < len(ns))],
                      not (recording.changes or unseen
                           or driven and recording.facts.get('timo_sim') == '0.1.0'),
-                     payloads=payloads_of(recording), commands=np.concatenate([[], *commands]))
+                     payloads=recording.payloads, commands=np.concatenate([[], *commands]))
 
 
 def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=None,
