@@ -22,7 +22,7 @@ from mcap.reader import make_reader
 from benchmark import ROOT
 from benchmark.process import arguments, ENVIRONMENT
 from benchmark.stress.tally import ensure, Tally
-from oracles.log_readers import decoded
+from oracles.logs import decoded
 import timo_sim
 from timo_sim.log.read import LogError, recover
 
