@@ -56,11 +56,11 @@ def export(file: Path | str, output: Path | str, topic: str | None = None,
         If the file is not a log or lacks the topic, or `output` exists or has another suffix.
 
     """
-    output = _new_table(Path(output))
+    path = _new_table(Path(output))
     recording = Recording(file, node)
     columns, left = table(recording, topic)
-    write_table(columns, output)
-    text = f'{printable(output)}: {len(columns["time_s"])} rows, {len(columns)} columns'
+    write_table(columns, path)
+    text = f'{printable(path)}: {len(columns["time_s"])} rows, {len(columns)} columns'
     if left:
         text += '; messages at other times are left out, --topic writes them: ' + ', '.join(left)
     return '; '.join([text, *recording.unread.values()])

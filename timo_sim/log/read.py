@@ -384,7 +384,8 @@ class _Reader:
         Each schema and channel comes once, before records that refer to it. Metadata of rosbag2
         are left out, because `Writer.finish` makes them again.
         """
-        chunk, known = Chunk(), {(Schema, 0)}
+        chunk = Chunk()
+        known: set[tuple[type, int]] = {(Schema, 0)}
         for record in self._intact():
             if isinstance(record, Message):
                 if (Channel, record.channel_id) not in known:

@@ -12,7 +12,10 @@ Write MCAP files chunk by chunk, in a thread of their own.
 Besides messages, a file has what rosbag2 writes: the QoS of topics, and its own metadata record.
 """
 
+from __future__ import annotations
+
 from collections import Counter, defaultdict, deque
+from collections.abc import Iterable
 from contextlib import suppress
 import errno
 import fcntl
@@ -22,7 +25,7 @@ import re
 import struct
 import threading
 import time
-from typing import NamedTuple
+from typing import Any, BinaryIO, NamedTuple, TYPE_CHECKING
 import zlib
 
 import lz4.frame
@@ -32,6 +35,7 @@ from mcap.records import (
     Channel as ChannelRecord, Chunk as ChunkRecord, ChunkIndex, DataEnd, Footer, Header, Metadata,
     MetadataIndex, Schema, Statistics, SummaryOffset)
 from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
+import numpy as np
 import yaml
 
 from timo_sim.log.notes import Peak, START, start_note, SUMMARY
@@ -39,6 +43,9 @@ from timo_sim.scene.parameters import changed, frame_names
 from timo_sim.topics.cdr import schema_text, Serializer, TYPE_HASHES
 from timo_sim.topics.commands import COMMANDS
 from timo_sim.topics.outputs import in_frames, outputs
+
+if TYPE_CHECKING:  # the import of its module takes longer than `timo_sim info`
+    from timo_sim.scene.scene import Scene
 
 HEAD = struct.Struct('<BQ')  # of a record: opcode, and length of the content
 # Head of a message's record; channel, sequence number, log time and publish time.
@@ -70,9 +77,9 @@ class Chunk:
 
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.data = bytearray()
-        self.index = defaultdict(list)
+        self.index: defaultdict[int, list[int]] = defaultdict(list)
 
     def add(self, channel: int, sequence: int, log_time: int, publish_time: int,
             data: bytes) -> None:
@@ -100,7 +107,7 @@ class Writer:
 
     """
 
-    def __init__(self, stream, profile):
+    def __init__(self, stream: BinaryIO, profile: str) -> None:
         self._stream, self._profile = stream, profile
         self._crc = self.size = 0
         self._schemas, self._channels = [], []
@@ -113,22 +120,22 @@ class Writer:
         self._put(MCAP0_MAGIC)
         self._write(Header(profile=profile, library=LIBRARY_IDENTIFIER))
 
-    def add_record(self, record):
+    def add_record(self, record: Schema | ChannelRecord) -> None:
         """Add a Schema or a Channel."""
         (self._schemas if isinstance(record, Schema) else self._channels).append(record)
         self._write(record)
 
-    def add_metadata(self, name, values):
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Add a metadata record."""
         offset = self.size
         length = self._write(Metadata(name=name, metadata=values))
         MetadataIndex(offset=offset, length=length, name=name).write(self._metadata_indexes)
         self._statistics.metadata_count += 1
 
-    def add_chunk(self, chunk):
+    def add_chunk(self, chunk: Chunk) -> None:
         """Compress a chunk that has messages, and write it with its index."""
         times = [entries[::2] for entries in chunk.index.values()]
-        facts = {
+        facts: dict[str, Any] = {
             'compression': 'lz4', 'uncompressed_size': len(chunk.data),
             'message_start_time': min(map(min, times)), 'message_end_time': max(map(max, times))}
         compressed = lz4.frame.compress(chunk.data)
@@ -154,7 +161,7 @@ class Writer:
         known.message_count += sum(counts.values())
         known.chunk_count += 1
 
-    def finish(self, name):
+    def finish(self, name: str) -> None:
         """Write the end of the file: rosbag2's metadata, with the file's name, and summary."""
         self._statistics.schema_count = len(self._schemas)
         self._statistics.channel_count = len(self._channels)
@@ -202,7 +209,7 @@ class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[mi
         return True
 
 
-def yaml_text(value):
+def yaml_text(value: Any) -> str:
     """Return a value as YAML without aliases."""
     return yaml.dump(value, Dumper=_Dumper, sort_keys=False)
 
@@ -215,7 +222,8 @@ def _qos(depth, reliability):
     return [{**_QOS, 'depth': depth, 'reliability': reliability}]
 
 
-def channel_metadata(type_hash, depth=DEPTH, reliability='reliable'):
+def channel_metadata(type_hash: str, depth: int = DEPTH,
+                     reliability: str = 'reliable') -> dict[str, str]:
     """Return the metadata of a channel: the QoS of its topic, and the hash of its type."""
     return {'offered_qos_profiles': yaml_text(_qos(depth, reliability)),
             'topic_type_hash': type_hash}
@@ -229,7 +237,8 @@ def _qos_of(channel):
     return profiles if yaml_text(profiles) == text else []
 
 
-def information(schemas, channels, statistics, name):
+def information(schemas: Iterable[Schema], channels: Iterable[ChannelRecord],
+                statistics: Statistics, name: str) -> dict[str, Any]:
     """Return rosbag2's metadata (version 9) of a bag with these records and this file name."""
     start, end = statistics.message_start_time, statistics.message_end_time
     span = {'duration': {'nanoseconds': end - start},
@@ -300,21 +309,25 @@ class Recorder:
 
     """
 
-    def __init__(self, path, channels, notes):
-        self.error = self.warning = None
+    def __init__(self, path: Path | str, channels: list[Channel],
+                 notes: dict[str, dict[str, str]]) -> None:
+        self.error: str | None = None
+        self.warning: str | None = None
         self._lock = threading.Lock()  # of the chunk that grows
         self._chunk = Chunk()
-        self._queue = deque()  # (method of the Writer, arguments) of what is to be written
+        self._queue: deque[tuple] = deque()  # method of the Writer and its arguments, to be called
         self._ready = threading.Event()
         self._closing = False
         types = list(dict.fromkeys(channel.type_name for channel in channels))
-        records = [*(Schema(id=number, name=name, encoding='ros2msg',
-                            data=schema_text(name).encode())
-                     for number, name in enumerate(types, start=1)),
-                   *(ChannelRecord(id=number, topic=topic, message_encoding='cdr',
-                                   schema_id=types.index(name) + 1,
-                                   metadata=channel_metadata(TYPE_HASHES[name], *qos))
-                     for number, (topic, name, _, *qos) in enumerate(channels, start=1))]
+        records: list[Schema | ChannelRecord] = [
+            Schema(id=number, name=name, encoding='ros2msg', data=schema_text(name).encode())
+            for number, name in enumerate(types, start=1)]
+        records += [
+            ChannelRecord(id=number, topic=channel.topic, message_encoding='cdr',
+                          schema_id=types.index(channel.type_name) + 1,
+                          metadata=channel_metadata(TYPE_HASHES[channel.type_name], channel.depth,
+                                                    channel.reliability))
+            for number, channel in enumerate(channels, start=1)]
         self.path, self._file = create(Path(path))
         try:
             self._writer = Writer(self._file, 'ros2')
@@ -331,7 +344,7 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name='recorder', daemon=True)
         self._thread.start()
 
-    def write(self, index, step, stamp, data):
+    def write(self, index: int, step: int, stamp: int, data: bytes) -> None:
         """
         Log a message, CDR, of the channel with this index.
 
@@ -354,13 +367,13 @@ class Recorder:
             if time.monotonic() - begun > PATIENCE:
                 self.error = f'{self.path}: the disk has taken nothing for {PATIENCE:g} s'
 
-    def note(self, name, values):
+    def note(self, name: str, values: dict[str, str]) -> None:
         """Log a metadata record: a name, and a dictionary of str."""
         if self.error is None:
             self._pass_on()
             self._queue.append((self._writer.add_metadata, name, values))
 
-    def close(self):
+    def close(self) -> None:
         """Write what is waiting, the index and the summary, and close the file."""
         self._closing = True
         self._ready.set()
@@ -389,7 +402,7 @@ class Recorder:
             self._drain()
             self._writer.finish(self.path.name)
             sync(self._file)
-            self._look()
+            self._check_file()
         except Exception as error:  # of any type, because `write` must not wait for this thread
             self.error = f'{self.path}: {error}'
             self._queue.clear()
@@ -400,13 +413,13 @@ class Recorder:
                 self.error = self.error or f'{self.path}: {error}'
 
     def _drain(self):
-        self._look()
+        self._check_file()
         while self._queue:
             write, *items = self._queue.popleft()
             write(*items)
         self._file.flush()
 
-    def _look(self):
+    def _check_file(self):
         """Raise OSError if another program changed or deleted the file: `write` gives no error."""
         ours = os.fstat(self._file.fileno())
         if ours.st_size != self._writer.size:
@@ -437,10 +450,12 @@ class NewLog(Recorder):
 
     """
 
-    def __init__(self, path, scene, values, node='/timo_sim', **notes):
+    def __init__(self, path: Path | str, scene: Scene, values: dict[str, Any],
+                 node: str = '/timo_sim', **notes: str) -> None:
         namespace = node.rpartition('/')[0]
         channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
-        self._topics, self._peak, frames = {}, Peak(), frame_names(values)
+        self._topics: dict[str, tuple] = {}
+        self._peak, frames = Peak(), frame_names(values)
         for output in outputs(scene.modal_count):
             name = output.name
             topic = (name if name.startswith('/') else
@@ -453,7 +468,7 @@ class NewLog(Recorder):
         super().__init__(path, channels, {
             START: {**start_note(node, values, changed(values), scene), **notes}})
 
-    def output(self, name, snapshot, numbers):
+    def output(self, name: str, snapshot: Any, numbers: np.ndarray) -> None:
         """Log a message of an output; commands are logged by `write`."""
         index, serialize, delay, output = self._topics[name]
         self.write(index, snapshot.step, snapshot.nanoseconds + delay,
@@ -461,7 +476,7 @@ class NewLog(Recorder):
         if name == '~/tip_deflection':
             self._peak.see(numbers, snapshot.nanoseconds)
 
-    def close(self):
+    def close(self) -> None:
         """Complete the file; raise OSError if that fails, or the log has ended early."""
         self.note(SUMMARY, self._peak.note())
         super().close()
@@ -469,7 +484,7 @@ class NewLog(Recorder):
             raise OSError(self.error)
 
 
-def create(path):
+def create(path: Path) -> tuple[Path, BinaryIO]:
     """Make a new file, numbered if it exists, and its folders; return its path and stream."""
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
@@ -492,7 +507,7 @@ def create(path):
     raise FileExistsError(f'{path} and 9999 numbered names after it exist')
 
 
-def sync(stream):
+def sync(stream: BinaryIO) -> None:
     """Wait until all that was written is on the disk: a closed log survives a power cut."""
     stream.flush()
     os.fsync(stream.fileno())
