@@ -22,7 +22,7 @@ import pytest
 import yaml
 
 import timo_sim
-from timo_sim.log.records import LogError
+from timo_sim.log.read import LogError
 
 NAMES = [name for name in timo_sim.__all__ if not name.startswith('__')]
 FUNCTIONS = [name for name in NAMES if name.islower()]

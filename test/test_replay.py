@@ -22,7 +22,7 @@ import timo_sim
 from timo_sim.cli import main
 from timo_sim.log.tables import Recording
 from timo_sim.log.write import Channel, Recorder
-from timo_sim.view.track import of_recording
+from timo_sim.view.track import track_of_recording
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 # Log time after the first [ns], torque [N m]; the infinite one is refused.
@@ -182,7 +182,7 @@ def test_a_bag_needs_a_scene_and_a_log_does_not(bag):
 
 def log_of(path, scene, torques, last):
     """Write a log as the node would, joint states of `simulate` every 10 ms; return its path."""
-    from timo_sim.log.records import START, start_note
+    from timo_sim.log.notes import START, start_note
     from timo_sim.scene.parameters import PARAMETERS
     from timo_sim.topics.cdr import Serializer
     from timo_sim.topics.outputs import outputs
@@ -220,7 +220,7 @@ def test_a_view_of_a_log_has_the_work_of_its_commands(tmp_path):
     """From the step on at which they begin to act; samples are 10 ms apart."""
     log = log_of(tmp_path / 'run.mcap', timo_sim.load_scene({'model.modes': 0}),
                  [(100, 20.0), (500, -20.0), (510, 15.0)], 1000)
-    track = of_recording(Recording(log), 'log')
+    track = track_of_recording(Recording(log), 'log')
     energy, balance = (track.trace(name).values for name in ('energy', 'balance'))
     assert np.abs(balance).max() < 1e-9 * energy.max()
 

@@ -16,7 +16,7 @@ from benchmark.command import parser
 from oracles.references import read
 import timo_sim
 from timo_sim.view.plot import animate
-from timo_sim.view.track import of_run
+from timo_sim.view.track import track_of_run
 
 matplotlib.use('Agg')
 LENGTH = 2.0
@@ -30,7 +30,7 @@ def main():
     _draw_arm()
     run = timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': 5}), 10.0)
     run.plot().savefig(ROOT / 'doc' / 'run.png', dpi=80)
-    animate([of_run(timo_sim.simulate(timo_sim.load_scene('paper'), 4.0), 'paper')],
+    animate([track_of_run(timo_sim.simulate(timo_sim.load_scene('paper'), 4.0), 'paper')],
             ROOT / 'doc' / 'arm.gif')
     print('wrote doc/run.png and doc/arm.gif')
 

@@ -17,14 +17,14 @@ from matplotlib.image import imread, imsave
 from benchmark import ROOT
 import timo_sim
 from timo_sim.view.rerun import picture, write
-from timo_sim.view.track import of_run
+from timo_sim.view.track import track_of_run
 
 
 def draw():
     """Draw the view at 1.81 s, doc/view.png."""
     run = timo_sim.simulate(timo_sim.load_scene(ROOT / 'config/paper.yaml'), 10.0)
     with TemporaryDirectory() as folder:
-        write([of_run(run, 'paper')], Path(folder, 'run.rrd'), at=1.81)
+        write([track_of_run(run, 'paper')], Path(folder, 'run.rrd'), at=1.81)
         picture(Path(folder, 'run.rrd'), Path(folder, 'view.png'), 1.81, (1500, 940))
         # Without the viewer's menu, which says things about the machine.
         imsave(ROOT / 'doc' / 'view.png', imread(Path(folder, 'view.png'))[37:])

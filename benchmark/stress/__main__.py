@@ -56,8 +56,7 @@ its log can be read to the end. A leak: the lowest memory of a window of 4 s, in
 the time, grows by more than 1 MB in each of three windows in a row, however long one looks (at
 most ten windows). Pools of memory stop growing when they are full, and are no leaks."""),
     ('Log and files', log, """Damage and full disks (`benchmark/stress/log.py`). Survived: the
-simulation goes on unharmed, and what was written is readable, or is refused in one line.
-`benchmark/stress/fuzz.py` looks for more, guided by coverage."""),
+simulation goes on unharmed, and what was written is readable, or is refused in one line."""),
 ]
 
 

@@ -16,8 +16,7 @@ import subprocess
 import sys
 
 from benchmark.stress.tally import ensure, small_disk, Tally
-from oracles import hostile_logs
-from oracles.log_readers import outcome
+from oracles.logs import CHANNELS, outcome
 from timo_sim.log.write import Recorder
 
 
@@ -49,7 +48,7 @@ FILL = """
 import os, sys
 sys.path[:0] = sys.argv[2:]
 import resource, signal
-from oracles.hostile_logs import CHANNELS, Recorder
+from oracles.logs import CHANNELS, Recorder
 if sys.argv[1] != 'None':
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
@@ -92,12 +91,12 @@ def places_that_are_none(folder):
             ensure('Read-only' in _record_on(disk / 'run.mcap'), 'it is written')
     with tally.trial('no file descriptor'):
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-        Recorder(folder / 'first.mcap', hostile_logs.CHANNELS, {}).close()
+        Recorder(folder / 'first.mcap', CHANNELS, {}).close()
         last = os.dup(0)
         os.close(last)
         resource.setrlimit(resource.RLIMIT_NOFILE, (last, hard))
         try:
-            Recorder(folder / 'run.mcap', hostile_logs.CHANNELS, {})
+            Recorder(folder / 'run.mcap', CHANNELS, {})
             raise RuntimeError('it is opened')
         except OSError as error:
             ensure('Too many open files' in str(error), str(error))

@@ -6,16 +6,14 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Faults that rewritten logs, machine code and sweeps must survive; see log.py."""
+"""Faults that machine code and sweeps must survive; see log.py."""
 
-from collections import Counter
 import os
 import subprocess
 import sys
 
 from benchmark.stress import shared
 from benchmark.stress.tally import ensure, small_disk, Tally
-from oracles import log_judge, rewritten_logs
 from timo_sim.compiled import cache as code_store
 from timo_sim.compiled.functions import entry_point
 
@@ -89,27 +87,8 @@ def runs_without_a_cache(folder):
     return tally.row('the same result to the last bit')
 
 
-def rewritten(folder, pairs, generator):
-    """Write a log again as other tools may, also in two ways at once; try commands on each."""
-    tally, seen = Tally('rewritten and foreign logs'), Counter()
-    for resets in ((), (200,)):
-        source = rewritten_logs.record(folder / f'{len(resets)}.mcap', resets)
-        judge = log_judge.Judge(source)
-        for name, path in rewritten_logs.rewritings(source, folder, pairs, generator):
-            for command in judge.COMMANDS:
-                with tally.trial(f'{command}, {name}'):
-                    try:
-                        seen[judge.judge(path, command)] += 1
-                    except Exception as error:
-                        seen['silent' if isinstance(error, log_judge.Wrong) else 'other'] += 1
-                        raise
-    return tally.row(f'{seen["right"]} right results, {seen["error"]} clear errors, '
-                     f'{seen["silent"]} silent wrong, {seen["other"]} tracebacks')
-
-
 def rows(folder, quick, generator):
     """Try all faults; yield what, how many were tried and survived, and a remark."""
-    yield rewritten(folder, 0 if quick else 200, generator)
     yield machine_code(folder, 9 if quick else 100, generator)
     if not quick:
         yield runs_without_a_cache(folder)

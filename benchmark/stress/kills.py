@@ -22,10 +22,9 @@ from mcap.reader import make_reader
 from benchmark import ROOT
 from benchmark.process import arguments, ENVIRONMENT
 from benchmark.stress.tally import ensure, Tally
-from oracles.log_readers import decoded
+from oracles.logs import decoded
 import timo_sim
-from timo_sim.log.read import recover
-from timo_sim.log.records import LogError
+from timo_sim.log.read import LogError, recover
 
 NODES = 4              # that live at the same time
 LIFE = 3.0             # [s] of a node, at most, from its first message; of some, from their start

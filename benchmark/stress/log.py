@@ -26,21 +26,16 @@ from benchmark.stress import files
 from benchmark.stress.disks import full_disks, places_that_are_none
 from benchmark.stress.kills import kills
 from benchmark.stress.tally import ensure, Tally
-from oracles import hostile_logs
-from oracles.hostile_logs import places
-from oracles.log_readers import limited, outcome
+from oracles.logs import outcome, places, record
 import timo_sim
-from timo_sim.log.read import recover
-from timo_sim.log.records import LogError
 
-MEMORY = 1200          # [MB] of address space for hostile files
 MEMORY_DISK = '/dev/shm' if os.access('/dev/shm', os.W_OK) else None  # three times as fast
 
 
 def cuts(folder, quick):
     """Cut a log within and between its records."""
     tally = Tally('log cut anywhere')
-    intact = hostile_logs.record(folder / 'intact.mcap')
+    intact = record(folder / 'intact.mcap')
     step = 97 if quick else 23
     for cut in sorted({*range(0, len(intact), step),
                        *(place for place, _, _ in places(intact))}):
@@ -54,7 +49,7 @@ def cuts(folder, quick):
 def flips(folder, count, generator):
     """Flip bits of a log."""
     tally, seen = Tally('one or more bits of a log flipped'), {}
-    intact = hostile_logs.record(folder / 'whole.mcap')
+    intact = record(folder / 'whole.mcap')
     for number in range(count):
         damaged = bytearray(intact)
         bits = [generator.randrange(8 * len(damaged)) for _ in range(1 + number % 4 * number % 9)]
@@ -67,31 +62,6 @@ def flips(folder, count, generator):
             ensure(what != 'complete' or damaged == intact, 'it is said to be complete')
             seen[what] = seen.get(what, 0) + 1
     return tally.row(', '.join(f'{number} {what}' for what, number in seen.items()))
-
-
-def hostile(folder, quick):
-    """Read forged files, with little memory."""
-    tally, paths, most = Tally(
-        'forged file: false lengths, bad records, huge when decompressed'), [], 0
-    for name, content in hostile_logs.hostile(large=not quick).items():
-        paths.append(folder / f'{name}.mcap')
-        paths[-1].write_bytes(content)
-    hole = folder / 'a hole of 10 GB.mcap'
-    with open(hole, 'wb') as stream:
-        stream.write(hostile_logs.hostile()['a length of 10 GB'])
-        stream.truncate(11 * hostile_logs.GIGABYTE)
-    for path in [*paths, hole]:
-        with tally.trial(path.stem):
-            _, memory = limited([path], MEMORY, timeout=300.0)
-            most = max(most, memory)
-    for path in ('/dev/zero', folder):
-        with tally.trial(path):
-            try:
-                recover(path)
-            except LogError:
-                continue
-            raise RuntimeError('it is read')
-    return tally.row(f'at most {most} MB of memory')
 
 
 def rows(quick=False, seed=None):
@@ -113,7 +83,6 @@ def rows(quick=False, seed=None):
             yield kills(4 if quick else 100, generator)
             yield cuts(folder, quick)
             yield flips(folder, 300 if quick else 10000, generator)
-            yield hostile(folder, quick)
             yield full_disks(_made(folder / 'full'), quick)
             yield places_that_are_none(_made(folder / 'none'))
             yield from files.rows(_made(folder / 'files'), quick, generator)

@@ -33,7 +33,7 @@ from benchmark.process import ENVIRONMENT, running
 from benchmark.stress import refusals
 from benchmark.stress.node_process import LEAKY, Node, READY, survived
 from benchmark.stress.tally import ensure, Tally
-from oracles.log_readers import outcome
+from oracles.logs import outcome
 from timo_sim.log.tables import Recording
 
 # What others do to a log, and what the node says of it.

@@ -16,7 +16,7 @@ import pytest
 from oracles import spectral_elements
 import timo_sim
 from timo_sim.compiled.constants import of_any_size
-from timo_sim.log.read import payloads_of
+from timo_sim.log.tables import Recording
 from timo_sim.runs.replay import replay
 from timo_sim.runs.run import run_scene
 from timo_sim.simulation.energy import work
@@ -192,7 +192,8 @@ def test_a_log_tells_the_loads_of_a_simulator():
         else:
             changes.append((step, 0, {'end_effector.mass': mass}))
             simulator.change(simulator.scene.vary(changes[-1][-1]))
-    told = payloads_of(SimpleNamespace(scene=scene, changes=changes, resets=np.array([600])))
+    told = Recording.payloads.fget(
+        SimpleNamespace(scene=scene, changes=changes, resets=np.array([600])))
     assert told == ((100, 3.0, 0.5), (200, 5.0, 0.5), (400, 4.0, 0.5), (500, 1.0, 0.5),
                     (600, 4.0, 0.5), (800, 5.0, 0.5), (1100, 1.0, 0.5))
     for step, tip in enumerate(loads):

@@ -35,7 +35,7 @@ from timo_sim.log.tables import Recording
 from timo_sim.log.write import Channel, Recorder
 from timo_sim.runs.replay import Replay, replay, segments_of
 from timo_sim.topics.commands import COMMANDS
-from timo_sim.view.track import of_run
+from timo_sim.view.track import track_of_run
 
 TURNING = {'initial.shaft_velocity': 1.0}
 EVERY_STEP = ('joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
@@ -202,7 +202,7 @@ def look_at_loads(log, paper):
     heavy = timo_sim.simulate(scene, 0.2)
     assert energy[start + 1:start + 202] == pytest.approx(heavy.energy(), rel=1e-3)
     assert np.abs(tip[start + 1:start + 202] - heavy.position(2.0)).max() < 1e-5
-    track = of_run(run)
+    track = track_of_run(run)
     np.testing.assert_array_equal(track.trace('energy').values[:, 0], energy)
     export(log, log.with_suffix('.csv'))
     assert len(log.with_suffix('.csv').read_text().splitlines()) == 1 + len(run.t)

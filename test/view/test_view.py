@@ -38,7 +38,7 @@ from timo_sim.simulation.energy import work
 from timo_sim.view import plot, plot as animation, rerun
 from timo_sim.view.plot import animate
 from timo_sim.view.rerun import picture, write
-from timo_sim.view.track import of_recording, of_run, TrackError
+from timo_sim.view.track import track_of_recording, track_of_run, TrackError
 
 LENGTH, AT = 2.0, 1.782
 _ARM = animation._Arm
@@ -55,7 +55,7 @@ def run(paper):
 def shown(run, tmp_path_factory):
     """Return a rerun file of this run and the corners of its plane."""
     path = tmp_path_factory.mktemp('view') / 'run.rrd'
-    return path, write([of_run(run, 'one')], path, at=AT)
+    return path, write([track_of_run(run, 'one')], path, at=AT)
 
 
 def columns(path, entity):
@@ -112,7 +112,7 @@ def test_tip_and_centre_line_are_drawn_where_they_are(run, shown, tmp_path):
 
 
 def test_an_animation_shows_the_arm_where_it_is(run, tmp_path):
-    animate([of_run(run)], tmp_path / 'run.gif', 10.0)
+    animate([track_of_run(run)], tmp_path / 'run.gif', 10.0)
     frames = Image.open(tmp_path / 'run.gif')
     assert frames.n_frames == 31 and frames.info['duration'] == 100  # [ms], as in the run
     for number, k in ((0, 0), (18, 900)):
@@ -129,7 +129,7 @@ def test_an_animation_shows_the_arm_where_it_is(run, tmp_path):
 def test_no_run_or_curve_is_left_out_for_want_of_colours(run, monkeypatch, tmp_path):
     drawn = []
     monkeypatch.setattr(animation, '_Arm', lambda *given: drawn.append(given[1]) or _ARM(*given))
-    animate([of_run(run, str(number)) for number in range(7)], tmp_path / 'run.gif', 0.5)
+    animate([track_of_run(run, str(number)) for number in range(7)], tmp_path / 'run.gif', 0.5)
     assert [track.name for track in drawn] == [*'0123456']
     model = timo_sim.linearize(run.scene)
     assert len(model.outputs) > 6
@@ -170,8 +170,8 @@ def test_a_floor_is_under_the_carrier_where_there_is_gravity(run, shown, tmp_pat
     leaning.save(tmp_path / 'leaning.mcap')
     # A cube of 5 kg has sides of 0.12 m in the arm's material.
     below, down = start + 0.5 * (5.0 / 2710.0)**(1 / 3) * gravity / 5.0, gravity / 5.0
-    for name, track in (('run', of_run(leaning)),
-                        ('log', of_recording(Recording(tmp_path / 'leaning.mcap'), 'log'))):
+    for name, track in (('run', track_of_run(leaning)),
+                        ('log', track_of_recording(Recording(tmp_path / 'leaning.mcap'), 'log'))):
         assert 'Gravity is 5 m/s2' in track.note
         path = tmp_path / f'{name}.rrd'
         write([track], path)
@@ -187,16 +187,16 @@ def test_a_floor_is_under_the_carrier_where_there_is_gravity(run, shown, tmp_pat
     drawn = plane.lines[-1].get_xydata()
     assert np.abs((drawn - below) @ down).max() < 1e-9
     assert plane.get_xlim()[0] < start[0] and plane.get_ylim()[1] > start[1]
-    animate([of_run(leaning)], tmp_path / 'leaning.gif')
+    animate([track_of_run(leaning)], tmp_path / 'leaning.gif')
     assert Image.open(tmp_path / 'leaning.gif').n_frames == 5
 
     assert not {'/plane/one/floor', '/plane/one/gravity'} & {*static(shown[0])}
-    assert of_run(run).floor is None and 'ravity' not in of_run(run).note
+    assert track_of_run(run).floor is None and 'ravity' not in track_of_run(run).note
 
 
 def test_energy_balance_closes(run, paper):
     def worst(run):
-        track = of_run(run)
+        track = track_of_run(run)
         return (np.abs(track.trace('balance').values).max()
                 / track.trace('energy').values.max())
 
@@ -217,9 +217,9 @@ def test_energy_balance_closes(run, paper):
             jumping = timo_sim.simulate(values, 2.0, every, estimate=False)
             assert worst(jumping) < 2e-6 * every**4
     pushed = driven.vary({'load.torque.piecewise': {'time': [0.0], 'value': [1.0]}})
-    assert of_run(timo_sim.simulate(pushed, 0.1)).trace('balance') is None
+    assert track_of_run(timo_sim.simulate(pushed, 0.1)).trace('balance') is None
     damped = timo_sim.load_scene(paper, {'arm.damping_ratio': [0.02]})
-    track = of_run(timo_sim.simulate(damped, 3.0))
+    track = track_of_run(timo_sim.simulate(damped, 3.0))
     assert np.all(np.diff(track.trace('balance').values[::10, 0]) < 1e-9)
 
 
@@ -235,7 +235,7 @@ def test_work_is_exact_for_a_constant_force_and_zero_at_a_reset():
 
 def bag(run):
     """Return a recording like that of a plain bag of the node's topics of a run, at 100 Hz."""
-    track, part = of_run(run), slice(None, None, 5)
+    track, part = track_of_run(run), slice(None, None, 5)
     pose = run.shaft + run.rotation(LENGTH)
     series = {
         'joint_states': np.hstack([track.trace(panel).values[part] for panel in (
@@ -251,11 +251,11 @@ def bag(run):
 
 
 def test_the_shape_on_a_plain_bag_comes_from_the_tip(run):
-    track = of_recording(bag(run), 'bag')
+    track = track_of_recording(bag(run), 'bag')
     assert 'cubic' in track.note and track.trace('energy') is None
     assert track.body.length == pytest.approx(LENGTH, abs=1e-12)
     drawn = track.poses(slice(None)).line
-    true = of_run(run).poses(slice(None, None, 5)).line
+    true = track_of_run(run).poses(slice(None, None, 5)).line
     bend = np.abs(run.deflection(LENGTH)[:, 1]).max()
     assert np.abs(drawn[:, [0, -1]] - true[:, [0, -1]]).max() < 1e-12
     # The first mode of an arm with a heavy tip is nearly a cubic.
@@ -266,16 +266,16 @@ def test_a_bag_without_the_topics_of_the_shape_is_refused(run):
     recording = bag(run)
     del recording.read()['~/tip_pose']
     with pytest.raises(TrackError, match='bag.mcap: the shape of the arm needs tip_pose'):
-        of_recording(recording, 'bag')
+        track_of_recording(recording, 'bag')
     del recording.read()['joint_states']
     with pytest.raises(TrackError, match='no joint_states'):
-        of_recording(recording, 'bag')
+        track_of_recording(recording, 'bag')
 
 
 def test_two_runs_share_panels_and_have_their_difference(run, paper, tmp_path):
     heavy = timo_sim.load_scene(paper, {'end_effector.mass': 2.5})
     other, path = timo_sim.simulate(heavy, 2.0), tmp_path / 'two.rrd'
-    write([of_run(run, 'one'), of_run(other, 'two')], path)
+    write([track_of_run(run, 'one'), track_of_run(other, 'two')], path)
     ns, values = columns(path, '/curves/difference/two')
     first = np.interp(other.t, run.t, run.deflection(LENGTH)[:, 1])
     assert len(ns) == len(other.t)
@@ -303,7 +303,7 @@ def test_a_log_of_the_node_is_shown_like_its_run(log, paper, tmp_path):
     path = tmp_path / 'out.rrd'
     result = CliRunner().invoke(main, ['view', str(log), str(log), '--save', str(path)])
     assert result.exit_code == 0, result.output
-    run = of_run(timo_sim.simulate(timo_sim.load_scene(paper), 1.0))
+    run = track_of_run(timo_sim.simulate(timo_sim.load_scene(paper), 1.0))
     for panel in ('tip_deflection', 'modal', 'force', 'torque', 'energy'):
         ns, values = columns(path, f'/curves/{panel}/{log.stem}')
         assert np.array_equal(ns, run.ns[::20])
@@ -338,13 +338,13 @@ def test_a_plain_bag_is_shown_like_its_log(log, tmp_path):
 def test_work_stops_at_a_reset(log):
     recording = Recording(log)
     step, ns, motion = recording.motion()
-    shown = of_recording(recording, 'log').trace('balance').values
+    shown = track_of_recording(recording, 'log').trace('balance').values
     assert np.abs(shown).max() < 1e-2
     # Let the motion start again in the middle, as after a reset.
     half = len(ns) // 2
     again = np.concatenate([motion[:half], motion[:len(ns) - half]])
     recording.motion, recording.resets = lambda series: (step, ns, again), step[[half]]
-    balance = of_recording(recording, 'log').trace('balance').values
+    balance = track_of_recording(recording, 'log').trace('balance').values
     assert balance[half] == balance[half - 1]
 
 
@@ -416,7 +416,7 @@ def test_the_web_viewer_prints_its_address_and_ends_on_a_signal(log, number):
 
 def test_a_viewer_that_does_not_end_is_killed(monkeypatch):
     """Seen once: rerun, told to end while it served its page, went on with one core busy."""
-    monkeypatch.setattr(rerun, '_OBEDIENCE', 0.2)
+    monkeypatch.setattr(rerun, '_ENDING', 0.2)
     stubborn = ('import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); '
                 'print(flush=True); time.sleep(300.0)')
     with subprocess.Popen([sys.executable, '-c', stubborn], stdout=subprocess.PIPE) as process:

@@ -8,12 +8,14 @@
 
 """The subcommands of `timo_sim`; each imports what it needs when it runs, for a quick start."""
 
+from collections.abc import Iterable
 from functools import partial
 import itertools
 import os
 import re
 import signal
 import sys
+from typing import Any
 import warnings
 
 import click
@@ -23,9 +25,10 @@ from timo_sim.version import __version__
 
 # Errors by name, because most of their modules are not imported here.
 _WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError', 'TrackError'
+_ALUMINIUM = 2710.0  # [kg/m3]; bodies are drawn with the volume of their mass in aluminium
 
 
-def _shown(message, category, filename, lineno, file=None, line=None):
+def _show_warning(message, category, filename, lineno, file=None, line=None):
     """Print a warning; a ModelWarning is one line, without a place in this package or click."""
     text = warnings.formatwarning(message, category, filename, lineno, line).rstrip()
     if category.__name__ == 'ModelWarning':
@@ -57,7 +60,7 @@ class _Command(click.Command):
         """Run it; exit with 2 for wrong input, 1 for a failed import, MemoryError or OSError."""
         try:
             with warnings.catch_warnings(), optional():
-                warnings.showwarning = _shown
+                warnings.showwarning = _show_warning
                 super().invoke(context)
             sys.stdout.flush()
             return
@@ -76,27 +79,11 @@ class _Command(click.Command):
 
 @click.group()
 @click.version_option(__version__, prog_name='timo_sim')
-def main():
+def main() -> None:
     """Simulate a mobile manipulator with a flexible arm."""
 
 
 main.command_class = _Command
-
-
-def parsed(settings):
-    """Return values by name from texts such as 'model.modes=5', with values in YAML."""
-    from timo_sim.scene.files import parse_yaml
-    from timo_sim.scene.parameters import ParameterError
-    values = {}
-    for text in settings:
-        name, equals, value = text.partition('=')
-        try:
-            values[name.strip()] = parse_yaml(value, name)
-        except ParameterError:
-            equals = ''
-        if not equals:
-            raise ParameterError(f'--set takes NAME=VALUE, such as model.modes=5; got {text!r}')
-    return values
 
 
 @main.command()
@@ -111,7 +98,8 @@ def parsed(settings):
               help='Output of the model, such as tip_acceleration_m_per_s2; once for each curve.')
 @click.option('--output', '-o', 'picture', type=click.Path(dir_okay=False), default='bode.png',
               show_default=True, help='Picture to write: PNG, PDF or SVG.')
-def bode(scene, settings, cause, effects, picture):
+def bode(scene: str, settings: tuple[str, ...], cause: str, effects: tuple[str, ...],
+         picture: str) -> None:
     r"""
     Draw the Bode diagram of SCENE, a file or a name, about its initial state, and print its poles.
 
@@ -121,7 +109,7 @@ def bode(scene, settings, cause, effects, picture):
     from timo_sim.runs.linear import linearize
     from timo_sim.scene.scene import load_scene
     from timo_sim.view import plot
-    model = linearize(load_scene(scene, parsed(settings))).select([cause], effects)
+    model = linearize(load_scene(scene, parse_settings(settings))).select([cause], effects)
     plot.write(plot.bode(model), picture)
     click.echo(f'poles [Hz]: {", ".join(f"{each:.3g}" for each in model.frequencies())}')
     click.echo(f'{picture} is drawn')
@@ -136,7 +124,7 @@ def bode(scene, settings, cause, effects, picture):
 @click.option('--bag', is_flag=True, help=(
     'Make the folder that rosbag2 writes: FILE as OUTPUT_0.mcap, with metadata.yaml beside it.'))
 @click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
-def export(file, output, topic, bag, node):
+def export(file: str, output: str, topic: str | None, bag: bool, node: str | None) -> None:
     r"""
     Write FILE, a log or a bag, as a table with units in the names of columns.
 
@@ -150,7 +138,7 @@ def export(file, output, topic, bag, node):
     time, before and after it.
     """
     from timo_sim.log.export import export, export_bag
-    from timo_sim.log.records import LogError
+    from timo_sim.log.read import LogError
     if bag and (topic or node):
         raise LogError(f'--bag takes the whole file: leave out {"--topic" if topic else "--node"}')
     click.echo(export_bag(file, output) if bag else export(file, output, topic, node))
@@ -158,7 +146,7 @@ def export(file, output, topic, bag, node):
 
 @main.command()
 @click.argument('file', type=click.Path())
-def info(file):
+def info(file: str) -> None:
     r"""
     Describe FILE, a log or a bag's folder: scene, duration, topics with rates and gaps, peak.
 
@@ -174,7 +162,7 @@ def info(file):
 @click.option('--output', '-o', type=click.Path(),
               help="New log; by default beside FILE, a log or a bag's folder, with _recovered "
                    'after its name.')
-def recover(file, output):
+def recover(file: str, output: str | None) -> None:
     r"""
     Write what is intact in FILE, a log that ends early or is damaged, to a new log.
 
@@ -202,7 +190,8 @@ def recover(file, output):
 @click.option('--duration', type=float,
               help='Sim time of the end [s]; by default that of the last message.')
 @click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
-def replay(file, settings, formulation, scene, output, start, duration, node):
+def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene: str | None,
+           output: str | None, start: float, duration: float | None, node: str | None) -> None:
     r"""
     Run the commands and resets of FILE again, at full speed, and compare.
 
@@ -225,7 +214,7 @@ def replay(file, settings, formulation, scene, output, start, duration, node):
     or the run diverges; 2 bad input.
     """
     from timo_sim.runs.replay import replay
-    changes = parsed(settings)
+    changes = parse_settings(settings)
     if formulation:
         changes['model.formulation'] = formulation
     if not replay(file, changes, output, scene, start, duration, node, click.echo):
@@ -247,7 +236,8 @@ def replay(file, settings, formulation, scene, output, start, duration, node):
 @click.option('--view', is_flag=True, help='Show the run in rerun.')
 @click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
               help='Picture to write: curves over time, and the arm in the plane.')
-def simulate(scene, duration, settings, output, rate, estimate, view, png):
+def simulate(scene: str, duration: float, settings: tuple[str, ...], output: str | None,
+             rate: float | None, estimate: bool, view: bool, png: str | None) -> None:
     r"""
     Simulate SCENE, a parameter file or the name of an installed scene, without ROS.
 
@@ -269,16 +259,16 @@ def simulate(scene, duration, settings, output, rate, estimate, view, png):
         import rerun  # noqa: F401
     if output and output.endswith('.parquet'):
         import pyarrow  # noqa: F401
-    scene, steps = resolve(load_scene(scene, parsed(settings)), duration, click.echo)
+    built, steps = resolve(load_scene(scene, parse_settings(settings)), duration, click.echo)
     if rate:
-        every = whole_ratio('1/integrator.step', 1.0 / scene.step, '--rate', rate)
+        every = whole_ratio('1/integrator.step', 1.0 / built.step, '--rate', rate)
     else:
-        every = max(1, round(0.01 / scene.step))
+        every = max(1, round(0.01 / built.step))
         every = every if steps % every == 0 else 1
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)  # `run.message` has its text
-            run, diverged = simulate(scene, duration, every, estimate), None
+            run, diverged = simulate(built, duration, every, estimate), None
     except DivergenceError as error:
         run, diverged = error.run, error
     click.echo(run.message)
@@ -301,7 +291,7 @@ def simulate(scene, duration, settings, output, rate, estimate, view, png):
 @click.option('--workers', type=click.IntRange(min=1), help='Processes; by default one a core.')
 @click.option('--scheduler', metavar='ADDRESS',
               help='Use workers of this Dask scheduler instead of processes of this machine.')
-def sweep(file, output, workers, scheduler):
+def sweep(file: str, output: str | None, workers: int | None, scheduler: str | None) -> None:
     r"""
     Do the runs of FILE and write a table of their results.
 
@@ -339,8 +329,10 @@ def sweep(file, output, workers, scheduler):
               help='Parameter file to write: the fitted scene.')
 @click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
               help='Picture to write: measured and predicted outputs.')
-def fit(record, more, scene, free, bounds, settings, mapping, outputs,
-        hold_out, window, loss, output, png):
+def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, ...],
+        bounds: tuple[str, ...], settings: tuple[str, ...], mapping: str | None,
+        outputs: str | None, hold_out: float, window: float | None, loss: str,
+        output: str | None, png: str | None) -> None:
     r"""
     Fit parameters of a scene to RECORD, a log, a bag or a table, and predict the rest of it.
 
@@ -356,13 +348,13 @@ def fit(record, more, scene, free, bounds, settings, mapping, outputs,
     from timo_sim.scene.scene import load_scene
     if png:
         from timo_sim.view.plot import write
-    changes, ends = parsed(settings), _bounds(bounds)
-    scene, record = read_scene_and_record(scene, record, mapping)
+    changes, ends = parse_settings(settings), _parse_bounds(bounds)
+    guess, measured = read_scene_and_record(scene, record, mapping)
     if outputs:
-        record = record.select(*outputs.split(','))
+        measured = measured.select(*outputs.split(','))
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', ModelWarning)  # the report has its text
-        found = fit(load_scene(scene, changes), record, [*free, *more], ends, hold_out, window,
+        found = fit(load_scene(guess, changes), measured, [*free, *more], ends, hold_out, window,
                     loss)
     click.echo(found.report())
     if output:
@@ -372,7 +364,115 @@ def fit(record, more, scene, free, bounds, settings, mapping, outputs,
         click.echo(f'{png} is drawn')
 
 
-def _bounds(texts):
+@main.command()
+@click.option('--node', default='/timo_sim', show_default=True, help='Full name of the node.')
+@click.option('--force', type=float, default=5.0, show_default=True,
+              help='Force on the carrier, along the axes of the world [N].')
+@click.option('--torque', type=float, default=5.0, show_default=True,
+              help='Torque on the shaft [N m].')
+def teleop(node: str, force: float, torque: float) -> None:
+    r"""
+    Push carrier and shaft of a live node by keys, in a terminal.
+
+    \b
+        timo_sim teleop --torque 2
+
+    Arrows push the carrier, a and d turn the shaft, as long as they are held; space pauses or goes
+    on, r resets, q or Ctrl-C quits. The latest command acts, whether from here or from others.
+    """
+    from timo_sim.ros.teleop import teleop
+    teleop(node, force, torque)
+
+
+@main.command()
+@click.argument('scene')
+@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
+              help='A parameter that differs from the scene, such as frame_prefix=left/.')
+def urdf(scene: str, settings: tuple[str, ...]) -> None:
+    r"""
+    Print the URDF of SCENE, a parameter file or the name of an installed scene.
+
+    \b
+        timo_sim urdf my_scene.yaml > my_scene.urdf
+
+    Lengths, masses, centres of mass and moments of inertia are those of the scene with a straight
+    arm; the link arm includes the inertia of the shaft. Links have the names of the frames.
+    """
+    from timo_sim.scene.files import read_parameter_file
+    from timo_sim.scene.parameters import frame_names
+    from timo_sim.scene.scene import load_scene
+    changes = parse_settings(settings)
+    body = load_scene(scene, changes).manipulator
+    click.echo(_urdf_of(body, frame_names({**read_parameter_file(scene), **changes})))
+
+
+@main.command()
+@click.argument('files', nargs=-1, required=True, type=click.Path(exists=True))
+@click.option('--save', type=click.Path(dir_okay=False), metavar='OUT.rrd',
+              help='Write a file for rerun instead of opening it.')
+@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+              help='Draw a picture instead, without a screen.')
+@click.option('--gif', type=click.Path(dir_okay=False), metavar='OUT.gif',
+              help='Draw an animation instead, without rerun.')
+@click.option('--at', type=float, metavar='SECONDS',
+              help='Sim time of the picture of --png, and of a frame in the file of --save [s]; '
+                   'by default the end.')
+@click.option('--web', is_flag=True, help='Open the browser instead of a window.')
+@click.option('--fps', type=click.FloatRange(min=0.0, min_open=True), default=30.0,
+              show_default=True, help='Frames per second of the arm, in an animation at most 20; '
+              'curves have all samples.')
+@click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
+def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | None,
+         at: float | None, web: bool, fps: float, node: str | None) -> None:
+    r"""
+    Show recorded runs, laid over each other, in rerun or as an animation.
+
+    FILES are logs of the node, or bags of its topics. Everything stays on this machine.
+
+    \b
+        timo_sim view run.mcap
+        timo_sim view before.mcap after.mcap --png compared.png --at 1.81
+        timo_sim view run.mcap --gif run.gif
+    """
+    wanted = save or png or web or not gif
+    if at is not None and not (png or save):
+        from timo_sim.scene.parameters import ParameterError
+        raise ParameterError('--at is the time of a picture: it needs --png or --save')
+    if wanted:
+        import rerun  # noqa: F401  # if it is missing, fail before minutes are spent on reading
+    if gif:
+        from timo_sim.view.plot import animate
+    from timo_sim.log.tables import Recording
+    from timo_sim.view.track import track_of_recording
+    recordings = [Recording(path, node) for path in files]
+    names = unique_names([recording.path.stem for recording in recordings])
+    makers = [partial(track_of_recording, *pair) for pair in zip(recordings, names)]
+    if gif:
+        animate([maker() for maker in makers], gif, fps)
+    if wanted:
+        from timo_sim.view.rerun import show_tracks
+        show_tracks(makers, save, png, at, web, fps)
+    for path in filter(None, (save, png, gif)):
+        click.echo(f'{path} is written')
+
+
+def parse_settings(settings: Iterable[str]) -> dict[str, Any]:
+    """Return values by name from texts such as 'model.modes=5', with values in YAML."""
+    from timo_sim.scene.files import parse_yaml
+    from timo_sim.scene.parameters import ParameterError
+    values = {}
+    for text in settings:
+        name, equals, value = text.partition('=')
+        try:
+            values[name.strip()] = parse_yaml(value, name)
+        except ParameterError:
+            equals = ''
+        if not equals:
+            raise ParameterError(f'--set takes NAME=VALUE, such as model.modes=5; got {text!r}')
+    return values
+
+
+def _parse_bounds(texts):
     from timo_sim.scene.parameters import ParameterError
     found = {}
     for text in texts:
@@ -388,58 +488,23 @@ def _bounds(texts):
     return found
 
 
-@main.command()
-@click.option('--node', default='/timo_sim', show_default=True, help='Full name of the node.')
-@click.option('--force', type=float, default=5.0, show_default=True,
-              help='Force on the carrier, along the axes of the world [N].')
-@click.option('--torque', type=float, default=5.0, show_default=True,
-              help='Torque on the shaft [N m].')
-def teleop(node, force, torque):
-    r"""
-    Push carrier and shaft of a live node by keys, in a terminal.
-
-    \b
-        timo_sim teleop --torque 2
-
-    Arrows push the carrier, a and d turn the shaft, as long as they are held; space pauses or goes
-    on, r resets, q or Ctrl-C quits. The latest command acts, whether from here or from others.
-    """
-    from timo_sim.ros.teleop import teleop
-    teleop(node, force, torque)
+def unique_names(names: list[str]) -> list[str]:
+    """Return names with a suffix _N after repeated ones, such that all differ."""
+    found: list[str] = []
+    for place, name in enumerate(names):
+        numbered = (f'{name}_{number}' for number in itertools.count(place))
+        found.append(name if name not in found else next(
+            each for each in numbered if each not in {*names, *found}))
+    return found
 
 
-_ALUMINIUM = 2710.0  # [kg/m3]; bodies are drawn with the volume of their mass in aluminium
-
-
-@main.command()
-@click.argument('scene')
-@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
-              help='A parameter that differs from the scene, such as frame_prefix=left/.')
-def urdf(scene, settings):
-    r"""
-    Print the URDF of SCENE, a parameter file or the name of an installed scene.
-
-    \b
-        timo_sim urdf my_scene.yaml > my_scene.urdf
-
-    Lengths, masses, centres of mass and moments of inertia are those of the scene with a straight
-    arm; the link arm includes the inertia of the shaft. Links have the names of the frames.
-    """
-    from timo_sim.scene.files import read_parameter_file
-    from timo_sim.scene.parameters import frame_names
-    from timo_sim.scene.scene import load_scene
-    changes = parsed(settings)
-    body = load_scene(scene, changes).manipulator
-    click.echo(_filled(body, frame_names({**read_parameter_file(scene), **changes})))
-
-
-def _filled(body, frames):
+def _urdf_of(body, frames):
     """Return the URDF of a Manipulator with these names of frames."""
     from xml.etree import ElementTree
     from timo_sim.scene.files import shared_file
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     robot = ElementTree.parse(shared_file('urdf/timo_sim.urdf'), parser).getroot()
-    for path, values in _values(body).items():
+    for path, values in _urdf_numbers(body).items():
         next(robot.iterfind(path)).attrib.update({
             name: ' '.join(f'{number:.9g}' for number in numbers)
             for name, numbers in values.items()})
@@ -452,7 +517,7 @@ def _filled(body, frames):
     return '<?xml version="1.0"?>\n' + text.replace(' />', '/>')
 
 
-def _values(body):
+def _urdf_numbers(body):
     """Return the numbers of a Manipulator by element of the URDF and attribute."""
     import numpy as np
     from timo_sim.model.bodies import Quadrature
@@ -498,62 +563,3 @@ def _values(body):
             'size': [arm.length, np.max(arm.section.height), np.max(arm.section.width)]},
         visual('tip', 'geometry/sphere'): {'radius': [ball]},
     }
-
-
-def unique_names(names):
-    """Return names with a suffix _N after repeated ones, such that all differ."""
-    found = []
-    for place, name in enumerate(names):
-        numbered = (f'{name}_{number}' for number in itertools.count(place))
-        found.append(name if name not in found else next(
-            each for each in numbered if each not in {*names, *found}))
-    return found
-
-
-@main.command()
-@click.argument('files', nargs=-1, required=True, type=click.Path(exists=True))
-@click.option('--save', type=click.Path(dir_okay=False), metavar='OUT.rrd',
-              help='Write a file for rerun instead of opening it.')
-@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
-              help='Draw a picture instead, without a screen.')
-@click.option('--gif', type=click.Path(dir_okay=False), metavar='OUT.gif',
-              help='Draw an animation instead, without rerun.')
-@click.option('--at', type=float, metavar='SECONDS',
-              help='Sim time of the picture of --png, and of a frame in the file of --save [s]; '
-                   'by default the end.')
-@click.option('--web', is_flag=True, help='Open the browser instead of a window.')
-@click.option('--fps', type=click.FloatRange(min=0.0, min_open=True), default=30.0,
-              show_default=True, help='Frames per second of the arm, in an animation at most 20; '
-              'curves have all samples.')
-@click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
-def view(files, save, png, gif, at, web, fps, node):
-    r"""
-    Show recorded runs, laid over each other, in rerun or as an animation.
-
-    FILES are logs of the node, or bags of its topics. Everything stays on this machine.
-
-    \b
-        timo_sim view run.mcap
-        timo_sim view before.mcap after.mcap --png compared.png --at 1.81
-        timo_sim view run.mcap --gif run.gif
-    """
-    wanted = save or png or web or not gif
-    if at is not None and not (png or save):
-        from timo_sim.scene.parameters import ParameterError
-        raise ParameterError('--at is the time of a picture: it needs --png or --save')
-    if wanted:
-        import rerun  # noqa: F401  # if it is missing, fail before minutes are spent on reading
-    if gif:
-        from timo_sim.view.plot import animate
-    from timo_sim.log.tables import Recording
-    from timo_sim.view.track import of_recording
-    recordings = [Recording(path, node) for path in files]
-    names = unique_names([recording.path.stem for recording in recordings])
-    makers = [partial(of_recording, *pair) for pair in zip(recordings, names)]
-    if gif:
-        animate([maker() for maker in makers], gif, fps)
-    if wanted:
-        from timo_sim.view.rerun import show_tracks
-        show_tracks(makers, save, png, at, web, fps)
-    for path in filter(None, (save, png, gif)):
-        click.echo(f'{path} is written')

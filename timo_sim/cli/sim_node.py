@@ -35,7 +35,7 @@ class StopRequest:
     ignored, so that they cannot interrupt the clean-up.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.set = False
         self._end: Callable[[], None] = lambda: os._exit(0)
         self._numbers = [signal.SIGINT, signal.SIGTERM]
@@ -44,16 +44,16 @@ class StopRequest:
         for number in self._numbers:
             signal.signal(number, self._handle)
 
-    def building(self):
+    def building(self) -> None:
         """Say that all imports are done."""
         self._end = sys.exit
         sys.unraisablehook = _ignore_exit
 
-    def running(self):
+    def running(self) -> None:
         """Say that a loop checks `set` from now on."""
         self._end = lambda: None
 
-    def finished(self):
+    def finished(self) -> None:
         """Ignore signals: the interpreter's shutdown undoes Python's handlers, but not SIG_IGN."""
         for number in self._numbers:
             signal.signal(number, signal.SIG_IGN)
@@ -69,7 +69,7 @@ def _ignore_exit(unraisable):
         sys.__unraisablehook__(unraisable)
 
 
-def main(args=None):
+def main(args: list[str] | None = None) -> int:
     """
     Run the node until a signal of `StopRequest` or the end of its duration.
 

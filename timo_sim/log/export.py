@@ -8,6 +8,7 @@
 
 """Export a log as a table (for pandas, MATLAB and others) or as a folder like rosbag2's."""
 
+from collections.abc import Iterable
 import csv
 import os
 from pathlib import Path
@@ -16,17 +17,17 @@ import shutil
 import numpy as np
 
 from timo_sim.extras import optional
-from timo_sim.log.read import Index
-from timo_sim.log.records import LogError, printable
+from timo_sim.log.read import LogError, LogFile
 from timo_sim.log.tables import common, Recording
-from timo_sim.log.write import information, yaml_text
+from timo_sim.log.write import information, printable, yaml_text
 from timo_sim.scene.files import whole_file
 from timo_sim.topics.outputs import outputs, title, with_angles
 
 _ROWS = 10000  # rows of a CSV file that are converted to text at a time
 
 
-def export(file, output, topic=None, node=None):
+def export(file: Path | str, output: Path | str, topic: str | None = None,
+           node: str | None = None) -> str:
     """
     Write a log as a table.
 
@@ -55,17 +56,17 @@ def export(file, output, topic=None, node=None):
         If the file is not a log or lacks the topic, or `output` exists or has another suffix.
 
     """
-    output = _new_table(Path(output))
+    path = _new_table(Path(output))
     recording = Recording(file, node)
     columns, left = table(recording, topic)
-    write_table(columns, output)
-    text = f'{printable(output)}: {len(columns["time_s"])} rows, {len(columns)} columns'
+    write_table(columns, path)
+    text = f'{printable(path)}: {len(columns["time_s"])} rows, {len(columns)} columns'
     if left:
         text += '; messages at other times are left out, --topic writes them: ' + ', '.join(left)
     return '; '.join([text, *recording.unread.values()])
 
 
-def write_table(columns, path):
+def write_table(columns: dict[str, np.ndarray], path: Path) -> None:
     """Write columns by name to a path; raise LogError unless it is new, and *.parquet or *.csv."""
     write = _parquet if _new_table(path).suffix == '.parquet' else _csv
     with whole_file(path, new=True) as part:
@@ -84,7 +85,7 @@ def _new(path):
     return path
 
 
-def named(topic, columns):
+def named(topic: str, columns: Iterable[str]) -> list[str]:
     """Return the names that columns of a topic have in a table of several topics."""
     if topic == 'joint_states':
         return list(columns)
@@ -92,7 +93,8 @@ def named(topic, columns):
     return [column if column.startswith('mode_') else prefix + column for column in columns]
 
 
-def table(recording, topic=None):
+def table(recording: Recording, topic: str | None = None) -> tuple[
+        dict[str, np.ndarray], list[str]]:
     """Return columns by name, (n,) each, and the topics whose messages are in part left out."""
     found = recording.read(*([topic] if topic else [output.name for output in outputs(1)]))
     base = found.pop(topic or 'joint_states', None)
@@ -135,17 +137,17 @@ def _csv(columns, path):
             writer.writerows(zip(*part))
 
 
-def export_bag(file, output):
+def export_bag(file: Path | str, output: Path | str) -> str:
     """Make a new folder as rosbag2 writes it; return a text that says what was done."""
-    folder, index = Path(output), Index(file)
+    folder, log = Path(output), LogFile(file)
     name = f'{folder.name}_0.mcap'  # `ros2 bag reindex` takes no other name
-    content = information(index.schemas.values(), index.channels.values(), index.statistics, name)
+    content = information(log.schemas.values(), log.channels.values(), log.statistics, name)
     _new(folder).parent.mkdir(parents=True, exist_ok=True)
     with whole_file(folder, new=True) as part:
         part.mkdir()
         try:
-            os.link(index.path.resolve(), part / name)  # no time nor space for a gigabyte
+            os.link(log.path.resolve(), part / name)  # no time nor space for a gigabyte
         except OSError:
-            shutil.copyfile(index.path, part / name)
+            shutil.copyfile(log.path, part / name)
         (part / 'metadata.yaml').write_text(yaml_text({'rosbag2_bagfile_information': content}))
     return f'{printable(folder)}: {printable(name)} and metadata.yaml'

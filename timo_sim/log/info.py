@@ -12,11 +12,12 @@ from collections import defaultdict
 from itertools import accumulate
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 
-from timo_sim.log.read import Index
-from timo_sim.log.records import made_with, read_notes
+from timo_sim.log.notes import made_with
+from timo_sim.log.read import LogFile
 
 _NANOSECONDS = 1000000000
 _MOST_TIMES = 500000   # messages; of a larger log, some chunks are searched for gaps
@@ -24,24 +25,24 @@ _MOST_CHUNKS = 40      # chunks that are read for the peak if the node has not n
 _MOST_COUNTERS, _IN_A_LINE = 20, 4
 
 
-def info(file):
+def info(file: Path | str) -> list[str]:
     """Return lines that describe a log of this package, or another MCAP file."""
-    index = Index(file)
-    notes = read_notes(index)
+    log = LogFile(file)
+    notes = log.notes()
     kind = 'log of ' + notes.facts.get('node', '/timo_sim') if notes.facts else 'plain bag'
-    lines = [f'{index.name}: {kind}, {index.path.stat().st_size / 1e6:.3g} MB']
+    lines = [f'{log.name}: {kind}, {log.path.stat().st_size / 1e6:.3g} MB']
     if notes.facts:
-        lines += _about_run(index, notes)
-    lines += _about_topics(index)
+        lines += _about_run(log, notes)
+    lines += _about_topics(log)
     # Texts of the file may hold anything, such as control sequences of a terminal.
     return [''.join(char if char.isprintable() else ' ' for char in line[:200]) for line in lines]
 
 
-def _about_run(index, notes):
+def _about_run(log, notes):
     facts, summary, resets, changes = notes
     yield from _entry('changed', _changed(facts) or ['nothing: the arm of the paper at rest'])
     yield from _entry('made with', [made_with(facts)])
-    end = index.statistics.message_end_time / _NANOSECONDS
+    end = log.statistics.message_end_time / _NANOSECONDS
     yield from _entry('sim time', [f'0 to {end:.9g} s'])
     steps = ', '.join(str(step) for step, _ in resets[:8]) + (', ...' if len(resets) > 8 else '')
     yield from _entry('resets', [f'at steps {steps}' if resets else 'none'])
@@ -55,7 +56,7 @@ def _about_run(index, notes):
         ', '.join(counted[first:first + _IN_A_LINE])
         for first in range(0, len(counted), _IN_A_LINE)
     ] or ['not known: the node did not write its summary'])
-    yield from _entry('peak tip', [_peak(index, summary)])
+    yield from _entry('peak tip', [_peak(log, summary)])
 
 
 def _changed(facts):
@@ -71,39 +72,39 @@ def _entry(title, lines):
         yield f'  {title if not number else "":<10}{line}'
 
 
-def _peak(index, summary):
+def _peak(log, summary):
     try:
         largest = float(summary['peak_tip_deflection_m'])
         time, about = float(summary['peak_tip_deflection_at_s']), ''
     except (KeyError, ValueError):
         from timo_sim.log.tables import Recording  # here, because its import is slow
-        series = Recording(index.path).read('~/tip_deflection', most_chunks=_MOST_CHUNKS).get(
+        series = Recording(log.path).read('~/tip_deflection', most_chunks=_MOST_CHUNKS).get(
             '~/tip_deflection')
         if series is None or not len(series.ns):
             return 'not in the log'
         across = np.abs(series.values[:, 1])
         place = int(np.argmax(across))
         largest, time = across[place], series.ns[place] / _NANOSECONDS
-        chunks = len(index.chunks)
+        chunks = len(log.chunks)
         about = '' if chunks <= _MOST_CHUNKS else (
             f'at least, from some of {chunks} chunks: ')
     return f'{about}{largest:.6g} m transverse, at {time:.6g} s'
 
 
-def _about_topics(index):
-    counts = index.statistics.channel_message_counts
-    step = max(1, math.ceil(index.statistics.message_count / _MOST_TIMES))
-    times = _times(index, step)
-    ordered = sorted(index.chunks, key=lambda chunk: chunk.message_start_time)
+def _about_topics(log):
+    counts = log.statistics.channel_message_counts
+    step = max(1, math.ceil(log.statistics.message_count / _MOST_TIMES))
+    times = _times(log, step)
+    ordered = sorted(log.chunks, key=lambda chunk: chunk.message_start_time)
     ends = accumulate((chunk.message_end_time for chunk in ordered), max)
     pauses = [after.message_start_time - end for end, after in zip(ends, ordered[1:])]
     if max(pauses, default=0) > _NANOSECONDS:
         yield f'  no messages at all for {max(pauses) / _NANOSECONDS:.6g} s'
-    width, silent = max([len(channel.topic) for channel in index.channels.values()], default=5), []
+    width, silent = max([len(channel.topic) for channel in log.channels.values()], default=5), []
     width = min(width, 60)
     yield f'  {"topic":<{width}}  {"messages":>9}  {"rate":>10}  largest gap' + (
         f' (in one of {step} chunks)' if step > 1 else '')
-    for number, channel in sorted(index.channels.items(), key=lambda item: item[1].topic):
+    for number, channel in sorted(log.channels.items(), key=lambda item: item[1].topic):
         count = counts.get(number, 0)
         if not count:
             silent.append(channel.topic)
@@ -116,11 +117,11 @@ def _about_topics(index):
         yield f'  without messages: {", ".join(silent)}'
 
 
-def _times(index, step):
+def _times(log, step):
     """Return first and last time and the largest gap between messages of each channel [ns]."""
     found = {}
     # Chunks in the order of time, which need not be that of the file.
-    chunks = sorted(index.chunks, key=lambda chunk: chunk.message_start_time)
+    chunks = sorted(log.chunks, key=lambda chunk: chunk.message_start_time)
     holding = [(channel, place) for place, chunk in enumerate(chunks)
                for channel in chunk.message_index_offsets]
     # Read the first and the last chunk of each channel, too, for its rate.
@@ -131,7 +132,7 @@ def _times(index, step):
         if last_read != number - 1:
             parts.append(defaultdict(list))
         last_read = number
-        for channel, times in index.times(chunks[number]).items():
+        for channel, times in log.times(chunks[number]).items():
             parts[-1][channel].append(times)
     for part in parts:
         for channel, times in part.items():

@@ -7,97 +7,199 @@
 # language governing permissions and limitations under the License.
 
 """
-Read a log: by its summary and index, or all that is intact in it, which `recover` writes anew.
+Read a log by its summary and index; write a new one of what is there before the first damage.
 
-A damaged file is read once from its beginning, a record at a time, in bounded memory. Every
-length, number and checksum is verified.
+Records are parsed by mcap. Checksums are verified, and lengths are compared with the file and with
+fixed limits before anything is read.
 """
 
 from collections import Counter, defaultdict
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+import fcntl
 from io import BytesIO
 import math
 import os
 from pathlib import Path
+import stat
 import struct
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 import zlib
 
+import lz4.frame
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
-    Attachment, Channel, ChunkIndex, Header, Metadata, MetadataIndex, Schema, Statistics)
-from mcap.stream_reader import StreamReader
+    Channel, Chunk as ChunkRecord, ChunkIndex, Header, Message, Metadata, MetadataIndex, Schema,
+    Statistics)
+from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import MCAP0_MAGIC
 import numpy as np
+import zstandard
 
-from timo_sim.log.records import (
-    Broken, bytes_of, file_of, HEAD, held, LARGEST_RECORD, LogError, open_file, parsed, printable,
-    START, uncompressed, UNREADABLE)
-from timo_sim.log.write import Chunk, CHUNK_SIZE, create, sync, Writer
+from timo_sim.log.notes import CHANGE, RESET, START, step_of, SUMMARY, values_of
+from timo_sim.log.write import Chunk, CHUNK_SIZE, create, HEAD, printable, sync, Writer
 
-_FOOTER = struct.Struct('<BQQQI8s')    # opcode, length, places of summary and offsets, CRC, magic
+_LARGEST_CHUNK = 64 * 1024 * 1024      # [B] uncompressed
+_LARGEST_RECORD = _LARGEST_CHUNK + 1024 * 1024
 _LARGEST_SUMMARY = 512 * 1024 * 1024   # [B], about that of a log of a month
+_FOOTER = struct.Struct('<BQQQI8s')    # opcode, length, places of summary and offsets, CRC, magic
+# What mcap and the decompressors raise for bytes that they cannot read.
+_UNREADABLE = (McapError, ValueError, OverflowError, RuntimeError, EOFError, struct.error,
+               zstandard.ZstdError)
+_COPIED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
+_FIRST_PRIVATE_OPCODE = 0x80
 
 
-def read_summary(stream):
-    """
-    Return the records of a log's summary by their type.
+class LogError(ValueError):
+    """A log that cannot be read, or a file that cannot be written; the text says which and why."""
 
-    Raises
-    ------
-    Broken
-        If there is none, or it is damaged.
 
-    """
+class _DamageError(ValueError):
+    """Bytes of a log that cannot be read; the text says why."""
+
+
+def files_of(path: Path | str) -> list[Path]:
+    """Return the Paths of a file, or of the parts of a bag in a folder; else raise LogError."""
+    path = Path(path)
+    inside = sorted(path.iterdir()) if path.is_dir() else [path]
+    foreign = [file for file in inside if file.suffix in ('.db3', '.zstd')]
+    if foreign:
+        kind = 'SQLite' if '.db3' in foreign[0].suffixes else 'compressed as a whole'
+        raise LogError(
+            f'{printable(foreign[0])} is {kind}, not MCAP: rosbags-convert --src BAG --dst NEW '
+            '--dst-storage mcap (pip install rosbags) makes a bag that can be read')
+    if not path.is_dir():
+        return inside
+    files = [file for file in inside if file.suffix == '.mcap']
+    # A bag that rosbag2 has split has files NAME_0.mcap, NAME_1.mcap, ...
+    parts = {int(number): file for file in files
+             if (number := file.stem.rpartition('_')[2]).isdecimal()}
+    first = min(parts, default=0)
+    if len(files) > 1 and len({file.stem.rpartition('_')[0] for file in files}) == 1 and (
+            sorted(parts) == [*range(first, first + len(files))]):
+        return [parts[number] for number in sorted(parts)]
+    if len(files) != 1:
+        raise LogError(f'{printable(path)} has {len(files)} files *.mcap: name one')
+    return files
+
+
+def file_of(path: Path | str) -> Path:
+    """Return the Path of a file, or of the only one in a bag's folder; else raise LogError."""
+    files = files_of(path)
+    if len(files) > 1:
+        raise LogError(f'{printable(path)} has {len(files)} files *.mcap: name one')
+    return files[0]
+
+
+def _open(path):
+    """Open a log and read its magic; raise LogError if it is not an MCAP file."""
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):  # a pipe might never end
+            raise LogError(f'{printable(path)} is not a file')
+        stream = open(path, 'rb')
+    except (PermissionError, NotADirectoryError) as error:
+        raise LogError(f'{printable(path)}: {error.strerror}') from None
+    start = stream.read(len(MCAP0_MAGIC))
+    if start != MCAP0_MAGIC:
+        stream.close()
+        raise LogError(f'{printable(path)} is empty' if not start else
+                       f'{printable(path)} is not an MCAP file: it begins with {start!r}')
+    return stream
+
+
+def _is_being_written(stream):
+    """Return whether a process of this package holds the lock of a log, see `write.create`."""
+    try:
+        fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    fcntl.flock(stream, fcntl.LOCK_UN)
+    return False
+
+
+def _parse(kind, content, *length):
+    """Return a record of mcap; its messages must be told their length."""
+    try:
+        return kind.read(ReadDataStream(BytesIO(content)), *length)
+    except _UNREADABLE:
+        raise _DamageError(f'a record of kind {kind.__name__.lower()} is malformed') from None
+
+
+def _decompress(chunk):
+    """Return the data of a Chunk of mcap; raise _DamageError if size or checksum are wrong."""
+    size = chunk.uncompressed_size
+    if size > _LARGEST_CHUNK:
+        raise _DamageError(f'a chunk claims to hold {size} bytes, more than {_LARGEST_CHUNK}')
+    try:
+        # One byte more than the chunk states, to find out if it has more.
+        if chunk.compression == 'lz4':
+            data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
+        elif chunk.compression == 'zstd':
+            decompressor = zstandard.ZstdDecompressor(max_window_size=_LARGEST_CHUNK)
+            data = decompressor.stream_reader(chunk.data).read(size + 1)
+        elif chunk.compression:
+            raise ValueError(f'its compression is {chunk.compression[:20]!r}')
+        else:
+            data = chunk.data
+    except _UNREADABLE as error:
+        raise _DamageError(f'a chunk cannot be read: {error}') from None
+    if len(data) != size:
+        raise _DamageError(f'a chunk does not have the {size} bytes that it states')
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise _DamageError('the checksum of a chunk is wrong')
+    return data
+
+
+def _read_summary(stream):
+    """Return the records of a log's summary by their type; raise _DamageError without one."""
     size = stream.seek(0, os.SEEK_END)
     stream.seek(max(0, size - _FOOTER.size))
     end = stream.read(_FOOTER.size)
     if len(end) < _FOOTER.size or not end.endswith(MCAP0_MAGIC) or end[0] != Opcode.FOOTER:
-        raise Broken('it has no end: its process died, or another tool still writes it')
+        raise _DamageError('it has no end: its process died, or another tool still writes it')
     _, _, place, _, crc, _ = _FOOTER.unpack(end)
-    length = size - place
-    if not place or not _FOOTER.size < length <= _LARGEST_SUMMARY:
-        raise Broken('there is no summary')
+    if not place or not _FOOTER.size < size - place <= _LARGEST_SUMMARY:
+        raise _DamageError('there is no summary')
     stream.seek(place)
-    data = stream.read(length)
+    data = stream.read(size - place)
     if crc and zlib.crc32(memoryview(data)[:-12]) != crc:  # it covers all but itself and the magic
-        raise Broken('the checksum of the summary is wrong')
+        raise _DamageError('the checksum of the summary is wrong')
     found: defaultdict[type, list[Any]] = defaultdict(list)
     try:
         for record in StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records:
             found[type(record)].append(record)
-    except (*UNREADABLE, ValueError) as error:  # ValueError: mcap 1.1, of short unknown records
-        raise Broken(f'its index is damaged: {error}') from None
+    except _UNREADABLE as error:
+        raise _DamageError(f'its index is damaged: {error}') from None
     if not found[Statistics]:
-        raise Broken('there are no statistics')
+        raise _DamageError('there are no statistics')
     counts = found[Statistics][-1]
     for kind, count in ((Schema, counts.schema_count), (Channel, counts.channel_count),
                         (MetadataIndex, counts.metadata_count)):
         if len(found[kind]) < count:
-            raise Broken(f'its summary has {len(found[kind])} of {count} records of kind '
-                         f'{kind.__name__.lower()}')
-    found[ChunkIndex].sort(key=lambda chunk: chunk.chunk_start_offset)
-    found[MetadataIndex].sort(key=lambda entry: entry.offset)
-    # Overlapping entries would let a forged index cost any amount of work.
-    for spans in ([(chunk.chunk_start_offset, chunk.chunk_length + chunk.message_index_length)
-                   for chunk in found[ChunkIndex]],
-                  [(entry.offset, entry.length) for entry in found[MetadataIndex]]):
-        before = 0
-        for place, length in spans:
-            if place < before or place + length > size:
-                raise Broken('two entries of its index overlap')
-            before = place + length
+            raise _DamageError(f'its summary has {len(found[kind])} of {count} records of kind '
+                               f'{kind.__name__.lower()}')
     return found
 
 
-class Index:
-    """
-    The summary of a log, and its chunks.
+class LogNotes(NamedTuple):
+    """The metadata of a log."""
 
-    The summary is checked before it is used: whatever it claims, nothing is read twice or from
-    outside of the file. The file is open only while it is read.
+    facts: dict    # texts noted at the start of the run; empty if there are none
+    summary: dict  # texts noted at its end; empty if there are none
+    resets: list   # (step, place in the file) of each
+    changes: list  # (step, place, values by name) of each setting of the scene's parameters
+
+
+class LogFile:
+    """
+    The summary of a log, and its metadata and chunks, read when they are asked for.
+
+    The file is open only while it is read.
 
     Parameters
     ----------
@@ -108,6 +210,8 @@ class Index:
     ----------
     path : Path
         Of the file.
+    name : str
+        The path as text that can be printed.
     schemas, channels : dict
         Records by number.
     statistics : Statistics
@@ -121,337 +225,254 @@ class Index:
 
     """
 
-    def __init__(self, path):
+    def __init__(self, path: Path | str) -> None:
         self.path = file_of(path)
         self.name = printable(self.path)
-        with open_file(self.path) as self._stream:
+        with _open(self.path) as stream:
             try:
-                found = read_summary(self._stream)
-            except Broken as error:
-                reason = ('it is still being written: wait for its end, or' if held(self._stream)
-                          else f'{error}:')
+                found = _read_summary(stream)
+            except _DamageError as error:
+                reason = ('it is still being written: wait for its end, or'
+                          if _is_being_written(stream) else f'{error}:')
                 raise LogError(f'{self.name}: {reason} timo_sim recover {self.name} makes a '
                                'complete log of what is there') from None
         self.schemas = {schema.id: schema for schema in found[Schema]}
         self.channels = {channel.id: channel for channel in found[Channel]}
         self.statistics = found[Statistics][-1]
-        self.chunks, self._metadata = found[ChunkIndex], found[MetadataIndex]
+        self.chunks = sorted(found[ChunkIndex], key=lambda chunk: chunk.chunk_start_offset)
+        self._metadata = sorted(found[MetadataIndex], key=lambda entry: entry.offset)
 
-    def metadata(self):
-        """Yield the place in the file and the record of all metadata, without rosbag2's."""
+    def notes(self) -> LogNotes:
+        """Return the metadata; raise LogError if they are malformed or of several runs."""
+        starts, summary, resets, changes = [], {}, [], []
         for entry in self._metadata:
-            if entry.name != 'rosbag2':
-                with self._checked():
-                    yield entry.offset, parsed(Metadata, self._record(
-                        entry.offset, entry.length, Opcode.METADATA))
+            if entry.name not in (START, SUMMARY, RESET, CHANGE):
+                continue
+            with self._opened() as stream:
+                note = _parse(Metadata, self._record(
+                    stream, entry.offset, entry.length, Opcode.METADATA)).metadata
+            try:
+                if entry.name == START:
+                    starts.append(note)
+                elif entry.name == SUMMARY:
+                    summary = note
+                elif entry.name == RESET:
+                    resets.append((step_of(note), entry.offset))
+                else:
+                    changes.append((step_of(note), entry.offset, values_of(note)))
+            except (KeyError, TypeError, ValueError, RecursionError):
+                raise LogError(f'{self.name} has a malformed metadata record {entry.name}: '
+                               f'{str(note)[:80]!r}') from None
+        if any(note != starts[0] for note in starts):
+            raise LogError(f'{self.name} has the notes of several runs')
+        return LogNotes(starts[0] if starts else {}, summary, sorted(resets),
+                        sorted(changes, key=lambda change: change[:2]))
 
-    def read(self, chunk):
+    def blocks(self, most: int | None = None) -> Iterator[
+            tuple[int, np.ndarray, dict[int, np.ndarray]]]:
         """
-        Return the data of a chunk, an ndarray of uint8, and the offsets of messages in it.
+        Yield blocks of messages in the order of the file, at most `most` of them, evenly spread.
 
-        The offsets are a dictionary by number of the channel, in the order of the chunk's index.
+        Each is its place in the file, its bytes, and by channel the offsets of message records.
         """
-        with self._checked():
-            offsets = {channel: entries[:, 1] for channel, entries in self._entries(chunk)}
-            return np.frombuffer(uncompressed(self._record(
-                chunk.chunk_start_offset, chunk.chunk_length, Opcode.CHUNK)), np.uint8), offsets
+        # A record of a message index has 15 bytes, and 16 more for each message.
+        indexed = sum((chunk.message_index_length - 15 * len(chunk.message_index_offsets)) // 16
+                      for chunk in self.chunks)
+        if indexed == self.statistics.message_count:
+            for chunk in self.chunks[::math.ceil(len(self.chunks) / (most or math.inf)) or 1]:
+                with self._opened() as stream:
+                    data = _decompress(_parse(ChunkRecord, self._record(
+                        stream, chunk.chunk_start_offset, chunk.chunk_length, Opcode.CHUNK)))
+                    yield chunk.chunk_start_offset, np.frombuffer(data, np.uint8), {
+                        channel: entries[:, 1]
+                        for channel, entries in self._index(stream, chunk)}
+            return
+        # Files without chunks, or without their indexes, are read record by record.
+        with _open(self.path) as stream:
+            reader, place = _Reader(stream), 0
+            for record in reader.records():
+                if isinstance(record, Chunk):
+                    place = max(place + 1, reader.place)
+                    yield place, np.frombuffer(record.data, np.uint8), {
+                        channel: np.array(entries[1::2], np.uint64)
+                        for channel, entries in record.index.items()}
+            if reader.damage:
+                raise LogError(f'{self.name}: {reader.damage}: timo_sim recover {self.name} keeps '
+                               'what is intact')
 
-    def times(self, chunk):
+    def times(self, chunk: ChunkIndex) -> dict[int, np.ndarray]:
         """Return log times of a chunk's messages by channel, (n,) [ns]; reads its index only."""
-        with self._checked():
+        with self._opened() as stream:
             return {channel: entries[:, 0].astype(np.int64)
-                    for channel, entries in self._entries(chunk)}
+                    for channel, entries in self._index(stream, chunk)}
 
     @contextmanager
-    def _checked(self):
+    def _opened(self):
         try:
-            with open_file(self.path) as self._stream:
-                yield
-        except (Broken, struct.error) as error:
+            with _open(self.path) as stream:
+                yield stream
+        except (_DamageError, struct.error) as error:
             raise LogError(f'{self.name} is damaged: {error}: timo_sim recover {self.name} keeps '
                            'what is intact') from None
 
-    def _record(self, place, length, opcode):
-        """Return the content of the record of this place, length and kind, or raise Broken."""
-        if not HEAD.size <= length <= LARGEST_RECORD:
-            raise Broken(f'a record would have {length} bytes')
-        self._stream.seek(place)
-        data = self._stream.read(length)
+    def _record(self, stream, place, length, opcode):
+        """Return the content of the record of this place, length and kind."""
+        if not HEAD.size <= length <= _LARGEST_RECORD:
+            raise _DamageError(f'a record would have {length} bytes')
+        stream.seek(place)
+        data = stream.read(length)
         if len(data) < length or HEAD.unpack_from(data) != (opcode, length - HEAD.size):
-            raise Broken(f'at byte {place} is no record of kind {int(opcode)}')
+            raise _DamageError(f'at byte {place} is no record of kind {int(opcode)}')
         return data[HEAD.size:]
 
-    def _entries(self, chunk):
-        """Yield each channel of a chunk with times and positions of its messages, (n, 2)."""
-        if chunk.message_index_length > LARGEST_RECORD:
-            raise Broken(f'the index of a chunk would have {chunk.message_index_length} bytes')
-        self._stream.seek(chunk.chunk_start_offset + chunk.chunk_length)
-        data, place, seen = self._stream.read(chunk.message_index_length), 0, set()
+    def _index(self, stream, chunk):
+        """Yield each channel of a chunk with times and offsets of its messages, (n, 2)."""
+        if chunk.message_index_length > _LARGEST_RECORD:
+            raise _DamageError(f'the index of a chunk would have {chunk.message_index_length} '
+                               'bytes')
+        stream.seek(chunk.chunk_start_offset + chunk.chunk_length)
+        data, place = stream.read(chunk.message_index_length), 0
         while place < len(data):
             opcode, length, channel, size = struct.unpack_from('<BQHI', data, place)
             place += 15
             if (opcode != Opcode.MESSAGE_INDEX or length != 6 + size or size % 16
-                    or channel in seen or place + size > len(data)):
-                raise Broken('the index of a chunk is malformed')
+                    or place + size > len(data)):
+                raise _DamageError('the index of a chunk is malformed')
             yield channel, np.frombuffer(data, '<u8', size // 8, place).reshape(-1, 2)
             place += size
-            seen.add(channel)
 
 
-# Most bytes of schemas, channels and metadata of a file, and overhead that is counted for each.
-_LARGEST_KEPT, _ENTRY = 64 * 1024 * 1024, 100
-# Work that a file may cause, in unpacked bytes: any file, and for each of its bytes.
-_WORK, _WORK_PER_BYTE = 500 * 1000 * 1000, 1000
-_WORK_PER_MESSAGE, _WORK_PER_OTHER = 1000, 10000  # what a record inside of a chunk costs
-
-_MESSAGE_HEAD = struct.Struct('<H4xQ8x')  # channel, log time; skips sequence and publish time
-_KEPT = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
-_MADE_AGAIN = {Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX,
-               Opcode.METADATA_INDEX, Opcode.STATISTICS, Opcode.SUMMARY_OFFSET, Opcode.DATA_END}
-_PRIVATE = 0x80  # first opcode of private records
-
-
-class Private(NamedTuple):
-    """A private record: MCAP leaves its meaning to the application that wrote it."""
-
-    opcode: int
-    content: bytes
-
-
-class Message(NamedTuple):
-    """Channel, log time [ns] and content of a message's record."""
-
-    channel: int
-    time: int
-    content: memoryview
-
-
-def _attachment(content):
-    """Return the Attachment of a record; its checksum may be 0, for none."""
-    try:
-        record = Attachment.read(ReadDataStream(BytesIO(content)))
-        crc = zlib.crc32(content[:-4]).to_bytes(4, 'little')
-        if bytes_of(record)[HEAD.size:-4] == content[:-4] and content[-4:] in (bytes(4), crc):
-            return record
-    except UNREADABLE:
-        pass
-    raise Broken('an attachment is malformed')
-
-
-class _End(ValueError):
-    """An error from which on the rest of a file cannot be read."""
-
-
-class Reader:
+class _Reader:
     """
-    Reads what is intact in a log; where the length of a record cannot be true, reading ends.
+    Reads a log record by record until it breaks; damaged records before that are left out.
 
     Parameters
     ----------
     stream : binary file
-        As `open_file` returns it.
+        Behind the magic at its beginning.
 
     Attributes
     ----------
-    size : int
-        Of the file [B].
+    size, place : int
+        Of the file, and of the present record [B].
     profile : str
-    counts : Counter
-        Messages of each channel.
+    count : int
+        Number of messages.
     earliest, latest : int
         Log times of the first and the last message [ns]; inf and 0 without any.
-    kept : int
-        Bytes of the file that were intact so far.
     damage : str or None
         The first damage, and its place. None after the last record: the file is complete.
-    faults : int
-        How many damages were found.
-    began : int
-        Place in the file at which messages of the last Chunk begin.
+    faults, lost : int
+        How many damages were found, and bytes of the file that could not be read.
+    left_out : Counter
+        Attachments and private records, which are not copied.
 
     """
 
-    def __init__(self, stream):
-        self._stream = stream
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream, self.profile = stream, 'ros2'
         self.size = os.fstat(stream.fileno()).st_size
-        self.profile, self.counts, self.damage = 'ros2', Counter(), None
+        self.place, self.lost, self.faults, self.count = len(MCAP0_MAGIC), 0, 0, 0
         self.earliest, self.latest = math.inf, 0
-        self.faults = self.began = 0
-        self.kept = self._place = len(MCAP0_MAGIC)
-        self._crc = zlib.crc32(MCAP0_MAGIC)
-        self._known = {Schema: {}, Channel: {}}
-        self._held, self._work = 0, _WORK + _WORK_PER_BYTE * self.size
-        self._ended = self._data_ended = False
+        self.damage: str | None = None
+        self.left_out: Counter = Counter()
 
-    def records(self):
+    def records(self) -> Iterator[Schema | Channel | Metadata | Chunk]:
         """
-        Yield each Schema, Channel, Metadata, Attachment, Private and Chunk, in the file's order.
+        Yield each Schema, Channel and Metadata of mcap, and Chunks of messages, in their order.
 
-        Each schema and channel comes once, before records that refer to it.
+        Each schema and channel comes once, before records that refer to it. Metadata of rosbag2
+        are left out, because `Writer.finish` makes them again.
         """
-        chunk, began = Chunk(), 0
+        chunk = Chunk()
+        known: set[tuple[type, int]] = {(Schema, 0)}
         for record in self._intact():
-            message = isinstance(record, Message)
-            if message:
-                began = began if chunk.data else self._place
-                chunk.add_record(*record)
-            if chunk.data and (len(chunk.data) >= CHUNK_SIZE or not message):
-                self.began = began
+            if isinstance(record, Message):
+                if (Channel, record.channel_id) not in known:
+                    self._report(f'a message is of an unknown channel, {record.channel_id}')
+                    continue
+                self.count += 1
+                self.earliest = min(self.earliest, record.log_time)
+                self.latest = max(self.latest, record.log_time)
+                chunk.add(record.channel_id, record.sequence, record.log_time,
+                          record.publish_time, record.data)
+                if len(chunk.data) < CHUNK_SIZE:
+                    continue
+            if chunk.data:
                 yield chunk
                 chunk = Chunk()
-            if not message:
+            if isinstance(record, (Schema, Channel)):
+                if (type(record), record.id) in known:
+                    continue
+                known.add((type(record), record.id))
+                if isinstance(record, Channel) and (Schema, record.schema_id) not in known:
+                    self._report(f'{record.topic[:80]!r} is of an unknown schema, '
+                                 f'{record.schema_id}, and is kept without')
+                    record = replace(record, schema_id=0)
+            if not isinstance(record, Message):
                 yield record
         if chunk.data:
-            self.began = began
             yield chunk
 
-    def _intact(self):
-        """Yield the same as `records`, with single Messages in place of Chunks."""
-        try:
-            while not self._ended:
-                yield from self._next()
-            self._check_end()
-        except _End as error:
-            self._complain(error)
-
-    def _spend(self, work):
-        """End if a small file would unpack to more than any program has logged in it."""
-        self._work -= work
-        if self._work < 0:
-            raise _End('it unpacks to far more than its size')
-
-    def _complain(self, error):
+    def _report(self, damage, lost=0):
         self.faults += 1
-        self.damage = self.damage or f'{error} (byte {self._place})'
+        self.lost += lost
+        self.damage = self.damage or f'{damage} (byte {self.place})'
 
-    def _next(self):
-        """Read a record; yield what is in it."""
-        left = self.size - self._place - HEAD.size
-        if left == -HEAD.size:
-            raise _End('it ends early')
-        if left < 0:
-            raise _End('it ends in the middle of a record')
-        head = self._stream.read(HEAD.size)
-        opcode, length = HEAD.unpack(head)
-        if not opcode:
-            raise _End('there are no more records')
-        if length > left:
-            raise _End('it ends in the middle of a record, or its length is wrong')
-        if length > LARGEST_RECORD:
-            self._stream.seek(length, os.SEEK_CUR)
-            self._complain(f'a record of {length} bytes is larger than {LARGEST_RECORD}')
-        else:
-            content = self._stream.read(length)
-            crc, self._crc = self._crc, zlib.crc32(content, zlib.crc32(head, self._crc))
-            try:
-                yield from self._contents(opcode, content, crc)
-            except Broken as error:
-                self._complain(error)
-            else:
-                self.kept += HEAD.size + length
-        self._place += HEAD.size + length
-
-    def _contents(self, opcode, content, crc):
-        if opcode == Opcode.CHUNK:
-            data = uncompressed(content)
-            self._spend(len(data))
-            yield from self._inside(memoryview(data))
-        elif opcode == Opcode.METADATA:
-            yield from self._keep(parsed(Metadata, content))
-        elif opcode == Opcode.ATTACHMENT:
-            yield from self._keep(_attachment(content))
-        elif opcode == Opcode.HEADER:
-            self.profile = parsed(Header, content).profile
-        elif opcode == Opcode.DATA_END:
-            self._data_ended = True
-            if content not in (bytes(4), crc.to_bytes(4, 'little')):
-                self._complain('the checksum of all data is wrong')
-        elif opcode == Opcode.FOOTER:
-            self._ended = True
-        elif opcode not in _MADE_AGAIN:
-            yield from self._entry(opcode, memoryview(content), 'log')
-
-    def _inside(self, data):
-        """Yield the records of an uncompressed chunk."""
-        place = 0
-        while place < len(data):
-            if place + HEAD.size > len(data):
-                raise Broken('a chunk ends in the middle of a record')
-            opcode, length = HEAD.unpack_from(data, place)
-            self._spend(_WORK_PER_MESSAGE if opcode == Opcode.MESSAGE else _WORK_PER_OTHER)
-            place += HEAD.size
-            if length > len(data) - place:
-                raise Broken('a chunk ends in the middle of a record')
-            try:
-                yield from self._entry(opcode, data[place:place + length], 'chunk')
-            except Broken as error:  # other records of the chunk are kept
-                self._spend(_WORK_PER_OTHER)
-                self._complain(error)
-                self.kept -= HEAD.size + length
-            place += length
-
-    def _entry(self, opcode, content, where):
-        """Yield the content of a record that may be inside or outside of a chunk."""
-        if opcode == Opcode.MESSAGE:
-            yield self._message(content)
-        elif opcode in _KEPT:
-            yield from self._keep(parsed(_KEPT[opcode], bytes(content)))
-        elif opcode >= _PRIVATE:
-            yield Private(opcode, bytes(content))
-        else:
-            raise Broken(f'a record of kind {opcode} has no place in a {where}')
-
-    def _message(self, content):
-        if len(content) < _MESSAGE_HEAD.size:
-            raise Broken('a message is too short')
-        channel, time = _MESSAGE_HEAD.unpack_from(content)
-        if channel not in self._known[Channel]:
-            raise Broken(f'a message is of an unknown channel, {channel}')
-        self.counts[channel] += 1
-        self.earliest, self.latest = min(self.earliest, time), max(self.latest, time)
-        return Message(channel, time, content)
-
-    def _keep(self, record):
-        """Yield a schema, a channel, metadata or an attachment, unless it is known."""
-        if isinstance(record, Metadata) and record.name == 'rosbag2' and self.profile == 'ros2':
-            return  # `Writer.finish` makes it again
-        if isinstance(record, (Schema, Channel)):
-            known = self._known[type(record)]
-            if record.id in known:
-                if known[record.id] != record:
-                    raise Broken(f'there are two {type(record).__name__.lower()}s {record.id}')
+    def _intact(self):
+        """Yield the records of mcap that are to be copied, also those inside of chunks."""
+        crc, opcode, data_ended = zlib.crc32(MCAP0_MAGIC), None, False
+        while opcode != Opcode.FOOTER:
+            head, left = self._stream.read(HEAD.size), self.size - self.place
+            opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, 0)
+            if not opcode or HEAD.size + length > left or length > _LARGEST_RECORD:
+                self._report('it ends early' if not any(head) else
+                             'it ends in the middle of a record, or its length is wrong', left)
                 return
-            if not record.id and isinstance(record, Schema):
-                raise Broken('a schema has the number 0')
-            known[record.id] = record
-            if isinstance(record, Channel) and record.schema_id not in {0, *self._known[Schema]}:
-                self._complain(f'{record.topic[:80]!r} is of an unknown schema, '
-                               f'{record.schema_id}, and is kept without')
-                record = replace(record, schema_id=0)
-        self._held += _ENTRY + len(bytes_of(
-            replace(record, data=b'') if isinstance(record, Attachment) else record))
-        if self._held > _LARGEST_KEPT:
-            raise _End(f'there are more than {_LARGEST_KEPT} bytes of schemas, channels and '
-                       'metadata')
-        yield record
+            content = self._stream.read(length)
+            try:
+                yield from self._contents(opcode, content)
+            except _DamageError as error:
+                self._report(error, HEAD.size + length)
+            if opcode == Opcode.DATA_END:
+                data_ended = True
+                if content not in (bytes(4), crc.to_bytes(4, 'little')):
+                    self._report('the checksum of all data is wrong')
+            crc = zlib.crc32(content, zlib.crc32(head, crc))
+            self.place += HEAD.size + length
+        if not data_ended:
+            self._report('the record that ends its data, with their checksum, is missing')
+        elif self.place + len(MCAP0_MAGIC) != self.size:
+            self._report('there is something else after its end')
+        else:
+            try:
+                _read_summary(self._stream)
+            except _DamageError as error:
+                self._report(error)
 
-    def _check_end(self):
-        if self._place + len(MCAP0_MAGIC) != self.size:
-            raise _End('there is something else after its end'
-                       if self._place + len(MCAP0_MAGIC) < self.size else 'it ends early')
-        self.kept += len(MCAP0_MAGIC)
-        if not self._data_ended:
-            self._complain('the record that ends its data, with their checksum, is missing')
-        try:
-            statistics = read_summary(self._stream)[Statistics][-1]
-            if Counter(statistics.channel_message_counts) != self.counts:
-                raise Broken(f'{self.counts.total()} messages are there, the summary says '
-                             f'{statistics.message_count}')
-        except Broken as error:
-            self._complain(error)
+    def _contents(self, opcode, content):
+        """Return the list of records to copy that a record is or contains."""
+        if opcode == Opcode.CHUNK:
+            chunk = _parse(ChunkRecord, content)
+            data = _decompress(chunk)
+            try:
+                return breakup_chunk(replace(chunk, compression='', data=data))
+            except _UNREADABLE as error:
+                raise _DamageError(f'a chunk cannot be read: {error}') from None
+        if opcode == Opcode.MESSAGE:
+            return [_parse(Message, content, len(content))]
+        if opcode in _COPIED:
+            record = _parse(_COPIED[opcode], content)
+            made_again = isinstance(record, Metadata) and record.name == 'rosbag2'
+            return [] if made_again and self.profile == 'ros2' else [record]
+        if opcode == Opcode.HEADER:
+            self.profile = _parse(Header, content).profile
+        elif opcode == Opcode.ATTACHMENT or opcode >= _FIRST_PRIVATE_OPCODE:
+            self.left_out['attachments' if opcode == Opcode.ATTACHMENT else 'private records'] += 1
+        return []
 
 
-def recover(file, output=None):
+def recover(file: Path | str, output: Path | str | None = None) -> str:
     """
     Write what is intact in a damaged or incomplete log to a new one, with index and summary.
 
@@ -471,34 +492,32 @@ def recover(file, output=None):
     Raises
     ------
     LogError
-        If there is nothing to recover, or `output` exists.
+        If the file is not a log or nothing in it is intact, or if `output` exists.
     OSError
-        If the new log cannot be written.
+        If the new file cannot be written.
 
     """
     path = file_of(file)
-    with open_file(path) as stream:
-        # A first pass before anything is written: most files are complete, and some are no logs.
-        reader = Reader(stream)
-        found, own = 0, False
-        for found, record in enumerate(reader.records(), 1):
-            own = own or isinstance(record, Metadata) and record.name == START
-        contents = f'{reader.counts.total()} messages ' + (
+    with _open(path) as stream:
+        # The file is read twice, because most files are complete, and some are no logs.
+        reader, empty, own = _Reader(stream), True, False
+        for record in reader.records():
+            empty, own = False, own or isinstance(record, Metadata) and record.name == START
+        contents = f'{reader.count} messages ' + (
             f'until sim time {1e-9 * reader.latest:.3f} s' if own else
             # Log times of a bag are those of a wall clock.
             f'within {1e-9 * max(0, reader.latest - reader.earliest):.3f} s')
-        if reader.damage is None:
+        if not reader.damage:
             return f'{printable(path)} is complete: {contents}; nothing is written'
-        if not found:
+        if empty:
             raise LogError(f'{printable(path)}: nothing in it is intact: {reader.damage}')
         stream.seek(len(MCAP0_MAGIC))
-        new = _write(Reader(stream).records(), reader.profile, Path(file), output)
-        state = 'it is still being written' if held(stream) else reader.damage
+        new = _write(_Reader(stream).records(), reader.profile, Path(file), output)
+        state = 'it is still being written' if _is_being_written(stream) else reader.damage
     more = f' and {reader.faults - 1} more' if reader.faults > 1 else ''
-    # Unpacked, damaged records may be larger than the file.
-    lost = min(reader.size, reader.size - reader.kept)
-    return (f'{printable(path)}: {state}{more}; {contents}, {lost} bytes lost; complete in '
-            f'{printable(new)}')
+    lost = ', '.join([f'{reader.lost} bytes lost', *(
+        f'{count} {kind} left out' for kind, count in reader.left_out.items())])
+    return f'{printable(path)}: {state}{more}; {contents}, {lost}; complete in {printable(new)}'
 
 
 def _write(records, profile, path, output):
@@ -520,10 +539,6 @@ def _write(records, profile, path, output):
                     writer.add_chunk(record)
                 elif isinstance(record, Metadata):
                     writer.add_metadata(record.name, record.metadata)
-                elif isinstance(record, Attachment):
-                    writer.add_attachment(record)
-                elif isinstance(record, Private):
-                    writer.add_private(*record)
                 else:
                     writer.add_record(record)
             writer.finish(new.name)
@@ -532,24 +547,3 @@ def _write(records, profile, path, output):
         new.unlink()  # an incomplete file would be taken for a recovered log
         raise
     return new
-
-
-def payloads_of(recording):
-    """Return the changes by step, mass [kg] and inertia [kg m2], as `Scene.payloads` does."""
-    scene, changes = recording.scene, [(step, values) for step, _, values in recording.changes]
-    starts, found = [0, *recording.resets.tolist()], []
-    own = now = (scene.values['end_effector.mass'], scene.values['end_effector.inertia'])
-    for start, end in zip(starts, [*starts[1:], float('inf')]):
-        # A reset goes back to the mass and inertia that were set last.
-        events = [(start, own), *((start + step, tuple(tip)) for step, *tip in scene.payloads)]
-        for step, values in changes:
-            if start <= step < end:
-                before, own = own, tuple(values.get(f'end_effector.{name}', value)
-                                         for name, value in zip(('mass', 'inertia'), own))
-                # As in a simulator, a value that is set again changes nothing.
-                events += [(step, own)] * (own != before)
-        for step, tip in sorted(events, key=lambda event: event[0]):
-            if step < end and tip != now:
-                found.append((step, *tip))
-                now = tip
-    return tuple(found)

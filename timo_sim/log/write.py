@@ -12,34 +12,43 @@ Write MCAP files chunk by chunk, in a thread of their own.
 Besides messages, a file has what rosbag2 writes: the QoS of topics, and its own metadata record.
 """
 
+from __future__ import annotations
+
 from collections import Counter, defaultdict, deque
+from collections.abc import Iterable
 from contextlib import suppress
 import errno
+import fcntl
 import os
 from pathlib import Path
 import re
 import struct
 import threading
 import time
-from typing import NamedTuple
+from typing import Any, BinaryIO, NamedTuple, TYPE_CHECKING
 import zlib
 
 import lz4.frame
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
-    AttachmentIndex, Channel as ChannelRecord, Chunk as ChunkRecord, ChunkIndex, DataEnd, Footer,
-    Header, Metadata, MetadataIndex, Schema, Statistics, SummaryOffset)
+    Channel as ChannelRecord, Chunk as ChunkRecord, ChunkIndex, DataEnd, Footer, Header, Metadata,
+    MetadataIndex, Schema, Statistics, SummaryOffset)
 from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
+import numpy as np
 import yaml
 
-from timo_sim.log.records import bytes_of, HEAD, hold, Peak, printable, START, start_note, SUMMARY
+from timo_sim.log.notes import Peak, START, start_note, SUMMARY
 from timo_sim.scene.parameters import changed, frame_names
 from timo_sim.topics.cdr import schema_text, Serializer, TYPE_HASHES
 from timo_sim.topics.commands import COMMANDS
 from timo_sim.topics.outputs import in_frames, outputs
 
-# Opcode, length of what follows; channel, sequence number, log time and publish time.
+if TYPE_CHECKING:  # the import of its module takes longer than `timo_sim info`
+    from timo_sim.scene.scene import Scene
+
+HEAD = struct.Struct('<BQ')  # of a record: opcode, and length of the content
+# Head of a message's record; channel, sequence number, log time and publish time.
 _MESSAGE = struct.Struct('<BQHIQQ')
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
 _FOR_EVER = {'sec': 9223372036, 'nsec': 854775807}
@@ -49,6 +58,11 @@ _QOS = {
     'history': 'keep_last', 'depth': DEPTH, 'reliability': 'reliable', 'durability': 'volatile',
     'deadline': _FOR_EVER, 'lifespan': _FOR_EVER, 'liveliness': 'automatic',
     'liveliness_lease_duration': _FOR_EVER, 'avoid_ros_namespace_conventions': False}
+
+
+def printable(path: Path | str) -> str:
+    """Return a path as text that can be printed anywhere; on Linux a name may be any bytes."""
+    return os.fsencode(path).decode(errors='replace')
 
 
 class Chunk:
@@ -63,22 +77,18 @@ class Chunk:
 
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.data = bytearray()
-        self.index = defaultdict(list)
+        self.index: defaultdict[int, list[int]] = defaultdict(list)
 
-    def add(self, channel, sequence, time, data):
-        """Append a message."""
-        self.index[channel] += time, len(self.data)
+    def add(self, channel: int, sequence: int, log_time: int, publish_time: int,
+            data: bytes) -> None:
+        """Append a message with its times [ns]."""
+        self.index[channel] += log_time, len(self.data)
         length = _MESSAGE.size - HEAD.size + len(data)
-        self.data += _MESSAGE.pack(_MESSAGE_OPCODE, length, channel, sequence, time, time)
+        self.data += _MESSAGE.pack(
+            _MESSAGE_OPCODE, length, channel, sequence, log_time, publish_time)
         self.data += data
-
-    def add_record(self, channel, time, content):
-        """Append a message from another file: the content of its record."""
-        self.index[channel] += time, len(self.data)
-        self.data += HEAD.pack(_MESSAGE_OPCODE, len(content))
-        self.data += content
 
 
 class Writer:
@@ -97,13 +107,12 @@ class Writer:
 
     """
 
-    def __init__(self, stream, profile):
+    def __init__(self, stream: BinaryIO, profile: str) -> None:
         self._stream, self._profile = stream, profile
         self._crc = self.size = 0
         self._schemas, self._channels = [], []
         # Kept as bytes: a log of a day has so many that objects would fill the memory.
         self._chunk_indexes, self._metadata_indexes = RecordBuilder(), RecordBuilder()
-        self._attachment_indexes = RecordBuilder()
         self._statistics = Statistics(
             attachment_count=0, channel_count=0, channel_message_counts=Counter(), chunk_count=0,
             message_count=0, metadata_count=0, message_start_time=0, message_end_time=0,
@@ -111,35 +120,22 @@ class Writer:
         self._put(MCAP0_MAGIC)
         self._write(Header(profile=profile, library=LIBRARY_IDENTIFIER))
 
-    def add_record(self, record):
+    def add_record(self, record: Schema | ChannelRecord) -> None:
         """Add a Schema or a Channel."""
         (self._schemas if isinstance(record, Schema) else self._channels).append(record)
         self._write(record)
 
-    def add_metadata(self, name, values):
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Add a metadata record."""
         offset = self.size
         length = self._write(Metadata(name=name, metadata=values))
         MetadataIndex(offset=offset, length=length, name=name).write(self._metadata_indexes)
         self._statistics.metadata_count += 1
 
-    def add_attachment(self, attachment):
-        """Add an Attachment."""
-        offset = self.size
-        about = {name: getattr(attachment, name)
-                 for name in ('log_time', 'create_time', 'name', 'media_type')}
-        AttachmentIndex(offset=offset, length=self._write(attachment),
-                        data_size=len(attachment.data), **about).write(self._attachment_indexes)
-        self._statistics.attachment_count += 1
-
-    def add_private(self, opcode, content):
-        """Add a private record, whose meaning the application that wrote it knows."""
-        self._put(HEAD.pack(opcode, len(content)) + content)
-
-    def add_chunk(self, chunk):
+    def add_chunk(self, chunk: Chunk) -> None:
         """Compress a chunk that has messages, and write it with its index."""
         times = [entries[::2] for entries in chunk.index.values()]
-        facts = {
+        facts: dict[str, Any] = {
             'compression': 'lz4', 'uncompressed_size': len(chunk.data),
             'message_start_time': min(map(min, times)), 'message_end_time': max(map(max, times))}
         compressed = lz4.frame.compress(chunk.data)
@@ -165,7 +161,7 @@ class Writer:
         known.message_count += sum(counts.values())
         known.chunk_count += 1
 
-    def finish(self, name):
+    def finish(self, name: str) -> None:
         """Write the end of the file: rosbag2's metadata, with the file's name, and summary."""
         self._statistics.schema_count = len(self._schemas)
         self._statistics.channel_count = len(self._channels)
@@ -175,17 +171,16 @@ class Writer:
         self._write(DataEnd(self._crc))
         start, data, offsets = self.size, b'', []
         for opcode, group in (
-                (Opcode.SCHEMA, bytes_of(*self._schemas)),
-                (Opcode.CHANNEL, bytes_of(*self._channels)),
-                (Opcode.STATISTICS, bytes_of(self._statistics)),
+                (Opcode.SCHEMA, _bytes_of(*self._schemas)),
+                (Opcode.CHANNEL, _bytes_of(*self._channels)),
+                (Opcode.STATISTICS, _bytes_of(self._statistics)),
                 (Opcode.CHUNK_INDEX, self._chunk_indexes.end()),
-                (Opcode.ATTACHMENT_INDEX, self._attachment_indexes.end()),
                 (Opcode.METADATA_INDEX, self._metadata_indexes.end())):
             offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + len(data),
                                          group_length=len(group)))
             data += group
         offsets_start = start + len(data)
-        data += bytes_of(*offsets)
+        data += _bytes_of(*offsets)
         # The checksum covers the footer up to the checksum itself.
         head = struct.pack('<BQQQ', Opcode.FOOTER, 20, start, offsets_start)
         self._put(data)
@@ -194,7 +189,7 @@ class Writer:
         self._put(MCAP0_MAGIC)
 
     def _write(self, record):
-        return self._put(bytes_of(record))
+        return self._put(_bytes_of(record))
 
     def _put(self, data):
         self._crc = zlib.crc32(data, self._crc)
@@ -202,12 +197,19 @@ class Writer:
         return self._stream.write(data)
 
 
+def _bytes_of(*records):
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return builder.end()
+
+
 class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
     def ignore_aliases(self, data):
         return True
 
 
-def yaml_text(value):
+def yaml_text(value: Any) -> str:
     """Return a value as YAML without aliases."""
     return yaml.dump(value, Dumper=_Dumper, sort_keys=False)
 
@@ -220,7 +222,8 @@ def _qos(depth, reliability):
     return [{**_QOS, 'depth': depth, 'reliability': reliability}]
 
 
-def channel_metadata(type_hash, depth=DEPTH, reliability='reliable'):
+def channel_metadata(type_hash: str, depth: int = DEPTH,
+                     reliability: str = 'reliable') -> dict[str, str]:
     """Return the metadata of a channel: the QoS of its topic, and the hash of its type."""
     return {'offered_qos_profiles': yaml_text(_qos(depth, reliability)),
             'topic_type_hash': type_hash}
@@ -234,7 +237,8 @@ def _qos_of(channel):
     return profiles if yaml_text(profiles) == text else []
 
 
-def information(schemas, channels, statistics, name):
+def information(schemas: Iterable[Schema], channels: Iterable[ChannelRecord],
+                statistics: Statistics, name: str) -> dict[str, Any]:
     """Return rosbag2's metadata (version 9) of a bag with these records and this file name."""
     start, end = statistics.message_start_time, statistics.message_end_time
     span = {'duration': {'nanoseconds': end - start},
@@ -305,21 +309,25 @@ class Recorder:
 
     """
 
-    def __init__(self, path, channels, notes):
-        self.error = self.warning = None
+    def __init__(self, path: Path | str, channels: list[Channel],
+                 notes: dict[str, dict[str, str]]) -> None:
+        self.error: str | None = None
+        self.warning: str | None = None
         self._lock = threading.Lock()  # of the chunk that grows
         self._chunk = Chunk()
-        self._queue = deque()  # (method of the Writer, arguments) of what is to be written
+        self._queue: deque[tuple] = deque()  # method of the Writer and its arguments, to be called
         self._ready = threading.Event()
         self._closing = False
         types = list(dict.fromkeys(channel.type_name for channel in channels))
-        records = [*(Schema(id=number, name=name, encoding='ros2msg',
-                            data=schema_text(name).encode())
-                     for number, name in enumerate(types, start=1)),
-                   *(ChannelRecord(id=number, topic=topic, message_encoding='cdr',
-                                   schema_id=types.index(name) + 1,
-                                   metadata=channel_metadata(TYPE_HASHES[name], *qos))
-                     for number, (topic, name, _, *qos) in enumerate(channels, start=1))]
+        records: list[Schema | ChannelRecord] = [
+            Schema(id=number, name=name, encoding='ros2msg', data=schema_text(name).encode())
+            for number, name in enumerate(types, start=1)]
+        records += [
+            ChannelRecord(id=number, topic=channel.topic, message_encoding='cdr',
+                          schema_id=types.index(channel.type_name) + 1,
+                          metadata=channel_metadata(TYPE_HASHES[channel.type_name], channel.depth,
+                                                    channel.reliability))
+            for number, channel in enumerate(channels, start=1)]
         self.path, self._file = create(Path(path))
         try:
             self._writer = Writer(self._file, 'ros2')
@@ -336,7 +344,7 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name='recorder', daemon=True)
         self._thread.start()
 
-    def write(self, index, step, stamp, data):
+    def write(self, index: int, step: int, stamp: int, data: bytes) -> None:
         """
         Log a message, CDR, of the channel with this index.
 
@@ -346,7 +354,7 @@ class Recorder:
         if self.error is not None:
             return
         with self._lock:
-            self._chunk.add(index + 1, step & 0xffffffff, stamp, data)
+            self._chunk.add(index + 1, step & 0xffffffff, stamp, stamp, data)
             if len(self._chunk.data) < CHUNK_SIZE:
                 return
         self._pass_on()
@@ -359,13 +367,13 @@ class Recorder:
             if time.monotonic() - begun > PATIENCE:
                 self.error = f'{self.path}: the disk has taken nothing for {PATIENCE:g} s'
 
-    def note(self, name, values):
+    def note(self, name: str, values: dict[str, str]) -> None:
         """Log a metadata record: a name, and a dictionary of str."""
         if self.error is None:
             self._pass_on()
             self._queue.append((self._writer.add_metadata, name, values))
 
-    def close(self):
+    def close(self) -> None:
         """Write what is waiting, the index and the summary, and close the file."""
         self._closing = True
         self._ready.set()
@@ -394,7 +402,7 @@ class Recorder:
             self._drain()
             self._writer.finish(self.path.name)
             sync(self._file)
-            self._look()
+            self._check_file()
         except Exception as error:  # of any type, because `write` must not wait for this thread
             self.error = f'{self.path}: {error}'
             self._queue.clear()
@@ -405,13 +413,13 @@ class Recorder:
                 self.error = self.error or f'{self.path}: {error}'
 
     def _drain(self):
-        self._look()
+        self._check_file()
         while self._queue:
             write, *items = self._queue.popleft()
             write(*items)
         self._file.flush()
 
-    def _look(self):
+    def _check_file(self):
         """Raise OSError if another program changed or deleted the file: `write` gives no error."""
         ours = os.fstat(self._file.fileno())
         if ours.st_size != self._writer.size:
@@ -442,10 +450,12 @@ class NewLog(Recorder):
 
     """
 
-    def __init__(self, path, scene, values, node='/timo_sim', **notes):
+    def __init__(self, path: Path | str, scene: Scene, values: dict[str, Any],
+                 node: str = '/timo_sim', **notes: str) -> None:
         namespace = node.rpartition('/')[0]
         channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
-        self._topics, self._peak, frames = {}, Peak(), frame_names(values)
+        self._topics: dict[str, tuple] = {}
+        self._peak, frames = Peak(), frame_names(values)
         for output in outputs(scene.modal_count):
             name = output.name
             topic = (name if name.startswith('/') else
@@ -458,7 +468,7 @@ class NewLog(Recorder):
         super().__init__(path, channels, {
             START: {**start_note(node, values, changed(values), scene), **notes}})
 
-    def output(self, name, snapshot, numbers):
+    def output(self, name: str, snapshot: Any, numbers: np.ndarray) -> None:
         """Log a message of an output; commands are logged by `write`."""
         index, serialize, delay, output = self._topics[name]
         self.write(index, snapshot.step, snapshot.nanoseconds + delay,
@@ -466,7 +476,7 @@ class NewLog(Recorder):
         if name == '~/tip_deflection':
             self._peak.see(numbers, snapshot.nanoseconds)
 
-    def close(self):
+    def close(self) -> None:
         """Complete the file; raise OSError if that fails, or the log has ended early."""
         self.note(SUMMARY, self._peak.note())
         super().close()
@@ -474,7 +484,7 @@ class NewLog(Recorder):
             raise OSError(self.error)
 
 
-def create(path):
+def create(path: Path) -> tuple[Path, BinaryIO]:
     """Make a new file, numbered if it exists, and its folders; return its path and stream."""
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
@@ -490,12 +500,14 @@ def create(path):
                 name, flags | os.O_APPEND, 0o666))
         except FileExistsError:
             continue
-        hold(stream)
+        with suppress(OSError):  # some network file systems have no locks
+            # Marks it as being written until the stream is closed or its process ends.
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return candidate, stream
     raise FileExistsError(f'{path} and 9999 numbered names after it exist')
 
 
-def sync(stream):
+def sync(stream: BinaryIO) -> None:
     """Wait until all that was written is on the disk: a closed log survives a power cut."""
     stream.flush()
     os.fsync(stream.fileno())

@@ -11,11 +11,14 @@
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 import numpy as np
+from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
+from timo_sim.model.formulation import Formulation
 from timo_sim.ros.topics import Outlet
+from timo_sim.simulation.snapshot import Snapshot
 
 _POINTS = 41
 
@@ -26,14 +29,14 @@ class ArmShape(Outlet):
     logged = False
     name, rate = '~/arm_shape', 'rate.arm_shape'
 
-    def __init__(self, node, model, frame):
+    def __init__(self, node: Node, model: Formulation, frame: str) -> None:
         super().__init__(node, self.name, 'visualization_msgs/msg/Marker')
         arm = model.manipulator.arm
         self._model, self._frame, self.every = model, frame, 1
         self._points = model.at(np.linspace(0.0, arm.length, _POINTS))
         self._thickness = float(np.max(arm.section.height))
 
-    def publish(self, snapshot, again=False):
+    def publish(self, snapshot: Snapshot, again: bool = False) -> None:
         """Send the shape that the arm has in a snapshot; `again` as in `Outlet.send`."""
         line = self._model.world(snapshot.motion[np.newaxis], self._points)[0]
         sec, nanosec = snapshot.time

@@ -9,9 +9,12 @@
 """Publishes the node's health on /diagnostics, once per second of wall time."""
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
-from timo_sim.ros.topics import Outlet
+from timo_sim.ros.loop import Loop
+from timo_sim.ros.topics import Commands, Outlet, RunLog
+from timo_sim.simulation.simulator import Simulator
 from timo_sim.topics.outputs import NANOSECONDS
 
 _PERIOD = 1.0  # [s] of wall time
@@ -34,19 +37,22 @@ class Health:
 
     """
 
-    def __init__(self, node, simulator, loop, commands, log, publishes_clock):
+    def __init__(self, node: Node, simulator: Simulator, loop: Loop, commands: Commands,
+                 log: RunLog, publishes_clock: bool) -> None:
         self.outlet = Outlet(node, '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray')
         self.failed_calls = 0
         self._node, self._simulator, self._loop = node, simulator, loop
         self._commands, self._log, self._publishes_clock = commands, log, publishes_clock
-        self._before, self._warned = {}, None
-        self._silent_periods, self._around = 0, []  # what is wrong around the node
+        self._before: dict[str, float] = {}
+        self._warned: str | None = None
+        self._silent_periods = 0
+        self._around: list[str] = []  # what is wrong around the node
 
-    def start(self, now):
+    def start(self, now: float) -> None:
         """Begin to measure the real-time factor at a wall time [s]."""
         self._reported = now, self._simulator.steps
 
-    def counters(self):
+    def counters(self) -> dict[str, float]:
         """Return counters by name; all but `foreign_joints` grow only if something goes wrong."""
         pace = self._loop.pace
         return {
@@ -59,7 +65,7 @@ class Health:
             'mismatched_commands': self._commands.mismatched,
             'foreign_joints': self._commands.foreign}
 
-    def report(self, now):
+    def report(self, now: float) -> None:
         """Publish the health if a period is over at a wall time [s]."""
         (before, steps), simulator = self._reported, self._simulator
         if now - before < _PERIOD:
@@ -67,24 +73,24 @@ class Health:
         self.start(now)
         self._log.look()
         self.pass_on_warning()
-        self._look_around()
+        self._check_surroundings()
         if self.outlet.wanted:
             pace = (simulator.steps - steps) * simulator.scene.step / (now - before)
             snapshot = self._loop.snapshot()
             self.outlet.send(serialize_message(self._message(snapshot, pace)), snapshot.step,
                              snapshot.nanoseconds)
 
-    def pass_on_warning(self):
+    def pass_on_warning(self) -> None:
         """Write the simulator's warning to the node's output, if it is new."""
         if self._simulator.warning != self._warned:
             self._warned = self._simulator.warning
             if self._warned:
                 self._node.get_logger().warning(self._warned)
 
-    def _look_around(self):
+    def _check_surroundings(self):
         """Find what is wrong with other nodes, and warn of what is new."""
         node, gate = self._node, self._loop.gate
-        silent = (gate.first and gate.waiting and gate.stamped and not self._loop.paused
+        silent = (gate.awaits_first and gate.waiting and gate.stamped and not self._loop.paused
                   and self._commands.expected())
         self._silent_periods = self._silent_periods + 1 if silent else 0
         nodes = node.get_node_names_and_namespaces()

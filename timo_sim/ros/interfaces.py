@@ -8,13 +8,15 @@
 
 """Services and action of simulation_interfaces, which pause, reset and step as ~/pause etc. do."""
 
+from typing import Any
+
 from rclpy.action import ActionServer, CancelResponse
 from simulation_interfaces.action import SimulateSteps
 from simulation_interfaces.msg import Result, SimulationState, SimulatorFeatures
 from simulation_interfaces.srv import (
     GetSimulationState, GetSimulatorFeatures, ResetSimulation, SetSimulationState, StepSimulation)
 
-from timo_sim.ros.loop import NotNow
+from timo_sim.ros.loop import StateError
 from timo_sim.version import __version__
 
 _CLOCK = 'the clock goes on at a reset'
@@ -34,9 +36,9 @@ class _Turn:
 class Interfaces:
     """Offers a SimNode to clients that speak simulation_interfaces."""
 
-    def __init__(self, node):
+    def __init__(self, node: Any) -> None:
         self._node = node
-        self._stopped_at = None  # step at which the simulation was stopped
+        self._stopped_at: int | None = None  # step at which the simulation was stopped
         for kind, name, answer in (
                 (GetSimulatorFeatures, 'get_simulator_features', self._features),
                 (GetSimulationState, 'get_simulation_state', self._get_state),
@@ -86,7 +88,7 @@ class Interfaces:
                 response.result = Result(
                     result=Result.RESULT_FEATURE_UNSUPPORTED,
                     error_message=f'state {target} cannot be set: there are no worlds to load')
-        except NotNow as reason:
+        except StateError as reason:
             response.result = Result(result=SetSimulationState.Response.STATE_TRANSITION_ERROR,
                                      error_message=str(reason))
         return response
@@ -98,7 +100,7 @@ class Interfaces:
     def _stepped(self, count):
         try:
             self._node.step(count)
-        except NotNow as reason:
+        except StateError as reason:
             return Result(result=Result.RESULT_OPERATION_FAILED, error_message=str(reason))
         return Result(result=Result.RESULT_OK)
 

@@ -8,187 +8,32 @@
 
 """The node's loop: does steps in time with the wall clock, applies commands and publishes."""
 
+from collections.abc import Callable
 import math
 import time
+from typing import Any
 
 import numpy as np
 
 from timo_sim.model.layout import LOADS
-from timo_sim.ros.topics import LateOutlet
+from timo_sim.ros.topics import Commands, LateOutlet, RunLog
 from timo_sim.scene.parameters import whole_ratio
+from timo_sim.simulation.simulator import Simulator
+from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.commands import acting, COMMANDED, turns
 from timo_sim.topics.outputs import NANOSECONDS
 
-TICK = 1e-3  # [s] of wall time; shorter steps are done several at a time
-AGAIN = 0.2  # [s] of wall time after which a state is published again while time stands
-
-
-class Pace:
-    """
-    Paces sim time by wall time and the real-time factor.
-
-    Parameters
-    ----------
-    step : float
-        [s]
-    waits : bool
-        Whether steps wait for commands, so that late and dropped steps are not counted.
-
-    Attributes
-    ----------
-    overruns : int
-        Ticks that came later than the deadline of the next one.
-    dropped_steps : int
-        Steps that were given up because they were beyond the catch-up limit.
-
-    """
-
-    def __init__(self, step, waits=False):
-        self._step, self._waits = step, waits
-        self._factor = None
-        self.overruns = 0
-        self.dropped_steps = 0
-
-    def set(self, factor, limit, steps, now):
-        """Set the real-time factor, 0 for as fast as possible, and the catch-up limit [s]."""
-        self._limit = limit
-        if factor != self._factor:  # else keep the part of a step that has passed
-            self._factor = factor
-            self._tick_steps = max(1, math.floor(TICK * factor / self._step))
-            self.start(steps, now)
-
-    @property
-    def free(self):
-        """Whether steps are done as fast as possible."""
-        return self._factor == 0.0
-
-    def start(self, steps, now):
-        """Count from here: `steps` steps are done at wall time `now` [s], none of them late."""
-        self._base_steps, self._base_time = steps, now
-
-    def due(self, steps, now):
-        """Return how many steps to do at a wall time [s], given the number done."""
-        elapsed = (now - self._base_time) * self._factor / self._step
-        # A step is due when the clock reads its deadline: rounding must not delay it by a tick.
-        behind = self._base_steps + math.floor(elapsed + 1e-6) - steps
-        if behind >= 2 * self._tick_steps:
-            self.overruns += not self._waits
-        most = max(self._tick_steps, math.floor(self._limit * self._factor / self._step))
-        if behind > most:
-            self.dropped_steps += 0 if self._waits else behind - most
-            self._base_steps -= behind - most
-            behind = most
-        return max(behind, 0)
-
-    def deadline(self, steps):
-        """Return the wall time of the next tick [s]."""
-        ahead = steps + self._tick_steps - self._base_steps
-        return self._base_time + ahead * self._step / self._factor
-
-
-class Gate:
-    """
-    Lock step: says when a step must wait for the controller's command.
-
-    The run begins with the first command, for which the wait has no limit. The stamp of the state
-    that it answers is `late` by a nanosecond, and by one more for each further reset at the same
-    step: at time 0 it would otherwise equal the stamp 0 of a command that has none, and after a
-    reset the stamp of the state before.
-
-    Where any command is an answer, a wait for the first one also ends once somebody publishes
-    commands: a controller manager on sim time sends none before its clock has gone on by a period.
-
-    Parameters
-    ----------
-    period : int
-        Steps from one wait to the next; 0 without lock step.
-    patience : float
-        Longest wait once the first command has come [s of wall time].
-    stamped : bool
-        Whether an answer has the stamp of the state; if not, any command is an answer.
-
-    Attributes
-    ----------
-    missed : int
-        Waits that ended without a command.
-    first : bool
-        Whether the first command since the start or a reset has not come yet.
-    left : bool
-        Whether time stands because nobody publishes commands any more.
-
-    """
-
-    def __init__(self, period, patience, stamped=True):
-        self.period, self._patience, self.stamped = period, patience, stamped
-        self.missed = 0
-        self._begin, self._late = None, 0
-        self.restart(0)
-
-    def restart(self, step):
-        """Wait for a first command again, which answers the state at a step."""
-        self._passed, self._since, self.first, self.left = None, None, True, False
-        self._begin, self._late = step, self._late + 1 if step == self._begin else 1
-
-    def late(self, step):
-        """Return how much later than its sim time the state at a step is stamped [ns]."""
-        return self._late if self.period and step == self._begin else 0
-
-    @property
-    def waiting(self):
-        """Whether a step waits."""
-        return self._since is not None
-
-    def boundary(self, step):
-        """Return whether commands may begin to act at a step."""
-        return not self.period or step % self.period == 0
-
-    def answered(self, step):
-        """Return the step whose state is answered by commands that come at a step."""
-        return -(-step // self.period) * self.period
-
-    def following(self, step):
-        """Return the next step at which commands may begin to act, or infinity."""
-        return (step // self.period + 1) * self.period if self.period else math.inf
-
-    def __bool__(self):
-        return self.period > 0
-
-    def closed(self, step, now, answered, expected):
-        """
-        Return whether a step must wait at a wall time [s].
-
-        `answered` says whether its command has come, and `expected()` whether anybody publishes
-        commands; while nobody does, a wait does not end.
-        """
-        if step % self.period or step == self._passed:
-            return False
-        self._since = now if self._since is None else self._since
-        if answered:
-            self.first = False
-        else:
-            patience = self._patience if not self.first else math.inf if self.stamped else AGAIN
-            if now - self._since < patience:
-                return True
-            if not expected():
-                self._since, self.left = now, not self.first
-                return True
-            self.missed += not self.first
-        self._passed, self._since, self.left = step, None, False
-        return False
-
-
-# Most steps of one compiled call, so that no other thread waits long for it.
-_BATCH = 500
+_TICK = 1e-3          # [s] of wall time; shorter steps are done several at a time
+_PAUSED_POLL = 0.01   # [s] of wall time between two checks of a paused loop
+_COMMAND_POLL = 1e-4  # [s] of wall time between two checks for the command that a step waits for
+_REPETITION = 0.2     # [s] of wall time after which a state is published again while time stands
+_BATCH = 500          # most steps of one compiled call, so that no other thread waits long for it
 # In lock step these topics are published at each state that waits for a command, not at a rate.
 _ANSWERED = 'rate.joint_states', 'rate.clock'
-# Time between two looks of a paused loop at its flags [s].
-_PAUSED_POLL = 0.01
-# Time between two looks for a command while a step waits for one [s].
-_COMMAND_POLL = 1e-4
 
 
-class NotNow(Exception):
+class StateError(Exception):
     """The simulation cannot do what is asked in its present state; the text says why."""
 
 
@@ -217,13 +62,15 @@ class Loop:
 
     """
 
-    def __init__(self, simulator, values, commands, outlets, log, logger, end):
+    def __init__(self, simulator: Simulator, values: dict[str, Any], commands: Commands,
+                 outlets: list, log: RunLog, logger: Any, end: int) -> None:
         self.simulator, self.end = simulator, end
         period = 0 if values['sync'] == 'free' else whole_ratio(
             'sync_period', values['sync_period'], 'integrator.step', simulator.scene.step)
         self.pace = Pace(simulator.scene.step, waits=period > 0)
         self.gate = Gate(period, values['sync_timeout'], values['sync'] != 'any_command')
-        self.paused, self.diverged = values['start_paused'], None
+        self.paused: bool = values['start_paused']
+        self.diverged: str | None = None
         self._commands, self._log, self._logger = commands, log, logger
         # Where states wake the controller, its clock should be as late as they are; where /clock
         # wakes it, as ros2_control, the states should be there.
@@ -231,9 +78,9 @@ class Loop:
             self.gate and self.gate.stamped) else outlets
         self._late = [outlet for outlet in outlets if isinstance(outlet, LateOutlet)]
         self._commanded, self._applied = np.zeros(COMMANDED), [0.0] * LOADS
-        self._shown_at = -math.inf  # wall time [s]; `AGAIN` after it the state is published again
+        self._shown_at = -math.inf  # wall time at which the state was published last [s]
 
-    def configure(self, values, steps_each):
+    def configure(self, values: dict[str, Any], steps_each: dict[str, int]) -> None:
         """Take parameters that may change at run time, and steps between messages by rate."""
         for outlet in self._outlets:
             outlet.every = self.gate.period if self.gate and outlet.rate in _ANSWERED else (
@@ -242,15 +89,15 @@ class Loop:
         self.pace.set(values['real_time_factor'], values['catch_up_limit'],
                       self.simulator.steps, time.monotonic())
 
-    def poll(self):
+    def poll(self) -> None:
         """Receive commands."""
         answered = None
         if self.gate and self.gate.stamped:
-            step = self.gate.answered(self.simulator.steps)
-            answered = round(step * self.simulator.scene.step * 1e9) + self.gate.late(step)
+            step = self.gate.answered_step(self.simulator.steps)
+            answered = round(step * self.simulator.scene.step * 1e9) + self.gate.stamp_offset(step)
         self._commands.poll(answered)
 
-    def tick(self, now, stop):
+    def tick(self, now: float, stop: Any) -> float:
         """Do what is due at a wall time [s]; return the time until something is due again [s]."""
         if self.paused:
             self._show_again(now)
@@ -282,7 +129,7 @@ class Loop:
                 self._logger.error(f'paused, {error}; ~/reset goes back to the start')
                 return
             self._applied = simulator.load.tolist()
-            if not self.gate.stamped and self.gate.boundary(simulator.steps):
+            if not self.gate.stamped and self.gate.takes_commands(simulator.steps):
                 # A command that came before this state is published acts, but does not answer it.
                 self.poll()
                 self._commands.received = False
@@ -291,26 +138,26 @@ class Loop:
     def _waits(self, step):
         """Return whether a step must wait for the controller's command."""
         now, gate = time.monotonic(), self.gate
-        stood, left = gate.first or gate.left, gate.left
-        closed = gate.closed(step, now, self._commands.received, self._commands.expected)
+        stood, left = gate.awaits_first or gate.abandoned, gate.abandoned
+        closed = gate.must_wait(step, now, self._commands.received, self._commands.expected)
         if stood and not closed:
             self.pace.start(step, now)  # time begins to run now, or goes on
-        if gate.left and not left:
+        if gate.abandoned and not left:
             self._logger.warning(f'nobody publishes commands any more: time stands at step {step} '
                                  'until the next command')
         if closed:
             # Repeated until the controller is there and has received the state it must answer.
-            self._show_again(now, everybody=gate.first or gate.left)
+            self._show_again(now, everybody=gate.awaits_first or gate.abandoned)
         else:
             self._shown_at = now
         return closed
 
     def _show_again(self, now, everybody=False):
         """Send the state again while time stands, to new subscribers and not to the log."""
-        if now < self._shown_at + AGAIN:
+        if now < self._shown_at + _REPETITION:
             return
         self._shown_at = now
-        self.look()
+        self.check_subscribers()
         step = self.simulator.steps
         self._send(outlet for outlet in self._outlets
                    if outlet.subscribed and (everybody or outlet.watched_anew(now))
@@ -323,15 +170,15 @@ class Loop:
                   if outlet.wanted]
         events += [outlet.arrival for outlet in self._late]
         events += self._commands.end(self._timeout_steps)
-        return max(step + 1, min([*events, self.gate.following(step)]))
+        return max(step + 1, min([*events, self.gate.next_boundary(step)]))
 
     def _apply_commands(self, step):
-        if not self.gate.boundary(step):
+        if not self.gate.takes_commands(step):
             return
         for index, data in self._commands.apply(step, self._timeout_steps, self._commanded):
             self._log.write(index, step, self.simulator.nanoseconds, data)
 
-    def publish(self, everything=False):
+    def publish(self, everything: bool = False) -> None:
         """Send each message that is due at this step, or every one, if somebody wants it."""
         step = self.simulator.steps
         for outlet in self._late:
@@ -347,7 +194,7 @@ class Loop:
         """Send the state at which time begins to stand to subscribers, if it was not due."""
         step = self.simulator.steps
         # In lock step controllers would answer a state that waits for no command.
-        if self.gate.boundary(step) and not self.diverged:
+        if self.gate.takes_commands(step) and not self.diverged:
             self._send(outlet for outlet in self._outlets
                        if outlet.subscribed and step % outlet.every and outlet not in self._late)
 
@@ -358,34 +205,34 @@ class Loop:
             snapshot = snapshot or self.snapshot()
             outlet.publish(snapshot, again=True)
 
-    def look(self):
+    def check_subscribers(self) -> None:
         """Ask who subscribes: a service call may overtake the event of a new subscriber."""
         for outlet in self._outlets:
             outlet.look()
 
-    def snapshot(self):
+    def snapshot(self) -> Snapshot:
         """Return the Snapshot of the present motion, from which messages are made."""
         snapshot = self.simulator.snapshot(self._applied)
-        late = self.gate.late(snapshot.step)
+        late = self.gate.stamp_offset(snapshot.step)
         if late:
             snapshot.time = divmod(snapshot.nanoseconds + late, NANOSECONDS)
         return snapshot
 
     # Operations for the services.
 
-    def pause(self, paused):
-        """Pause, or go on; raise NotNow if the simulation has diverged."""
+    def pause(self, paused: bool) -> None:
+        """Pause, or go on; raise StateError if the simulation has diverged."""
         if not paused:
             self._refuse_diverged()
         self.paused = paused
         if paused:
-            self.look()
+            self.check_subscribers()
             self._show_reached()
         self.pace.start(self.simulator.steps, time.monotonic())
 
-    def reset(self):
+    def reset(self) -> None:
         """Go back to the initial state, and drop commands and messages under way."""
-        self.look()
+        self.check_subscribers()
         self.poll()
         self.simulator.reset()
         self._commands.clear(self._commanded)
@@ -394,17 +241,17 @@ class Loop:
             outlet.drop()
         self._applied, self.diverged = [0.0] * LOADS, None
 
-    def restart(self):
+    def restart(self) -> None:
         """Publish the state after a reset, and go on from now."""
         self.publish(everything=True)
         self.pace.start(self.simulator.steps, time.monotonic())
 
-    def step(self, count, stop):
-        """Do steps while paused; return the step reached, as text, or raise NotNow."""
+    def step(self, count: int, stop: Any) -> str:
+        """Do steps while paused; return the step reached, as text, or raise StateError."""
         self._refuse_diverged()
         if not self.paused:
-            raise NotNow('a step needs a paused simulation')
-        self.look()
+            raise StateError('a step needs a paused simulation')
+        self.check_subscribers()
         self.poll()
         goal = self.simulator.steps + count
         self._advance(count, stop)
@@ -412,10 +259,169 @@ class Loop:
         self._shown_at = time.monotonic()
         reached = f'at step {self.simulator.steps}'
         if self.simulator.steps < goal:
-            raise NotNow(self.diverged or reached + (
+            raise StateError(self.diverged or reached + (
                 ', which waits for a command' if self.gate.waiting else ''))
         return reached
 
     def _refuse_diverged(self):
         if self.diverged:
-            raise NotNow(f'~/reset is needed first: {self.diverged}')
+            raise StateError(f'~/reset is needed first: {self.diverged}')
+
+
+class Pace:
+    """
+    Paces sim time by wall time and the real-time factor.
+
+    Parameters
+    ----------
+    step : float
+        [s]
+    waits : bool
+        Whether steps wait for commands, so that late and dropped steps are not counted.
+
+    Attributes
+    ----------
+    overruns : int
+        Ticks that came later than the deadline of the next one.
+    dropped_steps : int
+        Steps that were given up because they were beyond the catch-up limit.
+
+    """
+
+    def __init__(self, step: float, waits: bool = False) -> None:
+        self._step, self._waits = step, waits
+        self._factor = math.nan  # not set yet
+        self.overruns = 0
+        self.dropped_steps = 0
+
+    def set(self, factor: float, limit: float, steps: int, now: float) -> None:
+        """Set the real-time factor, 0 for as fast as possible, and the catch-up limit [s]."""
+        self._limit = limit
+        if factor != self._factor:  # else keep the part of a step that has passed
+            self._factor = factor
+            self._tick_steps = max(1, math.floor(_TICK * factor / self._step))
+            self.start(steps, now)
+
+    @property
+    def free(self) -> bool:
+        """Whether steps are done as fast as possible."""
+        return self._factor == 0.0
+
+    def start(self, steps: int, now: float) -> None:
+        """Count from here: `steps` steps are done at wall time `now` [s], none of them late."""
+        self._base_steps, self._base_time = steps, now
+
+    def due(self, steps: int, now: float) -> int:
+        """Return how many steps to do at a wall time [s], given the number done."""
+        elapsed = (now - self._base_time) * self._factor / self._step
+        # A step is due when the clock reads its deadline: rounding must not delay it by a tick.
+        behind = self._base_steps + math.floor(elapsed + 1e-6) - steps
+        if behind >= 2 * self._tick_steps:
+            self.overruns += not self._waits
+        most = max(self._tick_steps, math.floor(self._limit * self._factor / self._step))
+        if behind > most:
+            self.dropped_steps += 0 if self._waits else behind - most
+            self._base_steps -= behind - most
+            behind = most
+        return max(behind, 0)
+
+    def deadline(self, steps: int) -> float:
+        """Return the wall time of the next tick [s]."""
+        ahead = steps + self._tick_steps - self._base_steps
+        return self._base_time + ahead * self._step / self._factor
+
+
+class Gate:
+    """
+    Lock step: says when a step must wait for the controller's command.
+
+    The run begins with the first command, for which the wait has no limit. The stamp of the state
+    that it answers is `late` by a nanosecond, and by one more for each further reset at the same
+    step: at time 0 it would otherwise equal the stamp 0 of a command that has none, and after a
+    reset the stamp of the state before.
+
+    Where any command is an answer, a wait for the first one also ends once somebody publishes
+    commands: a controller manager on sim time sends none before its clock has gone on by a period.
+
+    Parameters
+    ----------
+    period : int
+        Steps from one wait to the next; 0 without lock step.
+    patience : float
+        Longest wait once the first command has come [s of wall time].
+    stamped : bool
+        Whether an answer has the stamp of the state; if not, any command is an answer.
+
+    Attributes
+    ----------
+    missed : int
+        Waits that ended without a command.
+    awaits_first : bool
+        Whether the first command since the start or a reset has not come yet.
+    abandoned : bool
+        Whether time stands because nobody publishes commands any more.
+
+    """
+
+    def __init__(self, period: int, patience: float, stamped: bool = True) -> None:
+        self.period, self._patience, self.stamped = period, patience, stamped
+        self.missed = 0
+        self._begin, self._late = 0, 0
+        self.restart(0)
+
+    def restart(self, step: int) -> None:
+        """Wait for a first command again, which answers the state at a step."""
+        self.awaits_first, self.abandoned = True, False
+        self._passed: int | None = None
+        self._since: float | None = None
+        self._begin, self._late = step, self._late + 1 if step == self._begin else 1
+
+    def stamp_offset(self, step: int) -> int:
+        """Return how much later than its sim time the state at a step is stamped [ns]."""
+        return self._late if self.period and step == self._begin else 0
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a step waits."""
+        return self._since is not None
+
+    def takes_commands(self, step: int) -> bool:
+        """Return whether commands may begin to act at a step."""
+        return not self.period or step % self.period == 0
+
+    def answered_step(self, step: int) -> int:
+        """Return the step whose state is answered by commands that come at a step."""
+        return -(-step // self.period) * self.period
+
+    def next_boundary(self, step: int) -> float:
+        """Return the next step at which commands may begin to act, or infinity."""
+        return (step // self.period + 1) * self.period if self.period else math.inf
+
+    def __bool__(self):
+        return self.period > 0
+
+    def must_wait(self, step: int, now: float, answered: bool,
+                  expected: Callable[[], bool]) -> bool:
+        """
+        Return whether a step must wait at a wall time [s].
+
+        `answered` says whether its command has come, and `expected()` whether anybody publishes
+        commands; while nobody does, a wait does not end.
+        """
+        if step % self.period or step == self._passed:
+            return False
+        self._since = now if self._since is None else self._since
+        if answered:
+            self.awaits_first = False
+        else:
+            patience = self._patience
+            if self.awaits_first:
+                patience = math.inf if self.stamped else _REPETITION
+            if now - self._since < patience:
+                return True
+            if not expected():
+                self._since, self.abandoned = now, not self.awaits_first
+                return True
+            self.missed += not self.awaits_first
+        self._passed, self._since, self.abandoned = step, None, False
+        return False

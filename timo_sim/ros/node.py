@@ -8,6 +8,7 @@
 
 """The node `timo_sim`, which connects loop, topics, services, diagnostics and log."""
 
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, ExitStack
 from functools import partial
 from importlib.util import find_spec
@@ -15,18 +16,20 @@ import math
 import os
 import threading
 import time
+from typing import Any, NoReturn
 
 from rclpy.context import Context
+from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
 
-from timo_sim.log.records import CHANGE, change_note, Peak, RESET, start_note
+from timo_sim.log.notes import CHANGE, change_note, Peak, RESET, start_note
 from timo_sim.ros.diagnostics import Health
-from timo_sim.ros.loop import Loop, NotNow
-from timo_sim.ros.parameters import ParameterNode, resolved_scene, steps_between_messages
+from timo_sim.ros.loop import Loop, StateError
+from timo_sim.ros.parameters import ParameterNode, resolve_accuracy, steps_between_messages
 from timo_sim.ros.topics import Commands, LateOutlet, MotionOutlet, RunLog
 from timo_sim.scene.parameters import (
     changed, frame_names, LATEST, ParameterError, PARAMETERS, SCENE, short, whole_ratio)
-from timo_sim.scene.scene import find_implausible, scene_from
+from timo_sim.scene.scene import find_implausible, Scene, scene_from
 from timo_sim.simulation.simulator import Simulator, STEPS_BEHIND
 from timo_sim.topics.outputs import outputs, TRANSFORMS
 
@@ -35,7 +38,7 @@ _LONGEST_SLEEP = 0.1  # [s] after which a sleeping node looks at its flags
 _UNDISCOVERED = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF', 'ROS_LOCALHOST_ONLY': ''}
 
 
-def no_live_feed(scene, url, name):
+def no_live_feed(scene: Scene, url: str, name: str) -> NoReturn:
     """Raise ParameterError: only the executable sim_node can stream to a viewer."""
     raise ParameterError(f'rerun_live = {short(url)} needs the executable sim_node, which brings '
                          'the stream of the viewer')
@@ -68,7 +71,7 @@ def _prepared(node):
     values = node.given()
     scene = scene_from(values)
     if scene.values['model.accuracy']:
-        scene = resolved_scene(node, scene, values)
+        scene = resolve_accuracy(node, scene, values)
     steps_each = steps_between_messages(values, scene.step)
     end = whole_ratio('duration', values['duration'], 'integrator.step',
                       scene.step) or math.floor(LATEST / scene.step)
@@ -102,7 +105,8 @@ class SimNode(ParameterNode):
 
     """
 
-    def __init__(self, stop, live_feed=no_live_feed, args=None, **options):
+    def __init__(self, stop: Any, live_feed: Callable[[Scene, str, str], Any] = no_live_feed,
+                 args: list[str] | None = None, **options: Any) -> None:
         # Compiling takes seconds: it is done before others see the node and wait for its answers.
         with _undiscovered(args, options) as node:
             self._simulator, values, steps_each, end = _prepared(node)
@@ -130,7 +134,7 @@ class SimNode(ParameterNode):
         self._offer_services()
 
     @property
-    def subscriptions(self):
+    def subscriptions(self) -> Iterator[Subscription]:
         """Subscriptions that an executor serves: all but the commands, which the loop polls."""
         return (entry for entry in super().subscriptions if not entry.raw)
 
@@ -168,11 +172,11 @@ class SimNode(ParameterNode):
             from timo_sim.ros.interfaces import Interfaces
             Interfaces(self)
 
-    def open(self):
+    def open(self) -> None:
         """Open the log and publish the initial state, before any callback can change it."""
         if self._values['record']:
             self._open_log()
-        self._loop.look()
+        self._loop.check_subscribers()
         self._loop.publish()
         # After publishing, because rclpy's first log line in a process takes a tenth of a second.
         self.get_logger().info(
@@ -190,7 +194,7 @@ class SimNode(ParameterNode):
             if self._log.path and outlet.name == '~/tip_deflection':
                 outlet.watch = self._peak.see
 
-    def run(self):
+    def run(self) -> None:
         """Advance sim time with wall time until asked to stop."""
         started, loop = time.monotonic(), self._loop
         loop.pace.start(self.steps, started)
@@ -230,7 +234,7 @@ class SimNode(ParameterNode):
 
     # Called by the executor.
 
-    def survive(self, error):
+    def survive(self, error: Exception) -> None:
         """Count and log an error of a callback, for example of rclpy's at a malformed request."""
         self._health.failed_calls += 1
         self.get_logger().error(f'a callback failed: {error!r}', throttle_duration_sec=5.0)
@@ -248,22 +252,22 @@ class SimNode(ParameterNode):
                 self._log.note(CHANGE, change_note(self.steps, of_scene))
 
     @property
-    def paused(self):
+    def paused(self) -> bool:
         """Whether time stands."""
         return self._loop.paused
 
     @property
-    def steps(self):
+    def steps(self) -> int:
         """Number of steps done; a reset does not set it back."""
         return self._simulator.steps
 
-    def pause(self, paused):
-        """Pause, or go on; return the new state, as text, or raise NotNow."""
+    def pause(self, paused: bool) -> str:
+        """Pause, or go on; return the new state, as text, or raise StateError."""
         with self._lock:
             self._loop.pause(paused)
         return 'paused' if paused else 'running'
 
-    def reset(self):
+    def reset(self) -> str:
         """Go back to the initial state; return at which step, as text."""
         with self._lock:
             self._loop.reset()
@@ -271,9 +275,9 @@ class SimNode(ParameterNode):
             self._loop.restart()
             return f'reset at step {self.steps}'
 
-    def step(self, count=None):
+    def step(self, count: int | None = None) -> str:
         """
-        Do steps while paused; return the step reached, as text, or raise NotNow.
+        Do steps while paused; return the step reached, as text, or raise StateError.
 
         Their number is `steps_per_call` unless `count` is given.
         """
@@ -281,7 +285,7 @@ class SimNode(ParameterNode):
             return self._loop.step(
                 self._values['steps_per_call'] if count is None else count, self._stop)
 
-    def quit(self):
+    def quit(self) -> None:
         """End the process, as SIGINT does."""
         self._stop.set = True
 
@@ -290,6 +294,6 @@ def _answer(operation, request, response):
     try:
         response.message = operation(request)
         response.success = True
-    except NotNow as reason:
+    except StateError as reason:
         response.message = str(reason)
     return response

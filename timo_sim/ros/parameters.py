@@ -8,9 +8,11 @@
 
 """The node's parameters, declared with descriptions and checked by the rules for YAML files."""
 
+from collections.abc import Callable
 from dataclasses import replace
 import math
 import sys
+from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
@@ -18,13 +20,17 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.service import Service
+from rclpy.subscription import Subscription
 
 from timo_sim.runs.accuracy import choose_resolution
 from timo_sim.scene.files import is_of_rclpy, QOS
 from timo_sim.scene.parameters import (
     check, did_you_mean, Parameter as Rule, ParameterError, PARAMETERS, RATES, short, whole_ratio)
+from timo_sim.scene.scene import Scene
 
 _SOURCE = 'set at run time'
 # QoS policies that can be set. With history keep_all a slow subscriber would hold up the node.
@@ -37,7 +43,7 @@ _POLICIES = {rule.name: rule for rule in (
 class ParameterNode(Node):
     """A node with the parameters of timo_sim: `given` reads them, `declare` declares them."""
 
-    def given(self):
+    def given(self) -> dict[str, Any]:
         """Return the checked value of each parameter by name; raise ParameterError."""
         # Undeclared names must be refused, and rclpy has no public way to list them.
         given = {name: parameter.value for name, parameter in self._parameter_overrides.items()}
@@ -52,7 +58,7 @@ class ParameterNode(Node):
         values.update(check(given, 'ROS parameter'))
         return values
 
-    def declare(self, values, apply):
+    def declare(self, values: dict[str, Any], apply: Callable[[dict[str, Any]], None]) -> None:
         """
         Declare all parameters with these values, and update `values` when some are set later.
 
@@ -88,13 +94,15 @@ class ParameterNode(Node):
 
         self.add_on_set_parameters_callback(callback)
 
-    def create_publisher(self, msg_type, topic, *arguments, **options):
+    def create_publisher(self, msg_type: Any, topic: str, *arguments: Any,
+                         **options: Any) -> Publisher:
         """Create a publisher with the QoS that parameters give it."""
         return super().create_publisher(
             msg_type, topic, *arguments, **options,
             qos_overriding_options=self._overridden('publisher', topic))
 
-    def create_subscription(self, msg_type, topic, *arguments, **options):
+    def create_subscription(self, msg_type: Any, topic: str, *arguments: Any,
+                            **options: Any) -> Subscription:
         """Create a subscription with the QoS that parameters give it."""
         return super().create_subscription(
             msg_type, topic, *arguments, **options,
@@ -105,13 +113,15 @@ class ParameterNode(Node):
         return QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in _POLICIES
                                      if prefix + policy in self._parameter_overrides])
 
-    def create_service(self, srv_type, srv_name, callback, **options):
+    def create_service(self, srv_type: Any, srv_name: str, callback: Callable,
+                       **options: Any) -> Service:
         """Offer a service; the callback of rclpy's own SetParameters service is replaced."""
         if srv_type is SetParameters:
             callback = self._set_each
         return super().create_service(srv_type, srv_name, callback, **options)
 
-    def set_parameters_atomically(self, parameter_list):
+    def set_parameters_atomically(
+            self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters all at once, converted to their types; rclpy's services call this."""
         try:
             return super().set_parameters_atomically([*map(_converted, parameter_list)])
@@ -171,7 +181,7 @@ def _of_rclpy(name, value):
     return Parameter(name, value=value)
 
 
-def steps_between_messages(values, step):
+def steps_between_messages(values: dict[str, Any], step: float) -> dict[str, int]:
     """
     Return the number of time steps between messages, by name of each rate that is in use.
 
@@ -181,7 +191,7 @@ def steps_between_messages(values, step):
             for rate in RATES if values.get(f'publish_{rate.removeprefix("rate.")}', True)}
 
 
-def resolved_scene(node, scene, values):
+def resolve_accuracy(node: Node, scene: Scene, values: dict[str, Any]) -> Scene:
     """Return a scene with the modes and step that `model.accuracy` needs; update `values`."""
     def suits(step):
         try:

@@ -13,6 +13,7 @@ import os
 from pathlib import Path
 import sys
 import threading
+from typing import Any
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
@@ -37,7 +38,7 @@ _PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 _USE_PROFILES = 'RMW_FASTRTPS_USE_QOS_FROM_XML'
 
 
-def use_profiles():
+def use_profiles() -> None:
     """
     Make Fast DDS read `fastdds.xml`, unless the user has Fast DDS profiles of their own.
 
@@ -66,7 +67,7 @@ def _say_if_for_others(node, file, sections):
         node.get_logger().warning(f'{file} has no parameter for {name}{others}')
 
 
-def run(stop, args, **options):
+def run(stop: Any, args: list[str] | None, **options: Any) -> int:
     """
     Start ROS, run the node, end ROS.
 

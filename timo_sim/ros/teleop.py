@@ -153,7 +153,7 @@ class _Teleop:
         os.write(1, f'\r{line[:width]}\x1b[K'.encode())
 
 
-def teleop(name, force, torque):
+def teleop(name: str, force: float, torque: float) -> None:
     """
     Let keys of the terminal, which is standard input, push a node until q or a signal.
 

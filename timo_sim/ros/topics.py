@@ -17,7 +17,7 @@ import time
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.serialization import deserialize_message, serialize_message
 
-from timo_sim.log.records import names_note, START, SUMMARY
+from timo_sim.log.notes import names_note, START, SUMMARY
 from timo_sim.log.write import Channel, Recorder
 from timo_sim.topics.cdr import Serializer
 from timo_sim.topics.commands import COMMANDS, GROUPS, JOINTS, LARGEST, Refused

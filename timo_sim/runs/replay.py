@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from timo_sim.log.read import payloads_of
-from timo_sim.log.records import CHANGE, change_note, LogError, other_ground, RESET
+from timo_sim.log.notes import CHANGE, change_note, other_ground, RESET
+from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
 from timo_sim.log.write import NewLog
 from timo_sim.model.layout import LOADS
@@ -78,7 +78,7 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
     scene = recording.scene
     heat = np.full(len(ns), np.nan) if scene.friction.any() else np.zeros(len(ns))
     return Run(scene, scene.build(), 1e-9 * ns, motion, heat, None, recording.summary, recording,
-               payloads_of(recording))
+               recording.payloads)
 
 
 def replay(file: str | Path, changes: Mapping[str, Any] | None = None,

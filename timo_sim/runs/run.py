@@ -296,8 +296,8 @@ class Run(MotionFields):
         """Show the run in rerun until its window, or the browser, is closed; needs rerun-sdk."""
         with optional():
             from timo_sim.view.rerun import show_tracks
-        from timo_sim.view.track import of_run
-        show_tracks([lambda: of_run(self)], web=web)
+        from timo_sim.view.track import track_of_run
+        show_tracks([lambda: track_of_run(self)], web=web)
 
     def _outputs(self):
         # Topics that follow from the motion alone; sensors need the simulator.

@@ -8,6 +8,7 @@
 
 """Sends samples of a running simulation to a process that streams them to a viewer."""
 
+from collections.abc import Callable
 from importlib.util import find_spec
 import json
 import os
@@ -20,8 +21,10 @@ import tempfile
 import numpy as np
 
 from timo_sim.scene.parameters import ParameterError, short
+from timo_sim.scene.scene import Scene
+from timo_sim.simulation.simulator import Simulator
 
-PERIOD = 1.0 / 30.0  # [s] of wall time between samples
+_PERIOD = 1.0 / 30.0  # [s] of wall time between samples
 _PATIENCE = 2.0      # [s] for the process to send its last samples
 _PORT = 9876         # rerun's, for an address without one
 _CONNECTING = 0.5    # [s] for a viewer to answer
@@ -54,7 +57,7 @@ class Feed:
 
     """
 
-    def __init__(self, scene, url, name):
+    def __init__(self, scene: Scene, url: str, name: str) -> None:
         address = _ADDRESS.fullmatch(url)
         if not address:
             raise ParameterError('rerun_live must be the address of a viewer of rerun, got '
@@ -62,7 +65,7 @@ class Feed:
         if find_spec('rerun') is None:
             raise ParameterError('rerun_live needs rerun, which is not installed: '
                                  'pip install timo_sim[view]')
-        self.doubt = None
+        self.doubt: str | None = None
         try:
             socket.create_connection((address[2], int(address[4] or _PORT)), _CONNECTING).close()
         except (OSError, OverflowError) as error:  # OverflowError: the port is too large
@@ -83,7 +86,8 @@ class Feed:
         os.set_blocking(self._stream.fileno(), False)
         self._due = 0.0
 
-    def offer(self, now, simulator, effort):
+    def offer(self, now: float, simulator: Simulator,
+              effort: Callable[[], tuple[float, float, float]]) -> None:
         """
         Take a sample if one is due; return at once.
 
@@ -98,14 +102,14 @@ class Feed:
         """
         if now < self._due:
             return
-        self._due = now + PERIOD
+        self._due = now + _PERIOD
         try:  # a pipe takes so few bytes, below PIPE_BUF, as a whole or not at all
             os.write(self._stream.fileno(), np.concatenate(
                 [[simulator.nanoseconds], simulator.motion.values, effort()]).tobytes())
         except (BlockingIOError, BrokenPipeError):
             pass
 
-    def close(self):
+    def close(self) -> None:
         """End the stream; the process has two seconds to send its last samples."""
         self._stream.close()
         try:

@@ -8,8 +8,12 @@
 
 """Figures of a run, Bode diagrams of linear models, and animations as GIF."""
 
+from collections.abc import Sequence
 from itertools import cycle
+from pathlib import Path
+from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
@@ -18,7 +22,7 @@ from PIL import Image
 
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import ParameterError
-from timo_sim.view.track import body_of, floor_of, FPS
+from timo_sim.view.track import body_of, Floor, floor_of, FPS, Track
 
 # Okabe and Ito's colours, which colour-blind readers tell apart.
 COLOURS = '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'
@@ -27,7 +31,7 @@ _FREQUENCIES = 4000
 _GREY = '0.5'
 
 
-def plot(run):
+def plot(run: Any) -> Figure:
     """Return a Figure of a Run: curves over time, and the arm in the plane."""
     length = run.scene.manipulator.arm.length
     curves = {
@@ -69,7 +73,7 @@ def plot(run):
     return figure
 
 
-def draw_floor(axes, floor):
+def draw_floor(axes: Axes, floor: Floor | None) -> None:
     """Draw a Floor, if not None, across what the axes show, and the direction of gravity."""
     if floor is None:
         return
@@ -77,13 +81,14 @@ def draw_floor(axes, floor):
     axes.autoscale_view()
     axes.plot(*floor.line(np.transpose([axes.get_xlim(), axes.get_ylim()])).T, color=_GREY,
               linewidth=1.5, zorder=0.5, scalex=False, scaley=False)
-    axes.annotate('', floor.arrow[1], floor.arrow[0], annotation_clip=True,
+    head, tail = map(tuple, floor.arrow[::-1].tolist())
+    axes.annotate('', head, tail, annotation_clip=True,
                   arrowprops={'arrowstyle': '->', 'color': _GREY, 'shrinkA': 0, 'shrinkB': 0})
-    axes.annotate('g', floor.arrow[0], -9.0 * floor.along, textcoords='offset points', color=_GREY,
+    axes.annotate('g', tail, tuple(-9.0 * floor.along), textcoords='offset points', color=_GREY,
                   fontsize='small', ha='center', va='center', annotation_clip=True)
 
 
-def write(figure, path):
+def write(figure: Figure, path: Path | str) -> None:
     """Write a figure in the format of the file's suffix; an unknown one is a ParameterError."""
     try:
         with whole_file(path) as part:
@@ -92,7 +97,7 @@ def write(figure, path):
         raise ParameterError(f'{path} cannot be drawn: {error}') from None
 
 
-def bode(model):
+def bode(model: Any) -> Figure:
     """Return a Figure: Bode diagram from a LinearModel's first input to its outputs, and poles."""
     poles = model.poles()
     vibrating = np.abs(poles[np.abs(poles) > 1.0]) / (2.0 * np.pi)
@@ -129,7 +134,7 @@ _MARGIN = 0.1  # around what moves, in arm lengths
 _COLOURS_PER_FRAME = 32
 
 
-def animate(tracks, path, fps=_MOST_FPS):
+def animate(tracks: Sequence[Track], path: Path | str, fps: float = _MOST_FPS) -> None:
     """
     Write a GIF of tracks, laid over each other, in real time.
 
@@ -165,6 +170,7 @@ def animate(tracks, path, fps=_MOST_FPS):
         draw_floor(plane, track.floor)
     for track, colour in zip(tracks, cycle(COLOURS)):
         trace = track.trace('tip_deflection')
+        assert trace is not None  # each track has it
         curves.plot(1e-9 * trace.ns, trace.values[:, -1], color=colour, label=track.name)
     curves.set(xlabel='time [s]', ylabel='transverse tip deflection [m]')
     if len(tracks) > 1:

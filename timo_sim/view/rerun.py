@@ -6,9 +6,10 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Tracks in rerun: files, the viewer as a child process bound to this machine, the live stream."""
+"""Tracks in rerun: files and pictures, the viewer as a child process, the live stream."""
 
 from collections import deque
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 import json
@@ -32,153 +33,27 @@ from tqdm import tqdm
 
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import Parameter, ParameterError
-from timo_sim.scene.scene import load_scene
-from timo_sim.view.track import body_of, FPS, of_motion
+from timo_sim.scene.scene import load_scene, Scene
+from timo_sim.view.track import body_of, FPS, Poses, Track, track_of_motion
 
-TIMELINE = 'sim_time'
-PLANE, CURVES, ABOUT = 'plane', 'curves', 'about'
+_TIMELINE = 'sim_time'
+_PLANE, _CURVES, _ABOUT = 'plane', 'curves', 'about'
 # Okabe-Ito colours, which colour-blind viewers can tell apart; greys for dark and light themes.
-COLOURS = [(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (240, 228, 66),
-           (213, 94, 0), (0, 114, 178)]
-GHOST, GRID, TICKS = (120, 120, 120), (128, 128, 128, 90), (170, 170, 170)
-EFFORT = COLOURS[3]
-TRAIL = 90  # frames of the tip's trail
+_COLOURS = [(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (240, 228, 66),
+            (213, 94, 0), (0, 114, 178)]
+_GHOST, _GRID, _TICKS = (120, 120, 120), (128, 128, 128, 90), (170, 170, 170)
+_EFFORT = _COLOURS[3]
+_TRAIL = 90  # frames of the tip's trail
 # Length of the arrow of the largest force [arm lengths], angle of the largest torque's arc [rad].
-_LONGEST, _FARTHEST = 0.3, 1.5 * np.pi
+_LONGEST_ARROW, _WIDEST_ARC = 0.3, 1.5 * np.pi
 _ARC = np.linspace(0.0, 1.0, 20)
-
-
-def _time(ns):
-    return rr.TimeColumn(TIMELINE, duration=np.asarray(ns).astype('timedelta64[ns]'))
-
-
-def colour(run, runs, curve=0):
-    """Return the RGB colour of a curve: a shade for its run if there are several, else its own."""
-    if runs == 1:
-        return COLOURS[curve % len(COLOURS)]
-    base = np.array(COLOURS[run % len(COLOURS)])
-    return tuple((base + (255 - base) * (1 - 0.6**curve)).astype(int).tolist())
-
-
-def log_frame_of_plane(stream, bounds):
-    """Log the static parts of the plane: y upward, and a grid in the bounds, (2, 2) [m]."""
-    # Rerun's plane has y downward: the plane is mirrored, its content is not.
-    stream.log(PLANE, rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
-    low, high = bounds
-    spacing, low = _spacing(np.max(high - low)), low + 0.05 * np.max(high - low)
-    lines, labels, places = [], [], []
-    for axis, name in enumerate('xy'):
-        for k in range(int(np.ceil(low[axis] / spacing)), int(high[axis] / spacing) + 1):
-            ends = np.array([low, high])
-            ends[:, axis] = k * spacing
-            lines.append(ends)
-            places.append(ends[0])
-            labels.append(f'{name} = {k * spacing:g} m' if k == 0 else f'{k * spacing:g}')
-    stream.log(f'{PLANE}/grid', rr.LineStrips2D(
-        lines, colors=GRID, radii=rr.Radius.ui_points(0.5), draw_order=-10.0), static=True)
-    stream.log(f'{PLANE}/grid/ticks', rr.Points2D(
-        places, labels=labels, show_labels=True, colors=TICKS, radii=0.0), static=True)
-
-
-def log_floor(stream, name, floor, bounds):
-    """Log the Floor of a run, across bounds of the plane, (2, 2) [m], and gravity's direction."""
-    stream.log(f'{PLANE}/{name}/floor', rr.LineStrips2D(
-        [floor.line(bounds)], colors=TICKS, radii=rr.Radius.ui_points(1.0), draw_order=-5.0),
-        static=True)
-    stream.log(f'{PLANE}/{name}/gravity', rr.Arrows2D(
-        origins=floor.arrow[:1], vectors=np.diff(floor.arrow, axis=0), colors=TICKS,
-        radii=rr.Radius.ui_points(1.5), draw_order=-5.0), static=True)
-
-
-def _spacing(extent):
-    decade = 10.0**np.floor(np.log10(extent / 3.0))
-    return decade * max(n for n in (1, 2, 5) if n * decade <= extent / 3.0)
-
-
-class Plane:
-    """The moving entities of a run in the plane."""
-
-    def __init__(self, stream, name, body, run, runs):
-        self._stream, self._path, self._body, self._trail = stream, f'{PLANE}/{name}', body, None
-        own, line, points = colour(run, runs), 0.5 * body.thickness, rr.Radius.ui_points
-        grey, tip = (TICKS, COLOURS[5]) if runs == 1 else (own, own)
-        styles: list[tuple] = [
-            ('ghost', rr.LineStrips2D, GHOST, points(1.0), {}),
-            ('carrier', rr.Boxes2D, own, points(1.5), {'half_sizes': [0.5 * body.carrier] * 2}),
-            ('motor', rr.Points2D, grey, 0.5 * body.motor, {}),
-            ('arm', rr.LineStrips2D, own, line if line > 0.004 * body.length else points(2.0), {}),
-            ('end_effector', rr.Points2D, tip, 0.5 * body.end_effector, {}),
-            ('trail', rr.LineStrips2D, grey, points(1.0), {}),
-            ('force', rr.Arrows2D, EFFORT, points(2.0), {}),
-            ('torque', rr.LineStrips2D, EFFORT, points(1.5), {})]
-        for order, (name, kind, colors, radii, more) in enumerate(styles):
-            stream.log(f'{self._path}/{name}', kind.from_fields(
-                colors=colors, radii=radii, draw_order=float(order), **more), static=True)
-
-    def send(self, ns, poses, largest):
-        """
-        Send Poses at sim times, shape (m,) [ns], after all that were sent before.
-
-        `largest` is the force [N] and the torque [N m] that are drawn in full size.
-        """
-        body, root, tip = self._body, poses.line[:, 0], poses.line[:, -1]
-        straight = root + body.length * np.column_stack([np.cos(poses.shaft), np.sin(poses.shaft)])
-        before = np.repeat(tip[:1], TRAIL - 1, axis=0) if self._trail is None else self._trail
-        trail = np.concatenate([before, tip])
-        self._trail = trail[1 - TRAIL:]
-        trails = np.moveaxis(np.lib.stride_tricks.sliding_window_view(trail, TRAIL, axis=0), 1, 2)
-        for name, columns in {
-                'ghost': rr.LineStrips2D.columns(
-                    strips=_floats(np.stack([root, straight], axis=1))),
-                'trail': rr.LineStrips2D.columns(strips=_floats(trails)),
-                'carrier': rr.Boxes2D.columns(centers=_floats(root)),
-                'motor': rr.Points2D.columns(positions=_floats(root)),
-                'arm': rr.LineStrips2D.columns(strips=_floats(poses.line)),
-                'end_effector': rr.Points2D.columns(positions=_floats(tip)),
-                'force': rr.Arrows2D.columns(
-                    origins=_floats(root), vectors=_floats(
-                        poses.effort[:, :2] * (_LONGEST * body.length / (largest[0] or 1.0)))),
-                'torque': rr.LineStrips2D.columns(strips=_floats(
-                    _arcs(root, poses.shaft, poses.effort[:, 2] / (largest[1] or 1.0), body)))
-                }.items():
-            self._stream.send_columns(f'{self._path}/{name}', [_time(ns)], columns)
-
-
-def _floats(values):
-    return np.ascontiguousarray(values, dtype=np.float32)
-
-
-def _arcs(centre, start, share, body):
-    # An arc from the arm in the sense of the torque, and the two strokes of its head.
-    radius = 0.12 * body.length
-    angle = start[:, np.newaxis] + _FARTHEST * share[:, np.newaxis] * _ARC
-    arc = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    last, head = angle[:, -1], np.clip(0.4 * np.abs(share), 0.0, 0.2) * np.sign(share)
-    strokes = [arc]
-    for distance in (0.85, 1.15):
-        back = radius * distance * np.column_stack([np.cos(last - head), np.sin(last - head)])
-        strokes += [arc[:, -1:] + np.minimum(1.0, np.abs(share) * 10)[:, np.newaxis, np.newaxis]
-                    * (back[:, np.newaxis] - arc[:, -1:]), arc[:, -1:]]
-    return centre[:, np.newaxis] + np.concatenate(strokes, axis=1)
-
-
-def log_curves(stream, panel, name, run, runs, names):
-    """Log names and colours of the curves of a run in a panel."""
-    stream.log(f'{CURVES}/{panel}/{name}', rr.SeriesLines(
-        names=[f'{name}: {text}' for text in names] if runs > 1 else list(names), widths=1.5,
-        colors=[colour(run, runs, curve) for curve in range(len(names))]), static=True)
-
-
-def send_curves(stream, panel, name, ns, values):
-    """Send samples of curves at sim times, shape (m,) [ns]; values have shape (m, k)."""
-    stream.send_columns(
-        f'{CURVES}/{panel}/{name}', [_time(ns)],
-        rr.Scalars.columns(scalars=np.ravel(values)).partition(
-            np.full(len(values), values.shape[1])))
-
-
-# In the order in which they are shown.
-TITLES = {
+_BLOCK = 65536  # samples, or frames, that are sent at once
+# By panel of differences: the trace that is compared, and its columns.
+_DIFFERENCES: dict[str, tuple[str, Any]] = {
+    'difference': ('tip_deflection', 0), 'shaft_difference': ('shaft', 0),
+    'carrier_difference': ('carrier', slice(None))}
+# Titles of the panels, in the order in which they are shown.
+_TITLES = {
     'tip_deflection': 'tip deflection w [m]',
     'tip_rotation': 'tip rotation phi [rad]',
     'difference': 'difference of w [m]',
@@ -198,77 +73,22 @@ TITLES = {
 _ON_FIRST_PAGE = 10
 # Panels with a legend when there are several runs.
 _WITH_LEGEND = 'tip_deflection', 'difference'
+_AT = Parameter('--at', 0.0, 's', 'sim time of the picture')
+_LOOPBACK = '127.0.0.1'
+_LOADING = 300.0  # [s] until a viewer must have loaded a file: a longer wait is a hang
+_ENDING = 5.0     # [s] until a viewer must have ended
+_PERIOD = 1.0 / 30.0  # [s] of wall time between two sendings of a live run
+_MOST_WAITING = 300   # samples of a live run; older ones are dropped
+_FLUSHING = 1.0       # [s] to send the last samples of a live run
 
 
-@dataclass
-class Panel:
-    """What a panel shows: number of curves, lowest and highest value, least limit of its axis."""
-
-    curves: int = 0
-    low: float = math.inf
-    high: float = -math.inf
-    least: float = 0.0
-
-    def see(self, values):
-        """Take note of values that are shown."""
-        self.low = min(self.low, float(values.min()))
-        self.high = max(self.high, float(values.max()))
-
-    def title(self, key):
-        """Return quantity, unit, and its lowest and highest value."""
-        if self.low > self.high:
-            return TITLES[key]
-        # Round-off beside larger values is shown as 0.
-        nothing = 1e-12 * max(abs(self.low), abs(self.high))
-        low, high = (0.0 if abs(end) < nothing else end for end in (self.low, self.high))
-        return f'{TITLES[key]}: {low:.3g} to {high:.3g}'
-
-    def axis(self):
-        """Return the vertical axis, -`least` to `least`; None if values exceed it: rerun fits."""
-        small = max(self.high, -self.low) < self.least
-        return rrb.ScalarAxis(range=(-self.least, self.least)) if small else None
+class ViewerError(OSError):
+    """The viewer does not start or does not answer."""
 
 
-def blueprint(panels, bounds, runs=1, live=False):
-    """
-    Return the layout of panels (by key of TITLES) and of the plane between two corners (2, 2) [m].
-
-    With several runs only some panels have a legend. Of a live run the last ten seconds are shown.
-    """
-    ranges = rrb.VisibleTimeRange(
-        TIMELINE, start=rrb.TimeRangeBoundary.cursor_relative(seconds=-10.0),
-        end=rrb.TimeRangeBoundary.cursor_relative()) if live else None
-
-    views = [rrb.TimeSeriesView(
-        origin=f'{CURVES}/{key}', name=panels[key].title(key), time_ranges=ranges,
-        axis_y=panels[key].axis(), plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=(
-            key in _WITH_LEGEND if runs > 1 else panels[key].curves > 1)))
-        for key in TITLES if key in panels]
-    (left, bottom), (right, top) = bounds
-    plane = rrb.Spatial2DView(
-        origin='/', contents=f'{PLANE}/**', name='plane of motion, x right, y up [m]',
-        visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(-top, -bottom)))
-    pages = [rrb.Grid(*views[:_ON_FIRST_PAGE], grid_columns=2, name='motion')]
-    if len(views) > _ON_FIRST_PAGE:
-        pages.append(rrb.Grid(*views[_ON_FIRST_PAGE:], grid_columns=2, name='more'))
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(plane, rrb.TextDocumentView(origin=ABOUT, name='about'),
-                         row_shares=[4, 1]),
-            rrb.Tabs(*pages, active_tab=0), column_shares=[1, 1]),
-        rrb.TimePanel(timeline=TIMELINE, expanded=False,
-                      play_state='following' if live else 'paused'),
-        rrb.BlueprintPanel(expanded=False), rrb.SelectionPanel(expanded=False))
-
-
-BLOCK = 65536  # samples, or frames, that are sent at once
-# By panel of differences: the trace that is compared, and its columns.
-_DIFFERENCES: dict[str, tuple[str, Any]] = {
-    'difference': ('tip_deflection', 0), 'shaft_difference': ('shaft', 0),
-    'carrier_difference': ('carrier', slice(None))}
-
-
-def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
+def write(tracks: Sequence[Track], path: Path | str, fps: float = 30.0,
+          report: Callable[[float], object] = lambda done: None,
+          at: float | None = None) -> np.ndarray:
     """
     Write tracks to a rerun file, laid over each other.
 
@@ -307,37 +127,32 @@ def write(tracks, path, fps=30.0, report=lambda done: None, at=None):
 def _send(stream, tracks, fps, report, at):
     frames = [track.frames(fps, at) for track in tracks]
     bounds, largest = _extent(tracks, frames)
-    log_frame_of_plane(stream, bounds)
-    stream.log(ABOUT, rr.TextDocument(_about(tracks, largest, fps), media_type='text/markdown'),
+    _log_plane(stream, bounds)
+    stream.log(_ABOUT, rr.TextDocument(_about(tracks, largest, fps), media_type='text/markdown'),
                static=True)
-    shares = [len(track.traces) + 2 for track in tracks]
-    panels = {}
+    shares = sum(len(track.traces) + 2 for track in tracks)
+    panels: dict[str, Panel] = {}
     for run, track in enumerate(tracks):
-        plane = Plane(stream, track.name, track.body, run, len(tracks))
-        if track.floor is not None:
-            log_floor(stream, track.name, track.floor, bounds)
+        entities = Entities(stream, track, run, len(tracks), bounds)
         for part in _blocks(len(frames[run])):
             picked = frames[run][part]
-            plane.send(track.ns[picked], track.poses(picked), largest)
-        report(2 / sum(shares))
+            entities.send_poses(track.ns[picked], track.poses(picked), largest)
+        report(2 / shares)
         for trace in track.traces:
-            log_curves(stream, trace.panel, track.name, run, len(tracks), trace.names)
-            panel = panels.setdefault(trace.panel, Panel())
-            panel.curves += len(trace.names)
-            for part in _blocks(len(trace.ns)):
-                send_curves(stream, trace.panel, track.name, trace.ns[part], trace.values[part])
-            panel.see(trace.values)
-            report(1 / sum(shares))
+            entities.name_curves(trace.panel, trace.names)
+            entities.send_curves(trace.panel, trace.ns, trace.values)
+            panels.setdefault(trace.panel, Panel()).add(trace.values)
+            report(1 / shares)
         if run:
-            _send_differences(stream, tracks[0], track, run, len(tracks), panels)
+            _send_differences(entities, tracks[0], track, panels)
     if 'balance' in panels:  # so that a balance that closes looks flat, not like magnified noise
         panels['balance'].least = 1e-3 * max(panels['energy'].high, -panels['energy'].low)
-    stream.send_blueprint(blueprint(panels, bounds, len(tracks)))
+    stream.send_blueprint(_blueprint(panels, bounds, len(tracks)))
     return bounds
 
 
 def _blocks(count):
-    return [slice(k, min(k + BLOCK, count)) for k in range(0, count, BLOCK)]
+    return [slice(k, min(k + _BLOCK, count)) for k in range(0, count, _BLOCK)]
 
 
 def _extent(tracks, frames):
@@ -356,31 +171,27 @@ def _extent(tracks, frames):
     return (np.array([low - 0.05 * np.max(high - low), high]), np.max(efforts, axis=0).tolist())
 
 
-def _send_differences(stream, first, track, run, runs, panels):
+def _send_differences(entities, first, track, panels):
     for panel, (source, columns) in _DIFFERENCES.items():
         ours, theirs = track.trace(source), first.trace(source)
-        inside = np.flatnonzero((ours.ns >= theirs.ns[0]) & (ours.ns <= theirs.ns[-1]))
-        if not len(inside):
+        inside = (ours.ns >= theirs.ns[0]) & (ours.ns <= theirs.ns[-1])
+        if not inside.any():
             continue
+        ns = ours.ns[inside]
+        values = ours.values[inside] - np.column_stack(
+            [np.interp(ns, theirs.ns, column) for column in theirs.values.T])
+        values = values[:, columns].reshape(len(ns), -1)
         names = np.array(ours.names)[columns].reshape(-1)
-        log_curves(stream, panel, track.name, run, runs,
-                   [f'{text} less {first.name}' for text in names])
-        seen = panels.setdefault(panel, Panel(least=1e-12))
-        seen.curves += len(names)
-        for part in _blocks(len(inside)):
-            ns, values = ours.ns[inside[part]], ours.values[inside[part]]
-            values = values - np.column_stack(
-                [np.interp(ns, theirs.ns, column) for column in theirs.values.T])
-            values = values[:, columns].reshape(len(ns), -1)
-            send_curves(stream, panel, track.name, ns, values)
-            seen.see(values)
+        entities.name_curves(panel, [f'{text} less {first.name}' for text in names])
+        entities.send_curves(panel, ns, values)
+        panels.setdefault(panel, Panel(least=1e-12)).add(values)
 
 
 def _about(tracks, largest, fps):
     lines = [f'- **{track.name}**: {track.note}' for track in tracks]
     lines.append(f'- arrow: force, at most {largest[0]:.3g} N; arc: torque, at most '
                  f'{largest[1]:.3g} N m; grey: the arm if it did not bend; trail: '
-                 f'{TRAIL} frames of the tip, at most {fps:g} per second')
+                 f'{_TRAIL} frames of the tip, at most {fps:g} per second')
     if any(track.floor is not None for track in tracks):
         lines.append('- line and arrow at the carrier: floor, and direction of gravity')
     if len(tracks) > 1:
@@ -388,17 +199,218 @@ def _about(tracks, largest, fps):
     return '\n'.join(lines)
 
 
-_AT = Parameter('--at', 0.0, 's', 'sim time of the picture')
-_LOOPBACK = '127.0.0.1'
-_PATIENCE = 300.0  # [s] until a viewer must have loaded a file: a longer wait is a hang
-_OBEDIENCE = 5.0  # [s] until a viewer must have ended
+class Entities:
+    """
+    What a stream has of one run: its bodies in the plane, and its curves.
+
+    Parameters
+    ----------
+    stream : RecordingStream
+    track : Track
+        Of which only name, body and floor are used.
+    run, runs : int
+        The number of the run, from 0, and how many runs the stream has.
+    bounds : ndarray, shape (2, 2)
+        Corners of the plane that is shown [m].
+
+    """
+
+    def __init__(self, stream: rr.RecordingStream, track: Track, run: int, runs: int,
+                 bounds: np.ndarray) -> None:
+        self._stream, self._name, self._run, self._runs = stream, track.name, run, runs
+        self._body, self._path = track.body, f'{_PLANE}/{track.name}'
+        self._trail: np.ndarray | None = None
+        self._log_styles()
+        if track.floor is not None:
+            self._log_floor(track.floor, bounds)
+
+    def _log_styles(self):
+        body, points = self._body, rr.Radius.ui_points
+        own, line = self._colour(), 0.5 * body.thickness
+        grey, tip = (_TICKS, _COLOURS[5]) if self._runs == 1 else (own, own)
+        styles: list[tuple] = [
+            ('ghost', rr.LineStrips2D, _GHOST, points(1.0), {}),
+            ('carrier', rr.Boxes2D, own, points(1.5), {'half_sizes': [0.5 * body.carrier] * 2}),
+            ('motor', rr.Points2D, grey, 0.5 * body.motor, {}),
+            ('arm', rr.LineStrips2D, own, line if line > 0.004 * body.length else points(2.0), {}),
+            ('end_effector', rr.Points2D, tip, 0.5 * body.end_effector, {}),
+            ('trail', rr.LineStrips2D, grey, points(1.0), {}),
+            ('force', rr.Arrows2D, _EFFORT, points(2.0), {}),
+            ('torque', rr.LineStrips2D, _EFFORT, points(1.5), {})]
+        for order, (name, kind, colors, radii, more) in enumerate(styles):
+            self._stream.log(f'{self._path}/{name}', kind.from_fields(
+                colors=colors, radii=radii, draw_order=float(order), **more), static=True)
+
+    def _log_floor(self, floor, bounds):
+        self._stream.log(f'{self._path}/floor', rr.LineStrips2D(
+            [floor.line(bounds)], colors=_TICKS, radii=rr.Radius.ui_points(1.0),
+            draw_order=-5.0), static=True)
+        self._stream.log(f'{self._path}/gravity', rr.Arrows2D(
+            origins=floor.arrow[:1], vectors=np.diff(floor.arrow, axis=0), colors=_TICKS,
+            radii=rr.Radius.ui_points(1.5), draw_order=-5.0), static=True)
+
+    def _colour(self, curve=0):
+        """Return the RGB colour of a curve: a shade for its run if there are several."""
+        if self._runs == 1:
+            return _COLOURS[curve % len(_COLOURS)]
+        base = np.array(_COLOURS[self._run % len(_COLOURS)])
+        return tuple((base + (255 - base) * (1 - 0.6**curve)).astype(int).tolist())
+
+    def send_poses(self, ns: np.ndarray, poses: Poses, largest: Sequence[float]) -> None:
+        """
+        Send Poses at sim times, shape (m,) [ns], after all that were sent before.
+
+        `largest` is the force [N] and the torque [N m] that are drawn in full size.
+        """
+        body, root, tip = self._body, poses.line[:, 0], poses.line[:, -1]
+        straight = root + body.length * np.column_stack([np.cos(poses.shaft), np.sin(poses.shaft)])
+        before = np.repeat(tip[:1], _TRAIL - 1, axis=0) if self._trail is None else self._trail
+        trail = np.concatenate([before, tip])
+        self._trail = trail[1 - _TRAIL:]
+        trails = np.moveaxis(np.lib.stride_tricks.sliding_window_view(trail, _TRAIL, axis=0), 1, 2)
+        for name, columns in {
+                'ghost': rr.LineStrips2D.columns(
+                    strips=_floats(np.stack([root, straight], axis=1))),
+                'trail': rr.LineStrips2D.columns(strips=_floats(trails)),
+                'carrier': rr.Boxes2D.columns(centers=_floats(root)),
+                'motor': rr.Points2D.columns(positions=_floats(root)),
+                'arm': rr.LineStrips2D.columns(strips=_floats(poses.line)),
+                'end_effector': rr.Points2D.columns(positions=_floats(tip)),
+                'force': rr.Arrows2D.columns(
+                    origins=_floats(root), vectors=_floats(poses.effort[:, :2] * (
+                        _LONGEST_ARROW * body.length / (largest[0] or 1.0)))),
+                'torque': rr.LineStrips2D.columns(strips=_floats(
+                    _arcs(root, poses.shaft, poses.effort[:, 2] / (largest[1] or 1.0), body)))
+                }.items():
+            self._stream.send_columns(f'{self._path}/{name}', [_time(ns)], columns)
+
+    def name_curves(self, panel: str, names: Sequence[str]) -> None:
+        """Log names and colours of the curves in a panel."""
+        self._stream.log(f'{_CURVES}/{panel}/{self._name}', rr.SeriesLines(
+            names=[f'{self._name}: {text}' if self._runs > 1 else text for text in names],
+            colors=[self._colour(curve) for curve in range(len(names))], widths=1.5), static=True)
+
+    def send_curves(self, panel: str, ns: np.ndarray, values: np.ndarray) -> None:
+        """Send samples of the curves in a panel at sim times, (m,) [ns]; values are (m, k)."""
+        for part in _blocks(len(ns)):
+            self._stream.send_columns(
+                f'{_CURVES}/{panel}/{self._name}', [_time(ns[part])],
+                rr.Scalars.columns(scalars=np.ravel(values[part])).partition(
+                    np.full(len(values[part]), values.shape[1])))
 
 
-class ViewerError(OSError):
-    """The viewer does not start or does not answer."""
+def _log_plane(stream, bounds):
+    """Log the static parts of the plane: y upward, and a grid in the bounds, (2, 2) [m]."""
+    # Rerun's plane has y downward: the plane is mirrored, its content is not.
+    stream.log(_PLANE, rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
+    low, high = bounds
+    spacing, low = _spacing(np.max(high - low)), low + 0.05 * np.max(high - low)
+    lines, labels, places = [], [], []
+    for axis, name in enumerate('xy'):
+        for k in range(int(np.ceil(low[axis] / spacing)), int(high[axis] / spacing) + 1):
+            ends = np.array([low, high])
+            ends[:, axis] = k * spacing
+            lines.append(ends)
+            places.append(ends[0])
+            labels.append(f'{name} = {k * spacing:g} m' if k == 0 else f'{k * spacing:g}')
+    stream.log(f'{_PLANE}/grid', rr.LineStrips2D(
+        lines, colors=_GRID, radii=rr.Radius.ui_points(0.5), draw_order=-10.0), static=True)
+    stream.log(f'{_PLANE}/grid/ticks', rr.Points2D(
+        places, labels=labels, show_labels=True, colors=_TICKS, radii=0.0), static=True)
 
 
-def show_tracks(makers, save=None, png=None, at=None, web=False, fps=30.0):
+def _spacing(extent):
+    decade = 10.0**np.floor(np.log10(extent / 3.0))
+    return decade * max(n for n in (1, 2, 5) if n * decade <= extent / 3.0)
+
+
+def _time(ns):
+    return rr.TimeColumn(_TIMELINE, duration=np.asarray(ns).astype('timedelta64[ns]'))
+
+
+def _floats(values):
+    return np.ascontiguousarray(values, dtype=np.float32)
+
+
+def _arcs(centre, start, share, body):
+    # An arc from the arm in the sense of the torque, and the two strokes of its head.
+    radius = 0.12 * body.length
+    angle = start[:, np.newaxis] + _WIDEST_ARC * share[:, np.newaxis] * _ARC
+    arc = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    last, head = angle[:, -1], np.clip(0.4 * np.abs(share), 0.0, 0.2) * np.sign(share)
+    strokes = [arc]
+    for distance in (0.85, 1.15):
+        back = radius * distance * np.column_stack([np.cos(last - head), np.sin(last - head)])
+        strokes += [arc[:, -1:] + np.minimum(1.0, np.abs(share) * 10)[:, np.newaxis, np.newaxis]
+                    * (back[:, np.newaxis] - arc[:, -1:]), arc[:, -1:]]
+    return centre[:, np.newaxis] + np.concatenate(strokes, axis=1)
+
+
+@dataclass
+class Panel:
+    """What a panel shows: number of curves, lowest and highest value, least limit of its axis."""
+
+    curves: int = 0
+    low: float = math.inf
+    high: float = -math.inf
+    least: float = 0.0
+
+    def add(self, values: np.ndarray) -> None:
+        """Add curves with these values, (n, k)."""
+        self.curves += values.shape[1]
+        self.low = min(self.low, float(values.min()))
+        self.high = max(self.high, float(values.max()))
+
+    def title(self, key: str) -> str:
+        """Return quantity, unit, and its lowest and highest value."""
+        if self.low > self.high:
+            return _TITLES[key]
+        # Round-off beside larger values is shown as 0.
+        nothing = 1e-12 * max(abs(self.low), abs(self.high))
+        low, high = (0.0 if abs(end) < nothing else end for end in (self.low, self.high))
+        return f'{_TITLES[key]}: {low:.3g} to {high:.3g}'
+
+    def axis(self) -> rrb.ScalarAxis | None:
+        """Return the vertical axis, -`least` to `least`; None if values exceed it: rerun fits."""
+        small = max(self.high, -self.low) < self.least
+        return rrb.ScalarAxis(range=(-self.least, self.least)) if small else None
+
+
+def _blueprint(panels, bounds, runs=1, live=False):
+    """
+    Return the layout of panels, by key of _TITLES, and of the plane with corners `bounds`.
+
+    With several runs only some panels have a legend. Of a live run the last ten seconds are shown.
+    """
+    ranges = rrb.VisibleTimeRange(
+        _TIMELINE, start=rrb.TimeRangeBoundary.cursor_relative(seconds=-10.0),
+        end=rrb.TimeRangeBoundary.cursor_relative()) if live else None
+
+    views = [rrb.TimeSeriesView(
+        origin=f'{_CURVES}/{key}', name=panels[key].title(key), time_ranges=ranges,
+        axis_y=panels[key].axis(), plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=(
+            key in _WITH_LEGEND if runs > 1 else panels[key].curves > 1)))
+        for key in _TITLES if key in panels]
+    (left, bottom), (right, top) = bounds
+    plane = rrb.Spatial2DView(
+        origin='/', contents=f'{_PLANE}/**', name='plane of motion, x right, y up [m]',
+        visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(-top, -bottom)))
+    pages = [rrb.Grid(*views[:_ON_FIRST_PAGE], grid_columns=2, name='motion')]
+    if len(views) > _ON_FIRST_PAGE:
+        pages.append(rrb.Grid(*views[_ON_FIRST_PAGE:], grid_columns=2, name='more'))
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(plane, rrb.TextDocumentView(origin=_ABOUT, name='about'),
+                         row_shares=[4, 1]),
+            rrb.Tabs(*pages, active_tab=0), column_shares=[1, 1]),
+        rrb.TimePanel(timeline=_TIMELINE, expanded=False,
+                      play_state='following' if live else 'paused'),
+        rrb.BlueprintPanel(expanded=False), rrb.SelectionPanel(expanded=False))
+
+
+def show_tracks(makers: Sequence[Callable[[], Track]], save: str | None = None,
+                png: str | None = None, at: float | None = None, web: bool = False,
+                fps: float = 30.0) -> None:
     """
     Convert tracks, and show them unless only a file or a picture is wanted.
 
@@ -412,7 +424,7 @@ def show_tracks(makers, save=None, png=None, at=None, web=False, fps=30.0):
     web : bool
         Whether to show them in the browser.
     fps : float
-        See `convert.write`.
+        See `write`.
 
     Raises
     ------
@@ -469,7 +481,8 @@ def _show(path, web):
         raise ViewerError(f'the viewer of rerun ended with code {code}')
 
 
-def picture(path, png, at=None, size=(1600, 1000), view=None):
+def picture(path: Path | str, png: Path | str, at: float | None = None,
+            size: tuple[int, int] = (1600, 1000), view: str | None = None) -> None:
     """
     Draw a rerun file to a picture, without a screen.
 
@@ -496,8 +509,8 @@ def picture(path, png, at=None, size=(1600, 1000), view=None):
         client = _until(
             lambda: ViewerClient.connect(f'rerun+http://{_LOOPBACK}:{port}/proxy'), process)
         state = _until(lambda: _loaded(client), process)
-        end = max(line.end for line in state.recordings[0].timelines if line.name == 'sim_time')
-        client.set_time('sim_time', duration=end * 1e-9 if at is None else at,
+        end = max(line.end for line in state.recordings[0].timelines if line.name == _TIMELINE)
+        client.set_time(_TIMELINE, duration=end * 1e-9 if at is None else at,
                         play_state='paused')
         only = next((each.view_id for each in state.views
                      if view is not None and each.name.startswith(view)), None)
@@ -514,11 +527,11 @@ def picture(path, png, at=None, size=(1600, 1000), view=None):
         process.communicate()
 
 
-def stop(process):
+def stop(process: subprocess.Popen) -> None:
     """End a viewer; if it does not obey, kill it."""
     process.terminate()
     try:
-        process.wait(_OBEDIENCE)
+        process.wait(_ENDING)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
@@ -540,13 +553,13 @@ def _free_port():
 def _loaded(client):
     state = client.get_state()
     ready = not state.loading and state.views and state.recordings and any(
-        line.name == 'sim_time' for line in state.recordings[0].timelines)
+        line.name == _TIMELINE for line in state.recordings[0].timelines)
     return state if ready else None
 
 
 def _until(condition, process):
     """Return what a condition finds; until a viewer answers, it raises RuntimeError or OSError."""
-    deadline = time.monotonic() + _PATIENCE
+    deadline = time.monotonic() + _LOADING
     while time.monotonic() < deadline:
         if process.poll() is not None:
             raise ViewerError(_reason(process.stderr.read()))
@@ -557,7 +570,7 @@ def _until(condition, process):
         if found:
             return found
         time.sleep(0.05)
-    raise ViewerError(f'the viewer of rerun did not answer within {_PATIENCE:g} s')
+    raise ViewerError(f'the viewer of rerun did not answer within {_LOADING:g} s')
 
 
 def _reason(text):
@@ -567,56 +580,48 @@ def _reason(text):
     return 'the viewer of rerun ended: ' + ' '.join(text.split())[-300:]
 
 
-_PERIOD = 1.0 / 30.0  # [s] of wall time between two sendings
-_MOST_WAITING = 300   # samples; older ones are dropped
-_FLUSH_TIMEOUT = 1.0       # [s] to send the last samples
-
-
 class Stream:
-    """Shows a growing run of a Scene in the viewer at an address."""
+    """Shows a growing run of a Scene, with the name of its node, in the viewer at an address."""
 
-    def __init__(self, url, name, scene):
+    def __init__(self, url: str, name: str, scene: Scene) -> None:
         self._scene, self._name = scene, name.strip('/').replace('/', '_')
         self._largest = [0.0, 0.0]
         self._stream = rr.RecordingStream('timo_sim')
         self._stream.connect_grpc(url)
-        start, body = scene.initial_motion(), body_of(scene)
-        reach = 1.3 * body.length
-        bounds = np.array([start[:2] - reach, start[:2] + reach])
-        log_frame_of_plane(self._stream, bounds)
-        self._plane = Plane(self._stream, self._name, body, 0, 1)
-        self._stream.log(ABOUT, rr.TextDocument(
+        start, margin = scene.initial_motion(), 1.3 * body_of(scene).length
+        bounds = np.array([start[:2] - margin, start[:2] + margin])
+        _log_plane(self._stream, bounds)
+        self._stream.log(_ABOUT, rr.TextDocument(
             f'**{name}**, live: 30 samples per second of wall time, also in the curves'
             ' (a log has all)', media_type='text/markdown'), static=True)
         first = self._track(np.concatenate([[0.0], start, np.zeros(3)])[np.newaxis])
-        if first.floor is not None:
-            log_floor(self._stream, self._name, first.floor, bounds)
+        self._entities = Entities(self._stream, first, 0, 1, bounds)
         for trace in first.traces:
-            log_curves(self._stream, trace.panel, self._name, 0, 1, trace.names)
-        self._stream.send_blueprint(blueprint(
+            self._entities.name_curves(trace.panel, trace.names)
+        self._stream.send_blueprint(_blueprint(
             {trace.panel: Panel(len(trace.names)) for trace in first.traces}, bounds, live=True))
 
     def _track(self, samples):
-        return of_motion(self._name, self._scene, samples[:, 0].astype(np.int64),
-                         samples[:, 1:-3], samples[:, -3:], balanced=False)
+        return track_of_motion(
+            self._name, self._scene, samples[:, 0].astype(np.int64), samples[:, 1:-3],
+            samples[:, -3:], balanced=False)
 
-    def send(self, samples):
+    def send(self, samples: np.ndarray) -> None:
         """Send samples, shape (m, 1 + 2 (3 + N) + 3): time [ns], motion, effort."""
         track = self._track(samples)
         poses = track.poses(slice(None))
         self._largest = [max(self._largest[0], np.hypot(*poses.effort[:, :2].T).max()),
                          max(self._largest[1], np.abs(poses.effort[:, 2]).max())]
-        self._plane.send(track.ns, poses, self._largest)
+        self._entities.send_poses(track.ns, poses, self._largest)
         for trace in track.traces:
-            send_curves(self._stream, trace.panel, self._name, track.ns,
-                        trace.values)
+            self._entities.send_curves(trace.panel, track.ns, trace.values)
 
-    def flush(self):
+    def flush(self) -> None:
         """Wait up to a second until all is sent."""
-        self._stream.flush(timeout_sec=_FLUSH_TIMEOUT)
+        self._stream.flush(timeout_sec=_FLUSHING)
 
 
-def main(url, name, number):
+def main(url: str, name: str, number: str) -> None:
     """Stream samples from standard input; file descriptor `number` has a scene's values, JSON."""
     with open(int(number)) as values:
         scene = load_scene(json.load(values))
@@ -636,7 +641,7 @@ def main(url, name, number):
     while len(data := sys.stdin.buffer.read(size)) == size:
         waiting.append(np.frombuffer(data))
     ended.set()
-    worker.join(_FLUSH_TIMEOUT)
+    worker.join(_FLUSHING)
     os._exit(0)  # at once: rerun would wait for a viewer that does not answer
 
 

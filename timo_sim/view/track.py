@@ -8,51 +8,31 @@
 
 """Tracks: what a view shows of a run, made of a `Run`, of a log of the node or of a plain bag."""
 
-from collections.abc import Callable
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from timo_sim.log.read import payloads_of
+from timo_sim.log.tables import Recording
 from timo_sim.model.layout import INPUTS, rotate
 from timo_sim.scene.parameters import Parameter
+from timo_sim.scene.scene import Scene
 from timo_sim.simulation.energy import energy, integral, work
 from timo_sim.simulation.loads import pieces
 from timo_sim.topics.commands import COMMANDS
 
-_BESIDE = 0.08  # from the carrier's centre to the arrow, and its length, in arm lengths
-
-
-class Floor(NamedTuple):
-    """A line normal to gravity through the underside of the carrier at its first position."""
-
-    place: np.ndarray   # under the carrier, (2,) [m]
-    along: np.ndarray   # unit vector, to the right for who stands on the floor, (2,)
-    arrow: np.ndarray   # from tail to head, which is on the floor, (2, 2) [m]
-
-    def line(self, bounds):
-        """Return the ends of a line that crosses a rectangle with the corners `bounds`, (2, 2)."""
-        return self.place + np.linalg.norm(bounds[1] - bounds[0]) * np.array([-1.0, 1.0])[
-            :, np.newaxis] * self.along
-
-
-def floor_of(gravity, carrier, body):
-    """Return the Floor under a carrier, (2,) [m], of a `track.Body`; None without gravity."""
-    strength = float(np.hypot(*gravity))
-    if strength == 0.0:
-        return None
-    down = np.array(gravity) / strength
-    along, place = np.array([-down[1], down[0]]), carrier + 0.5 * body.carrier * down
-    head = place - _BESIDE * body.length * along
-    return Floor(place, along, np.array([head - _BESIDE * body.length * down, head]))
-
-
 FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
 _POINTS = 41     # of the centre line that is drawn
 _BLOCK = 1024    # samples that are computed at once: their arrays stay in the processor's cache
-# Commands whose work is not in the efforts of joints: the first always, all if a shaft is driven.
-_UNSEEN = ('~/tip_wrench', '~/motor_torque', '~/motor_voltage', '~/joint_command', '~/commands')
+_BESIDE = 0.08   # from the carrier to the arrow of gravity, and its length, in arm lengths
+# Commands whose work `effort` does not contain: the tip wrench always, the others where the motion
+# of the shaft is prescribed.
+_WITHOUT_EFFORT = (
+    '~/tip_wrench', '~/motor_torque', '~/motor_voltage', '~/joint_command', '~/commands')
 
 
 class TrackError(ValueError):
@@ -75,6 +55,19 @@ class Poses(NamedTuple):
     line: np.ndarray    # centre line from root to tip, (m, p, 2) [m]
     shaft: np.ndarray   # (m,) [rad]
     effort: np.ndarray  # force x, y [N] and torque [N m] as applied, (m, 3)
+
+
+class Floor(NamedTuple):
+    """A line normal to gravity through the underside of the carrier at its first position."""
+
+    place: np.ndarray   # under the carrier, (2,) [m]
+    along: np.ndarray   # unit vector, to the right for who stands on the floor, (2,)
+    arrow: np.ndarray   # from tail to head, which is on the floor, (2, 2) [m]
+
+    def line(self, bounds: np.ndarray) -> np.ndarray:
+        """Return the ends of a line that crosses a rectangle with the corners `bounds`, (2, 2)."""
+        return self.place + np.linalg.norm(bounds[1] - bounds[0]) * np.array([-1.0, 1.0])[
+            :, np.newaxis] * self.along
 
 
 class Trace(NamedTuple):
@@ -109,17 +102,17 @@ class Track:
 
     name: str
     ns: np.ndarray
-    poses: Callable
-    traces: list
+    poses: Callable[[np.ndarray | slice], Poses]
+    traces: list[Trace]
     body: Body
     note: str
     floor: Floor | None = None
 
-    def trace(self, panel):
+    def trace(self, panel: str) -> Trace | None:
         """Return the trace of a panel, or None."""
         return next((trace for trace in self.traces if trace.panel == panel), None)
 
-    def frames(self, rate, at=None):
+    def frames(self, rate: float, at: float | None = None) -> np.ndarray:
         """
         Return ascending indices of samples for at most `rate` frames per second.
 
@@ -127,23 +120,22 @@ class Track:
         """
         span = self.ns[-1] - self.ns[0]
         wanted = self.ns[0] + np.round(np.arange(int(span * 1e-9 * rate) + 1) * (1e9 / rate))
-        wanted = np.concatenate([np.searchsorted(self.ns, wanted), [len(self.ns) - 1]])
+        places = [*np.searchsorted(self.ns, wanted), len(self.ns) - 1]
         if at is not None:
-            place = np.searchsorted(self.ns, round(1e9 * at), side='right') - 1
-            wanted = np.append(wanted, max(place, 0))
-        return np.unique(wanted)
+            places.append(max(np.searchsorted(self.ns, round(1e9 * at), side='right') - 1, 0))
+        return np.unique(places)
 
 
-def of_run(run, name='run'):
+def track_of_run(run: Any, name: str = 'run') -> Track:
     """Return the track of a `Run`."""
     if run.recording is not None:
-        return of_recording(run.recording, name)
+        return track_of_recording(run.recording, name)
     ns = np.rint(run.t * 1e9).astype(np.int64)
-    return of_motion(name, run.scene, ns, run.motion, run.effort, heat=run.friction_heat,
-                     payloads=run.payloads)
+    return track_of_motion(name, run.scene, ns, run.motion, run.effort, heat=run.friction_heat,
+                           payloads=run.payloads)
 
 
-def of_recording(recording, name):
+def track_of_recording(recording: Recording, name: str) -> Track:
     """
     Return the track of a `log.tables.Recording`.
 
@@ -166,21 +158,24 @@ def of_recording(recording, name):
     resets = np.searchsorted(step, recording.resets, side='right') - 1
     resets += step[resets] < recording.resets
     driven = scene.values['motor.shaft'] == 'driven'
-    unseen = any(topic in series and len(series[topic].ns)
-                 for topic in (_UNSEEN if driven else _UNSEEN[:1]))
+    hidden = any(topic in series and len(series[topic].ns)
+                 for topic in (_WITHOUT_EFFORT if driven else _WITHOUT_EFFORT[:1]))
     # A limited rate makes a straight line of the jump that a command would be.
     limited = np.isfinite([scene.values['carrier.force_rate_limit'],
                            scene.values['motor.torque_rate_limit']]).any()
     commands = [] if limited else [
         series[command.name].step for command in COMMANDS if command.name in series]
-    return of_motion(name, scene, ns, motion, joints.values[place, 6:9],
-                     resets[(0 < resets) & (resets < len(ns))],
-                     not (recording.changes or unseen),
-                     payloads=payloads_of(recording), commands=np.concatenate([[], *commands]))
+    return track_of_motion(
+        name, scene, ns, motion, joints.values[place, 6:9],
+        resets[(0 < resets) & (resets < len(ns))],
+        not (recording.changes or hidden),
+        payloads=recording.payloads, commands=np.concatenate([[], *commands]))
 
 
-def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=None,
-              payloads=(), commands=()):
+def track_of_motion(
+        name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray, effort: np.ndarray,
+        resets: ArrayLike = (), balanced: bool = True, heat: np.ndarray | None = None,
+        payloads: Sequence[tuple[int, float, float]] = (), commands: ArrayLike = ()) -> Track:
     """
     Return the track of a known motion.
 
@@ -258,7 +253,18 @@ def of_motion(name, scene, ns, motion, effort, resets=(), balanced=True, heat=No
     return Track(name, ns, poses, traces, body, note, floor)
 
 
-def body_of(scene):
+def floor_of(gravity: tuple[float, float], carrier: np.ndarray, body: Body) -> Floor | None:
+    """Return the Floor under a carrier, (2,) [m], of a `track.Body`; None without gravity."""
+    strength = float(np.hypot(*gravity))
+    if strength == 0.0:
+        return None
+    down = np.array(gravity) / strength
+    along, place = np.array([-down[1], down[0]]), carrier + 0.5 * body.carrier * down
+    head = place - _BESIDE * body.length * along
+    return Floor(place, along, np.array([head - _BESIDE * body.length * down, head]))
+
+
+def body_of(scene: Scene) -> Body:
     """Return the sizes of what is drawn of a scene."""
     arm, body = scene.manipulator.arm, scene.manipulator
     density = np.max(arm.section.density)
@@ -293,12 +299,13 @@ def _of_bag(recording, name, joints):
     along = np.column_stack(rotate(-motion[:, 2], *(place[:, :2] - motion[:, :2]).T))
     length = float(np.median(along[:, 0] - across[:, 0]))
     share = np.linspace(0.0, 1.0, _POINTS)
-    reach, begin, end = 3 * share**2 - 2 * share**3, share - 2 * share**2 + share**3, (
+    # Hermite's cubics: the place of the tip, and the slopes at root and tip.
+    place_part, begin, end = 3 * share**2 - 2 * share**3, share - 2 * share**2 + share**3, (
         share**3 - share**2)
 
     def poses(part):
         slope = length * np.column_stack([np.cos(rotation[part]), np.sin(rotation[part])])
-        bent = (along[part][:, np.newaxis] * reach[:, np.newaxis]
+        bent = (along[part][:, np.newaxis] * place_part[:, np.newaxis]
                 + np.array([length, 0.0]) * begin[:, np.newaxis]
                 + slope[:, np.newaxis] * end[:, np.newaxis])
         line = np.stack(rotate(motion[part, 2][:, np.newaxis], bent[..., 0], bent[..., 1]),

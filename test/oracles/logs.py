@@ -6,21 +6,54 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Readers of logs as oracles: this package's is checked by mcap, mcap_ros2 and rosbags."""
+"""Small logs, and what other readers find in a log: mcap, mcap_ros2 and rosbags."""
 
 from collections import Counter
-import os
-import subprocess
-import sys
+import struct
 
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from timo_sim.log.info import info
-from timo_sim.log.read import recover
-from timo_sim.log.records import LogError
+from timo_sim.log.read import LogError, recover
 from timo_sim.log.tables import Recording
+from timo_sim.log.write import Channel, Recorder
+
+CHANNELS = [Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64'),
+            Channel('/rare', 'std_msgs/msg/Float64'),
+            Channel('/joint_states', 'sensor_msgs/msg/JointState')]
+MAGIC_SIZE = 8  # [B] at the beginning and at the end of a log
+
+
+def payload(value):
+    """Return a std_msgs/Float64 as it is on the wire."""
+    return b'\0\1\0\0' + struct.pack('<d', value)
+
+
+def record(path, steps=120, chunk=20):
+    """Record a log with a reset after each chunk; return its contents."""
+    recorder = Recorder(path, CHANNELS, {'timo_sim': {'parameters': '{}'}})
+    for step in range(steps):
+        if step and step % chunk == 0:
+            recorder.note('timo_sim.reset', {'step': str(step)})
+        recorder.write(0, step, 1000000 * step, payload(step))
+        if step % 10 == 0:
+            recorder.write(1, step, 1000000 * step, payload(-step))
+    recorder.close()
+    if recorder.error:
+        raise RuntimeError(recorder.error)
+    return recorder.path.read_bytes()
+
+
+def places(content):
+    """Return place, opcode and length of each record of an intact log."""
+    found, place = [], MAGIC_SIZE
+    while place < len(content) - MAGIC_SIZE:
+        opcode, length = struct.unpack_from('<BQ', content, place)
+        found.append((place, opcode, 9 + length))
+        place += 9 + length
+    return found
 
 
 def outcome(path):
@@ -34,9 +67,9 @@ def outcome(path):
 
     """
     new = path.with_name('out.mcap')
-    for look in info, lambda file: Recording(file).topics:
+    for read in info, lambda file: Recording(file).topics:
         try:
-            look(path)
+            read(path)
         except LogError as error:
             if '\n' in str(error):
                 raise RuntimeError(f'a refusal is one line: {error}') from None
@@ -62,11 +95,12 @@ def contents(path):
     with open(path, 'rb') as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
-        found = Counter(channel.topic for _, channel, _ in reader.iter_messages())
-        last = summary.statistics.message_end_time
-        latest = [entry.log_time for _, _, entry in reader.iter_messages(start_time=last)]
-    if found.total() != summary.statistics.message_count or any(
-            time != last for time in latest) or bool(latest) != bool(found):
+        times = [(channel.topic, message.log_time)
+                 for _, channel, message in reader.iter_messages()]
+    found = Counter(topic for topic, _ in times)
+    latest = max((time for _, time in times), default=0)
+    if (found.total(), latest) != (summary.statistics.message_count,
+                                   summary.statistics.message_end_time):
         raise RuntimeError(f'{path} has {found}, its summary says {summary.statistics}')
     return found
 
@@ -84,42 +118,3 @@ def decoded(path):
     if first != second:
         raise RuntimeError(f'{path}: mcap_ros2 finds {first}, rosbags {second}')
     return first
-
-
-LIMITED = """
-import pathlib, re, resource, sys
-from oracles.log_readers import outcome
-resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)
-for path in map(pathlib.Path, sys.argv[2:]):
-    print(path.stem, outcome(path), sep=': ')
-# Not ru_maxrss, which begins with that of the process that started this one.
-print(int(re.search(r'VmHWM:\\s*(\\d+)', pathlib.Path('/proc/self/status').read_text())[1]) >> 10)
-"""
-
-
-def limited(paths, limit, timeout):
-    """
-    Recover logs in a process of bounded memory.
-
-    Parameters
-    ----------
-    paths : list of Path
-    limit : int
-        Size of its address space [MB].
-    timeout : float
-        [s]
-
-    Returns
-    -------
-    dict, int
-        `outcome` by name of the file; largest resident memory [MB].
-
-    """
-    process = subprocess.run(
-        [sys.executable, '-c', LIMITED, str(limit), *map(str, paths)], timeout=timeout,
-        capture_output=True, text=True,
-        env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
-    if process.returncode:
-        raise RuntimeError(process.stdout + process.stderr)
-    *lines, memory = process.stdout.splitlines()
-    return dict(line.split(': ') for line in lines), int(memory)

@@ -1,0 +1,652 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Logs and bags as arrays, tables and facts: agreement with other readers; older and bad files."""
+
+from collections import Counter
+import csv
+import json
+import math
+import os
+from pathlib import Path
+import random
+import re
+import shutil
+import subprocess
+import sys
+
+from click.testing import CliRunner
+from mcap.records import Channel as ChannelRecord, DataEnd, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, IndexType, Writer as McapWriter
+from mcap_ros2.reader import read_ros2_messages
+import numpy as np
+import pyarrow.parquet
+import pytest
+from ros_process import Client, Process, replayed
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+import yaml
+
+import timo_sim
+from timo_sim.cli import main
+from timo_sim.log import info as info_module, read
+from timo_sim.log.export import table
+from timo_sim.log.info import info
+from timo_sim.log.notes import CHANGE, START
+from timo_sim.log.read import LogError, LogFile, recover
+from timo_sim.log.tables import common, Recording
+from timo_sim.log.write import Channel, Recorder
+from timo_sim.runs.replay import replay
+from timo_sim.topics.cdr import Serializer
+from timo_sim.topics.commands import COMMANDS
+from timo_sim.topics.outputs import outputs
+
+LIES = 150
+STORE = get_typestore(Stores.ROS2_JAZZY)
+OLD_LOG = Path(__file__).parents[1] / 'data' / 'log_0_1_0.mcap'
+
+
+@pytest.fixture(scope='module')
+def log(tmp_path_factory, paper):
+    """Log two seconds of the paper's scene, some topics slower than others, two remapped."""
+    node = Process(tmp_path_factory.mktemp('log'), '--params-file', str(paper), '-r',
+                   '__ns:=/left', '-r', 'joint_states:=timo_sim/joint_states', '-r',
+                   '~/commands:=/arm/commands', real_time_factor=0.0, duration=2.0, **{
+                       'rate.joint_states': 100.0, 'rate.tip_pose': 200.0,
+                       'rate.modal_state': 50.0, 'rate.tip_deflection': 1000.0})
+    assert node.wait()[0] == 0
+    return node.log
+
+
+@pytest.fixture(scope='module')
+def run(paper):
+    """Return the same run, every 10 ms."""
+    return timo_sim.simulate(timo_sim.load_scene(paper), 2.0, sample_every=10)
+
+
+@pytest.fixture(scope='module')
+def with_reset(ros, tmp_path_factory):
+    """Log a command that acts, a reset, and the command again, 0.1 s each."""
+    client = Client()
+    node = Process(tmp_path_factory.mktemp('reset'), start_paused=True, steps_per_call=100)
+    torque = client.command(Float64, '/timo_sim/motor_torque')
+    step = client.service(Trigger, '/timo_sim/step')
+    for reset in (True, False):
+        torque.publish(Float64(data=1.0))
+        step()
+        if reset:
+            client.service(Trigger, '/timo_sim/reset')()
+    client.close()
+    assert node.end()[0] == 0
+    return node.log
+
+
+def call(*arguments, code=0):
+    """Call the command line; return what it prints."""
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert result.exit_code == code, (result.output, result.exception)
+    return result.output
+
+
+def numbers(message):
+    """Return the columns of a joint state that another reader has decoded."""
+    return [*message.position, *message.velocity, *message.effort]
+
+
+def test_a_log_of_version_0_1_has_its_parameters_by_present_name():
+    recording = Recording(OLD_LOG)
+    assert recording.facts['timo_sim'] == '0.1.0'
+    assert 'motor.dc.gear"' in recording.facts['changed']
+    values = recording.scene.values
+    assert values['motor.dc.gear_ratio'] == 3.0 and values['motor.torque_rate_limit'] == 5.0
+    assert values['motor.torque_limit'] == math.inf
+    assert recording.parameters['steps_per_call'] == 1
+
+
+def test_a_log_of_version_0_1_is_replayed(tmp_path, monkeypatch):
+    """To the last bit on the machine that made it; others round differently."""
+    monkeypatch.chdir(tmp_path)
+    lines = []
+    good = replay(OLD_LOG, show=lines.append)
+    if not good:
+        assert 'differ' in lines[1] and 'logged with' in lines[-1]
+    old, new = timo_sim.open_log(OLD_LOG), Recording(OLD_LOG).scene
+    again = timo_sim.simulate(new.vary({'motor.dc.resistance': 0.0}), 0.1)
+    assert again.motion.shape[1] == old.motion.shape[1]
+
+
+def test_limits_of_0_in_a_log_of_version_0_1_are_none(tmp_path):
+    """Two parameters had other names, and a limit of 0 meant no limit."""
+    recorder = Recorder(tmp_path / 'old.mcap', [
+        Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64')], {START: {
+            'node': '/timo_sim', 'changed': '{}', 'parameters': json.dumps({
+                'motor.dc.resistance': 0.5, 'motor.dc.torque_constant': 0.06,
+                'motor.dc.gear': 3.0, 'motor.dc.voltage_limit': 0.0, 'motor.torque_limit': 0.0,
+                'carrier.force_limit': 100.0, 'step_count': 7})}})
+    recorder.note(CHANGE, {'step': '5', 'values': '{"carrier.force_limit": 0.0}'})
+    recorder.close()
+    recording = Recording(tmp_path / 'old.mcap')
+    found = recording.scene.values
+    assert found['motor.dc.gear_ratio'] == 3.0 and found['carrier.force_limit'] == 100.0
+    assert found['motor.torque_limit'] == found['motor.dc.voltage_limit'] == np.inf
+    assert recording.parameters['steps_per_call'] == 7
+    (step, _, values), = recording.changes
+    assert step == 5 and values == {'carrier.force_limit': np.inf}
+
+
+def test_an_imu_of_an_older_log_or_bag_gets_its_present_name(tmp_path):
+    output, = (output for output in outputs(0) if output.name == '~/tip_imu/data_raw')
+    recorder = Recorder(
+        tmp_path / 'old.mcap', [Channel('/left/sim/tip_imu', output.type_name)], {})
+    recorder.write(0, 1, 1000000, Serializer(output.type_name, output.template)(
+        (0, 1000000), (1.0, 2.0, 3.0)))
+    recorder.close()
+    recording = Recording(tmp_path / 'old.mcap')
+    assert recording.name == '/left/sim'
+    assert recording.topics['~/tip_imu/data_raw'].values.tolist() == [[1.0, 2.0, 3.0]]
+    columns, _ = table(recording, '~/tip_imu/data_raw')
+    assert list(columns) == ['time_s', *output.columns]
+
+
+def test_joint_states_of_a_bag_are_those_of_the_simulator(tmp_path):
+    """If ros2_control publishes joint_states, the simulator's are those below its name."""
+    output, = (output for output in outputs(0) if output.name == 'joint_states')
+    serialize = Serializer(output.type_name, output.template)
+    recorder = Recorder(tmp_path / 'bag.mcap', [
+        Channel('/joint_states', output.type_name), Channel('/sim/joint_states', output.type_name),
+        Channel('/sim/motor_torque', 'std_msgs/msg/Float64')], {})
+    for index in 0, 1:
+        recorder.write(index, 1, 1000000, serialize((0, 1000000), [float(index)] * 9))
+    recorder.close()
+    assert Recording(tmp_path / 'bag.mcap').topics['joint_states'].values.tolist() == [[1.0] * 9]
+
+
+def test_series_agree_with_another_reader(log):
+    recording = Recording(log)
+    assert recording.name == '/left/timo_sim' and not len(recording.resets)
+    topics = recording.topics
+    assert set(topics) == {'joint_states', '~/modal_state', '~/tip_deflection', '~/tip_pose',
+                           '~/carrier_pose', '~/root_strain', '~/tip_imu/data_raw', '~/encoder',
+                           *(command.name for command in COMMANDS)} - {
+                               '~/motor_voltage'}  # there is no such motor
+    found = {name: [] for name in topics}
+    for message in read_ros2_messages(str(log)):
+        if message.channel.topic != '/diagnostics':
+            found[recording.short_name(message.channel.topic)].append(message)
+    for name, series in topics.items():
+        assert series.step.tolist() == [message.sequence_count for message in found[name]]
+        assert series.ns.tolist() == [message.log_time_ns for message in found[name]]
+        assert series.values.shape == (len(found[name]), len(series.columns))
+    for name in ('joint_states', '~/modal_state'):
+        assert topics[name].values.tolist() == [
+            numbers(message.ros_msg) for message in found[name]]
+    assert topics['~/tip_pose'].values.tolist() == [
+        [pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w]
+        for pose in (message.ros_msg.pose for message in found['~/tip_pose'])]
+    assert topics['~/tip_deflection'].columns == ('axial_m', 'transverse_m')
+
+
+def test_motion_and_scene_are_those_of_the_run(log, paper):
+    recording = Recording(log)
+    scene = timo_sim.load_scene(paper)
+    assert recording.scene == scene
+    step, ns, motion = recording.motion()
+    run = timo_sim.simulate(scene, 2.0, sample_every=20)
+    assert step.tolist() == list(range(0, 2001, 20)) and ns.tolist() == (step * 1000000).tolist()
+    assert np.array_equal(motion, run.motion)
+
+
+def test_a_bag_has_sim_time_of_headers_and_commands_by_log_time(tmp_path):
+    """A bag of another tool: wall time as log time, and one command that the node would refuse."""
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        deflection, torque = (
+            bag.add_connection(topic, kind, typestore=STORE) for topic, kind in (
+                ('/timo_sim/tip_deflection', 'geometry_msgs/msg/Vector3Stamped'),
+                ('/timo_sim/motor_torque', 'std_msgs/msg/Float64')))
+        types = STORE.types
+        start = 1700000000000000000
+        for k in (0, 1, 3, 2, *range(4, 11)):  # at half speed, one late
+            header = types['std_msgs/msg/Header'](
+                types['builtin_interfaces/msg/Time'](5, k * 1000000), 'arm')
+            message = types[deflection.msgtype](
+                header, types['geometry_msgs/msg/Vector3'](0.5 * k, -k, 0.0))
+            bag.write(deflection, start + 2000000 * k,
+                      STORE.serialize_cdr(message, deflection.msgtype))
+        for log_time, value in ((-4, 1.0), (5, np.nan), (5, 2.0), (30, 3.0)):
+            bag.write(torque, start + 1000000 * log_time, STORE.serialize_cdr(
+                types[torque.msgtype](value), torque.msgtype))
+    recording = Recording(tmp_path / 'bag')
+    assert recording.scene is None and recording.name == '/timo_sim'
+    tip, torque = recording.topics['~/tip_deflection'], recording.topics['~/motor_torque']
+    assert tip.ns.tolist() == [5000000000 + k * 1000000 for k in range(11)]
+    assert tip.values.tolist() == [[0.5 * k, -k] for k in range(11)]
+    assert torque.values.tolist() == [[1.0, 0.0], [2.0, 0.0], [3.0, 0.0]] and torque.refused == 1
+    assert torque.ns.tolist() == [4998000000, 5002500000, 5015000000]
+    assert set(torque.step) == {-1}
+
+
+def test_a_late_sensor_is_not_the_clock_of_a_bag(tmp_path):
+    """Its headers have the time of measurement, 0.2 s ago; joint states have the present time."""
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        encoder, joints, torque = (
+            bag.add_connection(topic, kind, typestore=STORE) for topic, kind in (
+                ('/timo_sim/encoder', 'sensor_msgs/msg/JointState'),
+                ('/joint_states', 'sensor_msgs/msg/JointState'),
+                ('/timo_sim/motor_torque', 'std_msgs/msg/Float64')))
+        types, none = STORE.types, np.zeros(0)
+        for k in range(11):
+            for connection, names, late in ((encoder, ['shaft'], 200), (
+                    joints, ['carrier_x', 'carrier_y', 'shaft'], 0)):
+                header = types['std_msgs/msg/Header'](
+                    types['builtin_interfaces/msg/Time'](5, (300 + k - late) * 1000000), '')
+                numbers = np.zeros(len(names))
+                message = types[connection.msgtype](
+                    header, names, numbers, *([none, none] if late else [numbers, numbers]))
+                bag.write(connection, 1000000 * k, STORE.serialize_cdr(
+                    message, connection.msgtype))
+        bag.write(torque, 4000000, STORE.serialize_cdr(types[torque.msgtype](1.0),
+                                                       torque.msgtype))
+    topics = Recording(tmp_path / 'bag', '/timo_sim').topics
+    assert topics['~/encoder'].ns[0] == 5100000000
+    assert topics['~/motor_torque'].ns.tolist() == [5304000000]
+
+
+def changed(log, folder, change):
+    """Return a copy of a log, changed by a function of its bytes."""
+    data = bytearray(log.read_bytes())
+    change(data)
+    path = folder / 'changed.mcap'
+    path.write_bytes(data)
+    return path
+
+
+def damage_chunk(data):
+    place = data.index(b'lz4') + 200
+    data[place:place + 8] = b'\xff' * 8
+
+
+def test_damaged_logs_are_refused_with_advice(log, tmp_path):
+    for change, words in (
+            (lambda data: data.__delitem__(slice(-1000, None)), 'has no end.*timo_sim recover'),
+            (damage_chunk, 'damaged.*timo_sim recover'),
+            (lambda data: data.__setitem__(-100, data[-100] ^ 1),
+             'checksum of the summary is wrong.*timo_sim recover'),
+            (lambda data: data.clear(), 'is empty'),
+            (lambda data: data.__setitem__(slice(0, 4), b'oops'), 'not an MCAP file')):
+        with pytest.raises(LogError, match=words):
+            Recording(changed(log, tmp_path, change)).topics
+
+
+def test_an_index_that_points_to_something_else_is_refused(log, tmp_path):
+    file = LogFile(log)
+    number, place = next(
+        (number, place) for number, place in file.chunks[0].message_index_offsets.items()
+        if file.channels[number].topic.endswith('joint_states'))
+    for offset in (1, 2**63):
+        def change(data):
+            entry = slice(place + 15 + 8, place + 15 + 16)
+            data[entry] = (int.from_bytes(data[entry], 'little') + offset).to_bytes(8, 'little')
+        with pytest.raises(LogError, match='joint_states.*the index points to something'):
+            Recording(changed(log, tmp_path, change)).topics
+
+
+def test_an_invalid_scene_in_a_log_is_an_error(log, tmp_path):
+    def change(data):
+        place = data.index(b'"arm.length": 2.0')
+        data[place:place + 17] = b'"arm.length": -20'
+    path = changed(log, tmp_path, change)
+    recording = Recording(path)
+    with pytest.raises(LogError, match='scene cannot be built: arm.length must be'):
+        recording.scene
+
+
+def test_a_log_without_a_scene_gives_one_line(tmp_path):
+    for number, facts in enumerate((
+            {'node': '/timo_sim'}, {'parameters': '', 'node': '/timo_sim'}, {'parameters': '[]'},
+            {'topics': '[1]'}, {'topics': '{"/timo_sim/motor_torque": [1]}'})):
+        path = tmp_path / f'{number}.mcap'
+        Recorder(path, [Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64')], {
+            START: facts}).close()
+        for command in (['replay'], ['replay', '--set', 'model.modes=2'],
+                        ['export', '-o', 'a.csv']):
+            text = call(command[0], path, *command[1:], code=2)
+            assert text.count('\n') == 1
+            assert 'its scene cannot be built' in text or command[0] == 'export'
+
+
+def test_a_log_is_open_only_while_it_is_read(log):
+    recording = Recording(log)
+    assert len(recording.topics['joint_states'].ns) == 201
+    opened = {os.path.realpath(f'/proc/self/fd/{number}') for number in
+              os.listdir('/proc/self/fd')}
+    assert str(log) not in opened
+
+
+def records(path):
+    """Return the records of the data section, in their order, as mcap reads them."""
+    found = []
+    with open(path, 'rb') as stream:
+        for entry in StreamReader(stream).records:
+            if isinstance(entry, DataEnd):
+                return found
+            if isinstance(entry, (Schema, ChannelRecord, Message, Metadata)):
+                found.append(entry)
+    return found
+
+
+def rewritten(log, path, change=list, attachment=False, **options):
+    """Write what `change` makes of a log's records by mcap's writer, in small chunks."""
+    with open(path, 'wb') as stream:
+        writer = McapWriter(stream, **{'chunk_size': 4096, **options})
+        writer.start('ros2')
+        schemas, channels = {0: 0}, {}
+        for entry in change(records(log)):
+            if isinstance(entry, Schema):
+                schemas[entry.id] = writer.register_schema(entry.name, entry.encoding, entry.data)
+            elif isinstance(entry, ChannelRecord):
+                channels[entry.id] = writer.register_channel(
+                    entry.topic, entry.message_encoding, schemas[entry.schema_id], entry.metadata)
+            elif isinstance(entry, Message):
+                writer.add_message(channels[entry.channel_id], entry.log_time, entry.data,
+                                   entry.publish_time, entry.sequence)
+            else:
+                writer.add_metadata(entry.name, entry.metadata)
+        if attachment:
+            writer.add_attachment(1, 2, 'note.txt', 'text/plain', b'by hand')
+        writer.finish()
+    return path
+
+
+def messages_first(order):
+    """Return a function that orders messages by `order` and puts metadata behind them."""
+    def change(entries):
+        rest, messages, notes = ([entry for entry in entries if kind(entry)] for kind in (
+            lambda entry: not isinstance(entry, (Message, Metadata)),
+            lambda entry: isinstance(entry, Message), lambda entry: isinstance(entry, Metadata)))
+        return [*rest, *order(messages), *notes]
+    return change
+
+
+def shuffled(messages):
+    return random.Random(5).sample(messages, len(messages))
+
+
+@pytest.fixture(scope='module')
+def source(with_reset, tmp_path_factory):
+    """Return a log of the first 0.1 s of a run with a command, written by mcap's writer."""
+    def before_the_reset(entries):
+        names = [getattr(entry, 'name', '') for entry in entries]
+        return entries[:names.index('timo_sim.reset')]
+    return rewritten(with_reset, tmp_path_factory.mktemp('source') / 'run.mcap', before_the_reset)
+
+
+def test_a_log_that_other_tools_rewrote_is_read_and_replayed_the_same(source, tmp_path):
+    ours, path, compared = Recording(source).topics, tmp_path / 'run.mcap', set()
+    assert ours['~/motor_torque'].values.tolist() == [[1.0, 0.0]]
+    for change, options in (
+            (list, {}), (list, {'compression': CompressionType.ZSTD}),
+            (list, {'compression': CompressionType.NONE, 'chunk_size': 1}),
+            (list, {'use_chunking': False}), (list, {'attachment': True, 'enable_crcs': False}),
+            (list, {'index_types': IndexType.CHUNK | IndexType.METADATA}),
+            (messages_first(shuffled), {}),
+            (messages_first(shuffled), {'use_chunking': False})):
+        found = Recording(rewritten(source, path, change, **options)).topics
+        assert found.keys() == ours.keys()
+        for name, series in found.items():
+            assert np.array_equal(series.step, ours[name].step)
+            assert np.array_equal(series.values, ours[name].values, equal_nan=True)
+        compared.update(line for line in replayed(path) if 'compared' in line)
+        messages, text = LogFile(path).statistics.message_count, call('info', path)
+        assert f'is complete: {messages} messages' in recover(path)
+        rate = '- -' if 'use_chunking' in options or 'index_types' in options else '100 Hz 0.01 s'
+        assert f'joint_states 11 {rate} ' in ' '.join(text.split())
+    line, = compared
+    assert re.match(r'(\d+) of \1 logged numbers compared: all', line)
+
+
+def test_a_log_without_a_whole_summary_is_refused(source, tmp_path):
+    for options in ({'use_statistics': False}, {'repeat_channels': False},
+                    {'repeat_schemas': False}, {'index_types': IndexType.NONE}):
+        path = rewritten(source, tmp_path / 'run.mcap', **options)
+        assert 'timo_sim recover' in call('replay', path, code=2)
+        recover(path, tmp_path / 'new.mcap')
+        replayed(tmp_path / 'new.mcap')
+        (tmp_path / 'new.mcap').unlink()
+
+
+def test_an_unknown_order_at_a_reset_is_refused(with_reset, tmp_path):
+    assert len(Recording(with_reset).resets) == 1
+    replayed(with_reset)
+    for order, words in ((shuffled, 'it does not say which messages were before a reset'), (
+            list, 'whether .* at the step of a reset was before or after it is not known')):
+        path = rewritten(with_reset, tmp_path / 'run.mcap', messages_first(order))
+        assert re.search(words, call('replay', path, code=2))
+
+
+def test_notes_of_two_runs_are_refused(source, tmp_path):
+    def merged(entries):
+        return [*entries, *(Metadata(entry.name, {**entry.metadata, 'node': '/other'})
+                            for entry in entries if isinstance(entry, Metadata))]
+    path = rewritten(source, tmp_path / 'run.mcap', merged)
+    for command in ('info', 'replay'):
+        assert 'has the notes of several runs' in call(command, path, code=2)
+
+
+def test_a_topic_that_cannot_be_read_fails_a_replay_and_is_named_in_a_table(source, tmp_path):
+    def without_a_schema(entries):
+        for entry in entries:
+            if isinstance(entry, ChannelRecord) and entry.topic.endswith('tip_pose'):
+                entry.schema_id = 0
+        return entries
+    path = rewritten(source, tmp_path / 'run.mcap', without_a_schema)
+    words = ('/timo_sim/tip_pose is not read: its type is unknown, without a schema, encoded as '
+             "'cdr'")
+    text = call('replay', path, code=1)
+    assert words in text and ' of ' in text and ': all' not in text
+    assert words in call('export', path, '-o', tmp_path / 'table.csv')
+
+
+def test_a_folder_with_two_files_asks_for_one(log, tmp_path):
+    for name in ('a.mcap', 'b.mcap'):
+        shutil.copy(log, tmp_path / name)
+    with pytest.raises(LogError, match='2 files'):
+        Recording(tmp_path)
+
+
+def test_a_changed_file_is_a_log_or_a_log_error(source, tmp_path):
+    """With some bytes changed and no checksums it gives arrays or a LogError of one line."""
+    intact = rewritten(source, tmp_path / 'run.mcap', compression=CompressionType.NONE,
+                       enable_crcs=False).read_bytes()
+    generator, path, refused = np.random.default_rng(1), tmp_path / 'run.mcap', 0
+    for _ in range(LIES):
+        data = bytearray(intact)
+        place = int(generator.integers(len(data) - 9))
+        size = int(generator.choice([1, 2, 4, 8]))
+        data[place:place + size] = generator.choice(
+            [generator.bytes(size), bytes(size), b'\xff' * size])
+        path.write_bytes(data)
+        try:
+            info(path)
+            recording = Recording(path)
+            recording.scene, recording.topics, recording.motion()
+        except LogError as error:
+            refused += 1
+            assert '\n' not in str(error)
+    assert 0.05 * LIES < refused < LIES
+
+
+def test_samples_after_a_reset_are_joined_with_those_after_it():
+    """With a reset at 35 joint states are before and after it, modal states after it only."""
+    joints, modes = np.array([25, 30, 35, 35, 40]), np.array([30, 35, 40])
+    first, second = common(joints, modes)
+    assert first.tolist() == [1, 3, 4] and second.tolist() == [0, 1, 2]
+    first, second = common(np.array([30, 30, 30, 50]), np.array([30, 30, 30, 40]))
+    assert first.tolist() == second.tolist() == [0, 1, 2]
+
+
+def test_info_describes_the_run(log, paper):
+    text = call('info', log)
+    run = timo_sim.simulate(timo_sim.load_scene(paper), 2.0)
+    across = np.abs(run.deflection(2.0)[:, 1])
+    assert f'{across.max():.6g} m transverse, at {run.t[across.argmax()]:.6g} s' in text
+    for words in ('log of /left/timo_sim', 'load.torque.harmonic.frequency = [4.0]', 'numpy ',
+                  'sim time  0 to 2 s', 'refused_commands 0', 'resets    none'):
+        assert words in text
+    rows = {words[0]: words[1:] for words in map(str.split, text.splitlines()) if words}
+    assert rows['/left/timo_sim/tip_pose'] == ['401', '200', 'Hz', '0.005', 's']
+    assert rows['/left/timo_sim/modal_state'] == ['101', '50', 'Hz', '0.02', 's']
+    assert '/left/timo_sim/motor_torque' in ' '.join(rows['without'])
+
+
+def test_info_finds_gaps_and_a_peak_that_was_not_noted(tmp_path):
+    output, = (output for output in outputs(0) if output.name == '~/tip_deflection')
+    topics = [Channel('/timo_sim/tip_deflection', output.type_name)]
+    recorder = Recorder(tmp_path / 'run.mcap', topics, {
+        'timo_sim': {'node': '/timo_sim', 'parameters': '{}', 'changed': '{}'}})
+    serialize = Serializer(output.type_name, output.template)
+    for step in [*range(0, 50), *range(80, 100)]:
+        recorder.write(0, step, step * 1000000, serialize((0, step * 1000000), (0.0, -step)))
+    recorder.close()
+    text = call('info', tmp_path / 'run.mcap')
+    assert '0.031 s' in text and '99 m transverse, at 0.099 s' in text and 'not known' in text
+
+
+def test_info_prints_no_control_characters(tmp_path):
+    recorder = Recorder(tmp_path / 'run.mcap', [Channel('/\x1b[2J', 'std_msgs/msg/Float64')], {
+        'timo_sim': {'node': '\x1b]0;', 'changed': json.dumps({'\x1b': 1}), 'numpy': '\x1b'}})
+    recorder.close()
+    text = call('info', tmp_path / 'run.mcap')
+    assert '\x1b' not in text and '[2J' in text
+
+
+def test_a_gigabyte_takes_no_longer_than_its_index(tmp_path, monkeypatch):
+    """Of 4000 chunks, as a gigabyte has them, each index is read once, and few are unpacked."""
+    path = tmp_path / 'many.mcap'
+    recorder = Recorder(path, [Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64')], {})
+    for k in range(4000):
+        recorder.write(0, k, k * 10000000, bytes(12))
+        recorder.note('', {})  # which ends a chunk
+    recorder.close()
+    assert len(LogFile(path).chunks) == 4000
+
+    done = Counter()
+    for owner, name in ((LogFile, 'times'), (read, '_decompress')):
+        def counted(*arguments, name=name, function=getattr(owner, name)):
+            done[name] += 1
+            return function(*arguments)
+        monkeypatch.setattr(owner, name, counted)
+    assert '100 Hz' in call('info', path)
+    assert done['times'] == 4000 and done['_decompress'] <= 50
+
+
+def test_a_topic_that_ends_early_has_its_rate_where_chunks_are_skipped(tmp_path, monkeypatch):
+    monkeypatch.setattr(info_module, '_MOST_TIMES', 20)  # of 225: one chunk in twelve
+    path = tmp_path / 'early.mcap'
+    recorder = Recorder(path, [Channel('/short', 'std_msgs/msg/Float64'),
+                               Channel('/long', 'std_msgs/msg/Float64')], {})
+    for k in range(200):
+        recorder.write(1, k, k * 10000000, bytes(12))
+        if 70 < k < 96:
+            recorder.write(0, k, k * 10000000, bytes(12))
+        recorder.note('', {})  # which ends a chunk
+    recorder.close()
+    assert all(f' {count}      100 Hz  0.01 s' in call('info', path) for count in (200, 25))
+
+
+def test_info_imports_no_physics(log):
+    code = ('import sys; from timo_sim.log.info import info; info(sys.argv[1]); '
+            'assert not {"numba", "scipy", "rclpy"} & set(sys.modules)')
+    subprocess.run([sys.executable, '-c', code, log], check=True)
+
+
+def test_a_table_has_the_run_with_units_in_its_names(log, run, tmp_path):
+    """pandas and MATLAB read Parquet and CSV; pyarrow and csv do so here."""
+    assert 'left out' in call('export', log, '-o', tmp_path / 'run.parquet')
+    table = pyarrow.parquet.read_table(tmp_path / 'run.parquet').to_pydict()
+    call('export', log, '-o', tmp_path / 'run.csv')
+    with open(tmp_path / 'run.csv') as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == list(table)
+    for name, values in table.items():
+        assert [float(row[name]) if row[name] else None for row in rows] == values
+    assert table['step'] == list(range(0, 2001, 10))
+    assert np.allclose(table['time_s'], run.t, rtol=0, atol=1e-12)
+    assert np.array_equal(table['carrier_x_m'], run.carrier[:, 0])
+    assert np.array_equal(table['shaft_velocity_rad_per_s'], run.shaft_velocity)
+    assert np.array_equal(table['mode_2_m_sqrt_kg'][::2], run.q[::2, 1])
+    assert set(table['mode_2_m_sqrt_kg'][1::2]) == {None}  # half as often as joint states
+    assert np.allclose(table['tip_deflection_transverse_m'], run.deflection(2.0)[:, 1],
+                       rtol=0, atol=1e-14)
+    assert np.allclose(table['tip_pose_rotation_rad'], run.shaft + run.rotation(2.0),
+                       rtol=0, atol=1e-14)
+
+
+def test_a_topic_alone_has_all_its_messages(log, tmp_path):
+    path = tmp_path / 'pose.parquet'
+    assert '401 rows' in call('export', log, '-o', path, '--topic', '~/tip_pose')
+    table = pyarrow.parquet.read_table(path)
+    assert table.column_names == ['time_s', 'step', 'x_m', 'y_m', 'rotation_rad']
+    text = call('export', log, '-o', tmp_path / 'none.csv', '--topic', 'x', code=2)
+    assert 'no x; it has' in text and 'joint_states' in text
+
+
+def test_export_overwrites_nothing(log, tmp_path):
+    for name in ('run.csv', 'run.parquet'):
+        (tmp_path / name).write_text('precious')
+        assert 'exists' in call('export', log, '-o', tmp_path / name, code=2)
+        assert (tmp_path / name).read_text() == 'precious'
+    assert 'exists' in call('export', log, '-o', tmp_path, '--bag', code=2)
+    assert 'must end with' in call('export', log, '-o', tmp_path / 'run.xlsx', code=2)
+    for option in ('--topic', '--node'):
+        text = call('export', log, '-o', tmp_path / 'bag', '--bag', option, '/timo_sim', code=2)
+        assert text == f'timo_sim: --bag takes the whole file: leave out {option}\n'
+    assert not (tmp_path / 'bag').exists()
+
+
+def test_a_bag_opens_as_a_folder(log, tmp_path):
+    call('export', log, '-o', tmp_path / 'bag', '--bag')
+    with Reader(tmp_path / 'bag') as bag:
+        counts = {connection.topic: connection.msgcount for connection in bag.connections}
+        assert bag.duration == 2000000001 and counts['/left/timo_sim/tip_pose'] == 401
+        assert sum(1 for _ in bag.messages()) == bag.message_count
+    content = yaml.safe_load((tmp_path / 'bag/metadata.yaml').read_text())
+    topics = content['rosbag2_bagfile_information']['topics_with_message_count']
+    assert {topic['topic_metadata']['offered_qos_profiles'][0]['reliability']
+            for topic in topics} == {'reliable'}
+    # `ros2 bag reindex` accepts only such names (rosbag2_cpp/reindexer.cpp).
+    file, = (tmp_path / 'bag').glob('*.mcap')
+    assert re.fullmatch(r'(.+_(\d+)\.([a-zA-Z0-9])+)', str(file)) and file.name == 'bag_0.mcap'
+    # Commands take the folder for its file, `view` in test_view.py, `replay` in test_replay.py.
+    for command in ('info', 'recover'):
+        assert call(command, file.parent) == call(command, file)
+    call('export', file.parent, '-o', tmp_path / 'other', '--bag')
+    assert (tmp_path / 'other/other_0.mcap').samefile(log)
+    (tmp_path / 'link.mcap').symlink_to('bag/bag_0.mcap')
+    call('export', tmp_path / 'link.mcap', '-o', tmp_path / 'third', '--bag')
+    assert (tmp_path / 'third/third_0.mcap').samefile(log)
+    assert not (tmp_path / 'third/third_0.mcap').is_symlink()
+
+
+def test_a_file_that_is_no_log_gives_one_line_and_code_2(tmp_path):
+    path = tmp_path / 'no.mcap'
+    for content, words in ((None, 'No such file'), (b'', 'is empty'),
+                           (b'#!/bin/sh\n', 'not an MCAP file')):
+        if content is not None:
+            path.write_bytes(content)
+        for command in ('info', 'export', 'replay'):
+            more = ['-o', tmp_path / 'out.csv'] if command == 'export' else []
+            text = call(command, path, *more, code=2)
+            assert words in text and text.count('\n') == 1
+
+
+def test_each_subcommand_shows_an_example():
+    for name in main.commands:
+        assert f'    timo_sim {name} ' in call(name, '--help'), name
