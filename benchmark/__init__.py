@@ -9,9 +9,10 @@
 """
 Measures accuracy, speed and robustness of this package, and makes the pictures of its pages.
 
-Run from the root of the repository, as in `python -m benchmark.speed --quick`. Modules here import
-timo_sim, the examples and the tests' `oracles`. The folders share `report`, `timing` and
-`process`, and import nothing from each other; timo_sim and the oracles import nothing from here.
+Run from the root of the repository, as in `python -m benchmark.speed --quick`. `accuracy` has run
+time against error, references and fits, `figures` the pictures of doc/, `speed` times, memory and
+latencies, `stress` random scenes, attacks and damage. They share `report`, `timing` and `process`
+and import timo_sim, the examples and the tests' `oracles`, which import nothing from here.
 """
 
 import os

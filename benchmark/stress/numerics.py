@@ -28,7 +28,7 @@ import numpy as np
 from benchmark import ROOT
 from benchmark.report import parser
 from benchmark.stress.scenes import cell, hard_cell, laden_cell
-from benchmark.stress.truth import judge, SEEN, shares, VERDICTS
+from benchmark.stress.truth import judge, SEEN, VERDICTS
 from oracles.linear_beam import LinearBeam
 import timo_sim
 from timo_sim.runs.run import sampled_run
@@ -194,12 +194,9 @@ def main():
     given = words.parse_args()
     make = given.make or cell
     for number in given.only:
-        each = make(number, given.seed)
-        print(json.dumps(each._asdict(), indent=1))
+        print(json.dumps(make(number, given.seed)._asdict(), indent=1))
         for found in judged(number, make, given.seed):
             print(json.dumps(found))
-        print('changes of the tip as steps, stretch and modes are refined in turn [lengths]:',
-              json.dumps(shares(each)))
 
 
 if __name__ == '__main__':
