@@ -48,12 +48,12 @@ def batch_of(modes, count, alike=True):
 
 def batches(quick):
     """Return rows (line, target, measured, met, remark) of steps of a `Batch`."""
-    found, least = [], {}
+    found = []
     for modes, target in TARGETS:
         scalar = Prepared(paper(modes=modes)).run
         for alike in (True, False):
             ours, theirs = timed(batch_of(modes, LANES, alike), scalar, units=STEPS, rounds=15)
-            time = least[modes, alike] = ours.least / LANES
+            time = ours.least / LANES
             ratio = LANES * theirs.products / ours.products
             found.append((
                 f'a step and run of a batch, N = {modes}' + ', masses differ' * (not alike),
@@ -65,13 +65,7 @@ def batches(quick):
     found.append(('the same, N = 3, by number of runs', '', ', '.join(
         f'{count}: {1e6 * time:.2g} us' for count, time in zip(counts, times)), None,
         'a group of lanes has 8; a last group that is not full takes as long'))
-    (few, *_, most) = (modes for modes, _ in TARGETS)
-    growth = [math.log(least[most, alike] / least[few, alike]) / math.log(most / few)
-              for alike in (True, False)]
-    return [*found, (
-        f'growth from N = {few} to {most}', '',
-        f'N^{growth[0]:.1f}; if masses differ N^{growth[1]:.1f}', None,
-        'matrices of 2 (3 + N) rows; constants of lanes that differ leave the first cache')]
+    return found
 
 
 def environment_rate(count):

@@ -183,31 +183,22 @@ def silent_row(turns, seconds):
             f'{over:.2f}', over <= 1.05, f'{1e6 * statistics.median(fast.cpu):.0f} us a step')
 
 
-def finished(*extra, environment=ENVIRONMENT, signalled=None, after=0.0):
-    """
-    Run a node to its end, or send it a signal after some time.
-
-    Return when it was started or signalled, its ticks, its output and its exit code.
-    """
+def finished(*extra, environment=ENVIRONMENT):
+    """Run a node to its end; return when it was started, its ticks and its output."""
     with tempfile.TemporaryDirectory() as folder:
         begin = time.monotonic()
         with started('node', 'ticks.npy', *extra, environment=environment, cwd=folder,
                      stdout=subprocess.PIPE) as process:
-            if signalled:
-                time.sleep(after)
-                begin = time.monotonic()
-                process.send_signal(signalled)
             output = process.communicate()[0]
-            if process.returncode and not signalled:
+            if process.returncode:
                 raise RuntimeError(output)
-        path = Path(folder) / 'ticks.npy'
-        return begin, np.load(path) if path.exists() else None, output, process.returncode
+        return begin, np.load(Path(folder) / 'ticks.npy'), output
 
 
 def jitter_rows(seconds, long):
     """Run alone at three tick rates; the fastest for long enough to see what is dropped."""
     for rate, duration in ((200, seconds), (500, seconds), (1000, long)):
-        _, ticks, output, _ = finished(*arguments(
+        _, ticks, output = finished(*arguments(
             rate=100.0, duration=float(duration), **{'integrator.step': 1.0 / rate}))
         yield (f'interval at {rate} Hz, p50 / p99 / max', f'{1e6 / rate:.0f} us',
                spread(np.diff(ticks[:, 0])) + ' us', None, '')
@@ -235,7 +226,7 @@ def start_rows(times):
     with tempfile.TemporaryDirectory() as cache:
         taken = []
         for _ in range(1 + times):
-            begin, ticks, _, _ = finished(*arguments(duration=0.01), environment={
+            begin, ticks, _ = finished(*arguments(duration=0.01), environment={
                 **ENVIRONMENT, 'NUMBA_CACHE_DIR': cache})
             taken.append(ticks[0, 0] - begin)
     cold, *warm = taken
@@ -246,24 +237,13 @@ def start_rows(times):
            f'{min(warm):.2f} to {max(warm):.2f} s')
 
 
-def overload_rows():
-    """Start a node that is too slow for real time, and end it by signals."""
-    heavy = arguments(**{'model.modes': 20, 'integrator.step': 1e-5})
-    finished(*heavy, '-p', 'duration:=0.001')  # compiles
-    for number in (signal.SIGINT, signal.SIGTERM):
-        begin, _, output, code = finished(*heavy, signalled=number, after=2.0 * START_UP)
-        span, dropped = time.monotonic() - begin, re.search(r'(\S+) s dropped', output)
-        yield (f'{number.name} to the end of an overloaded node', 'code 0',
-               f'code {code}, {span:.2f} s', code == 0, f'{dropped[1]} s dropped')
-
-
 def rows(quick):
     """Return all rows (line, target, measured, met, remark)."""
     turns, seconds = (3, 1.0) if quick else (12, 1.5)
     return [*cpu_rows(turns, seconds), *log_rows(turns, 2 * seconds), silent_row(turns, seconds),
             *(jitter_rows(3.0, 5.0) if quick else jitter_rows(10.0, 60.0)),
             free_row(1, 50.0) if quick else free_row(5, 100.0),
-            *start_rows(2 if quick else 5), *overload_rows()]
+            *start_rows(2 if quick else 5)]
 
 
 def memory(quick):

@@ -164,17 +164,6 @@ def _latest(path):
         return 1e-9 * make_reader(stream).get_summary().statistics.message_end_time
 
 
-def cuts(folder, step):
-    """Cut a log within its records."""
-    tally, path = Tally('log cut anywhere'), folder / 'cut.mcap'
-    intact = hostile_logs.record(folder / 'intact.mcap')
-    for cut in range(0, len(intact), step):
-        with tally.trial(f'at byte {cut}'):
-            path.write_bytes(intact[:cut])
-            ensure(outcome(path) != 'complete', 'it is said to be complete')
-    return tally.row('recovered or, without any record, refused')
-
-
 def flips(folder, count, generator):
     """Flip bits of a log."""
     tally, seen, path = Tally('one or more bits of a log flipped'), {}, folder / 'flipped.mcap'
@@ -243,7 +232,6 @@ def rows(quick):
         with TemporaryDirectory(dir=MEMORY_DISK) as name:
             folder = Path(name)
             yield kills(4 if quick else 100, generator)
-            yield cuts(folder, 97 if quick else 23)
             yield flips(folder, 300 if quick else 10000, generator)
             yield full_disks(folder, 16384 if quick else 2048)
     finally:

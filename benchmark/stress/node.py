@@ -15,7 +15,6 @@ and left a log that can be read to its end.
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-import os
 import random
 import re
 import signal
@@ -23,7 +22,6 @@ import subprocess
 import tempfile
 import time
 
-from mcap.reader import make_reader
 import numpy as np
 
 from benchmark import ROOT
@@ -145,35 +143,6 @@ def _signalled(cold, moment, sent):
         return code == 0 and 'Traceback' not in node.output() and readable, False
 
 
-def overload_row(stops):
-    """Keep all cores busy, and stop the process again and again."""
-    import timo_sim
-    paper = ROOT / 'config' / 'paper.yaml'
-    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        for _ in range(2 * (os.cpu_count() or 1)):
-            stack.enter_context(attack('busy'))
-        node = Node(folder, '--params-file', str(paper), catch_up_limit=0.05).ready()
-        for _ in range(stops):
-            time.sleep(0.5)
-            node.process.send_signal(signal.SIGSTOP)
-            time.sleep(0.3)
-            node.process.send_signal(signal.SIGCONT)
-        time.sleep(2.0)
-        well, counters = survived(node)
-        with open(node.log, 'rb') as stream:
-            states = [(message.sequence, message.data)
-                      for _, channel, message in make_reader(stream).iter_messages()
-                      if channel.topic == '/joint_states']
-    scene = timo_sim.load_scene(paper)
-    run = timo_sim.simulate(scene, 0.01 * np.ceil(0.1 * states[-1][0]), estimate=False)
-    exact = sum(run.motion[step, :3].tobytes() in data and run.motion[step, 6:9].tobytes() in data
-                for step, data in states)
-    dropped = float(counters['dropped_time_s'])
-    return ('joint states on busy cores, stopped now and then: equal to `simulate` to the bit',
-            len(states), exact if well and dropped > 0.2 * stops else 0,
-            f'{dropped:.2f} s dropped and counted')
-
-
 def soak_row(what, seconds, **parameters):
     """Run for long, and look for leaks."""
     with tempfile.TemporaryDirectory() as folder:
@@ -191,7 +160,6 @@ def rows(quick):
     yield deaf_row(2.0 if quick else 20.0)
     yield lock_step_row(200 if quick else 3000)
     yield signal_row(*((4, 1) if quick else (200, 10)))
-    yield overload_row(2 if quick else 20)
     if not quick:
         yield soak_row('free run at 1 ms', SOAK, real_time_factor=0.0, record=True)
         yield soak_row('real time at 1 kHz, all topics logged', SOAK, **{
