@@ -29,7 +29,7 @@ from mcap.reader import make_reader
 
 from benchmark import ROOT
 from benchmark.process import arguments, ENVIRONMENT
-from oracles import hostile_logs
+from oracles.hostile_logs import record
 from oracles.log_readers import decoded, outcome
 import timo_sim
 from timo_sim.log.read import recover
@@ -167,7 +167,7 @@ def _latest(path):
 def flips(folder, count, generator):
     """Flip bits of a log."""
     tally, seen, path = Tally('one or more bits of a log flipped'), {}, folder / 'flipped.mcap'
-    intact = hostile_logs.record(folder / 'whole.mcap')
+    intact = record(folder / 'whole.mcap')
     for number in range(count):
         damaged = bytearray(intact)
         bits = [generator.randrange(8 * len(damaged)) for _ in range(1 + number % 4 * number % 9)]
