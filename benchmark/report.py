@@ -26,21 +26,9 @@ BLACK, BLUE, ORANGE, GREEN, RED, GREY = (
 
 def parser(spec, words, quick=None):
     """
-    Return a parser of the command line of a module.
+    Return a parser of the command line of a module, given its `__spec__` and its docstring.
 
-    Parameters
-    ----------
-    spec : ModuleSpec
-        `__spec__` of the module.
-    words : str
-        Its docstring; the first paragraph is shown.
-    quick : str, optional
-        Help of `--quick`, for a module that has it.
-
-    Returns
-    -------
-    argparse.ArgumentParser
-
+    The first paragraph of the docstring is shown; `quick` is the help of `--quick`, if it has it.
     """
     result = argparse.ArgumentParser(prog=f'python -m {spec.name.removesuffix(".__main__")}',
                                      description=words.strip().split('\n\n')[0])
@@ -97,16 +85,8 @@ def make_page(spec, words, page, parts, quick=None, **facts):
     """
     Make parts of a page of doc/ as the command line says; with `--quick` only print them.
 
-    Parameters
-    ----------
-    spec, words, quick
-        See `parser`.
-    page : str
-    parts : dict of str to function(bool) -> str
-        By name, what makes each part; the argument is whether it shall be quick.
-    **facts
-        Functions of further facts about the machine, called anew for each part.
-
+    `parts` has functions by name that return the text of a part; their argument is whether they
+    shall be quick. `facts` are functions of further facts about the machine, called for each part.
     """
     command = parser(spec, words, quick)
     command.add_argument('--parts', nargs='+', choices=parts, default=list(parts),

@@ -57,20 +57,10 @@ class Timing(NamedTuple):
 
 def timed(*works, units, rounds=25):
     """
-    Time works, which take turns with each other and with the calibrating loop.
+    Return the Timing of a function, or a list of those of several, which take turns.
 
-    Parameters
-    ----------
-    *works : function()
-    units : int
-        Units of work in a call, such as time steps.
-    rounds : int
-
-    Returns
-    -------
-    Timing or list of Timing
-        For each work least, median, and median of the ratios to the product timed just before.
-
+    Each call does some units of work, such as time steps. Ratios are medians of those to the
+    calibrating product that is timed just before each call.
     """
     product()  # compiles
     for work in works:

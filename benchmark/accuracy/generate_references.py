@@ -19,7 +19,7 @@ import exudyn
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.report import parser, table
+from benchmark.report import parser
 from oracles import finite_elements
 from oracles.references import CANTILEVER, PENDULUM, spin_up, TORQUE
 from timo_sim import load_scene
@@ -66,10 +66,6 @@ def reference(scene, duration, period, columns, elements, step, drive=None, axia
               flush=True)
     best = extrapolate(values, levels, orders)
     error = np.zeros(len(columns))
-    print(table(['elements', 'step', *columns[1:]], [
-        [elements * 2**i, f'{step / 2**j:g}',
-         *(f'{off:.1e}' for off in np.abs(values[i, j] - best).max(axis=0)[1:])]
-        for i, j in levels.tolist()]))
     for corner in ((0, 1), (1, 0)):
         coarse = extrapolate(values, triangle(corner, LEVELS - 1), orders)
         error = np.maximum(error, np.abs(coarse - best).max(axis=0))

@@ -88,18 +88,11 @@ ABLATIONS = [
 
 def lumped(t, inputs, values):
     """
-    Return shaft and tip angle of the textbook's model, shape (n, 2) [rad].
+    Return shaft and tip angle of the textbook's model at equal steps, shape (n, 2) [rad].
 
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Equal steps [s].
-    inputs : ndarray, shape (n,)
-        Torque on the shaft [N m]; each value holds for a step.
-    values : sequence of float
-        Spring [N m/rad], inertias of shaft and arm [kg m2], friction of the shaft [N m s/rad],
-        damping of the spring [N m s/rad], first angle of the shaft [rad].
-
+    `inputs` are torques on the shaft, one for each step [N m]; `values` are spring [N m/rad],
+    inertias of shaft and arm [kg m2], friction of the shaft and damping of the spring
+    [N m s/rad], and the first angle of the shaft [rad].
     """
     spring, shaft, arm, friction, damping, first = values
     a = np.zeros((5, 5))

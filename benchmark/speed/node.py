@@ -47,13 +47,8 @@ class Peer:
     """
     A process that is measured in turns, stopped in between; and its listener, if any.
 
-    Attributes
-    ----------
-    cpu : ndarray
-        CPU time for each step, in each turn [s]; known after `end`.
-    ticks : list of ndarray, shape (n, 3)
-        Begin and end of the ticks of each turn [s], and their steps; known after `end`.
-
+    After `end`, `cpu` has the CPU time for each step in each turn [s], and `ticks` for each turn
+    the begin and end of its ticks [s] and their steps, shape (n, 3).
     """
 
     def __init__(self, stack, folder, name, listened=True, extra=()):
