@@ -74,7 +74,7 @@ gallery: $(VENV)/.gallery graphics ## draw the runs of doc/gallery.md
 picture: $(VENV)/.plot ## draw the pictures of README.md
 	@$(BIN)/python -m benchmark.figures.picture
 
-paper: $(VENV)/.plot ## make doc/paper.md
+paper: $(VENV)/.plot ## fill doc/paper.md
 	@$(BIN)/python -m benchmark.figures.paper
 
 pages: $(VENV)/.run ## fill the tables of README.md and doc/
@@ -84,7 +84,7 @@ docs: $(VENV)/.docs ## make a site of the pages, build/docs
 	@$(BIN)/python -m sphinx -EqW --keep-going doc build/docs
 	@echo "open build/docs/index.html in a browser"
 
-benchmark: $(VENV)/.benchmark ## make doc/benchmark.md, half an hour
+benchmark: $(VENV)/.benchmark ## fill doc/benchmark.md, half an hour
 	@$(BIN)/python -m benchmark.accuracy.work_precision
 
 benchmark-pair: $(VENV)/.benchmark ## time the best of exudyn on the paper's scene, half a minute
@@ -99,7 +99,7 @@ references: $(VENV)/.benchmark ## compute the finite-element references again
 stability: $(VENV)/.run ## find the largest stable steps
 	@$(BIN)/python -m benchmark.accuracy.stability
 
-benchmark-speed: $(VENV)/.benchmark ## make doc/speed.md
+benchmark-speed: $(VENV)/.benchmark ## fill doc/speed.md
 	@$(BIN)/python -m benchmark.speed
 
 benchmark-speed-quick: $(VENV)/.benchmark ## do a part of make benchmark-speed
@@ -114,13 +114,13 @@ benchmark-fit: $(VENV)/.run ## fit made records for doc/fit.md, a quarter of an 
 benchmark-latency: $(VENV)/.benchmark ## measure the time from a command to its effect
 	@$(BIN)/python -m benchmark.speed.latency
 
-real-arm: $(VENV)/.plot ## make doc/real_arm.md from the records in DATA=folder
-	@$(BIN)/python -m benchmark.accuracy.real_arm --data $(DATA)
+real-arm: $(VENV)/.plot ## fill doc/real_arm.md from the records in DATA=folder
+	@$(BIN)/python -m benchmark.accuracy.real_arm
 
 stretch: $(VENV)/.benchmark ## compare arms that stretch with finite elements
 	@$(BIN)/python -m benchmark.accuracy.stretch
 
-stress: $(VENV)/.benchmark ## make doc/stress.md, an hour and a half
+stress: $(VENV)/.benchmark ## fill doc/stress.md, an hour and a half
 	@$(BIN)/python -m benchmark.stress
 
 stress-quick: $(VENV)/.benchmark ## do a part of make stress

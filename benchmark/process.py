@@ -10,6 +10,8 @@
 
 from contextlib import contextmanager
 import os
+from pathlib import Path
+import re
 import signal
 import subprocess
 import sys
@@ -28,12 +30,15 @@ ENVIRONMENT.pop('PYTHONDONTWRITEBYTECODE', None)
 
 def arguments(rate=1000.0, **parameters):
     """Return the command line of a node with all topics at one rate [Hz]."""
-    values = {'record': False, 'publish_clock': True,
-              **{f'rate.{topic}': rate for topic in RATES}, **parameters}
-    given = [f'{name}:={str(value).lower() if isinstance(value, bool) else value}'
-             for name, value in values.items()]
-    return ['--ros-args', '--params-file', str(ROOT / 'config' / 'paper.yaml'),
-            *(word for value in given for word in ('-p', value))]
+    return ['--ros-args', '--params-file', str(ROOT / 'config' / 'paper.yaml'), *options(**{
+        'record': False, 'publish_clock': True, **{f'rate.{topic}': rate for topic in RATES},
+        **parameters})]
+
+
+def options(**parameters):
+    """Return the words of a command line that give parameters to a node."""
+    return [word for name, value in parameters.items() for word in (
+        '-p', f'{name}:={str(value).lower() if isinstance(value, bool) else value}')]
 
 
 @contextmanager
@@ -49,3 +54,12 @@ def running(arguments, **options):
         if process.stdout is None or not process.stdout.closed:  # a reader closes it at its end
             process.communicate()
         process.wait()
+
+
+def resident(pid):
+    """Return the memory that a process has in use [B], 0 if it has ended."""
+    try:
+        found = re.search(r'VmRSS:\s+(\d+)', Path(f'/proc/{pid}/status').read_text())
+    except OSError:
+        return 0
+    return 1024 * int(found[1]) if found else 0

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from benchmark.stress import numerics, scenes, truth
-from benchmark.stress.laden import laden
 import timo_sim
 
 
@@ -81,7 +80,7 @@ def test_errors_that_were_silent_once_no_longer_are(cell):
 def test_all_parameters_vary_and_a_number_is_the_same_scene():
     cells = [scenes.cell(number, seed=3) for number in range(4 * len(scenes.KINDS))]
     assert scenes.cell(40, seed=3) == cells[40] != scenes.cell(40, seed=4)
-    cells += [laden(scenes.cell(number, seed=3), seed=3)
+    cells += [scenes.laden_cell(number, seed=3)
               for number in range(len(cells), 2 * len(cells))]
     names = set().union(*(cell.values for cell in cells))
     bodies = [name for name in timo_sim.load_scene({}).values

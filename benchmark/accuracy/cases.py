@@ -27,7 +27,8 @@ from timo_sim.simulation.simulator import Simulator
 
 OWN = tuple(FORMULATIONS)
 ENGINE, REDUCED = 'exudyn, geometrically exact', 'exudyn, reduced floating frame'
-CHAIN = 'MuJoCo, hinged links'
+CHAIN, ROD, DISCRETE, SOFT = (
+    'MuJoCo, hinged links', 'PyElastica', 'dismech-newton', 'soromox')
 
 
 @dataclass
@@ -191,11 +192,16 @@ def engine_case(scene, elements, step):
                 axial_factor=100.0 if scene.drive else 1.0)
         except exudyn.SolverError:
             return None
-        theta = found['theta_rad'][1:]
-        carrier = np.column_stack([found['x_c_m'], found['y_c_m']])[1:]
-        return found['solver_seconds'], lambda: tip_columns(
-            theta, carrier, scene.length + found['u_l_m'][1:], found['w_l_m'][1:])
+        return found['solver_seconds'], lambda: _of_engine(scene, found)
     return Case(ENGINE, f'{elements} elements, h = {1e3 * step:g} ms', run, (elements, step))
+
+
+def _of_engine(scene, found):
+    # `tip_columns` of what `finite_elements` or `floating_frame` found, after the start.
+    theta = found['theta_rad'][1:]
+    carrier = np.column_stack([found['x_c_m'], found['y_c_m']])[1:]
+    along = found['u_l_m'][1:] if 'u_l_m' in found else np.zeros(len(theta))
+    return tip_columns(theta, carrier, scene.length + along, found['w_l_m'][1:])
 
 
 def reduced_case(scene, modes, step):
@@ -205,22 +211,59 @@ def reduced_case(scene, modes, step):
     def run():
         found = floating_frame.simulate(checked, modes, step, scene.duration,
                                         round(scene.period / step))
-        theta = found['theta_rad'][1:]
-        carrier = np.column_stack([found['x_c_m'], found['y_c_m']])[1:]
-        return found['solver_seconds'], lambda: tip_columns(
-            theta, carrier, np.full(len(theta), scene.length), found['w_l_m'][1:])
+        return found['solver_seconds'], lambda: _of_engine(scene, found)
     return Case(REDUCED, f'{modes} modes, h = {1e3 * step:g} ms', run, (modes, step))
 
 
-def chain_case(scene, links, step):
-    """Return a case of MuJoCo."""
+def rival_case(scene, method, label, size, step, function, *more):
+    """Return a case of a function of `rivals` or `soft_rods`."""
     checked = scene.load({'initial.shaft': 0.0} if scene.drive else None)
 
     def run():
-        seconds, *found = rivals.chain(checked, links, step, scene.duration,
-                                       round(scene.period / step), scene.drive)
+        seconds, *found = function(checked, size, step, scene.duration,
+                                   round(scene.period / step), scene.drive, *more)
         return seconds, lambda: tip_columns(*found)
-    return Case(CHAIN, f'{links} links, h = {1e3 * step:.3g} ms', run, (links, step))
+    scaled = ''.join(f', {factor:g} {name}' for factor, name in zip(more, ('E A', 'rho I'))
+                     if factor != 1)
+    return Case(method, f'{label}, h = {1e3 * step:.3g} ms{scaled}', run, (size, step))
+
+
+def chain_case(scene, links):
+    """Return a case of MuJoCo in its longest stable step: it has errors of the mesh alone."""
+    longest = rivals.longest_step(scene.load(), links)
+    step = scene.period / math.ceil(scene.period / longest)
+    return rival_case(scene, CHAIN, f'{links} links', links, step, rivals.chain)
+
+
+def rod_case(scene, elements, *factors):
+    """Return a case of PyElastica with factors of E A and rho I, in its longest stable step."""
+    longest = 0.97 * rivals.longest_step_of_rod(scene.load(), elements, *factors)
+    step = scene.period / math.ceil(scene.period / longest)
+    return rival_case(scene, ROD, f'{elements} elements', elements, step, rivals.elastica,
+                      *factors)
+
+
+def rods_of(scene, quick):
+    """Return the cases of a scene, if its carrier is held; the best found of each, by hand."""
+    if not scene.held:
+        return []
+    from benchmark.accuracy import soft_rods  # JAX is slow to import
+    if scene.drive:
+        scaled = [(7, 1, 400), (10, 1, 400), (14, 1, 200), (20, 1, 1), (24, 1, 50), (40, 2, 10),
+                  (60, 2, 4)]
+        discrete = [(10, 0.01, 0.1), (20, 0.01, 0.1), (20, 0.005, 1), (30, 0.004, 1)]
+    else:
+        scaled = [(elements, 1, factor) for elements in (10, 20, 40, 60, 100)
+                  for factor in (100, 10, 1)]
+        discrete = [(elements, step, 1) for elements in (10, 20, 40)
+                    for step in (0.01, 0.005, 0.0025)]
+    soft = [(2, 0.01), (3, 0.004), (4, 0.002), (5, 0.0005), (6, 0.0005)]
+    few = slice(1) if quick else slice(None)
+    return [*(rod_case(scene, *settings) for settings in scaled[few]),
+            *(rival_case(scene, DISCRETE, f'{elements} elements', elements, step, rivals.dismech,
+                         factor) for elements, step, factor in discrete[few]),
+            *(rival_case(scene, SOFT, f'order {order}', order, step, soft_rods.soft_rod)
+              for order, step in soft[few])]
 
 
 def cases_of(scene, quick):
@@ -245,8 +288,5 @@ def cases_of(scene, quick):
     if not scene.held:
         cases += [reduced_case(scene, modes, step) for modes in ((5,) if quick else (3, 5, 8))
                   for step in ([0.001] if quick else [0.005, 0.002, 0.001, 0.0005])]
-    for links in (5, 10) if quick else (5, 10, 20, 40):
-        # In its longest stable step it has errors of the mesh alone.
-        longest = rivals.longest_step(scene.load(), links)
-        cases.append(chain_case(scene, links, scene.period / math.ceil(scene.period / longest)))
-    return cases
+    cases += [chain_case(scene, links) for links in ((5, 10) if quick else (5, 10, 20, 40))]
+    return cases + rods_of(scene, quick)

@@ -18,25 +18,23 @@ and the same modes, and with the voltage as a load of the scene, so nothing of `
 is in them. The Cramer-Rao bound is that of central differences of the record without noise.
 """
 
+from concurrent.futures import ProcessPoolExecutor
+import json
+from multiprocessing import get_context
 import os
-for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
-    os.environ[threads] = '1'
+from statistics import median
+import time
+from unittest import mock
+import warnings
 
-from concurrent.futures import ProcessPoolExecutor  # noqa: E402
-import json  # noqa: E402
-from multiprocessing import get_context  # noqa: E402
-from statistics import median  # noqa: E402
-import time  # noqa: E402
-import warnings  # noqa: E402
+import numpy as np
+from scipy.interpolate import CubicSpline
 
-import numpy as np  # noqa: E402
-from scipy.interpolate import CubicSpline  # noqa: E402
-
-from benchmark import ROOT  # noqa: E402
-from benchmark.command import parser  # noqa: E402
-from benchmark.report import machine  # noqa: E402
-import timo_sim  # noqa: E402
-from timo_sim.fitting.problem import Problem  # noqa: E402
+from benchmark import ROOT
+from benchmark.report import machine, parser
+from benchmark.timing import seconds
+import timo_sim
+from timo_sim.fitting.problem import Problem
 
 PERIOD, STEP, FINER = 0.002, 0.002, 4   # of records, of fits [s]; parts of it in records
 NOISE = {'shaft': 1e-3, 'tip_transverse': 5e-4}     # standard deviations [rad, m]
@@ -216,7 +214,7 @@ def unidentifiable(duration):
     return rows
 
 
-def seconds(duration, rounds):
+def time_of_fit(duration, rounds):
     """Return the times of a fit that is done again and again, its runs, and the time of one."""
     made, run, calls = record(0, duration), Problem.run, []
 
@@ -224,24 +222,18 @@ def seconds(duration, rounds):
         calls.append(None)
         return run(*arguments, **options)
 
-    Problem.run = counting
-    try:
+    with mock.patch.object(Problem, 'run', counting):
         quiet(timo_sim.fit, guess(), made, FREE)  # compiles, and counts
-    finally:
-        Problem.run = run
     times = [quiet(timo_sim.fit, guess(), made, FREE).seconds for _ in range(rounds)]
     problem = Problem(guess(), made, FREE, {}, made.duration)
-    values, single = {free.name: free.start for free in problem.free}, []
-    for _ in range(25):
-        begun = time.perf_counter()
-        problem.run(values)
-        single.append(time.perf_counter() - begun)
+    values = {free.name: free.start for free in problem.free}
+    single = [seconds(lambda: problem.run(values)) for _ in range(25)]
     return {'duration': duration, 'parameters': len(FREE), 'times': times, 'least': min(times),
             'median': median(times), 'runs': len(calls), 'run': median(single), 'target': 3.0}
 
 
 PARTS = {
-    'time': lambda quick: seconds(10.0, 1 if quick else 5),
+    'time': lambda quick: time_of_fit(10.0, 1 if quick else 5),
     'unidentifiable': lambda quick: unidentifiable(4.0),
     'coverage': lambda quick: coverage(4 if quick else 100, 4.0),
     'outliers': lambda quick: against(['plain', 'linear', 'soft_l1'], 2 if quick else 20, 4.0),

@@ -19,7 +19,7 @@ import exudyn
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.command import parser
+from benchmark.report import parser
 from oracles import finite_elements
 from oracles.references import CANTILEVER, PENDULUM, spin_up, TORQUE
 from timo_sim import load_scene
@@ -36,22 +36,9 @@ def extrapolate(values, levels, orders):
     """
     Return the limit of values on halved meshes and steps.
 
-    Values at a triangle of levels determine as many terms of the expansion of the error in the
-    mesh size and the step; those left out are the next of each, and of their products.
-
-    Parameters
-    ----------
-    values : dict
-        Arrays by (i, j): mesh size halved i times, step j times.
-    levels : ndarray, shape (n, 2)
-        Which to use: the triangle of some (i, j).
-    orders : tuple of tuple of int
-        The powers of the mesh size, and of the step, in the expansion: 0, 2, ...
-
-    Returns
-    -------
-    ndarray
-
+    `values` are arrays by (i, j): mesh size halved i times, step j times. Those at a triangle of
+    levels, shape (n, 2), determine as many terms of the expansion of the error, whose powers of
+    the mesh size and of the step are `orders`.
     """
     relative = levels - levels.min(axis=0)
     powers = np.stack([np.array(order)[relative[:, k]] for k, order in enumerate(orders)])
@@ -79,11 +66,6 @@ def reference(scene, duration, period, columns, elements, step, drive=None, axia
               flush=True)
     best = extrapolate(values, levels, orders)
     error = np.zeros(len(columns))
-    print(f'| elements | step | {" | ".join(columns[1:])} |\n|' + '---|' * (len(columns) + 1))
-    for i, j in levels.tolist():
-        off = np.abs(values[i, j] - best).max(axis=0)
-        print(f'| {elements * 2**i} | {step / 2**j:g} | '
-              + ' | '.join(f'{e:.1e}' for e in off[1:]) + ' |')
     for corner in ((0, 1), (1, 0)):
         coarse = extrapolate(values, triangle(corner, LEVELS - 1), orders)
         error = np.maximum(error, np.abs(coarse - best).max(axis=0))

@@ -15,12 +15,11 @@ twice the elements and half the step. The figures go to doc/benchmark/pair.json,
 """
 
 import json
-import statistics
 import warnings
 
 from benchmark import ROOT
 from benchmark.accuracy.cases import engine_case, errors_of, of_reference, own_case, SCENES
-from benchmark.report import machine
+from benchmark.report import machine, parser
 import timo_sim
 
 GOALS, TURNS = (1e-3, 1e-4, 1e-5), 5
@@ -30,6 +29,7 @@ ENGINE = (20, 0.002), (40, 0.001)  # elements, step [s]
 
 def main():
     """Measure, taking turns, and write the figures."""
+    parser(__spec__, __doc__).parse_args()
     warnings.simplefilter('ignore', timo_sim.ModelWarning)
     scene = next(scene for scene in SCENES if scene.name == 'paper')
     truth = of_reference(scene)[1]
@@ -40,25 +40,22 @@ def main():
             seconds, found = case.run()
             case.times.append(seconds)
             columns[case.settings] = found()
-    rows = {'timo_sim': _rows(own, scene, truth, columns),
-            'exudyn': _rows(engine, scene, truth, columns)}
+
+    def row(case):
+        stride = max(1, round(case.order[1] / scene.period))
+        return {'settings': case.settings, 'seconds': case.seconds,
+                'error_m': errors_of(columns[case.settings], truth, stride)['w_l']}
+
     coarse, fine = (columns[case.settings] for case in engine)
     both = {name: (4.0 * fine[name] - coarse[name]) / 3.0 for name in fine}
-    rows['exudyn'].append({
-        'settings': ' and '.join(case.settings for case in engine) + ', extrapolated',
-        'seconds': sum(each['seconds'] for each in rows['exudyn']),
-        'error_m': errors_of(both, truth, 1)['w_l']})
-    found = {'machine': machine(), 'goals_m': GOALS, **rows}
-    path = ROOT / 'doc' / 'benchmark' / 'pair.json'
-    path.write_text(json.dumps(found, indent=1, default=str) + '\n', encoding='utf-8')
-    print(path.read_text(encoding='utf-8'))
-
-
-def _rows(cases, scene, truth, columns):
-    return [{'settings': case.settings, 'seconds': statistics.median(case.times),
-             'error_m': errors_of(columns[case.settings], truth,
-                                  max(1, round(case.order[1] / scene.period)))['w_l']}
-            for case in cases]
+    pair = {'settings': ' and '.join(case.settings for case in engine) + ', extrapolated',
+            'seconds': sum(case.seconds for case in engine),
+            'error_m': errors_of(both, truth, 1)['w_l']}
+    text = json.dumps({
+        'machine': machine(), 'goals_m': GOALS, 'timo_sim': [*map(row, own)],
+        'exudyn': [*map(row, engine), pair]}, indent=1, default=str)
+    (ROOT / 'doc' / 'benchmark' / 'pair.json').write_text(text + '\n', encoding='utf-8')
+    print(text)
 
 
 if __name__ == '__main__':

@@ -8,14 +8,15 @@
 
 
 """
-Fit two real arms and predict the rest of their records: `make real-arm` writes doc/real_arm.md.
+Fit two real arms and predict the rest of their records: `make real-arm` fills doc/real_arm.md.
 
-The records are of others and not part of this repository. `--data` names a folder with copies of
-two public ones: `git clone https://github.com/gleylaz/Optimal_SysID` and
+The records are of others and not part of this repository. DATA names a folder with copies of two
+public ones: `git clone https://github.com/gleylaz/Optimal_SysID` and
 `git clone https://github.com/BenHagenau/ASEN2003` there. Beside each fit stands that of the
 textbook's lumped model, two inertias and a torsion spring, to the same half of the record.
 """
 
+import os
 from pathlib import Path
 from typing import NamedTuple
 import warnings
@@ -25,12 +26,12 @@ from scipy.linalg import expm
 from scipy.optimize import least_squares
 
 from benchmark import ROOT
-from benchmark.command import parser
-from benchmark.report import machine, table
+from benchmark.report import make_page, table
 import timo_sim
 from timo_sim.fitting.search import r_squared
 
 FILES = ROOT / 'example' / 'real_arm'
+DATA = Path(os.environ.get('DATA', 'data'))
 HOLD_OUT = 0.5
 MOTOR = ['arm.young_modulus', 'motor.shaft_inertia', 'motor.dc.torque_constant',
          'motor.viscous_friction', 'motor.coulomb_friction']
@@ -40,7 +41,6 @@ class Case(NamedTuple):
     """A record, the scene that it is fitted to, and what is free."""
 
     title: str
-    words: str
     record: str     # in the folder of the data
     columns: str
     scene: str
@@ -49,47 +49,23 @@ class Case(NamedTuple):
 
 
 CASES = [
-    Case('merced', """\
-A Quanser rotary flexible link at the University of California, Merced (G. Leylaz, S. Ma and
-J.-Q. Sun, repository gleylaz/Optimal_SysID): voltage, shaft angle and tip angle at 500 Hz, slews
-of 60 degrees under feedback. The "tip angle" is what a strain gauge at the root shows, so that it
-is fitted as a strain with an unknown gain.""",
+    Case('merced',
          'Optimal_SysID/Data/data_vm.mat', 'merced_columns.yaml', 'merced.yaml', 'root_strain',
          [*MOTOR, 'motor.coulomb_speed', 'voltage.bias', 'root_strain.gain',
           'arm.damping_ratio']),
-    Case('boulder', """\
-A rotary arm with a mass at its tip in a laboratory of the University of Colorado Boulder (course
-ASEN 2003, repository BenHagenau/ASEN2003, Lab 6, unit 6): voltage, shaft angle and tip deflection
-in steps of 1 mm, at 1 kHz. Predicted from the voltage, with the inertia that the source gives.""",
+    Case('boulder',
          'ASEN2003/Lab 6: Rotary Arm/4PM_Group37_FlexArm_Unit6', 'boulder_voltage.yaml',
          'boulder.yaml', 'tip_transverse',
          ['arm.young_modulus', 'motor.dc.torque_constant', 'motor.dc.resistance',
           'motor.coulomb_friction', 'motor.coulomb_speed', 'voltage.bias', 'voltage.delay',
           'tip_transverse.gain', 'tip_transverse.delay', 'tip_transverse.lag', 'initial.shaft']),
-    Case('boulder_angle', """\
-The same record, predicted from the measured angle of the shaft: the arm without motor and
-friction.""",
+    Case('boulder_angle',
          'ASEN2003/Lab 6: Rotary Arm/4PM_Group37_FlexArm_Unit6', 'boulder_angle.yaml',
          'boulder.yaml', 'tip_transverse',
          ['arm.young_modulus', 'arm.damping_ratio', 'initial.modal_coordinates[0]',
           'initial.modal_rates[0]', 'tip_transverse.gain', 'tip_transverse.delay',
           'tip_transverse.lag']),
 ]
-HEAD = """\
-# Two real arms
-
-Made by `make real-arm DATA=folder` (`benchmark/accuracy/real_arm.py`), which says where the
-records are from. They have no licence, so they are not part of this repository; only figures and
-pictures of the fits are. The first half of each record is fitted, and the whole is predicted by
-one run from its beginning, without feedback from what was measured. The second half is held out.
-[Fits](fit.md) describes the command.
-
-The textbook's model is two inertias, of the shaft and of a rigid arm, with a torsion spring in
-between, a motor and viscous friction. It is fitted to the same half, with the same freedom of
-voltage and tip sensor (gain, bias and delay), by least squares.
-"""
-
-
 TITLES = {'merced': 'A rotary flexible link', 'boulder': 'An arm with a mass at its tip',
           'boulder_angle': 'The same arm behind its shaft'}
 # Case, what is left out in words, parameters that are not free, and changes of the scene.
@@ -108,43 +84,15 @@ ABLATIONS = [
     ('boulder_angle', 'delay and lag of the tip sensor',
      ['tip_transverse.delay', 'tip_transverse.lag'], None),
 ]
-FOUND = """\
-- **Friction that depends on direction** is what the bias of the voltage stands for in the first
-  arm: a constant torque added to Coulomb friction is a larger friction one way. Without it the
-  shaft drifts.
-- **Friction near rest** (presliding) decides how the arm rings after a slew. A shaft that sticks
-  lets the arm ring as if it were clamped, which the record does not show; friction that builds
-  up over a speed (`motor.coulomb_speed`) brakes it. This was added to the scene's parameters for
-  this record.
-- **The sensor of the tip** of the second arm shows it late: delay and lag together are some 60 ms.
-- **Efficiency of motor and gear** cannot be told from the resistance, the torque constant and
-  viscous friction, which are free already.
-- **What the second arm lacks** from the voltage on: the shaft creeps after the last slew, where
-  it should rest; the fit delays the voltage by some 35 ms; and the inertia of the shaft is not
-  identified beside the rest, so it was left at the source's value. Backlash of the gear (48:1),
-  elasticity between motor and hub, and limits of the amplifier that the record does not show are
-  the suspects; they were not added.
-- **Not quite blind**: what is free, the first guesses and the weights of the second arm were
-  chosen among a dozen fits with the figures of the second half in view; most of the others, with
-  a shaft that sticks or other first guesses, predicted it worse. The figures of the first arm
-  depend little on such choices, as the table shows.
-"""
 
 
 def lumped(t, inputs, values):
     """
-    Return shaft and tip angle of the textbook's model, shape (n, 2) [rad].
+    Return shaft and tip angle of the textbook's model at equal steps, shape (n, 2) [rad].
 
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Equal steps [s].
-    inputs : ndarray, shape (n,)
-        Torque on the shaft [N m]; each value holds for a step.
-    values : sequence of float
-        Spring [N m/rad], inertias of shaft and arm [kg m2], friction of the shaft [N m s/rad],
-        damping of the spring [N m s/rad], first angle of the shaft [rad].
-
+    `inputs` are torques on the shaft, one for each step [N m]; `values` are spring [N m/rad],
+    inertias of shaft and arm [kg m2], friction of the shaft and damping of the spring
+    [N m s/rad], and the first angle of the shaft [rad].
     """
     spring, shaft, arm, friction, damping, first = values
     a = np.zeros((5, 5))
@@ -204,32 +152,31 @@ def textbook(case, record, scene):
             for each, channel in zip(predicted(best.x), outputs)]
 
 
-def fitted(case, data, without=(), changes=None):
+def fitted(case, without=(), changes=None):
     """Return scene, record and Fit of a case; `without` are parameters that are not free."""
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', timo_sim.ModelWarning)
         scene = timo_sim.load_scene(FILES / case.scene, changes)
-        record = timo_sim.read_record(data / case.record, FILES / case.columns)
+        record = timo_sim.read_record(DATA / case.record, FILES / case.columns)
         free = [name for name in case.free if name not in without]
         return scene, record, timo_sim.fit(scene, record, free, hold_out=HOLD_OUT)
 
 
-def what_matters(data):
-    """Return a table of the R^2 that is lost without a part of the model."""
+def what_matters(quick):
+    """Return a table of the R^2 that is left without a part of the model."""
     rows = []
     for title, words, without, changes in ABLATIONS:
         case, = (case for case in CASES if case.title == title)
-        found = fitted(case, data, without, changes)[2]
+        found = fitted(case, without, changes)[2]
         rows.append([TITLES[title], words, ', '.join(
             f'{name} {each.hold_out_r_squared:.4f}' for name, each in found.errors.items())])
     return table(['arm', 'without', 'R^2 held out'], rows)
 
 
-def section(case, data):
-    """Fit a case, draw it, and return its part of the page."""
-    scene, record, found = fitted(case, data)
+def section(case):
+    """Fit a case, draw it, and return what the page says of it."""
+    scene, record, found = fitted(case)
     picture = ROOT / 'doc' / 'real_arm' / f'{case.title}.png'
-    picture.parent.mkdir(exist_ok=True)
     found.plot().savefig(picture, dpi=80)
     rows = [[f'`timo_sim`, {name}', f'{each.r_squared:.4f}', f'{each.hold_out_r_squared:.4f}',
              'yes' if each.hold_out_r_squared >= 0.95 else 'no']
@@ -242,25 +189,13 @@ def section(case, data):
         f'--hold-out {HOLD_OUT:g} --free {case.free[0]}', *case.free[1:],
         '-o fitted.yaml --png fit.png'])
     return '\n\n'.join([
-        case.words, f'```\n{command}\n```',
-        f'![Measured and predicted]({picture.relative_to(ROOT / "doc").as_posix()})',
+        f'```\n{command}\n```', f'![Measured and predicted](real_arm/{case.title}.png)',
         table(['R^2 of', 'first half, fitted', 'second half, held out', 'at least 0.95'], rows),
-        f'```text\n{found.report().replace(str(data) + "/", "")}\n```'])
+        f'```text\n{found.report().replace(str(DATA) + "/", "")}\n```'])
 
 
-def main():
-    """Fit all cases and write the page."""
-    options = parser(__spec__, __doc__)
-    options.add_argument('--data', type=Path, required=True,
-                         help='folder with copies of the two repositories')
-    data = options.parse_args().data
-    parts = [f'## {TITLES[case.title]}\n\n{section(case, data)}' for case in CASES]
-    facts = ', '.join(f'{name} {value}' for name, value in machine().items())
-    (ROOT / 'doc' / 'real_arm.md').write_text(
-        '\n\n'.join([HEAD.strip(), *parts, '## What matters', what_matters(data), FOUND.strip(),
-                     f'On: {facts}.']) + '\n',
-        encoding='utf-8')
-
+PARTS = {**{case.title: lambda quick, case=case: section(case) for case in CASES},
+         'what matters': what_matters}
 
 if __name__ == '__main__':
-    main()
+    make_page(__spec__, __doc__, 'real_arm.md', PARTS)

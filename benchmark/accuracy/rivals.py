@@ -6,13 +6,25 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What else a user might take for this manipulator: MuJoCo, in its own way."""
+"""
+What else a user might take for this manipulator, each in its own way.
+
+MuJoCo as a chain of hinged links, and two libraries of elastic rods, PyElastica and
+dismech-newton, for an arm on a held carrier. Both know the angle of an element in its middle
+only. So the first element has its middle at the root: half of it is outside the arm, and
+`elements` - 1/2 of them are the arm. That leaves errors of second order; to clamp an element that
+starts at the root, errors of first order.
+
+`chain`, `elastica` and `dismech` take a scene, which is at rest and straight at first, the number
+of links or elements, step and duration [s], the number of steps from sample to sample, and
+theta(t) of a driven shaft with its derivatives, theta(0) = 0. They return the CPU time of the
+steps [s], and at the samples after the start theta, the carrier's position, and the place of the
+tip along and across the shaft, shapes (n,), (n, 2), (n,), (n,). Each imports its own library.
+"""
 
 import math
 import time
 
-import mujoco
-from mujoco import rollout
 import numpy as np
 
 from timo_sim.model.layout import END, FORCE_X, FORCE_Y, MIDDLE, START, TORQUE
@@ -37,27 +49,10 @@ def chain(scene, links, step, duration, every, drive=None):
     hinges know no shear and no stretch. (The cable of MuJoCo 3, a chain of ball joints, is no
     longer in MuJoCo 4.) Runge-Kutta steps, because the implicit integrators of
     MuJoCo are of first order and damp. Calls of `rollout` do many steps each.
-
-    Parameters
-    ----------
-    scene : Scene
-        At rest and straight at first, with a carrier and shaft both free, or the carrier held.
-    links : int
-    step, duration : float
-        [s]
-    every : int
-        Steps from sample to sample.
-    drive : tuple of function(float) -> float, optional
-        theta(t) and its derivatives; theta(0) = 0.
-
-    Returns
-    -------
-    seconds : float
-        CPU time of the steps [s].
-    theta, carrier, along, across : ndarray, shapes (n,), (n, 2), (n,), (n,)
-        At the samples after the start; the tip in axes of the shaft.
-
     """
+    import mujoco
+    from mujoco import rollout
+
     locked = scene.values['motor.shaft'] == 'locked'
     model = mujoco.MjModel.from_xml_string(_chain_xml(scene, links, step, bool(drive or locked)))
     data, count = mujoco.MjData(model), round(duration / step)
@@ -126,3 +121,168 @@ def _chain_xml(scene, links, step, driven):
 <body><joint name="shaft" type="hinge" axis="0 0 1" armature="{armature!r}"/>
 {_inertial(1e-9, max(body.shaft_inertia, 1e-9))}{inner}</body></body></worldbody>
 <actuator>{motors}</actuator></mujoco>"""
+
+
+def longest_step_of_rod(scene, elements, axial_factor=1.0, inertia_factor=1.0):
+    """
+    Return the longest stable step of `elastica` [s]: 2 over its highest frequency.
+
+    Of neighbours that move against each other, along or across; with shear and rotary inertia the
+    latter have a high frequency on any mesh. Measured: it is stable at 1.00 times this, not
+    at 1.02. Parameters are those of `elastica`.
+    """
+    section, part = scene.manipulator.arm.section, scene.manipulator.arm.length / (elements - 0.5)
+    mass, inertia = section.mass_per_length, inertia_factor * section.inertia_per_length
+    across = 4.0 * section.shear_stiffness / (mass * part**2)
+    bend = 4.0 * section.bending_stiffness / (inertia * part**2)
+    total = across + bend + section.shear_stiffness / inertia
+    across = 0.5 * (total + math.sqrt(total**2 - 4.0 * across * bend))
+    along = 4.0 * axial_factor * section.axial_stiffness / (mass * part**2)
+    return 2.0 / math.sqrt(max(along, across))
+
+
+def elastica(scene, elements, step, duration, every, drive=None, axial_factor=1.0,
+             inertia_factor=1.0):
+    """
+    Simulate a scene by PyElastica, as a Cosserat rod of second order in explicit steps.
+
+    Bending, shear, stretch, in three dimensions of which the arm uses two. A longer
+    step needs more rotary inertia, which is small against the mass.
+
+    `axial_factor` and `inertia_factor` multiply E A and rho I of the section.
+    """
+    import elastica as library
+
+    angle, speed = _checked(scene, drive)
+    section, part = scene.manipulator.arm.section, scene.manipulator.arm.length / (elements - 0.5)
+    along = np.array([math.cos(angle(0.0)), math.sin(angle(0.0)), 0.0])
+    rod = library.CosseratRod.straight_rod(
+        elements, -0.5 * part * along, along, np.array([0.0, 0.0, 1.0]), elements * part,
+        base_radius=math.sqrt(section.area / math.pi), density=section.density,
+        youngs_modulus=section.young_modulus, shear_modulus=section.shear_modulus)
+    # Of a round section so far. Director 0 is z, about which the arm bends.
+    each = np.eye(3)[:, :, np.newaxis]
+    inertia = inertia_factor * section.inertia_per_length * part
+    rod.mass_second_moment_of_inertia[:] = inertia * each
+    rod.inv_mass_second_moment_of_inertia[:] = each / inertia
+    rod.bend_matrix[:] = section.bending_stiffness * each
+    rod.shear_matrix[:] = np.diag([section.shear_stiffness, section.shear_stiffness,
+                                   axial_factor * section.axial_stiffness])[:, :, np.newaxis]
+    rod.shear_matrix[:, :, 0] *= 2.0  # half an element
+
+    class Root(library.ConstraintBase):
+        # Of node 0 and of the directors of element 0.
+
+        def constrain_values(self, system, time):
+            cosine, sine = math.cos(angle(time)), math.sin(angle(time))
+            place, director = system.position_collection, system.director_collection
+            place[0, 0], place[1, 0] = -0.5 * part * cosine, -0.5 * part * sine
+            director[1, 0, 0], director[1, 1, 0] = sine, -cosine
+            director[2, 0, 0], director[2, 1, 0] = cosine, sine
+
+        def constrain_rates(self, system, time):
+            turn, rate = angle(time), system.velocity_collection
+            system.omega_collection[0, 0] = spin = speed(time)
+            rate[0, 0] = 0.5 * part * spin * math.sin(turn)
+            rate[1, 0] = -0.5 * part * spin * math.cos(turn)
+
+    class Rods(library.BaseSystemCollection, library.Constraints, library.Forcing):
+        pass
+
+    system, stepper, tips = Rods(), library.PositionVerlet(), []
+    system.append(rod)
+    system.constrain(rod).using(Root)
+    if any(scene.values['gravity']):
+        system.add_forcing_to(rod).using(
+            library.GravityForces, acc_gravity=np.array([*scene.values['gravity'], 0.0]))
+    system.finalize()
+    stepper.step(system, 0.0, 1e-30)  # compiles
+    begun = time.process_time()
+    for sample in range(round(duration / step) // every):
+        now = sample * every * step
+        for _ in range(every):
+            now = stepper.step(system, now, step)
+        tips.append(rod.position_collection[:2, -1].copy())
+    seconds = time.process_time() - begun
+    return (seconds, *_found(tips, every * step, angle))
+
+
+def dismech(scene, elements, step, duration, every, drive=None, axial_factor=1.0, iterations=2,
+            linesearch=2):
+    """
+    Simulate a scene by dismech-newton, as a discrete elastic rod in implicit midpoint steps.
+
+    It bends and stretches, without shear and without rotary inertia; it computes in single
+    precision. `exact` steps, by Gauss-Newton: others pump energy into an arm without
+    damping. Its line search may stop at rounding, so iterations are a fixed number.
+
+    What it returns is not finite after a step that fails. `linesearch` is how many step lengths
+    are tried in an iteration.
+    """
+    import warp
+    _allow_optional_structs(warp)
+    import dismech_newton as library
+    import newton
+
+    angle, _ = _checked(scene, drive)
+    section, part = scene.manipulator.arm.section, scene.manipulator.arm.length / (elements - 0.5)
+    along = np.array([math.cos(angle(0.0)), math.sin(angle(0.0)), 0.0])
+    builder = newton.ModelBuilder(gravity=(*map(float, scene.values['gravity']), 0.0))
+    radius = math.sqrt(section.area / math.pi)
+    rod = newton.Rod(part * (np.arange(elements + 1) - 0.5)[:, np.newaxis] * along, radius=radius)
+    edges = library.add_rod(
+        builder, rod, cfg=newton.ModelBuilder.ShapeConfig(density=section.density), proxies=False,
+        stretch_stiffness=axial_factor * section.axial_stiffness / part,
+        bend_stiffness=section.bending_stiffness / part)
+    library.fix_segment(builder, edge=edges[0])
+    model = builder.finalize(device='cpu')
+    solver = library.DiSMechSolver(model, theta=0.5, exact=True, iterations=iterations,
+                                   linesearch=linesearch, self_contact=False)
+    states, tips = [model.state() for _ in range(3)], []
+    for state in states:
+        library.flatten_state(state)
+    solver.step(states[2], states[1], None, None, step)  # compiles
+    solver.reset(states[0])
+    before, after = states[:2]
+    begun = time.process_time()
+    try:
+        for index in range(round(duration / step)):
+            # A step solves for its middle, and takes the root from there.
+            turn = angle((index + 0.5) * step)
+            ahead = 0.5 * part * np.array([math.cos(turn), math.sin(turn)])
+            before.particle_q.numpy()[:2, :2] = -ahead, ahead  # a view
+            solver.step(before, after, None, None, step)
+            before, after = after, before
+            if (index + 1) % every == 0:
+                tips.append(before.particle_q.numpy()[-1, :2].astype(float))
+    except RuntimeError:  # of a matrix that is not finite
+        tips.extend([np.full(2, np.nan)] * (round(duration / step) // every - len(tips)))
+    seconds = time.process_time() - begun
+    return (seconds, *_found(tips, every * step, angle))
+
+
+def _allow_optional_structs(warp):
+    # An annotation of dismech-newton 0.1.0.post4, `Slots | None`, fails before Python 3.14.
+    kind = type(warp.struct(type('Empty', (), {'__annotations__': {}})))
+    if '__or__' not in vars(kind):
+        setattr(kind, '__or__', lambda self, other: self)
+
+
+def _checked(scene, drive):
+    # The angle of the shaft and its rate, as functions.
+    body = scene.manipulator
+    if body.end_effector_mass or body.end_effector_inertia:
+        raise ValueError('these rods have no end effector, got '
+                         f'{body.end_effector_mass} kg, {body.end_effector_inertia} kg m2')
+    if len(scene.constraints.free_axes):
+        raise ValueError('the carrier must be held: both')
+    start = scene.values['initial.shaft']
+    return drive[:2] if drive else (lambda t: start, lambda t: 0.0)
+
+
+def _found(tips, period, angle):
+    # What `chain` returns, of the tip in world axes.
+    x, y = np.array(tips).T
+    theta = np.array([angle(period * index) for index in range(1, len(x) + 1)])
+    cosine, sine = np.cos(theta), np.sin(theta)
+    return theta, np.zeros((len(x), 2)), cosine * x + sine * y, cosine * y - sine * x

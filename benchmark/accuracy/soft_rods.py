@@ -25,7 +25,6 @@ from soromox.systems.components import JointSpec, LinkSpec  # noqa: E402
 from soromox.systems.gvs import GVS, GVSSegment, StrainBasisSpec  # noqa: E402
 
 jax.config.update('jax_enable_x64', True)
-_CORE = {min(os.sched_getaffinity(0))}
 _DRIVEN = 1e12  # inertia that makes a shaft follow its drive, whatever the arm does [kg m2]
 
 
@@ -33,115 +32,63 @@ _DRIVEN = 1e12  # inertia that makes a shaft follow its drive, whatever the arm 
 def _one_core():
     """Keep this thread, and those that it starts, on one core: they would wait for each other."""
     cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, _CORE)
+    os.sched_setaffinity(0, {min(cores)})
     try:
         yield
     finally:
         os.sched_setaffinity(0, cores)
 
 
-def rod(scene, segments, order, shear=None, points=8, joint=None):
+def rod(scene, order, driven):
     """
     Return the variable-strain model (GVS) of the arm of a scene, along x at first.
 
-    Curvature is a sum of Legendre polynomials on each segment, and so is the shear strain, if any;
-    there is no stretch. (With shear, explicit steps are
-    limited by rotary inertia, and implicit ones took longer; links of constant strain, PCS, had
-    errors of 0.1 m with 5 and diverged with 10.)
-
-    Parameters
-    ----------
-    scene : Scene
-        Its arm is uniform; it carries nothing.
-    segments, order : int
-        Of the arm, and of the polynomials of the curvature.
-    shear : int, optional
-        Order of those of the shear strain; None: rigid in shear.
-    points : int
-        Gauss points of a segment, at least 5.
-    joint : JointSpec, optional
-        At the root, in place of a clamp.
-
-    Returns
-    -------
-    GVS
-
+    Curvature is a sum of Legendre polynomials up to an order; there is no shear and no stretch.
+    (With shear, explicit steps are limited by rotary inertia, and implicit ones took longer; links
+    of constant strain, PCS, had errors of 0.1 m with 5 and diverged with 10.) A driven rod has a
+    revolute joint at its root, in place of a clamp.
     """
-    values = scene.values
+    values, section = scene.values, scene.manipulator.arm.section
     if values['end_effector.mass'] or values['end_effector.inertia']:
         raise ValueError('soromox knows no body on the tip of a rod')
-    section = scene.manipulator.arm.section
     link = LinkSpec.rectangular(
-        length=values['arm.length'] / segments, height=values['arm.height'],
-        width=values['arm.width'], density=values['arm.density'],
-        reference_strain=[0.0, 0.0, 0.0, 1.0, 0.0, 0.0], young_modulus=values['arm.young_modulus'],
+        length=values['arm.length'], height=values['arm.height'], width=values['arm.width'],
+        density=values['arm.density'], reference_strain=[0.0, 0.0, 0.0, 1.0, 0.0, 0.0],
+        young_modulus=values['arm.young_modulus'],
         shear_modulus=section.shear_stiffness / section.area)
-    strains = ('kappa_z',) if shear is None else ('kappa_z', 'sigma_y')
-    basis = StrainBasisSpec('legendre', strains, [0, 0, order, 0, shear or 0, 0])
-    parts = [GVSSegment(link=link, joint=(joint if joint and not k else JointSpec.fixed()),
-                        basis=basis, num_gauss_points=points) for k in range(segments)]
-    return GVS.from_segments(parts, gravity=jnp.array([*values['gravity'], 0.0]),
+    segment = GVSSegment(
+        link=link, joint=JointSpec('revolute', axis='z') if driven else JointSpec.fixed(),
+        basis=StrainBasisSpec('legendre', ('kappa_z',), [0, 0, order, 0, 0, 0]),
+        num_gauss_points=2 * order + 2)
+    return GVS.from_segments([segment], gravity=jnp.array([*values['gravity'], 0.0]),
                              base_pose=jnp.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
 
 
-def spin_up():
-    """Return `oracles.references.spin_up` for JAX."""
-    rate = 2.0 * jnp.pi / 15.0
-    return (
-        lambda t: jnp.where(t < 15, 0.4 * (t**2 / 2 + (jnp.cos(rate * t) - 1) / rate**2),
-                            6 * t - 45),
-        lambda t: jnp.where(t < 15, 0.4 * (t - jnp.sin(rate * t) / rate), 6.0),
-        lambda t: jnp.where(t < 15, 0.4 * (1 - jnp.cos(rate * t)), 0.0))
+def _acceleration():
+    # That of `oracles.references.spin_up`, for JAX.
+    return lambda t: jnp.where(t < 15, 0.4 * (1 - jnp.cos(2.0 * jnp.pi / 15.0 * t)), 0.0)
 
 
-def rate_with_shaft(model, inertia):
-    """Return y'(t) of a rod on a revolute joint with an inertia [kg m2], as f(y, torque)."""
-    shaft = jnp.zeros(model.num_velocities).at[0].set(inertia)
-
-    def rate(y, torque):
-        q, v, _ = model.split_state(y)
-        mass, turning, weight = model.dynamics_terms(q, v)
-        force = -turning - weight - model.elastic_force(q)
-        return jnp.concatenate([v, jnp.linalg.solve(mass + jnp.diag(shaft),
-                                                    force.at[0].add(torque))])
-    return rate
-
-
-def soft_rod(scene, segments, step, duration, every, drive=None, order=4, shear=None, points=8):
+def soft_rod(scene, order, step, duration, every, drive=None):
     """
     Simulate a scene by soromox, straight and at rest at first, in explicit steps (Tsit5).
 
-    Parameters
-    ----------
-    scene : Scene
-        Its shaft is driven, or locked at 0, on a held carrier.
-    segments : int
-    step, duration : float
-        [s]
-    every : int
-        Steps from sample to sample.
-    drive : tuple of function(float) -> float, optional
-        theta(t) and its derivatives, which JAX can follow; theta(0) = 0.
-    order, shear, points
-        As for `rod`.
-
-    Returns
-    -------
-    seconds : float
-        CPU time of a call after that which compiles [s].
-    theta, carrier, along, across : ndarray, shapes (n,), (n, 2), (n,), (n,)
-        At the samples after the start; the tip in axes of the shaft.
-
+    The shaft is locked at 0, or has the drive `oracles.references.spin_up`. What is returned is
+    that of `rivals.chain`; the time is that of a call after the one which compiles.
     """
-    model = rod(scene, segments, order, shear, points,
-                JointSpec('revolute', axis='z') if drive else None)
+    model = rod(scene, order, bool(drive))
     times = jnp.arange(1, round(duration / step / every) + 1) * (step * every)
     count = 2 * (model.num_velocities if drive else model.num_internal_dofs)
+    shaft, acceleration = jnp.zeros(model.num_velocities).at[0].set(_DRIVEN), _acceleration()
 
     def rate(t, y, _):
-        if drive:
-            return rate_with_shaft(model, _DRIVEN)(y, _DRIVEN * drive[2](t))
-        return model.forward_dynamics(t, y)
+        if not drive:
+            return model.forward_dynamics(t, y)
+        q, v, _ = model.split_state(y)
+        mass, turning, weight = model.dynamics_terms(q, v)
+        force = -turning - weight - model.elastic_force(q)
+        return jnp.concatenate([v, jnp.linalg.solve(
+            mass + jnp.diag(shaft), force.at[0].add(_DRIVEN * acceleration(t)))])
 
     @jax.jit
     def run(start):

@@ -19,7 +19,7 @@ import warnings
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.command import parser
+from benchmark.report import parser, table
 from oracles import spectral_elements
 import timo_sim
 
@@ -73,7 +73,7 @@ SCENES = [
 def error(scene, tip, duration):
     """Return the largest distance of the tip from a reference, (n, 2) [m], in arm lengths."""
     try:
-        run = timo_sim.simulate(scene, duration, round(PERIOD / scene.step))
+        run = timo_sim.simulate(scene, duration, round(PERIOD / scene.step), estimate=False)
     except timo_sim.DivergenceError:
         return math.inf
     length = scene.manipulator.arm.length
@@ -98,12 +98,13 @@ def main():
     """Print a table."""
     quick = parser(__spec__, __doc__, 'two scenes').parse_args().quick
     warnings.simplefilter('ignore', timo_sim.ModelWarning)
-    print('| scene | N | h [ms] | ' + ' | '.join(f'A = {axial}' for axial in AXIAL)
-          + ' | two meshes |\n|' + '---|' * (len(AXIAL) + 4))
+    rows = []
     for scene in SCENES[:2] if quick else SCENES:
         name, *cells = row(*scene)
-        steps = ', '.join(f'{1e3 * step:g}' for step in scene[4])
-        print(f'| {name} | {scene[3]} | {steps} | {" | ".join(cells)} |', flush=True)
+        print(name, *cells, sep=', ', flush=True)
+        rows.append([name, scene[3], ', '.join(f'{1e3 * step:g}' for step in scene[4]), *cells])
+    print(table(['scene', 'N', 'h [ms]', *(f'A = {axial}' for axial in AXIAL), 'two meshes'],
+                rows))
 
 
 if __name__ == '__main__':

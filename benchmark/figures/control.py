@@ -17,15 +17,12 @@ from pathlib import Path
 import sys
 import time
 
-import matplotlib
-matplotlib.use('Agg')
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
+import matplotlib.pyplot as plt
+import numpy as np
 
-from benchmark import ROOT  # noqa: E402
-from benchmark.command import parser  # noqa: E402
-from benchmark.report import table  # noqa: E402
-import timo_sim  # noqa: E402
+from benchmark import ROOT
+from benchmark.report import parser, table
+import timo_sim
 
 sys.path.append(str(ROOT / 'example'))
 import carrier  # noqa: E402

@@ -8,18 +8,51 @@
 
 """Draws seven pictures with captions: `make gallery` writes doc/gallery.md and doc/gallery/."""
 
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from matplotlib.image import imread, imsave
+import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.command import parser
-from benchmark.figures import window
-from benchmark.figures.drawing import BLUE, draw_arm, GREEN, GREY, ORANGE, save, sheet
+from benchmark.report import BLUE, GREEN, GREY, parser, RED
 import timo_sim
 from timo_sim.view.plot import draw_floor
-from timo_sim.view.track import body_of, floor_of
+from timo_sim.view.rerun import picture, write
+from timo_sim.view.track import body_of, floor_of, track_of_run
 
 LENGTH = 2.0  # of the paper's arm [m]
 FINE = {'model.modes': 5}
+plt.rcParams.update({'font.size': 15, 'axes.grid': True, 'grid.alpha': 0.3,
+                     'lines.linewidth': 2.0, 'legend.fontsize': 13})
+
+
+def sheet(title, ratio=1.0):
+    """Return a figure, its plane of motion on the left, and its axes of time on the right."""
+    figure, (plane, time) = plt.subplots(1, 2, figsize=(12.0, 5.2), layout='constrained',
+                                         width_ratios=[ratio, 1.6])
+    figure.suptitle(title, fontsize=18)
+    plane.set(xlabel='x [m]', ylabel='y [m]', aspect='equal')
+    time.set(xlabel='t [s]')
+    return figure, plane, time
+
+
+def draw_arm(plane, run, sample, colour, alpha=1.0, label=None, body=True):
+    """Draw carrier, bent arm and end effector of a sample."""
+    length = run.scene.manipulator.arm.length
+    line = run.model.world(run.motion[[sample]], run.model.at(
+        np.linspace(0.0, length, 41)))[0]
+    plane.plot(*line.T, color=colour, alpha=alpha, lw=3, label=label, solid_capstyle='round')
+    plane.plot(*line[-1], 'o', color=colour, alpha=alpha, ms=11)
+    if body:
+        plane.plot(*line[0], 's', color=colour, alpha=alpha, ms=12)
+
+
+def save(figure, name):
+    """Write a picture."""
+    figure.savefig(ROOT / 'doc' / 'gallery' / f'{name}.png', dpi=100)
+    plt.close(figure)
 
 
 def paper():
@@ -35,7 +68,7 @@ def paper():
     plane.legend(loc='lower right')
     plane.set(xlim=(-0.25, 2.2), ylim=(-0.25, 2.3))
     time.plot(run.t, 1e3 * across, color=BLUE)
-    time.plot(run.t[peak], 1e3 * across[peak], 'o', color=ORANGE, ms=10,
+    time.plot(run.t[peak], 1e3 * across[peak], 'o', color=RED, ms=10,
               label=f'largest: {1e3 * across[peak]:.1f} mm at {run.t[peak]:.2f} s')
     time.set(ylabel='tip deflection w(l) [mm]', ylim=(-100, 135), xlim=(0, 10))
     time.legend(loc='upper right')
@@ -57,14 +90,14 @@ def spin_up():
     plane.plot(*run.position(length).T, color=GREY, lw=0.5)
     for k, sample in enumerate(np.linspace(0, largest, 5).astype(int)):
         draw_arm(plane, run, sample, BLUE, 0.25 + 0.15 * k)
-    draw_arm(plane, run, largest, ORANGE, label=f'bent most, {run.t[largest]:.1f} s')
+    draw_arm(plane, run, largest, RED, label=f'bent most, {run.t[largest]:.1f} s')
     plane.set(xlim=(-11, 11), ylim=(-11, 15))
     plane.legend(loc='upper left')
     time.plot(run.t, across, color=BLUE, label='tip deflection w(l)')
     time.axhline(0.0, color='k', lw=0.8)
     time.set(ylabel='w(l) [m]', xlim=(0, 20))
     speed = time.twinx()
-    speed.plot(run.t, run.shaft_velocity, '--', color=ORANGE, label='shaft speed')
+    speed.plot(run.t, run.shaft_velocity, '--', color=RED, label='shaft speed')
     speed.set(ylabel='shaft speed [rad/s]')
     speed.grid(False)
     time.legend(handles=[*time.lines[:1], *speed.lines], loc='lower right')
@@ -88,7 +121,7 @@ def resonance():
             'arm.damping_ratio': [damping], 'load.torque.harmonic.amplitude': [0.5],
             'load.torque.harmonic.frequency': [ratio * first]}), 20.0)
 
-    cases = [(driven(1.0, 0.0), ORANGE, 'at it, undamped', '-'),
+    cases = [(driven(1.0, 0.0), RED, 'at it, undamped', '-'),
              (driven(1.0, 0.01), BLUE, 'at it, damping ratio 0.01', '-'),
              (driven(0.9, 0.0), GREEN, '10 % below, undamped', '-')]
     figure, plane, time = sheet(f'Resonance: 0.5 N m at the first frequency, {first:.2f} Hz')
@@ -132,11 +165,11 @@ def disturbance():
         draw_arm(plane, run, sample, BLUE, 0.25 + 0.18 * k,
                  f'every {100 * (run.t[1] - run.t[0]):.2g} s, light to dark' if k == 4 else None)
     plane.annotate('', (LENGTH, 0.0), (LENGTH, -0.5),
-                   arrowprops={'color': ORANGE, 'width': 4, 'headwidth': 14})
+                   arrowprops={'color': RED, 'width': 4, 'headwidth': 14})
     plane.set(xlim=(-0.3, 2.4), ylim=(-0.7, 1.3))
     plane.legend(loc='upper left')
     time.plot(run.t, 1e3 * across, color=BLUE, label='tip, x = l')
-    time.plot(run.t, 1e3 * run.deflection(0.5 * LENGTH)[:, 1], color=ORANGE, label='middle, l/2')
+    time.plot(run.t, 1e3 * run.deflection(0.5 * LENGTH)[:, 1], color=RED, label='middle, l/2')
     time.set(ylabel='deflection across [mm]', xlim=(0, 2), ylim=(-80, 110))
     time.legend(loc='upper right')
     save(figure, 'disturbance')
@@ -181,7 +214,7 @@ def vibration_control():
     calm = slew(scene, tuple(smooth(order) for order in range(3)), inertia)
     figure, plane, time = sheet('A turn by 45 degrees under PD control of the shaft')
     left = []
-    for run, colour, label in ((step, ORANGE, 'step of the reference'),
+    for run, colour, label in ((step, RED, 'step of the reference'),
                                (calm, BLUE, f'{duration:g} s, with feed-forward')):
         across = run.deflection(LENGTH)[:, 1]
         left.append((np.abs(across).max(), np.abs(across[run.t >= 2.0]).max()))
@@ -212,14 +245,14 @@ def standing():
     plane.plot(*run.position(LENGTH)[:turned].T, color=GREY, lw=1)
     for k, sample in enumerate(range(1400, turned + 100, 400)):
         draw_arm(plane, run, sample, BLUE, 0.3 + 0.2 * k, 'then every 0.4 s' if k == 3 else None)
-    draw_arm(plane, run, 1000, ORANGE, label='borne by the torque, until 1 s')
+    draw_arm(plane, run, 1000, RED, label='borne by the torque, until 1 s')
     plane.set(xlim=(-2.1, 2.1), ylim=(-2.25, 1.35))
     draw_floor(plane, floor_of(scene.values['gravity'], run.carrier[0], body_of(scene)))
     plane.legend(loc='upper left')
     time.plot(run.t, 1e3 * across, color=BLUE, label='tip deflection w(l)')
     time.set(ylabel='w(l) [mm]', xlim=(0, 10), ylim=(-80, 110))
     angle = time.twinx()
-    angle.plot(run.t, -below, '--', color=ORANGE, label='shaft angle')
+    angle.plot(run.t, -below, '--', color=RED, label='shaft angle')
     angle.set(ylabel='shaft angle [degrees]', ylim=(-160, 220))
     angle.grid(False)
     time.legend(handles=[*time.lines, *angle.lines], loc='upper right')
@@ -244,14 +277,14 @@ def pick_and_place():
     figure, plane, time = sheet('Pick and place: 2 kg are carried from 60 degrees to 0')
     plane.plot(*run.position(LENGTH).T, color=GREY, lw=1, label='path of the tip')
     for samples, colour, label in (((800, 1200), BLUE, 'empty, 0.8 and 1.2 s'),
-                                   ((picked, 5000, dropped), ORANGE, 'loaded, 3, 5 and 8 s')):
+                                   ((picked, 5000, dropped), RED, 'loaded, 3, 5 and 8 s')):
         for k, sample in enumerate(samples):
             draw_arm(plane, run, sample, colour, 0.4 + 0.25 * k, label if not k else None)
     plane.set(xlim=(-0.3, 2.3), ylim=(-0.3, 3.0))
     plane.legend(loc='upper right')
     parts = {'empty': slice(0, picked + 1), 'loaded': slice(picked, dropped + 1),
              'empty again': slice(dropped, None)}
-    for (label, part), colour in zip(parts.items(), (BLUE, ORANGE, GREEN)):
+    for (label, part), colour in zip(parts.items(), (BLUE, RED, GREEN)):
         time.plot(run.t[part], 1e3 * across[part], color=colour, label=label)
     time.set(ylabel='tip deflection w(l) [mm]', xlim=(0, 10), ylim=(-40, 60))
     time.legend(loc='upper right')
@@ -267,6 +300,16 @@ def pick_and_place():
             f'of up to {after:.0f} mm.')
 
 
+def draw_window():
+    """Draw what `timo_sim view` shows of the paper's run at 1.81 s, doc/view.png."""
+    run = timo_sim.simulate(timo_sim.load_scene(ROOT / 'config/paper.yaml'), 10.0)
+    with TemporaryDirectory() as folder:
+        write([track_of_run(run, 'paper')], Path(folder, 'run.rrd'), at=1.81)
+        picture(Path(folder, 'run.rrd'), Path(folder, 'view.png'), 1.81, (1500, 940))
+        # Without the viewer's menu, which says things about the machine.
+        imsave(ROOT / 'doc' / 'view.png', imread(Path(folder, 'view.png'))[37:])
+
+
 def main():
     """Draw all and write the page."""
     parser(__spec__, __doc__).parse_args()
@@ -280,7 +323,7 @@ def main():
         words = draw()
         print(f'{title}: {words}')
         text += ['', f'## {title}', '', f'![{title}](gallery/{draw.__name__}.png)', '', words]
-    window.draw()
+    draw_window()
     (ROOT / 'doc' / 'gallery.md').write_text('\n'.join(text) + '\n')
 
 

@@ -8,20 +8,17 @@
 
 """Draw the arm in the paper's scene: `make picture` writes what README.md shows."""
 
-import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.command import parser
+from benchmark.report import BLUE, GREY, parser, RED
 from oracles.references import read
 import timo_sim
 from timo_sim.view.plot import animate
 from timo_sim.view.track import track_of_run
 
-matplotlib.use('Agg')
 LENGTH = 2.0
-# Okabe-Ito colours, which colour-blind readers tell apart.
-BLUE, ORANGE, GREY = '#0072B2', '#D55E00', '#999999'
 
 
 def main():
@@ -36,7 +33,6 @@ def main():
 
 
 def _draw_arm():
-    import matplotlib.pyplot as plt
     plt.rcParams.update({'font.size': 13})
     scene = timo_sim.load_scene(ROOT / 'config' / 'paper.yaml',
                                 {'model.modes': 5, 'integrator.step': 0.005})
@@ -64,7 +60,7 @@ def _draw_arm():
     for k in range(peak - 12, peak + 1, 3):
         last = k == peak
         shape.plot(xi + bend[k, :, 0], 1e3 * bend[k, :, 1], lw=3 if last else 1.5,
-                   color=ORANGE if last else plt.cm.Blues(0.4 + 0.05 * (k - peak + 12)))
+                   color=RED if last else plt.cm.Blues(0.4 + 0.05 * (k - peak + 12)))
     shape.axhline(0.0, color=GREY, lw=0.8)
     shape.set(xlabel='along the arm, I [m]', ylabel='across, II [mm]',
               title=f'bent arm, every 30 ms\nuntil its largest bend at {run.t[peak]:.2f} s')

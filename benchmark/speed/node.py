@@ -7,27 +7,120 @@
 # language governing permissions and limitations under the License.
 
 """
-Measures processor time, evenness of ticks and start of the node: `python -m benchmark.speed.node`.
+Processor time, evenness of ticks, start and memory of the node.
 
 CPU is user and system time of a whole process, for each time step that it published. The peers of
 a comparison run in turns of one to three seconds, stopped in between, so that a busy machine is
 busy for all of them; the result is the median over the turns of the ratio within a turn.
-node_processes.py describes the peers.
+`node_processes` describes the peers.
 """
 
+from contextlib import contextmanager, ExitStack
 from pathlib import Path
 import re
 import signal
 import statistics
 import subprocess
 import tempfile
+import threading
 import time
 
 import numpy as np
 
-from benchmark.command import parser
-from benchmark.process import arguments, ENVIRONMENT, RATES
-from benchmark.speed.turns import compare, START_UP, started
+from benchmark.process import arguments, ENVIRONMENT, RATES, resident, running
+from oracles.domains import own_domain
+
+START_UP, SETTLE = 4.0, 0.5   # [s]
+DAY = 86400.0  # [s]
+
+
+@contextmanager
+def started(name, argument, *extra, environment=ENVIRONMENT, **options):
+    """Start one of `node_processes`, and end it after the context."""
+    with running(['-m', 'benchmark.speed.node_processes', name, str(argument), *extra],
+                 env=environment, **{'stdout': subprocess.DEVNULL, 'stderr': subprocess.STDOUT,
+                                     **options}) as process:
+        yield process
+
+
+class Peer:
+    """
+    A process that is measured in turns, stopped in between; and its listener, if any.
+
+    After `end`, `cpu` has the CPU time for each step in each turn [s], and `ticks` for each turn
+    the begin and end of its ticks [s] and their steps, shape (n, 3).
+    """
+
+    def __init__(self, stack, folder, name, listened=True, extra=()):
+        domain = str(own_domain())
+        environment = {**ENVIRONMENT, 'ROS_DOMAIN_ID': domain}
+        self._path, self._turns, self.cpu, self.ticks = Path(folder, f'{domain}.npy'), [], None, []
+        if listened:
+            listener = stack.enter_context(
+                started('listener', '', environment=environment, stdout=subprocess.PIPE))
+            _expect(listener, 'listening')
+        self._process = stack.enter_context(
+            started(name, self._path, *extra, environment=environment, cwd=folder))
+        if listened:
+            _expect(listener, 'hearing')
+        else:
+            time.sleep(START_UP)
+        self._process.send_signal(signal.SIGSTOP)
+
+    def _processor_time(self):
+        # Of all threads [s].
+        return 1e-9 * sum(int(path.read_text().split()[0]) for path in Path(
+            f'/proc/{self._process.pid}/task').glob('*/schedstat'))
+
+    def turn(self, seconds):
+        """Let the process run, and measure."""
+        self._process.send_signal(signal.SIGCONT)
+        time.sleep(SETTLE)
+        begin, before = time.monotonic(), self._processor_time()
+        time.sleep(seconds)
+        end, after = time.monotonic(), self._processor_time()
+        self._process.send_signal(signal.SIGSTOP)
+        self._turns.append((begin, end, after - before))
+
+    def end(self):
+        """End the process and read when its ticks were."""
+        self._process.send_signal(signal.SIGCONT)
+        self._process.terminate()
+        if self._process.wait() != 0:
+            raise RuntimeError('a peer failed')
+        times = np.load(self._path)
+        self.ticks = [times[(times[:, 0] > begin) & (times[:, 1] < end)]
+                      for begin, end, _ in self._turns]
+        self.cpu = np.array([cpu / ticks[:, 2].sum()
+                             for (_, _, cpu), ticks in zip(self._turns, self.ticks)])
+
+    def times_of_steps(self):
+        """Return, for each turn, the time of ticks for each of their steps [s]."""
+        return [(ticks[:, 1] - ticks[:, 0])[ticks[:, 2] > 0] / ticks[ticks[:, 2] > 0, 2]
+                for ticks in self.ticks]
+
+
+def _expect(process, word):
+    lines = []
+    for line in process.stdout:  # the middleware may print lines, too
+        lines.append(line.strip())
+        if lines[-1] == word:
+            return
+    raise RuntimeError('\n'.join(lines))
+
+
+def compare(turns, seconds, **peers):
+    """Run peers, each the last arguments of a `Peer`, in turns; return them by name."""
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        found = {name: Peer(stack, folder, *given) for name, given in peers.items()}
+        order = list(found.values())
+        for _ in range(turns):
+            for peer in order:
+                peer.turn(seconds)
+            order.append(order.pop(0))
+        for peer in order:
+            peer.end()
+    return found
 
 
 def ratio(over, under):
@@ -35,39 +128,9 @@ def ratio(over, under):
     return statistics.median(np.divide(over, under))
 
 
-def spread(values, factor=1e6):
-    """Return median, 99th percentile and maximum as text, in microseconds."""
-    return ' / '.join(f'{value:.0f}' for value in factor * np.percentile(values, [50, 99, 100]))
-
-
-def cpu_rows(turns, seconds):
-    """Compare the node with nodes without a simulation."""
-    peers = compare(turns, seconds, bare=('bare', True, ()), timer=('timer', True, ()),
-                    node=('node', True, arguments()))
-    bare, timer, node = peers.values()
-    over_bare, over_timer = ratio(node.cpu, bare.cpu), ratio(node.cpu, timer.cpu)
-    yield ('CPU over a bare node, 5 topics at 1 kHz, subscribed', '<= 1.15',
-           f'{over_bare:.2f}', over_bare <= 1.15, costs(peers))
-    yield ('CPU over an rclpy timer in a SingleThreadedExecutor', '< 1',
-           f'{over_timer:.2f}', over_timer < 1.0, '')
-    yield ('interval of the loops, p50 / p99 / max', '', '', None,
-           ', '.join(f'{name} {spread(intervals(peer))} us' for name, peer in peers.items()))
-
-
-def log_rows(turns, seconds):
-    """Compare the node with its log on and off."""
-    peers = compare(turns, seconds, off=('node', True, arguments()), on=(
-        'node', True, arguments(record=True, record_file='run.mcap')))
-    off, on = peers.values()
-    added = 1e6 * statistics.median(on.cpu - off.cpu) / len(RATES)
-    durations = {name: [np.divide(*_durations(ticks)) for ticks in peer.ticks]
-                 for name, peer in peers.items()}
-    p99 = {name: [np.percentile(turn, 99) for turn in turns] for name, turns in durations.items()}
-    slower = ratio(p99['on'], p99['off'])
-    yield 'CPU of the log', '<= 10 us per message', f'{added:.1f} us', added <= 10.0, costs(peers)
-    yield ('p99 of the time of a step, log on over log off', '<= 1.1',
-           f'{slower:.2f}', slower <= 1.1,
-           ', '.join(f'{name} {spread(np.concatenate(durations[name]))} us' for name in peers))
+def spread(values):
+    """Return median, 99th percentile and maximum of times [s] as text, in microseconds."""
+    return ' / '.join(f'{value:.0f}' for value in 1e6 * np.percentile(values, [50, 99, 100]))
 
 
 def costs(peers):
@@ -76,31 +139,50 @@ def costs(peers):
                      for name, peer in peers.items())
 
 
-def _durations(ticks):
-    # Durations of ticks that did steps, and the steps of each: a late tick does several.
-    done = ticks[ticks[:, 2] > 0]
-    return done[:, 1] - done[:, 0], done[:, 2]
+def cpu_rows(turns, seconds):
+    """Compare the node with nodes without a simulation."""
+    peers = compare(turns, seconds, bare=('bare',), timer=('timer',),
+                    node=('node', True, arguments()))
+    bare, timer, node = peers.values()
+    over_bare, over_timer = ratio(node.cpu, bare.cpu), ratio(node.cpu, timer.cpu)
+    yield ('CPU over a bare node, 5 topics at 1 kHz, subscribed', '<= 1.15',
+           f'{over_bare:.2f}', over_bare <= 1.15, costs(peers))
+    yield ('CPU over an rclpy timer in a SingleThreadedExecutor', '< 1',
+           f'{over_timer:.2f}', over_timer < 1.0, '')
+    between = {name: np.concatenate([np.diff(ticks[:, 0]) for ticks in peer.ticks])
+               for name, peer in peers.items()}
+    yield ('interval of the loops, p50 / p99 / max', '', '', None,
+           ', '.join(f'{name} {spread(values)} us' for name, values in between.items()))
 
 
-def intervals(peer):
-    """Return the times between beginnings of ticks [s]."""
-    return np.concatenate([np.diff(ticks[:, 0]) for ticks in peer.ticks])
+def log_rows(turns, seconds):
+    """Compare the node with its log on and off."""
+    peers = compare(turns, seconds, off=('node', True, arguments()), on=(
+        'node', True, arguments(record=True, record_file='run.mcap')))
+    off, on = peers.values()
+    added = 1e6 * statistics.median(on.cpu - off.cpu) / len(RATES)
+    times = {name: peer.times_of_steps() for name, peer in peers.items()}
+    slower = ratio(*([np.percentile(turn, 99) for turn in times[name]] for name in ('on', 'off')))
+    yield 'CPU of the log', '<= 10 us per message', f'{added:.1f} us', added <= 10.0, costs(peers)
+    yield ('p99 of the time of a step, log on over log off', '<= 1.1',
+           f'{slower:.2f}', slower <= 1.1, ', '.join(
+               f'{name} {spread(np.concatenate(turns))} us' for name, turns in times.items()))
 
 
-def silent_rows(turns, seconds):
+def silent_row(turns, seconds):
     """Compare topics that nobody wants at 1 kHz with topics at 1 Hz."""
     fast, slow = compare(turns, seconds, fast=('node', False, arguments()),
                          slow=('node', False, arguments(rate=1.0))).values()
     over = ratio(fast.cpu, slow.cpu)
-    yield ('CPU of 5 topics at 1 kHz without subscriber and log, over 1 Hz', '1 within 5 %',
-           f'{over:.2f}', over <= 1.05, f'{1e6 * statistics.median(fast.cpu):.0f} us a step')
+    return ('CPU of 5 topics at 1 kHz without subscriber and log, over 1 Hz', '1 within 5 %',
+            f'{over:.2f}', over <= 1.05, f'{1e6 * statistics.median(fast.cpu):.0f} us a step')
 
 
 def finished(*extra, environment=ENVIRONMENT):
     """Run a node to its end; return when it was started, its ticks and its output."""
     with tempfile.TemporaryDirectory() as folder:
         begin = time.monotonic()
-        with started('node', 'ticks.npy', environment, *extra, cwd=folder,
+        with started('node', 'ticks.npy', *extra, environment=environment, cwd=folder,
                      stdout=subprocess.PIPE) as process:
             output = process.communicate()[0]
             if process.returncode:
@@ -120,74 +202,69 @@ def jitter_rows(seconds, long):
            float(dropped[2]) == 0.0, f'{dropped[1]} overruns')
 
 
-def free_rows(times, duration):
+def free_row(times, duration):
     """Run as fast as possible, with a log."""
     factors = []
     for _ in range(times):
-        _, _, output = finished(*arguments(
+        output = finished(*arguments(
             rate=100.0, publish_clock=False, record=True, record_file='run.mcap',
-            real_time_factor=0.0, duration=float(duration)))
+            real_time_factor=0.0, duration=float(duration)))[2]
         sim_time, wall_time = re.search(r'simulated (\S+) s in (\S+) s', output).groups()
         factors.append(float(sim_time) / float(wall_time))
     middle = statistics.median(factors)
-    yield ('free run, 1 ms, log on, 4 topics at 100 Hz', '>= 50 times real time',
-           f'{middle:.0f}', middle >= 50.0, f'{min(factors):.0f} to {max(factors):.0f}')
+    return ('free run, 1 ms, log on, 4 topics at 100 Hz', '>= 50 times real time',
+            f'{middle:.0f}', middle >= 50.0, f'{min(factors):.0f} to {max(factors):.0f}')
 
 
 def start_rows(times):
     """Measure from the start of the process to the first tick, just after the first message."""
     with tempfile.TemporaryDirectory() as cache:
-        environment = {**ENVIRONMENT, 'NUMBA_CACHE_DIR': cache}
-        taken, said = [], []
+        taken = []
         for _ in range(1 + times):
-            begin, ticks, output = finished(*arguments(duration=0.01), environment=environment)
+            begin, ticks, _ = finished(*arguments(duration=0.01), environment={
+                **ENVIRONMENT, 'NUMBA_CACHE_DIR': cache})
             taken.append(ticks[0, 0] - begin)
-            said.append('compiling once' in output)
     cold, *warm = taken
     middle = statistics.median(warm)
-    rightly = said == [True] + times * [False]
-    yield ('start to first message, cold', '<= 6 s', f'{cold:.1f} s', cold <= 6.0 and rightly,
-           f'says "compiling once"{"" if rightly else " wrongly"}; without machine code on disk, '
-           f'whose compilation takes {cold - middle:.1f} s')
+    yield ('start to first message, cold', '<= 6 s', f'{cold:.1f} s', cold <= 6.0,
+           f'without machine code on disk, whose compilation takes {cold - middle:.1f} s')
     yield ('start to first message, warm', '<= 1.5 s', f'{middle:.2f} s', middle <= 1.5,
            f'{min(warm):.2f} to {max(warm):.2f} s')
 
 
-def overload_rows():
-    """Start a node that is too slow for real time, and end it by signals."""
-    heavy = arguments(**{'model.modes': 20, 'integrator.step': 1e-5})
-    finished(*heavy, '-p', 'duration:=0.001')  # compiles
-    for number in (signal.SIGINT, signal.SIGTERM):
-        with tempfile.TemporaryDirectory() as folder, started(
-                'node', 'ticks.npy', ENVIRONMENT, *heavy, cwd=folder,
-                stdout=subprocess.PIPE) as process:
-            time.sleep(2 * START_UP)
-            begin = time.monotonic()
-            process.send_signal(number)
-            output = process.communicate()[0]
-            dropped = re.search(r'(\S+) s dropped', output)
-            yield (f'{number.name} to the end of an overloaded node', 'code 0',
-                   f'code {process.returncode}, {time.monotonic() - begin:.2f} s',
-                   process.returncode == 0,
-                   f'{dropped[1]} s dropped')
-
-
-def rows(quick=False):
-    """Measure everything; return tuples of line, target, measured, met and a remark."""
+def rows(quick):
+    """Return all rows (line, target, measured, met, remark)."""
     turns, seconds = (3, 1.0) if quick else (12, 1.5)
-    return [*cpu_rows(turns, seconds), *log_rows(turns, 2 * seconds), *silent_rows(turns, seconds),
+    return [*cpu_rows(turns, seconds), *log_rows(turns, 2 * seconds), silent_row(turns, seconds),
             *(jitter_rows(3.0, 5.0) if quick else jitter_rows(10.0, 60.0)),
-            *(free_rows(1, 50.0) if quick else free_rows(5, 100.0)),
-            *start_rows(2 if quick else 5), *overload_rows()]
+            free_row(1, 50.0) if quick else free_row(5, 100.0),
+            *start_rows(2 if quick else 5)]
 
 
-def main():
-    """Measure and print a Markdown table."""
-    quick = parser(__spec__, __doc__, 'fewer and shorter turns').parse_args().quick
-    print('| | target | measured | met | |\n|---|---|---|---|---|')
-    for row in rows(quick):
-        print('| ' + ' | '.join(map(str, row)) + ' |', flush=True)
-
-
-if __name__ == '__main__':
-    main()
+def memory(quick):
+    """Return the row of the memory of a logged day, extrapolated from ten minutes of sim time."""
+    duration, seen, samples = 60.0 if quick else 600.0, [], []
+    with tempfile.TemporaryDirectory() as folder, running(
+            ['-m', 'timo_sim.cli.sim_node', *arguments(
+                record=True, record_file='run.mcap', real_time_factor=0.0, duration=duration)],
+            env=ENVIRONMENT, cwd=folder, stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT) as process:
+        reader = threading.Thread(target=lambda: seen.append(process.stdout.read()))
+        reader.start()
+        while process.poll() is None:
+            samples.append((time.monotonic(), 1e-6 * resident(process.pid)))
+            time.sleep(0.1)
+        reader.join()
+        process.stdout.close()
+        if process.returncode:
+            raise RuntimeError(seen[0])
+    wall = float(re.search(r'simulated \S+ s in (\S+) s', seen[0])[1])
+    moments, sizes = np.array([each for each in samples if each[1]]).T
+    sim_time = (moments - moments[-1] + wall) / wall * duration
+    late = sim_time > 0.3 * duration
+    growth = np.polyfit(sim_time[late], sizes[late], 1)[0]
+    day = sizes[-1] + max(growth, 0.0) * (DAY - duration)
+    return [('resident memory after 24 h at 1 kHz, every step of 5 topics logged',
+             '< 300 MB', f'{day:.0f} MB', day < 300.0,
+             f'{sizes[late].max():.0f} MB in {duration:g} s, growth '
+             f'{3600.0 * growth:.2g} MB per h of sim time')]

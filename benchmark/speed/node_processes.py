@@ -7,14 +7,17 @@
 # language governing permissions and limitations under the License.
 
 """
-The processes that benchmark/speed/node.py compares; each runs until SIGTERM.
+The processes that `node` and `latency` measure; each runs until SIGTERM.
 
-    python -m benchmark.speed.node_processes NAME FILE [ROS arguments]
+    python -m benchmark.speed.node_processes NAME ARGUMENT [ROS arguments]
 
 `node` is sim_node itself. `bare` has the same loop and publishes the same messages at 1 kHz,
 without a simulation; `timer` does so from an rclpy timer in a SingleThreadedExecutor. They write
-to FILE when each tick began and ended, and its steps. `listener` subscribes to all topics, says
-so, and says when it has heard all of them.
+to the file ARGUMENT when each tick began and ended, and its steps. `listener` subscribes to all
+topics, says so, and says when it has heard all of them. `echo` answers each torque with a joint
+state that says when it came. `server` sends the next state for each command: a node in lock step
+without a simulation. `controller` answers each state for two seconds and prints its rate. The
+last two take the name of an executor.
 """
 
 from array import array
@@ -32,11 +35,15 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
 
 PERIOD, CATCH_UP = 1e-3, 0.1  # [s]
+SETTLE, COUNTED = 1.0, 2.0    # of a controller [s]
 TOPICS = {'/joint_states': JointState, '/timo_sim/modal_state': JointState,
           '/timo_sim/tip_deflection': Vector3Stamped, '/timo_sim/tip_pose': PoseStamped,
           '/timo_sim/carrier_pose': PoseStamped, '/clock': Clock}
+EXECUTORS = {'rclpy.spin': SingleThreadedExecutor, 'EventsExecutor': EventsExecutor}
+END = threading.Event()
 
 
 class Ticks:
@@ -69,71 +76,103 @@ class Bare(Node):
     def tick(self):
         """Publish one message on each topic."""
         self.count += 1
-        sec, nanosec = divmod(self.count * 1000000, 1000000000)
         value = 1e-6 * self.count
 
-        joints = JointState()
-        joints.header.stamp.sec, joints.header.stamp.nanosec = sec, nanosec
+        joints = self._stamped(JointState())
         joints.name = ['carrier_x', 'carrier_y', 'shaft']
         joints.position = [value, value, value]
         joints.velocity = [value, value, value]
         joints.effort = [value, value, value]
         self._joints.publish(joints)
 
-        modes = JointState()
-        modes.header.stamp.sec, modes.header.stamp.nanosec = sec, nanosec
+        modes = self._stamped(JointState())
         modes.name = ['mode_1', 'mode_2', 'mode_3']
         modes.position = [value, value, value]
         modes.velocity = [value, value, value]
         self._modes.publish(modes)
 
-        deflection = Vector3Stamped()
-        deflection.header.stamp.sec, deflection.header.stamp.nanosec = sec, nanosec
+        deflection = self._stamped(Vector3Stamped())
         deflection.header.frame_id = 'arm'
         deflection.vector.x, deflection.vector.y = value, value
         self._deflection.publish(deflection)
 
-        tip = PoseStamped()
-        tip.header.stamp.sec, tip.header.stamp.nanosec = sec, nanosec
-        tip.header.frame_id = 'world'
-        tip.pose.position.x, tip.pose.position.y = value, value
-        tip.pose.orientation.z, tip.pose.orientation.w = value, value
-        self._tip.publish(tip)
-
-        carrier = PoseStamped()
-        carrier.header.stamp.sec, carrier.header.stamp.nanosec = sec, nanosec
-        carrier.header.frame_id = 'world'
-        carrier.pose.position.x, carrier.pose.position.y = value, value
-        carrier.pose.orientation.w = 1.0
-        self._carrier.publish(carrier)
+        for publisher in self._tip, self._carrier:
+            pose = self._stamped(PoseStamped())
+            pose.header.frame_id = 'world'
+            pose.pose.position.x, pose.pose.position.y = value, value
+            pose.pose.orientation.z, pose.pose.orientation.w = value, value
+            publisher.publish(pose)
 
         clock = Clock()
-        clock.clock.sec, clock.clock.nanosec = sec, nanosec
+        clock.clock.sec, clock.clock.nanosec = divmod(self.count * 1000000, 1000000000)
         self._time.publish(clock)
 
+    def _stamped(self, message):
+        stamp = message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(self.count * 1000000, 1000000000)
+        return message
 
-def _until_terminated():
-    end = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: end.set())
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    return end
+
+class Echo(Node):
+    """Answers each torque with a joint state, and says when it came."""
+
+    def __init__(self):
+        super().__init__('echo')
+        self._publisher = self.create_publisher(JointState, '/echo/joint_states', 10)
+        self.create_subscription(Float64, '/echo/motor_torque', self._answer, 10)
+
+    def _answer(self, command):
+        self._publisher.publish(JointState(
+            position=[time.monotonic(), 0.0, 0.0], effort=[0.0, 0.0, command.data]))
+
+
+class Server(Node):
+    """Sends the next state for each command."""
+
+    def __init__(self):
+        super().__init__('timo_sim')
+        self._count = 0
+        self._publisher = self.create_publisher(JointState, '/joint_states', 10)
+        self.create_subscription(JointState, '/timo_sim/joint_command', self._next, 10)
+        self.create_timer(0.2, lambda: self._count or self._next(None))
+
+    def _next(self, command):
+        self._count += command is not None
+        state = JointState(name=['carrier_x', 'carrier_y', 'shaft'], position=3 * [0.0],
+                           velocity=3 * [0.0], effort=3 * [0.0])
+        state.header.stamp.sec, state.header.stamp.nanosec = divmod(
+            1000000 * self._count, 1000000000)
+        self._publisher.publish(state)
+
+
+class Controller(Node):
+    """Answers each state; prints how many a second, and ends the process."""
+
+    def __init__(self):
+        super().__init__('controller')
+        self._publisher = self.create_publisher(JointState, '/timo_sim/joint_command', 10)
+        self.create_subscription(JointState, '/joint_states', self._answer, 10)
+        self._begin, self._count = None, 0
+
+    def _answer(self, state):
+        command = JointState(name=['shaft'], effort=[0.1 - 0.1 * state.velocity[2]])
+        command.header.stamp = state.header.stamp
+        self._publisher.publish(command)
+        now = time.monotonic()
+        self._begin = self._begin or now + SETTLE
+        self._count += now >= self._begin
+        if now >= self._begin + COUNTED and not END.is_set():
+            print('rate', self._count / (now - self._begin), flush=True)
+            END.set()
 
 
 def bare(path):
     """Tick at absolute deadlines, with the executor in a second thread, as `timo_sim` does."""
-    end, ticks = _until_terminated(), Ticks()
-    node, executor = Bare(), EventsExecutor()
-    executor.add_node(node)
-
-    def spin():
-        while not end.is_set():
-            executor.spin_once(timeout_sec=0.1)
-
-    thread = threading.Thread(target=spin)
+    ticks, node = Ticks(), Bare()
+    thread = threading.Thread(target=spin, args=(node, EventsExecutor()))
     thread.start()
     base, count = time.monotonic(), 0
-    while not end.is_set():
+    while not END.is_set():
         ticks.time(node.tick, lambda: node.count)
         count += 1
         wait = base + count * PERIOD - time.monotonic()
@@ -146,17 +185,13 @@ def bare(path):
 
 def timer(path):
     """Tick in a timer's callback."""
-    end, ticks = _until_terminated(), Ticks()
-    node, executor = Bare(), SingleThreadedExecutor()
-    executor.add_node(node)
-
+    ticks, node = Ticks(), Bare()
     node.create_timer(PERIOD, lambda: ticks.time(node.tick, lambda: node.count))
-    while not end.is_set():
-        executor.spin_once(timeout_sec=0.1)
+    spin(node, SingleThreadedExecutor())
     ticks.save(path)
 
 
-def node(path):
+def sim_node(path):
     """Run `sim_node`, its ticks timed."""
     from timo_sim.cli.sim_node import StopRequest
     from timo_sim.ros import process
@@ -173,19 +208,37 @@ def node(path):
 
 def listener(_):
     """Take messages as they come, without looking into them."""
-    end = _until_terminated()
     node, executor, missing = Node('listener'), EventsExecutor(), set(TOPICS)
     for topic, kind in TOPICS.items():
         node.create_subscription(kind, topic, lambda _, topic=topic: missing.discard(topic), 10,
                                  raw=True)
-    executor.add_node(node)
     print('listening', flush=True)
-    while not end.is_set() and missing:
-        executor.spin_once(timeout_sec=0.1)
+    spin(node, executor, lambda: not missing)
     print('hearing', flush=True)
-    while not end.is_set():
+    spin(node, executor)
+
+
+def spin(node, executor, done=lambda: False):
+    """Serve a node until the end, or until something is done."""
+    executor.add_node(node)
+    while not END.is_set() and not done():
         executor.spin_once(timeout_sec=0.1)
+
+
+def main(name, argument, *_):
+    """Run one of them."""
+    if name == 'node':
+        sim_node(argument)
+        return
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: END.set())
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    nodes = {'echo': Echo, 'server': Server, 'controller': Controller}
+    if name in nodes:
+        spin(nodes[name](), EXECUTORS[argument]())
+    else:
+        {'bare': bare, 'timer': timer, 'listener': listener}[name](argument)
 
 
 if __name__ == '__main__':
-    {'bare': bare, 'timer': timer, 'node': node, 'listener': listener}[sys.argv[1]](sys.argv[2])
+    main(*sys.argv[1:])

@@ -6,29 +6,44 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Time of a step and of a run: rows of doc/speed.md, and cost against N, n_g and horizon."""
+"""Time of a step, of a run and of what surrounds it; cost against N, n_g and horizon."""
 
-import time
+import os
+import subprocess
+import sys
+import tempfile
 
-import matplotlib
-matplotlib.use('Agg')
-import matplotlib.pyplot as plt  # noqa: E402
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter  # noqa: E402
-import numpy as np  # noqa: E402
+import matplotlib.pyplot as plt
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+import numpy as np
 
-from benchmark import ROOT  # noqa: E402
-from benchmark.command import parser  # noqa: E402
-from benchmark.speed.timing import timed  # noqa: E402
-from oracles.references import read  # noqa: E402
-import timo_sim  # noqa: E402
-from timo_sim.compiled.constants import pack  # noqa: E402
-from timo_sim.model import formulation_class  # noqa: E402
-from timo_sim.steps import etdrk4  # noqa: E402
-from timo_sim.steps.etdrk4 import propagator  # noqa: E402
+from benchmark import ROOT
+from benchmark.report import BLUE, table
+from benchmark.timing import seconds, timed
+from oracles.references import read
+import timo_sim
+from timo_sim.compiled.constants import pack
+from timo_sim.model import formulation_class
+from timo_sim.steps import etdrk4
+from timo_sim.steps.etdrk4 import propagator
 
 PAPER = ROOT / 'config' / 'paper.yaml'
 STEPS = 1000  # of 10 ms
 TARGETS = [('exact', 3, 1.5e-6), ('exact', 5, 2.5e-6), ('exact', 10, 8e-6), ('newton', 3, 0.6e-6)]
+BLOCK = 40  # variations or runs that are timed together
+# A run of the paper's scene, then one of another size, with no machine code at the start.
+FIRST = """
+import time
+from numba.core import event
+import timo_sim
+
+for modes in (3, 4):
+    with event.install_timer('numba:compile', print):
+        begun = time.perf_counter()
+        timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': modes}), 0.01,
+                          estimate=False)
+        print(time.perf_counter() - begun)
+"""
 
 
 def paper(**overrides):
@@ -58,9 +73,9 @@ class Prepared:
                        self._loads[0, 0], self._loads, every, 0, samples, self._remainder)
         return samples
 
-    def time_of_step(self, rounds=25):
+    def time_of_step(self):
         """Return the time of a step without samples."""
-        return timed(self.run, self.steps, rounds)
+        return timed(self.run, units=self.steps)
 
     def tip_error(self):
         """Return the largest error in w(l) over the paper's 10 s [m]."""
@@ -70,87 +85,104 @@ class Prepared:
         return np.abs(deflection - read('paper')[1]['w_l_m']).max()
 
 
-def rows(quick=False):
-    """Return rows of the table, (line, target, measured, met, remark)."""
-    table = []
+def rows():
+    """Return rows (line, target, measured, met, remark) of steps and of a whole run."""
+    found = []
     for formulation, modes, target in TARGETS:
         prepared = Prepared(paper(formulation=formulation, modes=modes))
-        middle = prepared.time_of_step()
+        time = prepared.time_of_step()
         nodes = f', n_g = {len(prepared.model.quadrature.nodes)}' * (formulation == 'exact')
-        table.append((f'a step of `{formulation}`, N = {modes}{nodes}', f'{1e6 * target:g} us',
-                      middle.shown(), middle.middle <= target,
+        found.append((f'a step of `{formulation}`, N = {modes}{nodes}', f'{1e6 * target:g} us',
+                      time.shown(), time.middle <= target,
                       f'w(l) within {prepared.tip_error():.1e} m'))
-    return table + run_rows()
-
-
-def run_rows():
-    """Return the rows of a whole run."""
     scene = paper()
     prepared = Prepared(scene)
-    compiled = timed(lambda: prepared.run(every=1), 1)
-    compared = timed(lambda: timo_sim.simulate(scene, 10.0, estimate=True), 1)
+    compiled = timed(lambda: prepared.run(every=1), units=1)
+    compared = timed(lambda: timo_sim.simulate(scene, 10.0), units=1)
+    return [*found, (
+        '10 s of the paper, 10 ms, every step sampled', '2 ms', compiled.shown(1e-3, 'ms'),
+        compiled.middle <= 2e-3, 'the compiled part'), (
+        'the same with its error, measured by a finer run', '', compared.shown(1e-3, 'ms'), None,
+        'what `simulate` does unless it is told not to')]
+
+
+def around(quick):
+    """Return rows of what surrounds the steps: set-up, result and the first compilation."""
+    scene, random, rounds = paper(), np.random.default_rng(1), 5 if quick else 25
+
+    def vary(values):
+        return timed(lambda: [scene.vary(values()) for _ in range(BLOCK)], units=BLOCK,
+                     rounds=rounds)
+
+    loads = vary(lambda: {'load.torque.harmonic.amplitude': [random.uniform(1.0, 8.0)],
+                          'initial.shaft_velocity': random.uniform(1.0, 8.0)})
+    masses = vary(lambda: {'end_effector.mass': random.uniform(0.5, 5.0)})
+    prepared = Prepared(scene)
+    steps, whole = timed(lambda: [prepared.run(every=1) for _ in range(BLOCK)],
+                         lambda: [timo_sim.simulate(scene, 10.0, estimate=False)
+                                  for _ in range(BLOCK)], units=BLOCK, rounds=rounds)
+    own, least = whole.middle - steps.middle, whole.least - steps.least
+    # Each line is the time of a run or, after it, the part of it that numba needs to compile.
+    with tempfile.TemporaryDirectory() as folder:
+        output = subprocess.run(
+            [sys.executable, '-c', FIRST], check=True, text=True, stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL, env={**os.environ, 'NUMBA_CACHE_DIR': folder}).stdout
+    everything, compiled, further, again = map(float, output.split())
     return [
-        ('10 s of the paper, 10 ms, every step sampled', '2 ms', compiled.shown(1e-3, 'ms'),
-         compiled.middle <= 2e-3, 'the compiled part'),
-        ('the same, compared with a second, finer run', '', compared.shown(1e-3, 'ms'), None,
-         'what `simulate` does by itself with runs that are in doubt')]
+        ('set-up of a run that differs in loads and initial motion', '0.1 ms',
+         loads.shown(1e-3, 'ms'), loads.middle <= 0.1e-3, '`Scene.vary`'),
+        ('set-up of a run that differs in masses', '0.5 ms', masses.shown(1e-3, 'ms'),
+         masses.middle <= 0.5e-3, '`Scene.vary`; modes and tables are made anew'),
+        ('`simulate` of a checked scene, beside its steps', '0.3 ms',
+         f'{1e3 * own:.2f} ms (min {1e3 * least:.2f})', own <= 0.3e-3,
+         '10 s at 10 ms, every step sampled: simulator, loads, samples and the Run'),
+        ('first run of a size', '5 s', f'{further:.1f} s', further <= 5.0,
+         f'N = 4, with no machine code of that size: numba compiles for {again:.1f} s; the very '
+         f'first run, N = 3, {everything:.1f} s, of which {compiled:.1f} s')]
 
 
 def exponent(x, y):
     """Return the slope of a straight line through the logarithms."""
-    return np.polyfit(np.log(x), np.log(y), 1)[0]
+    return f'{np.polyfit(np.log(x), np.log(y), 1)[0]:.2f}'
 
 
-def run_time(horizon):
-    """Return the time of a run of the paper's scene with a sample every second [s]."""
-    scene, start = paper(), time.perf_counter()
-    timo_sim.simulate(scene, horizon, sample_every=100, estimate=False)
-    return time.perf_counter() - start
-
-
-def curves(path, quick=False):
-    """Draw the cost over N, n_g and the length of a run; return rows of exponents."""
+def curves(quick):
+    """Return a table of exponents of the cost over N, n_g and the length of a run; draw it."""
     modes = np.array([1, 3, 10, 14] if quick else [1, 2, 3, 4, 5, 6, 8, 10, 14, 20, 28, 40])
-    over_modes = np.array([Prepared(paper(modes=int(n)), 200).time_of_step(25).least
+    over_modes = np.array([Prepared(paper(modes=int(n)), 200).time_of_step().least
                            for n in modes])
     nodes = np.array([6, 16] if quick else [6, 8, 12, 16, 24, 32, 48])
-    over_nodes = np.array([Prepared(paper(), 200, int(g)).time_of_step(25).least for g in nodes])
+    over_nodes = np.array([Prepared(paper(), 200, int(g)).time_of_step().least for g in nodes])
     horizons = np.array([1, 10, 100] if quick else [1, 3, 10, 30, 100, 300, 1000, 3000])
-    over_horizon = np.array([run_time(float(horizon)) for horizon in horizons])
+    over_horizon = np.array([seconds(lambda: timo_sim.simulate(
+        paper(), float(horizon), sample_every=100, estimate=False)) for horizon in horizons])
+    if not quick:
+        _draw((modes, 1e6 * over_modes, 'modes N', 'least time of a step [us]'),
+              (nodes, 1e6 * over_nodes, 'quadrature nodes, N = 3', 'least time of a step [us]'),
+              (horizons, over_horizon, 'sim time [s], h = 10 ms', 'time of a run [s]'))
+    few, many, half = modes <= 5, modes >= 10, len(nodes) // 2
+    return '![Cost](speed/cost.png)\n\n' + table(['', 'exponent', 'why'], [
+        ('modes, N <= 5', exponent(modes[few], over_modes[few]),
+         'latency: a step is a chain of four rates, each one of sines, a kernel, a factorisation'),
+        ('modes, N >= 10', exponent(modes[many], over_modes[many]),
+         'the kernel takes N n_g^2 = O(N^3) operations, M and its factor too, the nine products '
+         'of the step O(N^2)'),
+        ('nodes, the larger half', exponent(nodes[half:], over_nodes[half:]),
+         'the kernel takes n_g^2 for each mode, everything else n_g'),
+        ('sim time', exponent(horizons[-3:], over_horizon[-3:]),
+         'every step costs the same; samples are streamed in blocks')])
 
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6))
-    for axis, x, y, label, unit in (
-            (axes[0], modes, 1e6 * over_modes, 'modes N', 'least time of a step [us]'),
-            (axes[1], nodes, 1e6 * over_nodes, 'quadrature nodes, N = 3',
-             'least time of a step [us]'),
-            (axes[2], horizons, over_horizon, 'sim time [s], h = 10 ms',
-             'time of a run [s]')):
-        axis.loglog(x, y, 'o-', color='#0072B2')
-        axis.set_xlabel(label)
-        axis.set_ylabel(unit)
+
+def _draw(*panels):
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout='tight')
+    for axis, (x, y, label, unit) in zip(axes, panels):
+        axis.loglog(x, y, 'o-', color=BLUE)
+        axis.set(xlabel=label, ylabel=unit)
         axis.grid(alpha=0.3, which='both')
         axis.set_xticks(x[::2], [f'{value:g}' for value in x[::2]])
         axis.set_xticks([], minor=True)
         axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
         axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f'{value:g}'))
         axis.yaxis.set_minor_formatter(NullFormatter())
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    figure.savefig(ROOT / 'doc' / 'speed' / 'cost.png', dpi=110)
     plt.close(figure)
-    few, many, half = modes <= 5, modes >= 10, len(nodes) // 2
-    return [
-        ('modes, N <= 5', f'{exponent(modes[few], over_modes[few]):.2f}',
-         'latency: a step is a chain of four rates, each one of sines, a kernel, a factorisation'),
-        ('modes, N >= 10', f'{exponent(modes[many], over_modes[many]):.2f}',
-         'the kernel takes N n_g^2 = O(N^3) operations, M and its factor too, the nine products '
-         'of the step O(N^2)'),
-        ('nodes, the larger half', f'{exponent(nodes[half:], over_nodes[half:]):.2f}',
-         'the kernel takes n_g^2 for each mode, everything else n_g'),
-        ('sim time', f'{exponent(horizons[-3:], over_horizon[-3:]):.2f}',
-         'every step costs the same; samples are streamed in blocks')]
-
-
-if __name__ == '__main__':
-    parser(__spec__, __doc__).parse_args()
-    for row in rows():
-        print(*row, sep=' | ')

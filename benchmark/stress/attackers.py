@@ -150,8 +150,7 @@ def reader(node):
         node.create_subscription(message_type, topic, lambda message: None, 10)
     rclpy.spin_once(node, timeout_sec=10.0)
     print('hearing', flush=True)
-    while not END.is_set():
-        rclpy.spin_once(node, timeout_sec=0.1)
+    END.wait()
 
 
 def _call_all(node, calls, period):
@@ -214,11 +213,6 @@ def controller(node, right=True):
             node.send('timo_sim/tip_wrench', WrenchStamped, wrench('world', 5.0, 2**31 - 1))
 
 
-def rival(node):
-    """Answer no state with the right stamp."""
-    controller(node, right=False)
-
-
 def busy(node):
     """Keep a core busy."""
     while not END.is_set():
@@ -258,8 +252,8 @@ def main(name, namespace='/'):
         two(namespace)
     else:
         {'storm': storm, 'bad': bad, 'reader': reader, 'setter': setter, 'caller': caller,
-         'clock': clock, 'controller': controller, 'rival': rival, 'busy': busy}[name](
-             Attacker(namespace))
+         'clock': clock, 'controller': controller, 'busy': busy,
+         'rival': lambda node: controller(node, right=False)}[name](Attacker(namespace))
     rclpy.shutdown()
 
 

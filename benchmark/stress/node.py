@@ -7,16 +7,14 @@
 # language governing permissions and limitations under the License.
 
 """
-Attacks and faults that a node must survive: `python -m benchmark.stress.node`.
+Attacks and faults that a node must survive, in real processes over real DDS.
 
-Real processes over real DDS. A fault is survived if the node goes on (or ended cleanly, with code
-0), counted what it should, and left a log that can be read to its end.
+A fault is survived if the node goes on (or ended cleanly, with code 0), counted what it should,
+and left a log that can be read to its end.
 """
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-import os
-from pathlib import Path
 import random
 import re
 import signal
@@ -24,25 +22,14 @@ import subprocess
 import tempfile
 import time
 
-from mcap.reader import make_reader
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.command import parser
 from benchmark.process import ENVIRONMENT, running
-from benchmark.stress import refusals
 from benchmark.stress.node_process import LEAKY, Node, READY, survived
-from benchmark.stress.tally import ensure, Tally
-from oracles.logs import outcome
 from timo_sim.log.tables import Recording
 
-# What others do to a log, and what the node says of it.
-HARMS = (
-    (os.unlink, 'it was deleted'), (lambda log: log.with_name('other').rename(log), 'deleted'),
-    (lambda log: os.truncate(log, log.stat().st_size // 2), 'cut it or written to it'),
-    (lambda log: os.truncate(log, 0), 'cut it or written to it'),
-    (lambda log: log.write_bytes(b'x'), 'cut it or written to it'),
-    (lambda log: log.rename(log.with_stem('moved')), 'was moved'))
+SOAK = 60.0  # [s] of each of two
 
 
 def attack(name, *arguments, environment=ENVIRONMENT, **options):
@@ -129,44 +116,6 @@ def lock_step_row(periods):
                       for name in ('missed', 'mismatched')))
 
 
-def harmed_log_row():
-    """Damage the log of a running node, which must report it and go on."""
-    tally = Tally('log deleted, replaced, cut, emptied, written to or moved under the node')
-    for harm, words in HARMS:
-        with tally.trial(words), tempfile.TemporaryDirectory() as folder:
-            node = Node(folder).ready()
-            node.log.with_name('other').touch()
-            time.sleep(1.0)
-            harm(node.log)
-            try:
-                node.ready(words)
-                alive = node.process.poll() is None
-            finally:
-                code = node.end()
-            ensure(alive and code == 0, 'it ends')
-            ensure(node.output().count('[ERROR]') == 1, node.output())
-            for path in Path(folder).glob('*.mcap'):
-                outcome(path)
-    return tally.row('one line each; what is left is recovered or refused')
-
-
-def namespace_rows(number):
-    """Run several nodes at once."""
-    with tempfile.TemporaryDirectory() as folder:
-        with attack('two', cwd=folder, stderr=subprocess.DEVNULL) as process:
-            code = process.wait(READY)
-        logs = len(list(Path(folder).glob('*.mcap')))
-    yield 'two nodes in one process', 2, logs if code == 0 else 0, ''
-    with ExitStack() as stack:
-        nodes = [Node(stack.enter_context(tempfile.TemporaryDirectory()), '-r', f'__ns:=/n{k}')
-                 for k in range(number)]
-        for node in nodes:
-            node.ready()
-        time.sleep(3.0)
-        results = [survived(node) for node in nodes]
-    yield f'nodes in {number} namespaces', number, sum(well for well, _ in results), ''
-
-
 def signal_row(number, cold):
     """Send SIGINT or SIGTERM at a random moment, from the start of the process to its own end."""
     rng = random.Random(1)
@@ -194,35 +143,6 @@ def _signalled(cold, moment, sent):
         return code == 0 and 'Traceback' not in node.output() and readable, False
 
 
-def overload_row(stops):
-    """Keep all cores busy, and stop the process again and again."""
-    import timo_sim
-    paper = ROOT / 'config' / 'paper.yaml'
-    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        for _ in range(2 * (os.cpu_count() or 1)):
-            stack.enter_context(attack('busy'))
-        node = Node(folder, '--params-file', str(paper), catch_up_limit=0.05).ready()
-        for _ in range(stops):
-            time.sleep(0.5)
-            node.process.send_signal(signal.SIGSTOP)
-            time.sleep(0.3)
-            node.process.send_signal(signal.SIGCONT)
-        time.sleep(2.0)
-        well, counters = survived(node)
-        with open(node.log, 'rb') as stream:
-            states = [(message.sequence, message.data)
-                      for _, channel, message in make_reader(stream).iter_messages()
-                      if channel.topic == '/joint_states']
-    scene = timo_sim.load_scene(paper)
-    run = timo_sim.simulate(scene, 0.01 * np.ceil(0.1 * states[-1][0]))
-    exact = sum(run.motion[step, :3].tobytes() in data and run.motion[step, 6:9].tobytes() in data
-                for step, data in states)
-    dropped = float(counters['dropped_time_s'])
-    return ('joint states on busy cores, stopped now and then: equal to `simulate` to the bit',
-            len(states), exact if well and dropped > 0.2 * stops else 0,
-            f'{dropped:.2f} s dropped and counted')
-
-
 def soak_row(what, seconds, **parameters):
     """Run for long, and look for leaks."""
     with tempfile.TemporaryDirectory() as folder:
@@ -234,32 +154,14 @@ def soak_row(what, seconds, **parameters):
     return what, 1, int(well and not leak), f'{done[0]}'.split('; log')[0] + f'; {grown}'
 
 
-def rows(quick=False, soak=60.0):
-    """Do everything; yield tuples of what, how many tried, how many survived, and a remark."""
+def rows(quick):
+    """Do everything; yield (what, how many tried, how many survived, remark)."""
     yield from attack_rows(2.0 if quick else 20.0)
     yield deaf_row(2.0 if quick else 20.0)
     yield lock_step_row(200 if quick else 3000)
-    yield harmed_log_row()
-    yield from namespace_rows(3 if quick else 10)
     yield signal_row(*((4, 1) if quick else (200, 10)))
-    yield overload_row(2 if quick else 20)
-    yield from refusals.rows(quick)
     if not quick:
-        yield soak_row('free run at 1 ms', soak, real_time_factor=0.0, record=True)
-        yield soak_row('real time at 1 kHz, all topics logged', soak, **{
+        yield soak_row('free run at 1 ms', SOAK, real_time_factor=0.0, record=True)
+        yield soak_row('real time at 1 kHz, all topics logged', SOAK, **{
             f'rate.{topic}': 1000.0 for topic in (
                 'joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose')})
-
-
-def main():
-    """Do everything and print a Markdown table."""
-    command = parser(__spec__, __doc__, 'a part, briefly')
-    command.add_argument('--soak', type=float, default=60.0, help='seconds of each of two soaks')
-    arguments = command.parse_args()
-    print('| fault | tried | survived | remark |\n|---|---|---|---|')
-    for row in rows(arguments.quick, arguments.soak):
-        print('| ' + ' | '.join(map(str, row)) + ' |', flush=True)
-
-
-if __name__ == '__main__':
-    main()

@@ -19,7 +19,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
 from rclpy.serialization import deserialize_message
 
-from benchmark.process import ENVIRONMENT
+from benchmark.process import ENVIRONMENT, options, resident
 
 READY, END = 60.0, 60.0   # [s] patience with a busy machine
 PROGRAM = '-m', 'timo_sim.cli.sim_node'
@@ -47,12 +47,10 @@ class Node:
                  **parameters):
         self.folder, self.log = Path(folder), Path(folder) / 'run.mcap'
         self._output = open(self.folder / 'output.txt', 'w+', encoding='utf-8')
-        values = {'record_file': self.log.name, **parameters}
-        words = [word for name, value in values.items() for word in (
-            '-p', f'{name}:={str(value).lower() if isinstance(value, bool) else value}')]
         self.process = subprocess.Popen(
-            [sys.executable, *program, '--ros-args', *arguments, *words],
-            cwd=folder, env=environment, stdout=self._output, stderr=subprocess.STDOUT)
+            [sys.executable, *program, '--ros-args', *arguments,
+             *options(record_file=self.log.name, **parameters)], cwd=folder, env=environment,
+            stdout=self._output, stderr=subprocess.STDOUT)
 
     def output(self):
         """Return what the node has said so far."""
@@ -68,12 +66,6 @@ class Node:
             time.sleep(0.05)
         return self
 
-    def memory(self):
-        """Return the memory that the process has in use [B], 0 if it has ended."""
-        found = re.search(r'VmRSS:\s+(\d+)', Path(
-            f'/proc/{self.process.pid}/status').read_text())
-        return 1024 * int(found[1]) if found else 0
-
     def leak(self, seconds):
         """
         Watch the memory for some seconds or more; return whether it leaks, and the growth as text.
@@ -83,10 +75,10 @@ class Node:
         lows, window = [], max(WINDOW, seconds / (WINDOWS + 2))
         while len(lows) * window < seconds or len(lows) <= WINDOWS or (
                 growth(lows) > LEAK and len(lows) < MOST_WINDOWS):
-            end, lows = time.monotonic() + window, [*lows, self.memory()]
+            end, lows = time.monotonic() + window, [*lows, resident(self.process.pid)]
             while time.monotonic() < end:
                 time.sleep(0.05)
-                lows[-1] = min(lows[-1], self.memory())
+                lows[-1] = min(lows[-1], resident(self.process.pid))
         return growth(lows) > LEAK, f'{growth(lows) / 1e6:+.1f} MB in {window:.0f} s'
 
     def handles_signals(self):

@@ -9,36 +9,31 @@
 """
 Stress test of the numerics: random scenes (`scenes.py`) against references (`truth.py`).
 
-All findings go to run/stress_cells.jsonl, and those that are silent or badly estimated are listed;
-`python -m benchmark.stress.numerics --seed 1 --only 17` does number 17 of a seed alone. It also
-tests linear models of arms with heavy tips, and an hour without loads.
+`python -m benchmark.stress.numerics --seed 1 --only 17` does number 17 of a seed alone. Of a whole
+part of the page all findings go to run/stress_cells.jsonl, and those that are silent or badly
+estimated are printed. It also tests linear models of arms with heavy tips, and an hour without
+loads.
 """
 
-import os
-for threads in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'NUMBA_NUM_THREADS'):
-    os.environ[threads] = '1'
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+import functools
+import json
+import math
+import multiprocessing
+import time
 
-from collections import Counter  # noqa: E402
-from concurrent.futures import ProcessPoolExecutor  # noqa: E402
-import functools  # noqa: E402
-import json  # noqa: E402
-import math  # noqa: E402
-import multiprocessing  # noqa: E402
-import time  # noqa: E402
+import numpy as np
 
-import numpy as np  # noqa: E402
+from benchmark import ROOT
+from benchmark.report import parser
+from benchmark.stress.scenes import cell, hard_cell, laden_cell
+from benchmark.stress.truth import judge, SEEN, VERDICTS
+from oracles.linear_beam import LinearBeam
+import timo_sim
+from timo_sim.runs.run import run_scene
 
-from benchmark import ROOT  # noqa: E402
-from benchmark.command import parser  # noqa: E402
-from benchmark.stress.hard import hard_cell  # noqa: E402
-from benchmark.stress.laden import laden  # noqa: E402
-from benchmark.stress.scenes import cell  # noqa: E402
-from benchmark.stress.truth import judge, SEEN, shares, VERDICTS  # noqa: E402
-from oracles.linear_beam import LinearBeam  # noqa: E402
-import timo_sim  # noqa: E402
-from timo_sim.runs.run import run_scene  # noqa: E402
-
-CELLS = 1020  # in full
+PROCESSES = 2
 _FACTOR = 5.0  # a good estimate is within this factor of the true error
 LISTED = ROOT / 'run' / 'stress_cells.jsonl'
 # Without loads and damping, at 1 ms.
@@ -55,35 +50,17 @@ _CAUSES = ('torque_N_m', 'force_y_N', 'tip_force_y_N', 'tip_torque_N_m')
 OUTPUTS = ('tip_y_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain')
 
 
-def changed_cell(number, seed=1, change=None):
-    """Return a Cell, changed by `change(cell, seed)`, or a hard one with `change = hard_cell`."""
-    if change is hard_cell:
-        return hard_cell(number, seed)
-    given = cell(number, seed)
-    return change(given, seed) if change else given
-
-
-def judged(number, seed=1, change=None):
-    """Return what `truth.judge` finds of a changed cell; unexpected errors count as silent."""
+def judged(number, make=cell, seed=1):
+    """Return what `truth.judge` finds of a Cell; unexpected errors count as silent."""
     begun = time.process_time()
     try:
-        found = judge(changed_cell(number, seed, change))
+        found = judge(make(number, seed))
     except Exception as error:
         found = [{'number': number, 'kind': 'crash', 'family': 'exact',
                   'against': 'finer', 'verdict': 'silent', 'error': math.inf, 'estimate': math.nan,
                   'doubt': 0.0, 'warning': f'{type(error).__name__}: {error}',
                   'sensitive': False}]
     return [{**each, 'seconds': time.process_time() - begun} for each in found]
-
-
-def findings(numbers, seed=1, processes=2, change=None):
-    """Yield what `judged` finds of each number, done by so many processes, in order."""
-    if processes == 1:
-        yield from map(functools.partial(judged, seed=seed, change=change), numbers)
-        return
-    context = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(processes, context) as pool:
-        yield from pool.map(functools.partial(judged, seed=seed, change=change), numbers)
 
 
 def ratio(found):
@@ -101,19 +78,19 @@ def is_listed(found):
         told is not None and not 1.0 / _FACTOR < told < _FACTOR)
 
 
-def rows(quick=False, seed=1, count=None, processes=2, change=None):
-    """Yield the rows of the table, and write what was found."""
+def rows(count, make=cell):
+    """Yield the rows of the table of the first scenes that `make` draws, see `scenes`."""
     LISTED.parent.mkdir(exist_ok=True)
-    found = []
-    with LISTED.open('w', encoding='utf-8') as file:
-        for each in findings(range(count or (CELLS // 10 if quick else CELLS)), seed, processes,
-                             change):
-            found += each
-            file.write(''.join(json.dumps(one) + '\n' for one in each))
-            file.flush()
     groups = {}
-    for each in found:
-        groups.setdefault((each['family'], each['against']), []).append(each)
+    with LISTED.open('w', encoding='utf-8') as file, ProcessPoolExecutor(
+            PROCESSES, multiprocessing.get_context('spawn')) as pool:
+        for each in pool.map(functools.partial(judged, make=make), range(count)):
+            for found in each:
+                print(json.dumps(found), file=file, flush=True)
+                groups.setdefault((found['family'], found['against']), []).append(found)
+                if is_listed(found):
+                    print(*(found[name] for name in (
+                        'number', 'kind', 'against', 'verdict', 'error', 'estimate')), sep=', ')
     for names, group in sorted(groups.items()):
         yield *names, len(group), *_counts(group), _remark(group)
 
@@ -205,44 +182,21 @@ def long_rows(quick=False):
                    (run.warning or '').split(':')[0])
 
 
-def _show(rows):
-    for row in rows:
-        print('| ' + ' | '.join(map(str, row)) + ' |', flush=True)
-
-
 def main():
-    """Print the tables and the listed cells, or what is found of some cells."""
-    words = parser(__spec__, __doc__, 'a tenth')
+    """Print what is found of some scenes."""
+    words = parser(__spec__, __doc__)
     words.add_argument('--seed', type=int, default=1, help='of the random scenes')
-    words.add_argument('--cells', type=int, help='how many scenes')
-    words.add_argument('--only', type=int, nargs='+', help='numbers of scenes to run and print')
-    words.add_argument('--processes', type=int, default=2)
-    words.add_argument('--laden', action='store_true',
-                       help='in gravity, with loads that change, or both')
-    words.add_argument('--hard', action='store_true',
-                       help='buckling, resonance and others in which errors grow')
+    words.add_argument('--only', type=int, nargs='+', required=True, help='numbers of scenes')
+    kinds = words.add_mutually_exclusive_group()
+    for name, make in ('laden', laden_cell), ('hard', hard_cell):
+        kinds.add_argument(f'--{name}', dest='make', action='store_const', const=make,
+                           help=make.__doc__.strip().split('\n')[0])
     given = words.parse_args()
-    change = hard_cell if given.hard else laden if given.laden else None
-    for number in given.only or []:
-        each = changed_cell(number, given.seed, change)
-        print(json.dumps(each._asdict(), indent=1))
-        for each in judged(number, given.seed, change):
-            print(json.dumps(each))
-        print('changes of the tip as steps, stretch and modes are refined in turn [lengths]:',
-              json.dumps(shares(each)))
-    if given.only:
-        return
-    begun = time.monotonic()
-    _show(rows(given.quick, given.seed, given.cells, given.processes, change))
-    print(f'{time.monotonic() - begun:.0f} s; to be looked at (number, kind, against, '
-          f'verdict, error, estimate [lengths]):')
-    for line in LISTED.read_text(encoding='utf-8').splitlines():
-        each = json.loads(line)
-        if is_listed(each):
-            print(each['number'], each['kind'], each['against'], each['verdict'],
-                  f'{each["error"]:.1e} {each["estimate"]:.1e}', sep=', ')
-    _show(linear_rows(given.quick, given.seed))
-    _show(long_rows(given.quick))
+    make = given.make or cell
+    for number in given.only:
+        print(json.dumps(make(number, given.seed)._asdict(), indent=1))
+        for found in judged(number, make, given.seed):
+            print(json.dumps(found))
 
 
 if __name__ == '__main__':

@@ -15,6 +15,7 @@ bend and turn alike. The number of a scene also says which of `KINDS` it is; eac
 kinds has scenes that finite elements can do, too.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,9 @@ ROUND = 16  # rounds of kinds, of which the first has no damping, friction and i
 # Each number is compiled once; others would take minutes and test nothing new.
 _MODES, _CORNER_MODES = (3, 5), (0, 1, 8, 12)
 _MOST_STEPS = 2000
+_HARD_STEPS = 2100, 3200  # least and most
+HARD = 'buckling', 'near critical', 'standing', 'resonance', 'far bend', 'long', 'pick-up at rest'
+_STANDING = 7.837  # q l^3 / (E I) at which a uniform column buckles under its weight q per length
 
 
 class Cell(NamedTuple):
@@ -295,3 +299,89 @@ def _load(draw, form, channel, values, omega, force, steps):
     if form == 'jump':
         times, sizes = [0.0, begin, begin, begin + length], [0.0, 0.0, size, 0.0]
     return {f'{prefix}.table.time': list(map(float, times)), f'{prefix}.table.value': sizes}
+
+
+def laden_cell(number, seed=1):
+    """Return the Cell of a number in gravity, whose load at the tip changes, or one of both."""
+    given = cell(number, seed)
+    random, values = np.random.default_rng([seed, 2, number]), dict(given.values)
+    length, mass = values['arm.length'], values['arm.density'] * math.prod(
+        values[f'arm.{side}'] for side in ('length', 'width', 'height'))
+
+    def log(low, high):
+        return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+    kind = random.choice(['gravity', 'payload', 'both'])
+    if kind != 'payload':
+        # By its weight the clamped arm sags by 1e-3 to 0.3 lengths.
+        first = timo_sim.load_scene({**values, 'model.modes': 3, 'model.axial_modes': 0,
+                                     'initial.modal_coordinates': []}).build().modes.omega[0]
+        angle, strength = random.uniform(-np.pi, np.pi), 0.7 * log(1e-3, 0.3) * length * first**2
+        values['gravity'] = [strength * np.cos(angle), strength * np.sin(angle)]
+    if kind != 'gravity' and values['model.formulation'] != 'newton_root_stress':
+        count = int(random.integers(1, 3))
+        steps = np.sort(random.choice(given.steps, min(count, given.steps), replace=False)) + 1
+        values['payload.time'] = (steps * values['integrator.step']).tolist()
+        values['payload.mass'] = [mass * log(1e-2, 10.0) for _ in steps]
+        values['payload.inertia'] = [mass * length**2 * log(1e-4, 1.0) for _ in steps]
+        values['end_effector.pick_up'] = random.choice(['moving', 'moving', 'at_rest']).item()
+    return given._replace(kind=f'{given.kind}, {kind}', values=values, elements=False)
+
+
+def hard_cell(number, seed=1):
+    """
+    Return a Cell of more than 2048 steps in which errors grow.
+
+    The arm buckles, stands or is pressed near its critical load, vibrates in resonance, bends by
+    half its length, or picks up loads at rest; others are ordinary scenes that run long.
+    """
+    random, kind = np.random.default_rng([seed, 2, number]), HARD[number % len(HARD)]
+    base = cell(17 * number + (14 if kind == 'resonance' else 0), seed)  # 14: kind resonance
+    values = {name: value for name, value in base.values.items()
+              if kind in ('long', 'resonance') or not name.startswith(
+                  ('load.', 'motor.drive', 'initial.'))}
+    steps = int(random.integers(*_HARD_STEPS)) // 20 * 20
+    values.update({'model.formulation': 'exact', 'model.modes': int(random.choice([3, 5])),
+                   'model.axial_modes': 0})
+    if kind in ('long', 'resonance'):
+        values.pop('initial.modal_coordinates', None)
+        return Cell(number, kind, values, steps, steps // 20, False)
+    length, height = values['arm.length'], values['arm.height']
+    area = height * values['arm.width']
+    stiffness = values['arm.young_modulus'] * area * height**2 / 12.0
+    mass = values['arm.density'] * area * length
+    omega = np.sqrt(3.0 * stiffness / length**3 / (0.24 * mass + values['end_effector.mass']))
+    step = float(np.clip(2.0 * np.pi / omega * random.uniform(2.0, 8.0) / steps, 1e-6, 0.02))
+    end = steps * step
+    values.update({'integrator.step': step, 'carrier.held': str(random.choice(['both', 'y'])),
+                   'motor.shaft': 'locked', 'initial.shaft': 0.0})
+    critical = np.pi**2 * stiffness / (4.0 * length**2)
+    push = float(np.exp(random.uniform(np.log(1e-5), np.log(1e-2)))) * stiffness / length**2
+    across = {'load.tip_force_y.piecewise.time': [0.0], 'load.tip_force_y.piecewise.value': [push]}
+    if kind in ('buckling', 'near critical'):
+        share = random.uniform(1.02, 1.6) if kind == 'buckling' else random.uniform(0.9, 0.995)
+        values.update({**across, 'load.tip_force_x.table.time': [0.0, 0.3 * end],
+                       'load.tip_force_x.table.value': [0.0, float(-share * critical)]})
+    elif kind == 'standing':
+        values.update({**across, 'initial.shaft': np.pi / 2.0, 'carrier.held': 'both'})
+        values['load.tip_force_x.piecewise.time'] = values.pop('load.tip_force_y.piecewise.time')
+        values['load.tip_force_x.piecewise.value'] = values.pop('load.tip_force_y.piecewise.value')
+        tip = values['end_effector.mass'] = mass * random.uniform(0.0, 2.0)
+        limit = stiffness / length**2 / (mass / _STANDING + tip / (np.pi**2 / 4.0))
+        values['gravity'] = [0.0, float(-random.uniform(0.8, 1.1) * limit)]
+    elif kind == 'far bend':
+        size = random.uniform(1.5, 6.0) * stiffness / length**2
+        values.update({'load.tip_force_y.table.time': [0.0, 0.5 * end],
+                       'load.tip_force_y.table.value': [0.0, float(size)]})
+    else:
+        values.update({
+            'carrier.held': 'both', 'motor.shaft': 'free', 'initial.shaft': -0.6,
+            'end_effector.mass': 0.3 * mass, 'end_effector.inertia': 0.02 * mass * length**2,
+            'motor.shaft_inertia': mass * length**2, 'end_effector.pick_up': 'at_rest',
+            'payload.time': [steps // 4 * step, steps // 2 * step],
+            'payload.mass': [mass * random.uniform(0.5, 2.0), 0.3 * mass],
+            'payload.inertia': [0.1 * mass * length**2, 0.02 * mass * length**2],
+            'load.torque.piecewise.time': [0.0],
+            'load.torque.piecewise.value': [random.uniform(0.05, 0.5) * stiffness / length]})
+    return Cell(number, kind, {name: np.asarray(value).tolist() for name, value in values.items()},
+                steps, steps // 20, False)

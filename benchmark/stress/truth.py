@@ -86,24 +86,6 @@ def _verdict(cell, reference, path, stats, warning):
             'estimate': stats['estimated_tip_error_m'] / cell.values['arm.length']}
 
 
-def shares(cell):
-    """
-    Return how far the tip moves when one thing after another is made as in the reference.
-
-    Returns
-    -------
-    dict of str to float
-        [lengths], by 'steps', 'stretch' and 'modes'.
-
-    """
-    values, finer, path, found = cell.values, _Finer(cell), _run(cell, {})[0], {}
-    size = values['model.modes'], values['model.axial_modes']
-    for name, size in (('steps', size), ('stretch', (size[0], _MODES[1])), ('modes', _MODES)):
-        earlier, path = path, finer.path_of(size, finer.parts)
-        found[name] = math.nan if earlier is None else finer.distance(path, earlier)
-    return found
-
-
 class _Finer:
     """The reference by more modes and smaller steps."""
 

@@ -31,14 +31,15 @@ def _products(matrix, vector, out, count):
 
 def product():
     """Return the time of one compiled 16 x 16 matrix-vector product [s]."""
-    vector, out = np.ones(_SIZE), np.ones(_SIZE)
+    matrix, vector = 0.999 * np.eye(_SIZE), np.ones(_SIZE)
+    return seconds(lambda: _products(matrix, vector, np.ones(_SIZE), _PRODUCTS)) / _PRODUCTS
+
+
+def seconds(work):
+    """Return the wall time of a call [s]."""
     start = time.perf_counter()
-    _products(_MATRIX, vector, out, _PRODUCTS)
-    return (time.perf_counter() - start) / _PRODUCTS
-
-
-_MATRIX = 0.999 * np.eye(_SIZE)
-product()  # compiles
+    work()
+    return time.perf_counter() - start
 
 
 class Timing(NamedTuple):
@@ -54,29 +55,17 @@ class Timing(NamedTuple):
                 f'{self.products:.3g} products)')
 
 
-def timed(work, units, rounds=25):
+def timed(*works, units, rounds=25):
     """
-    Time `work`, taking turns with the calibrating loop.
+    Return the Timing of a function, or a list of those of several, which take turns.
 
-    Parameters
-    ----------
-    work : function()
-    units : int
-        Units of work in a call, such as time steps.
-    rounds : int
-
-    Returns
-    -------
-    Timing
-        Least, median, and median of the ratios to the product timed just before.
-
+    Each call does some units of work, such as time steps. Ratios are medians of those to the
+    calibrating product that is timed just before each call.
     """
-    work()
-    times, ratios = [], []
-    for _ in range(rounds):
-        calibration = product()
-        start = time.perf_counter()
+    product()  # compiles
+    for work in works:
         work()
-        times.append((time.perf_counter() - start) / units)
-        ratios.append(times[-1] / calibration)
-    return Timing(min(times), median(times), median(ratios))
+    rows = [[(product(), seconds(work) / units) for work in works] for _ in range(rounds)]
+    found = [Timing(min(span for _, span in column), median(span for _, span in column),
+                    median(span / each for each, span in column)) for column in zip(*rows)]
+    return found if len(found) > 1 else found[0]

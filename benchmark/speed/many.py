@@ -1,0 +1,168 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Many arms at once: a `Batch`, environments for learning beside other engines, sweeps."""
+
+import math
+import os
+
+from distributed import LocalCluster
+import numpy as np
+
+from benchmark.accuracy import rivals
+from benchmark.speed.step import paper, PAPER, Prepared, STEPS
+from benchmark.timing import seconds, timed
+from oracles import finite_elements
+from oracles.references import world
+import timo_sim
+from timo_sim.gym import ReachVectorEnv, SCENE
+
+# A batch, N = 3, 5 and 10: time of a step and run [s], and least speed beside the scalar step.
+LANES, TARGETS, RATIO = 64, ((3, 0.35e-6), (5, 0.7e-6), (10, 3e-6)), 3.5
+# Learning: a step of an environment is 20 ms of one arm on a held carrier.
+PERIOD, DURATION, LINKS = 0.02, 2.0, 5  # [s], [s], of MuJoCo's chain
+TORQUE = {'load.torque.piecewise.time': [0.0, 0.5, 1.0],
+          'load.torque.piecewise.value': [8.0, -8.0, 0.0]}
+# Sweeps of the paper's 10 s at 10 ms, N = 3: time of 10 000 runs [s].
+SWEEPS = {'bodies differ': 6.0, 'loads and states differ': 3.0}
+
+
+def batch_of(modes, count, alike=True):
+    """Return a function that does the paper's 10 s by a batch; or the mass at the tip differs."""
+    scenes = [paper(modes=modes)] * count
+    if not alike:
+        scenes = [scene.vary({'end_effector.mass': mass})
+                  for scene, mass in zip(scenes, np.linspace(1.0, 3.0, count))]
+    batch = timo_sim.Batch(scenes)
+
+    def run():
+        batch.reset()
+        batch.advance(STEPS)
+    return run
+
+
+def batches(quick):
+    """Return rows (line, target, measured, met, remark) of steps of a `Batch`."""
+    found = []
+    for modes, target in TARGETS:
+        scalar = Prepared(paper(modes=modes)).run
+        for alike in (True, False):
+            ours, theirs = timed(batch_of(modes, LANES, alike), scalar, units=STEPS, rounds=15)
+            time = ours.least / LANES
+            ratio = LANES * theirs.products / ours.products
+            found.append((
+                f'a step and run of a batch, N = {modes}' + ', masses differ' * (not alike),
+                f'{1e6 * target:g} us, {RATIO:g} times the speed of the scalar step',
+                f'{1e6 * time:.2g} us (median {1e6 * ours.middle / LANES:.2g}), {ratio:.1f} times',
+                time <= target and ratio >= RATIO, f'{LANES} runs'))
+    counts = (8, 64) if quick else (1, 8, 64, 512)
+    times = [timed(batch_of(3, count), units=STEPS * count, rounds=15).least for count in counts]
+    found.append(('the same, N = 3, by number of runs', '', ', '.join(
+        f'{count}: {1e6 * time:.2g} us' for count, time in zip(counts, times)), None,
+        'a group of lanes has 8; a last group that is not full takes as long'))
+    return found
+
+
+def environment_rate(count):
+    """Return steps of environments per second, with actions, observations, rewards, resets."""
+    environments = ReachVectorEnv(count, duration=DURATION)
+    environments.reset(seed=1)
+    actions = np.random.default_rng(1).uniform(-1.0, 1.0, (100, count, 1))
+    return 1.0 / timed(lambda: [environments.step(each) for each in actions],
+                       units=count * len(actions), rounds=5).least
+
+
+def tip(scene, **overrides):
+    """Return the tip of the torque's run each 20 ms, (n, 2) [m]."""
+    scene = scene.vary(overrides)
+    run = timo_sim.simulate(scene, DURATION, round(PERIOD / scene.step), estimate=False)
+    return run.position(scene.manipulator.arm.length)[1:]
+
+
+def others(scene):
+    """Yield name, seconds for the run, and tip each 20 ms of other engines."""
+    step = PERIOD / math.ceil(PERIOD / rivals.longest_step(scene, LINKS))
+    span, *place = rivals.chain(scene, LINKS, step, DURATION, round(PERIOD / step))
+    yield f'MuJoCo, {LINKS} hinged links, h = {1e3 * step:.2g} ms', span, world(*place)
+    found = finite_elements.simulate(scene, 20, 0.005, DURATION, round(PERIOD / 0.005))
+    place = world(found['theta_rad'], 0.0, scene.manipulator.arm.length + found['u_l_m'],
+                  found['w_l_m'])
+    yield 'exudyn, 20 elements, h = 5 ms', found['solver_seconds'], place[1:]
+
+
+def learning(quick):
+    """
+    Return rows of the steps per second of environments, beside the same arm in other engines.
+
+    The others only integrate, each in the way and at the setting that is about the cheapest for a
+    tip within a millimetre.
+    """
+    scene = timo_sim.load_scene({**SCENE, **TORQUE})
+    truth = tip(scene, **{'model.modes': 8, 'integrator.step': 0.0005})
+
+    def error(place):
+        return f'{1e3 * np.linalg.norm(place - truth, axis=1).max():.2g} mm'
+
+    rates = {count: environment_rate(count) for count in ((64,) if quick else (1, 64, 512))}
+    found = [(f'steps of environments a second, {count} at once', '', f'{rate:,.0f}', None,
+              f'N = 3, h = 5 ms; the tip is within {error(tip(scene))}')
+             for count, rate in rates.items()]
+    for name, span, place in others(scene):
+        rate = DURATION / PERIOD / span
+        found.append((f'the same arm by {name}', '', f'{rate:,.0f}', None,
+                      f'{max(rates.values()) / rate:.0f} times fewer; the tip is within '
+                      f'{error(place)}'))
+    return found
+
+
+def variations(count, bodies=True):
+    """Return overrides that differ in all their parameters from run to run."""
+    random = np.random.default_rng(1)
+    found = [{'end_effector.mass': random.uniform(0.5, 5.0),
+              'load.torque.harmonic.amplitude': [random.uniform(1.0, 8.0)],
+              'initial.shaft_velocity': random.uniform(-1.0, 1.0)} for _ in range(count)]
+    for each in found:
+        if not bodies:
+            del each['end_effector.mass']
+    return found
+
+
+def sweeps(quick):
+    """
+    Return rows of sweeps that differ in torque and initial speed, or in the mass at the tip, too.
+
+    The time is that of the whole call, start of the processes included. The peer is a loop over
+    `simulate`.
+    """
+    scene = timo_sim.load_scene(PAPER, {'model.modes': 3, 'integrator.step': 0.01})
+    count, cores, found = 400 if quick else 10_000, len(os.sched_getaffinity(0)), []
+    few = variations(96)
+    table = timo_sim.simulate_many(scene, few, 10.0)  # compiles
+    timo_sim.simulate(scene, 10.0, estimate=False)
+    runs = []
+    loop = seconds(lambda: runs.extend(timo_sim.simulate(
+        scene.vary(values), 10.0, estimate=False) for values in few)) / len(few)
+    assert np.allclose(table['final_shaft'], [run.shaft[-1] for run in runs], rtol=1e-10)
+    timo_sim.simulate_many(scene, variations(96, bodies=False), 10.0)
+    with LocalCluster(n_workers=cores, threads_per_worker=1, dashboard_address=None) as cluster:
+        address = cluster.scheduler_address
+        timo_sim.simulate_many(scene, few, 10.0, scheduler=address)  # imports
+        for kind, target in SWEEPS.items():
+            many, tables = variations(count, kind == 'bodies differ'), []
+            for way, scheduler in (f'{cores} cores', None), (f'{cores} workers of Dask', address):
+                span = seconds(lambda: tables.append(timo_sim.simulate_many(
+                    scene, many, 10.0, scheduler=scheduler)))
+                found.append((
+                    f'{count} runs of 10 s, N = 3, h = 10 ms, {kind}, {way}',
+                    '' if quick else f'{target:g} s', f'{span:.1f} s',
+                    None if quick else span <= target,
+                    f'a loop over `simulate` takes {1e3 * loop:.1f} ms a run, '
+                    f'{loop * count / span:.1f} times as long'))
+            assert not any(tables[0]['reason'])
+            assert all(np.array_equal(tables[0][name], tables[1][name]) for name in tables[0])
+    return found
