@@ -114,7 +114,7 @@ def solve(scene, equations):
         turn[:2, :2] = [[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]]
         matrix, right = turn.T @ matrix @ turn, turn.T @ right
         right[:2] -= DRAG[:2] * y[half:half + 2]
-        right += matrix[:, :2] @ GRAVITY  # as for who falls
+        right += matrix[:, :2] @ GRAVITY  # as in a freely falling frame
         result = np.zeros(half)
         if driven:
             result[2] = acceleration(t)
@@ -143,7 +143,7 @@ def solve(scene, equations):
 
 @cache
 def integrals(model):
-    """Return the kernel and the lever of the masses, and the strains of the modes at the nodes."""
+    """Return kernel and first moments of the masses, and the strains of the modes at the nodes."""
     nodes, to_points, mass = model.quadrature.nodes, model.points.integral.T, model.point_mass
     rotation, shear = model.modes.rotation(nodes).T, model.modes.shear(nodes).T
     return (to_points.T @ (mass[:, np.newaxis] * to_points), to_points.T @ mass, rotation, shear,
@@ -152,7 +152,7 @@ def integrals(model):
 
 def exact(model, t, theta, q, om, qdot):
     body, points = model.manipulator, model.points
-    kernel, lever, rotation, shear, stretch = integrals(model)
+    kernel, moments, rotation, shear, stretch = integrals(model)
     coupling = points.rotation @ model.point_inertia
     rotary = (points.rotation * model.point_inertia) @ points.rotation.T
     (phi, gamma, e), (phi_t, gamma_t, e_t) = (
@@ -167,23 +167,23 @@ def exact(model, t, theta, q, om, qdot):
 
     matrix = np.zeros((3 + len(q), 3 + len(q)))
     matrix[0, 0] = matrix[1, 1] = model.mass
-    matrix[0, 2], matrix[1, 2] = -lever @ b, lever @ a
+    matrix[0, 2], matrix[1, 2] = -moments @ b, moments @ a
     matrix[2, 2] = body.shaft_inertia + model.point_inertia.sum() + a @ kernel @ a + b @ kernel @ b
-    matrix[0, 3:], matrix[1, 3:] = c1 @ lever, c2 @ lever
+    matrix[0, 3:], matrix[1, 3:] = c1 @ moments, c2 @ moments
     matrix[2, 3:] = c2 @ kernel @ a - c1 @ kernel @ b + coupling
     matrix[3:, 3:] = c1 @ kernel @ c1.T + c2 @ kernel @ c2.T + rotary
     matrix = np.triu(matrix) + np.triu(matrix, 1).T
     force_1, force_2, torque, tip_1, tip_2, twist = loads(t, theta)
-    reach, turn = points.integral[:, -1], points.rotation[:, -1]
+    to_tip, tip_rotation = points.integral[:, -1], points.rotation[:, -1]
     pull_1, pull_2 = om**2 * a + 2 * om * b_t - a_b, om**2 * b - 2 * om * a_t - b_b
     right = np.concatenate([
-        [force_1 + tip_1 + lever @ pull_1, force_2 + tip_2 + lever @ pull_2,
-         torque + twist + (reach @ a) * tip_2 - (reach @ b) * tip_1
+        [force_1 + tip_1 + moments @ pull_1, force_2 + tip_2 + moments @ pull_2,
+         torque + twist + (to_tip @ a) * tip_2 - (to_tip @ b) * tip_1
          - 2 * om * (a @ kernel @ a_t + b @ kernel @ b_t) - a @ kernel @ b_b
          + b @ kernel @ a_b],
         c1 @ kernel @ pull_1 + c2 @ kernel @ pull_2 - model.modes.omega**2 * q
         - 2 * model.damping * model.modes.omega * qdot
-        + (c1 @ reach) * tip_1 + (c2 @ reach) * tip_2 + turn * twist])
+        + (c1 @ to_tip) * tip_1 + (c2 @ to_tip) * tip_2 + tip_rotation * twist])
     return matrix, right
 
 
@@ -197,13 +197,14 @@ def newton(model, t, theta, q, om, qdot, rigid_axial=False, root_stress=False):
     stress = omega2 * q + 2 * model.damping * model.modes.omega * qdot
     e = m_a * model.modes.deflection([s / m_a])[0] if rigid_axial else a
     force_1, force_2, torque, tip_1, tip_2, twist = loads(t, theta)
-    sway, turn = w[:, -1], points.rotation[:, -1]
+    tip_deflection, tip_rotation = w[:, -1], points.rotation[:, -1]
 
     matrix = np.zeros((3 + MODES, 3 + MODES))
     matrix[0, 0], matrix[0, 2] = model.mass, -e @ q
     matrix[3:, 1], matrix[3:, 2], matrix[3:, 3:] = a, b, np.eye(MODES)
     right = np.concatenate([[force_1 + tip_1 + 2 * om * e @ qdot + om**2 * s, 0.0, 0.0],
-                            om**2 * gram @ q - stress + sway * tip_2 + turn * twist])
+                            om**2 * gram @ q - stress + tip_deflection * tip_2
+                            + tip_rotation * twist])
     if root_stress:
         # V(0) and M(0) from the curvature and the shear strain of the series at the root.
         section, root = body.arm.section, np.zeros(1)
@@ -216,7 +217,8 @@ def newton(model, t, theta, q, om, qdot, rigid_axial=False, root_stress=False):
         matrix[1] = [0.0, model.mass, s, *a]
         matrix[2] = [0.0, s, body.shaft_inertia + model.point_inertia.sum() + mass @ xi**2, *b]
         right[1] = force_2 + tip_2 + om**2 * a @ q
-        right[2] = torque + om**2 * c @ q + twist + body.arm.length * tip_2 - (sway @ q) * tip_1
+        right[2] = (torque + om**2 * c @ q + twist + body.arm.length * tip_2
+                    - (tip_deflection @ q) * tip_1)
     return matrix, right
 
 

@@ -169,13 +169,13 @@ def test_reversed_velocities_lead_back_to_the_start(formulation, scene):
             'model.formulation': formulation, 'initial.shaft_velocity': scene['spin'],
             'initial.modal_coordinates': scene['bend'], 'end_effector.mass': scene['tip mass'],
             'initial.carrier_x_velocity': scene['velocity'][0], 'integrator.step': step}))
-        start, reach = simulator.motion.values, simulator.model.tip_travel
+        start, travel = simulator.motion.values, simulator.model.tip_travel
         for _ in range(2):
             simulator.advance(steps)
             motion = simulator.motion.values
             motion[6:] *= -1.0
             simulator._state[:] = simulator.model.state(motion)
-        return np.abs(simulator.motion.values[:6] - start[:6]) @ reach
+        return np.abs(simulator.motion.values[:6] - start[:6]) @ travel
     assert off(5e-4, 2 * STEPS) <= max(off(1e-3, STEPS) / 10.0, 1e-12)
 
 

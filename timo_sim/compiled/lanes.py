@@ -155,7 +155,8 @@ def _is_product(value):
 
 
 def _add(builder, a, b):
-    # A product is fused with the sum where the processor can do that.
+    # A product is fused with the sum where the processor can do that. The choice is made here, by
+    # the source alone, so that it does not depend on what else the optimiser sees.
     if _is_product(a) and not _is_product(b):
         a, b = b, a
     if not _is_product(b):

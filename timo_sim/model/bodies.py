@@ -220,7 +220,7 @@ class Constraints:
         return [axis for axis in range(2) if self.carrier[axis] is None]
 
 
-_FEWEST = 4  # least number of nodes in a span
+_LEAST_NODES = 4  # in a span
 
 
 def legendre_values(x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -277,7 +277,7 @@ def _spanned(ends, count, extra):
     # Spans, nodes, weights and points of a Quadrature; cached as `_integrals` are.
     shares = np.diff(ends) / ends[-1]
     # 1e-9: round-off must not raise a share that is a whole number.
-    counts = np.maximum(np.ceil(count * shares - 1e-9).astype(int), _FEWEST) + extra
+    counts = np.maximum(np.ceil(count * shares - 1e-9).astype(int), _LEAST_NODES) + extra
     spans = tuple(zip(ends, ends[1:], counts.tolist()))
     nodes = np.concatenate([start + 0.5 * (stop - start) * (_rule(n)[0] + 1.0)
                             for start, stop, n in spans])

@@ -467,7 +467,7 @@ def add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image
 def _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2,
                         coordinate, speed, factors, out):
     rotation, shear, stretch = tables.rotation, tables.shear, tables.stretch
-    to_centre, to_tip = tables.to_centre, tables.to_tip
+    to_centre = tables.to_centre
     count, nodes = rotation.shape
     driven, axial, momenta = count - len(tables.straight), count - len(stretch), len(out) - count
     rates_from = count - len(tables.linear_rate)
@@ -500,8 +500,8 @@ def _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, imag
         for j in range(nodes):
             added += rotation[i, j] * added_a[j]
             arm_x, arm_y = push_work(tables, load, j)
-            force_x = to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
-            force_y = to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
+            force_x = tables.to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
+            force_y = tables.to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
             total += (force_x * c1[i, j] + force_y * c2[i, j] - image_1[i, j] * a_2[j]
                       - image_2[i, j] * b_2[j])
         # Unless one axis is held, T does not depend on the shaft angle.

@@ -66,6 +66,10 @@ class Formulation(ABC):
 
     Attributes
     ----------
+    axes : ndarray of int
+        World axes along which the carrier is free, of 0 and 1.
+    driven : int
+        1 if the shaft is driven or locked, else 0: the first free one of theta, q_1..q_N.
     linear : ndarray, shape (m, m)
         Constant linear part of the state's rate; the compiled rate is the rest.
     tables, packed : NamedTuple, packed constants
@@ -95,7 +99,6 @@ class Formulation(ABC):
             self.modes = AxialModes(self.modes, basis, axial, constraints)
         self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (len(self.modes),))
         self.size = 2 * (3 + len(self.modes))
-        # 1 if the shaft is driven or locked, which makes q_1 the first free coordinate, else 0.
         self.driven = int(constraints.driven)
         self.axes = np.array(constraints.free_axes, dtype=np.int64)
         # Whether carrier x, carrier y and shaft are held, locked or driven.

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Integration in time: the step ETDRK4, lanes, Coulomb friction, the estimate of the error.
+Integration in time: the step ETDRK4, for one run and for lanes, and dry friction.
 
 This package may import `compiled` and `model`, of which it knows the layout of motions, the
 declared functions and `Formulation`.
