@@ -119,7 +119,7 @@ UNITS = {
 }
 
 
-def unit_of(name):
+def unit_of(name: str) -> str:
     """Return the unit of a quantity, of which all numbers inside are."""
     return INPUT_UNITS[name] if name in INPUT_UNITS else OUTPUTS[name].unit
 
