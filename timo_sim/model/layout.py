@@ -10,7 +10,7 @@
 
 from dataclasses import dataclass
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -104,32 +104,32 @@ class MotionFields:
         return self.values.shape[-1] // 2
 
     @property
-    def carrier(self):
+    def carrier(self) -> np.ndarray:
         """Carrier position in world axes, shape (..., 2) [m]."""
         return self.values[..., :2]
 
     @property
-    def shaft(self):
+    def shaft(self) -> np.ndarray:
         """Shaft angle, not wrapped, shape (...,) [rad]."""
         return self.values[..., 2]
 
     @property
-    def q(self):
+    def q(self) -> np.ndarray:
         """Modal coordinates, shape (..., N) [m sqrt(kg)]."""
         return self.values[..., 3:self._half]
 
     @property
-    def carrier_velocity(self):
+    def carrier_velocity(self) -> np.ndarray:
         """Carrier velocity in world axes, shape (..., 2) [m/s]."""
         return self.values[..., self._half:self._half + 2]
 
     @property
-    def shaft_velocity(self):
+    def shaft_velocity(self) -> np.ndarray:
         """Shaft speed, shape (...,) [rad/s]."""
         return self.values[..., self._half + 2]
 
     @property
-    def qdot(self):
+    def qdot(self) -> np.ndarray:
         """Modal rates, shape (..., N) [m sqrt(kg)/s]."""
         return self.values[..., self._half + 3:]
 
@@ -150,7 +150,7 @@ class Motion(MotionFields):
     values: np.ndarray
 
 
-def rotate(theta, x, y):
+def rotate(theta: Any, x: Any, y: Any) -> tuple[Any, Any]:
     """
     Return a vector of the plane turned by an angle.
 
@@ -172,13 +172,14 @@ def rotate(theta, x, y):
     return cosine * x - sine * y, sine * x + cosine * y
 
 
-def tip_force(loads, theta):
+def tip_force(loads: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return x, y of the tip force in world axes [N], for loads (..., LOADS), angles (...)."""
     x, y = rotate(theta, loads[..., TIP_I], loads[..., TIP_II])
     return x + loads[..., TIP_X], y + loads[..., TIP_Y]
 
 
-def place(origin_x, origin_y, theta, x, y):
+def place(origin_x: float, origin_y: float, theta: float, x: float,
+          y: float) -> tuple[float, float]:
     """Return an origin plus the vector x, y turned by theta, such as a point in world axes."""
     cosine, sine = math.cos(theta), math.sin(theta)
     return origin_x + cosine * x - sine * y, origin_y + sine * x + cosine * y

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 import threading
 from typing import Any
 
@@ -39,7 +39,7 @@ class LaneLoads:
 
     """
 
-    def __init__(self, scenes):
+    def __init__(self, scenes: list[Scene]) -> None:
         self._step, self._scenes = scenes[0].step, scenes
         kinds = [(id(scene.load.terms), scene.load.drive) for scene in scenes]
         loads = {kind: scene.load for kind, scene in zip(kinds, scenes)}
@@ -59,12 +59,12 @@ class LaneLoads:
         self._places = np.searchsorted(self.columns, np.arange(LOADS))
         self.reset(range(len(scenes)), 0)
 
-    def reset(self, lanes, first):
+    def reset(self, lanes: Iterable[int], first: int) -> None:
         """Let no command act in some lanes from step `first` on."""
         for lane in self._slow.keys() & set(lanes):
             self._slow[lane] = Actuators(self._scenes[lane].values, first)
 
-    def command(self, commanded, first):
+    def command(self, commanded: np.ndarray, first: int) -> np.ndarray:
         """
         Take the commands from step `first` on.
 
@@ -87,7 +87,7 @@ class LaneLoads:
             acting[lane, actuators.slow] = 0.0
         return acting
 
-    def varying(self, first, count, origin):
+    def varying(self, first: int, count: int, origin: np.ndarray) -> np.ndarray:
         """
         Return what varies with time of the loads of some steps.
 
@@ -236,7 +236,7 @@ class Batch:
         return divergence(scene, round(self.t[number] / scene.step), motion, model.tip_travel,
                           bend, None)
 
-    def reset(self, mask=None, motion=None) -> None:
+    def reset(self, mask: Any = None, motion: Any = None) -> None:
         """
         Return to the initial motion and the start of the loads, all or some.
 
@@ -388,7 +388,7 @@ def _check(scenes):
                                  f'{first.modal_count} and {len(model.quadrature.nodes)}')
 
 
-def refusal(scene):
+def refusal(scene: Scene) -> str:
     """Return the first parameter that lanes do not know, as text, or ''."""
     values = scene.values
     if scene.build().sectors:
