@@ -82,9 +82,12 @@ class Client(Node):
         """Return a function that calls a service and returns its response."""
         client = self.create_client(service_type, name)
         assert client.wait_for_service(PATIENCE), f'no service {name}'
-        time.sleep(0.25)  # the server, which may be busy, may discover the client later
-        return lambda **fields: self.answer(
-            lambda: client.call_async(service_type.Request(**fields)), name)
+        discovered = time.monotonic() + 0.25  # by the server, which may be busy
+
+        def call(**fields):
+            time.sleep(max(0.0, discovered - time.monotonic()))
+            return self.answer(lambda: client.call_async(service_type.Request(**fields)), name)
+        return call
 
     @staticmethod
     def answer(call, what):

@@ -37,7 +37,7 @@ import yaml
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.log import info as info_module, read
+from timo_sim.log import read
 from timo_sim.log.export import table
 from timo_sim.log.info import info
 from timo_sim.log.notes import CHANGE, START
@@ -545,20 +545,6 @@ def test_a_gigabyte_takes_no_longer_than_its_index(tmp_path, monkeypatch):
         monkeypatch.setattr(owner, name, counted)
     assert '100 Hz' in call('info', path)
     assert done['times'] == 4000 and done['_decompress'] <= 50
-
-
-def test_a_topic_that_ends_early_has_its_rate_where_chunks_are_skipped(tmp_path, monkeypatch):
-    monkeypatch.setattr(info_module, '_MOST_TIMES', 20)  # of 225: one chunk in twelve
-    path = tmp_path / 'early.mcap'
-    recorder = Recorder(path, [Channel('/short', 'std_msgs/msg/Float64'),
-                               Channel('/long', 'std_msgs/msg/Float64')], {})
-    for k in range(200):
-        recorder.write(1, k, k * 10000000, bytes(12))
-        if 70 < k < 96:
-            recorder.write(0, k, k * 10000000, bytes(12))
-        recorder.note('', {})  # which ends a chunk
-    recorder.close()
-    assert all(f' {count}      100 Hz  0.01 s' in call('info', path) for count in (200, 25))
 
 
 def test_info_imports_no_physics(log):

@@ -11,7 +11,6 @@
 from collections import defaultdict
 from itertools import accumulate
 import json
-import math
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,6 @@ from timo_sim.log.notes import made_with
 from timo_sim.log.read import LogFile
 
 _NANOSECONDS = 1000000000
-_MOST_TIMES = 500000   # messages; of a larger log, some chunks are searched for gaps
 _MOST_CHUNKS = 40      # chunks that are read for the peak if the node has not noted it
 _MOST_COUNTERS, _IN_A_LINE = 20, 4
 
@@ -93,8 +91,7 @@ def _peak(log, summary):
 
 def _about_topics(log):
     counts = log.statistics.channel_message_counts
-    step = max(1, math.ceil(log.statistics.message_count / _MOST_TIMES))
-    times = _times(log, step)
+    times = _times(log)
     ordered = sorted(log.chunks, key=lambda chunk: chunk.message_start_time)
     ends = accumulate((chunk.message_end_time for chunk in ordered), max)
     pauses = [after.message_start_time - end for end, after in zip(ends, ordered[1:])]
@@ -102,8 +99,7 @@ def _about_topics(log):
         yield f'  no messages at all for {max(pauses) / _NANOSECONDS:.6g} s'
     width, silent = max([len(channel.topic) for channel in log.channels.values()], default=5), []
     width = min(width, 60)
-    yield f'  {"topic":<{width}}  {"messages":>9}  {"rate":>10}  largest gap' + (
-        f' (in one of {step} chunks)' if step > 1 else '')
+    yield f'  {"topic":<{width}}  {"messages":>9}  {"rate":>10}  largest gap'
     for number, channel in sorted(log.channels.items(), key=lambda item: item[1].topic):
         count = counts.get(number, 0)
         if not count:
@@ -117,28 +113,16 @@ def _about_topics(log):
         yield f'  without messages: {", ".join(silent)}'
 
 
-def _times(log, step):
+def _times(log):
     """Return first and last time and the largest gap between messages of each channel [ns]."""
+    parts = defaultdict(list)
+    for chunk in log.chunks:
+        for channel, times in log.times(chunk).items():
+            parts[channel].append(times)
     found = {}
-    # Chunks in the order of time, which need not be that of the file.
-    chunks = sorted(log.chunks, key=lambda chunk: chunk.message_start_time)
-    holding = [(channel, place) for place, chunk in enumerate(chunks)
-               for channel in chunk.message_index_offsets]
-    # Read the first and the last chunk of each channel, too, for its rate.
-    wanted = {*range(0, len(chunks), step), *range(len(chunks) - 3, len(chunks)), 0, 1, 2,
-              *dict(holding).values(), *dict(reversed(holding)).values()}
-    parts, last_read = [], None
-    for number in sorted(place for place in wanted if 0 <= place < len(chunks)):
-        if last_read != number - 1:
-            parts.append(defaultdict(list))
-        last_read = number
-        for channel, times in log.times(chunks[number]).items():
-            parts[-1][channel].append(times)
-    for part in parts:
-        for channel, times in part.items():
-            times = np.sort(np.concatenate(times))
-            if len(times):
-                first, last, gap = found.get(channel, (int(times[0]), 0, 0))
-                gap = max(gap, int(np.diff(times, prepend=times[0]).max()))
-                found[channel] = min(first, int(times[0])), max(last, int(times[-1])), gap
+    for channel, each in parts.items():
+        times = np.sort(np.concatenate(each))
+        if len(times):
+            found[channel] = (int(times[0]), int(times[-1]),
+                              int(np.diff(times, prepend=times[0]).max()))
     return found

@@ -21,7 +21,6 @@ import errno
 import fcntl
 import os
 from pathlib import Path
-import re
 import struct
 import threading
 import time
@@ -214,10 +213,6 @@ def yaml_text(value: Any) -> str:
     return yaml.dump(value, Dumper=_Dumper, sort_keys=False)
 
 
-_OWN_QOS = re.compile(
-    '- history: keep_last\n  depth: ([0-9]{1,5})\n  reliability: ([a-z_]{1,11})\n')
-
-
 def _qos(depth, reliability):
     return [{**_QOS, 'depth': depth, 'reliability': reliability}]
 
@@ -230,11 +225,12 @@ def channel_metadata(type_hash: str, depth: int = DEPTH,
 
 
 def _qos_of(channel):
-    """Return the QoS that `channel_metadata` wrote; any other text may be hostile: no QoS."""
+    """Return the QoS in the metadata of a channel; none of a text that expands or is no YAML."""
     text = channel.metadata.get('offered_qos_profiles', '')
-    found = _OWN_QOS.match(text)
-    profiles = _qos(int(found[1]), found[2]) if found else []
-    return profiles if yaml_text(profiles) == text else []
+    try:
+        return yaml.safe_load(text if '&' not in text else '') or []
+    except (yaml.YAMLError, RecursionError, ValueError):
+        return []
 
 
 def information(schemas: Iterable[Schema], channels: Iterable[ChannelRecord],
