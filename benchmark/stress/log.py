@@ -35,7 +35,7 @@ from timo_sim.log.read import LogError, recover
 
 NODES = 4              # that live at the same time
 LIFE = 3.0             # [s] of a node, at most, from its first message; of some, from their start
-PATIENCE = 60.0        # [s] until a node is heard
+PATIENCE = 300.0       # [s] until a node is heard; it ends a hang
 MOST_LOST = 1.0        # [s] of sim time that a killed node may cost
 # Shared memory would stay behind when a node is killed.
 ON_THE_WIRE = {**ENVIRONMENT, 'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4'}

@@ -21,7 +21,7 @@ from rclpy.serialization import deserialize_message
 
 from benchmark.process import ENVIRONMENT, options, resident
 
-READY, END = 60.0, 60.0   # [s] patience with a busy machine
+READY, END = 300.0, 300.0   # [s] that end a hang, on a busy machine, too
 PROGRAM = '-m', 'timo_sim.cli.sim_node'
 # A node that keeps something of each command.
 LEAKY = '-c', """
