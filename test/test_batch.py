@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.model.layout import FORCE_Y, TIP_X, TORQUE, VOLTAGE
+from timo_sim.model.layout import FORCE_Y, LOADS, TIP_X, TORQUE, VOLTAGE
 
 HELD = {'carrier.held': 'both'}
 MOTOR = {'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5, 'motor.dc.gear_ratio': 3.0,
@@ -48,8 +48,8 @@ def scene_of(name, formulation, **more):
 
 
 def commands(scene, lanes, random):
-    """Return commands of some lanes that suit a scene, (lanes, 14)."""
-    load = np.zeros((lanes, 14))
+    """Return commands of some lanes that suit a scene, (lanes, LOADS)."""
+    load = np.zeros((lanes, LOADS))
     load[:, TORQUE], load[:, FORCE_Y], load[:, TIP_X] = random.normal(
         0.0, [[20.0], [40.0], [5.0]], (3, lanes))
     if scene.values['motor.dc.resistance']:
@@ -239,7 +239,7 @@ def test_threads_take_turns(make):
     together, alone = make({'model.modes': 1}), make({'model.modes': 1})
     for one in (together, alone):
         one.advance(1)
-    torque = np.eye(14)[TORQUE]
+    torque = np.eye(LOADS)[TORQUE]
     threads = [threading.Thread(target=lambda: [together.advance(1, torque) for _ in range(200)])
                for _ in range(4)]
     for thread in threads:

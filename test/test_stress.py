@@ -125,7 +125,7 @@ def without_warnings(monkeypatch):
     speaking = truth.run_scene
     monkeypatch.setattr(truth, 'run_scene', lambda *arguments: replace(
         speaking(*arguments), warning=None))
-    monkeypatch.setattr(truth, 'measured', lambda run: run)
+    monkeypatch.setattr(truth, 'measure_error', lambda run: run)
 
 
 @pytest.mark.usefixtures('any_size')

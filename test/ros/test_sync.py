@@ -148,7 +148,7 @@ def test_a_controller_that_waits_for_time_is_told_of_any_command(start, client):
 
     def told():
         executor.spin_once(timeout_sec=0.01)
-        return 'sync: any_command' in health[-1].status[0].message
+        return health and 'sync: any_command' in health[-1].status[0].message
     client.wait(told, 'the remedy')
     assert {message.status[0].message for message in health[:-1]} == {'waiting for a command'}
     timed.destroy_node()
