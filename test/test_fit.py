@@ -453,7 +453,7 @@ def test_bad_records():
 
 def test_a_voltage_needs_a_motor():
     record = timo_sim.Record.of({'voltage': (T, VOLTAGE)}, SHAFT)
-    with pytest.raises(timo_sim.ParameterError, match='motor.dc.resistance must be > 0 ohm'):
+    with pytest.raises(timo_sim.ParameterError, match='needs motor.dc.resistance > 0, got 0'):
         timo_sim.fit(ARM, record, ['arm.length'])
 
 

@@ -310,7 +310,7 @@ def test_steps_that_cannot_hold_a_joint_give_a_warning(scene, step, warned):
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', timo_sim.ModelWarning)
         run = timo_sim.simulate(timo_sim.load_scene({**scene, 'integrator.step': step}), 5.0,
-                                round(0.05 / step), estimate=False)
+                                round(0.05 / step))
     assert ('take a smaller integrator.step' in (run.warning or '')) == warned
 
 
