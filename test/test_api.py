@@ -107,7 +107,7 @@ def test_a_simulator_does_what_simulate_does(scene, run):
     ({'force': 1.0}, 'force must be two finite numbers, got 1.0'),
     ({'tip_force': (1.0, 2.0, 3.0)}, 'tip_force must be two finite numbers'),
     ({'torque': 'full'}, "torque must be a finite number, got 'full'"),
-    ({'voltage': 5.0}, 'voltage = 5 V needs a DC motor'),
+    ({'voltage': 5.0}, 'voltage = 5 V needs motor.dc.resistance > 0'),
     ({'torqe': 1.0}, 'step has torqe, which is none of .*; did you mean torque'),
     ({'duration': 0.0015}, 'duration = 0.0015 must be a whole multiple')])
 def test_commands_that_are_refused_change_nothing(scene, commands, words):

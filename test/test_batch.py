@@ -183,7 +183,7 @@ def test_what_a_batch_cannot_do(scenes, text):
     ({'torque': [1.0, 2.0]}, r'torque must be a finite number, or an array of them of shape \(3,'),
     ({'force': np.ones((2, 3))}, r'of shape \(3, 2\)'),
     ({'torque': [0.0, np.nan, 0.0]}, 'torque must be'),
-    ({'voltage': [0.0, 5.0, 0.0]}, 'voltage = 5 V needs a DC motor')])
+    ({'voltage': [0.0, 5.0, 0.0]}, 'voltage = 5 V needs motor.dc.resistance > 0')])
 def test_bad_commands_change_nothing(given, text):
     """After the error the batch is where it was."""
     batch = timo_sim.Batch('paper', n=3)
@@ -196,7 +196,7 @@ def test_bad_commands_change_nothing(given, text):
 def test_voltage_is_for_those_with_a_motor():
     """One without a motor may stand beside them, but takes no voltage."""
     batch = timo_sim.Batch([scene_of('free', 'exact'), scene_of('DC motor', 'exact')])
-    with pytest.raises(timo_sim.ParameterError, match='voltage = -3 V needs a DC motor'):
+    with pytest.raises(timo_sim.ParameterError, match='voltage = -3 V needs motor.dc.resistance'):
         batch.step(voltage=-3.0)
     simulator = timo_sim.Simulator(scene_of('DC motor', 'exact'))
     alone, together = simulator.step(voltage=9.0), batch.step(voltage=[0.0, 9.0])

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The worked examples of doc/design.md, added to a copy of the package: topic, sensor, input, ..."""
+"""The worked examples of doc/design.md, added to a copy of the package: topic, sensor, ..."""
 
 import os
 from pathlib import Path
@@ -69,7 +69,8 @@ def extended(tmp_path_factory):
     insert(package / 'topics/outputs.py', '    ]\n\n\n# Frames', TOPIC)
     insert(package / 'topics/sensors.py', ')\n', SENSOR)
     insert(package / 'model/layout.py', ')\nLOADS', INPUT)
-    insert(package / 'model/newton.py', '        for n in range(count):\n            force[i]', FORMULA)
+    insert(package / 'model/newton.py', '        for n in range(count):\n            force[i]',
+           FORMULA)
     insert(package / 'model/newton.py', 'ACCELERATION, ANGLE,', 'LOADS, ')
     (package / 'model/newton_small_speed.py').write_text(FORMULATION)
     insert(package / 'model/__init__.py', '}\n', LINE)

@@ -105,7 +105,7 @@ def parsed(settings):
               help='A parameter that differs from the scene; several may follow.')
 @click.option('--input', 'cause', default='torque_N_m', show_default=True, metavar='NAME',
               help='Input of the model: force_x_N, force_y_N, torque_N_m, tip_force_x_N, '
-                   'tip_force_y_N or tip_torque_N_m.')
+                   'tip_force_y_N, tip_torque_N_m, push_x_N or push_y_N.')
 @click.option('--response', 'effects', multiple=True, metavar='NAME', show_default=True,
               default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
               help='Output of the model, such as tip_acceleration_m_per_s2; once for each curve.')

@@ -284,11 +284,12 @@ def loads_of(record, scene, sensors, shift=0.0):
 
 def limited(record, values):
     """Return a record whose inputs are what a scene's actuators make of them, by its values."""
-    if 'voltage' in record.inputs and not values['motor.dc.resistance']:
-        raise ParameterError('the record has a voltage, which needs a DC motor: '
-                             'motor.dc.resistance must be > 0 ohm, and motor.dc.torque_constant')
+    for each in INPUTS:
+        if each.name in record.inputs and each.needs and not values[each.needs]:
+            raise ParameterError(f'the record has the input {each.name}, which needs '
+                                 f'{each.needs} > 0, got 0')
     inputs = dict(record.inputs)
-    for name, *_, limit, rate in INPUTS:
+    for name, *_, limit, rate, _ in INPUTS:
         if name in inputs and limit and np.isfinite(values[limit]):
             goals = np.clip(inputs[name].values, -values[limit], values[limit])
             inputs[name] = inputs[name]._replace(values=goals)

@@ -17,7 +17,7 @@ from typing import Any, Callable, NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from timo_sim.model.layout import INPUTS, rotate, TIP_TORQUE, TIP_X, TIP_Y
+from timo_sim.model.layout import INPUTS, PUSH_X, PUSH_Y, rotate, TIP_TORQUE, TIP_X, TIP_Y
 from timo_sim.scene.parameters import did_you_mean, ParameterError, short
 from timo_sim.topics.sensors import SENSORS
 
@@ -63,6 +63,9 @@ def _root_strain(run):
     moment = (_rate(run, angular) + _cross(run.motion[:, half:half + 2], linear)
               - _cross(np.einsum('p,npi->ni', model.point_mass, place), model.gravity)
               - _cross(place[:, -1], tip) - load[:, TIP_TORQUE])
+    if model.push_point:
+        place = model.world(run.motion, model.push_point)[:, 0] - run.carrier
+        moment -= _cross(place, load[:, [PUSH_X, PUSH_Y]])
     return model.strain(run.motion, 0.0, -moment)
 
 
@@ -116,7 +119,7 @@ UNITS = {
 }
 
 
-def unit_of(name):
+def unit_of(name: str) -> str:
     """Return the unit of a quantity, of which all numbers inside are."""
     return INPUT_UNITS[name] if name in INPUT_UNITS else OUTPUTS[name].unit
 

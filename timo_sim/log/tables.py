@@ -200,7 +200,8 @@ def common(first, second):
 _WRAP = 2**32  # sequence numbers are steps modulo this, or all 0 if a tool has not kept them
 _RESTART = 10**8  # [ns] by which stamps fall only if a simulator is started again
 _EARLIER = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of topics in older versions
-_TYPES = {entry.name: entry.type_name for entry in (*outputs(1), *COMMANDS)}
+_TYPES = {**{output.name: output.type_name for output in outputs(1)},
+          **{command.name: command.type_name for command in COMMANDS}}
 
 
 class Recording:

@@ -54,7 +54,8 @@ import numpy as np
 
 from timo_sim.compiled.constants import of_any_size
 from timo_sim.model import exact_code  # noqa: F401: ties them to the tables
-from timo_sim.model.exact_code import BAND, BANDS, RateTables, SECTORS, Tables, TurningTables
+from timo_sim.model.exact_code import (
+    BAND, BANDS, PUSHED, RateTables, SECTORS, Tables, TurningTables)
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import ANGLE, LOADS, SPEED, tip_force, TIP_TORQUE
 
@@ -95,9 +96,14 @@ class Exact(Formulation):
         if self.sectors and self.axial:
             self._band = BAND * modes.omega[0]
             inertia = 1.0 if self.first else tables.rotary[0, 0] + kernel.mean(axis=0).sum()
-            return TurningTables._make([*tables, 1.0 / (self._band * inertia),
-                                        np.zeros_like(linear)]), linear
-        return tables, linear
+            return self._pushed(TurningTables._make([
+                *tables, 1.0 / (self._band * inertia), np.zeros_like(linear)])), linear
+        return self._pushed(tables), linear
+
+    def _pushed(self, tables):
+        # With the constants of a push on the arm, if there is one.
+        return PUSHED[type(tables)]._make([
+            *tables, self.push_point.integral[:, 0]]) if self.push_point else tables
 
     def sector(self, state, load):
         """Return the number of the sector of the shaft angle and of the band of its speed."""
@@ -121,7 +127,7 @@ class Exact(Formulation):
             turning[:, len(self.axes)] *= self.first  # the angle itself is not bounded
             linear += turning
             tables = TurningTables._make([*tables, self.tables.pace, turning])
-        return tables._replace(sector=number), linear
+        return self._pushed(tables._replace(sector=number)), linear
 
     def _about_turning(self, angle, speed):
         # The rate's derivatives by the state of a straight arm that turns. Without friction that

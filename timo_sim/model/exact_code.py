@@ -14,7 +14,7 @@ Numbers (T..) are those of doc/theory.md, section 6; the text of `exact` has the
 
 from collections import namedtuple
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,8 +24,8 @@ from timo_sim.compiled.lanes import some
 from timo_sim.model import functions
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
-    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, SPEED, TIP_I, TIP_II, TIP_TORQUE,
-    TIP_X, TIP_Y, TORQUE)
+    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, SPEED, TIP_I,
+    TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
 
 
 class Tables(NamedTuple):
@@ -69,6 +69,15 @@ BANDS, BAND = 32, 0.25
 #   SECTORS times the number of the band, plus that of the sector.
 TurningTables = namedtuple(  # type: ignore[misc]
     'TurningTables', (*RateTables._fields, 'pace', 'turning'))
+
+# Constants for a force on the arm, PUSH_X and PUSH_Y of a load. In addition:
+# - push: from nodal values to their integral from the root to where it acts, (n_g,).
+PUSHED: dict[type, Any] = {
+    kind: namedtuple(f'Pushed{kind.__name__}', (*kind._fields, 'push'))
+    for kind in (Tables, RateTables, TurningTables)}
+_TURNING = TurningTables, PUSHED[TurningTables]
+_RATED = RateTables, PUSHED[RateTables], *_TURNING
+_ALL = Tables, PUSHED[Tables], *_RATED
 
 
 # Additions to the compiled functions of `exact` for coordinates with rates in place of momenta.
@@ -121,7 +130,30 @@ def stretch_tip(tables, motion, out):
     """Add the displacement by axial strain to the tip's position from the shaft."""
 
 
-@functions.holds.of(RateTables, TurningTables)
+# x + -0.0 is x, for every x: where there is no push the compiler removes these sums.
+@optional
+def push_force(tables, load):
+    """Return x, y of the force on the arm."""
+    return -0.0, -0.0
+
+
+@optional
+def push_work(tables, load, j):
+    """Return what this force adds to the work of the others per slope at node j, in x and y."""
+    return -0.0, -0.0
+
+
+@push_force.of(*PUSHED.values())
+def _push_force(tables, load):
+    return load[PUSH_X], load[PUSH_Y]
+
+
+@push_work.of(*PUSHED.values())
+def _push_work(tables, load, j):
+    return -tables.push[j] * load[PUSH_X], -tables.push[j] * load[PUSH_Y]
+
+
+@functions.holds.of(*_RATED)
 def _holds(tables, state, load):
     if tables.sector < 0:
         return True
@@ -130,14 +162,14 @@ def _holds(tables, state, load):
     return number + SECTORS * band(tables, state, load) == tables.sector
 
 
-@band.of(TurningTables)
+@band.of(*_TURNING)
 def _band(tables, state, load):
     driven = len(tables.rotation) > len(tables.straight)
     speed = load[SPEED] if driven else state[len(state) // 2 + len(tables.axes)]
     return min(max(math.floor(speed * tables.pace), -BANDS), BANDS - 1) + BANDS
 
 
-@leave_out_turning.of(TurningTables)
+@leave_out_turning.of(*_TURNING)
 def _leave_out_turning(tables, state, out):
     for i in range(len(out)):
         total = 0.0
@@ -146,7 +178,7 @@ def _leave_out_turning(tables, state, out):
         out[i] -= total
 
 
-@stretch_slopes.of(RateTables, TurningTables)
+@stretch_slopes.of(*_RATED)
 def _slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
     rotation, stretch = tables.rotation, tables.stretch
     count, nodes = rotation.shape
@@ -166,12 +198,12 @@ def _slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
             c2[i, j] += strain * cosine[j] * rotation[i, j]
 
 
-@rated.of(RateTables, TurningTables)
+@rated.of(*_RATED)
 def _rated(tables):
     return len(tables.linear_rate)
 
 
-@known_rates.of(RateTables, TurningTables)
+@known_rates.of(*_RATED)
 def _rates(tables, state, mass, inverse, speed, factors):
     count = len(speed)
     rates_from = count - len(tables.linear_rate)
@@ -185,7 +217,7 @@ def _rates(tables, state, mass, inverse, speed, factors):
             mass[i, j] = 0.0  # the back substitution that follows must not change these rates
 
 
-@stretch_forces.of(RateTables, TurningTables)
+@stretch_forces.of(*_RATED)
 def _forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2, coordinate,
             speed, factors, out):
     rotation, shear, stretch, lever = tables.rotation, tables.shear, tables.stretch, tables.lever
@@ -218,8 +250,9 @@ def _forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2
         added = 0.0
         for j in range(nodes):
             added += rotation[i, j] * across[j]
-            work_x = tables.reach[j] * tip_x - lever[j] * push_x
-            work_y = tables.reach[j] * tip_y - lever[j] * push_y
+            added_x, added_y = push_work(tables, load, j)
+            work_x = tables.reach[j] * tip_x - lever[j] * push_x - added_x
+            work_y = tables.reach[j] * tip_y - lever[j] * push_y - added_y
             total += (work_x * c1[i, j] + work_y * c2[i, j] - image_1[i, j] * bent_1[j]
                       - image_2[i, j] * bent_2[j])
         # Unless one axis is held, T does not depend on the shaft angle.
@@ -248,7 +281,7 @@ def _forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2
         out[momenta + i] = total
 
 
-@stretch_tip.of(RateTables, TurningTables)
+@stretch_tip.of(*_RATED)
 def _tip_with_rates(tables, motion, out):
     rotation, stretch, reach = tables.rotation, tables.stretch, tables.reach
     count, nodes = rotation.shape
@@ -371,14 +404,17 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
     turned_y, turned_x = sincos(angle)
     tip_x = load[TIP_X] + turned_x * load[TIP_I] - turned_y * load[TIP_II]
     tip_y = load[TIP_Y] + turned_y * load[TIP_I] + turned_x * load[TIP_II]
+    arm_x, arm_y = push_force(tables, load)
     rubs = some((tables.drag != 0.0) | (tables.coulomb[0, 0] != 0.0))
     for k in range(len(axes)):
         if axes[k] == 0:
-            push_x = load[FORCE_X] + turned_x * load[FORCE_I] - turned_y * load[FORCE_II] + tip_x
+            push_x = (load[FORCE_X] + turned_x * load[FORCE_I] - turned_y * load[FORCE_II]
+                      + tip_x + arm_x)
             if rubs:
                 push_x -= _resistance(tables, _carrier_rate(tables, state, k, c1, speed))
         else:
-            push_y = load[FORCE_Y] + turned_y * load[FORCE_I] + turned_x * load[FORCE_II] + tip_y
+            push_y = (load[FORCE_Y] + turned_y * load[FORCE_I] + turned_x * load[FORCE_II]
+                      + tip_y + arm_y)
             if rubs:
                 push_y -= _resistance(tables, _carrier_rate(tables, state, k, c2, speed))
         out[k] = 0.0  # X' = P / m_t is in the linear part
@@ -387,8 +423,8 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
 
 
 @inlined
-def _set_moments(tables, torque, forces, cosine, sine, a, b, image_1, image_2, speed, script_a,
-                 script_b):
+def _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, image_2, speed,
+                 script_a, script_b):
     """
     Set A_j and B_j of (T29); return the moment of torque and forces about the shaft.
 
@@ -409,8 +445,9 @@ def _set_moments(tables, torque, forces, cosine, sine, a, b, image_1, image_2, s
             turning += speed[i] * rotation[i, j]
             shearing += speed[i] * shear[i, j]
         along = cosine[j] * g1 + sine[j] * g2
-        work_x = lever[j] * push_x - reach[j] * tip_x
-        work_y = lever[j] * push_y - reach[j] * tip_y
+        added_x, added_y = push_work(tables, load, j)
+        work_x = lever[j] * push_x - reach[j] * tip_x + added_x
+        work_y = lever[j] * push_y - reach[j] * tip_y + added_y
         script_a[j] = work_x * b[j] - work_y * a[j]
         script_b[j] = work_x * sine[j] - work_y * cosine[j] - turning * along
         moment += script_a[j]
@@ -418,7 +455,7 @@ def _set_moments(tables, torque, forces, cosine, sine, a, b, image_1, image_2, s
     return moment
 
 
-@functions.rate.of(Tables, RateTables, TurningTables)
+@functions.rate.of(*_ALL)
 def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
     rotation, shear, lever = tables.rotation, tables.shear, tables.lever
@@ -444,8 +481,8 @@ def _rate(tables, state, load, out):
     forces = _translate(tables, state, load, coordinate[0], c1, c2, speed, out)
     torque = load[TORQUE] - functions.coulomb(tables, 1, speed[0])
     script_a, script_b = local((lever,)), local((lever,))
-    moment = _set_moments(tables, torque, forces, cosine, sine, a, b, image_1, image_2, speed,
-                          script_a, script_b)
+    moment = _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, image_2,
+                          speed, script_a, script_b)
     for i in range(first, count - rated(tables)):
         # Unless one axis is held, T does not depend on the shaft angle; that sum would only give
         # round-off and is left out.
@@ -461,7 +498,7 @@ def _rate(tables, state, load, out):
     leave_out_turning(tables, state, out)
 
 
-@functions.observe.of(Tables, RateTables, TurningTables)
+@functions.observe.of(*_ALL)
 def _observe(tables, state, load, out):
     """Write the motion of a state."""
     rotation, lever = tables.rotation, tables.lever
@@ -489,7 +526,7 @@ def _observe(tables, state, load, out):
         out[half + axis] = _carrier_rate(tables, state, k, derivative, speed)
 
 
-@functions.tip.of(Tables, RateTables, TurningTables)
+@functions.tip.of(*_ALL)
 def _tip(tables, motion, out):
     """Write the tip's position, the integral of the slopes, and rotation from the shaft."""
     rotation, shear, reach = tables.rotation, tables.shear, tables.reach

@@ -19,7 +19,7 @@ import numpy as np
 from timo_sim.compiled.constants import of_any_size, pack
 from timo_sim.model.bodies import Constraints, Quadrature
 from timo_sim.model.functions import rate_once, tip_once
-from timo_sim.model.layout import rotate
+from timo_sim.model.layout import PUSH_X, PUSH_Y, rotate
 from timo_sim.model.modes import AxialModes, modes_of
 
 
@@ -282,6 +282,8 @@ class Formulation(Observables):
         Acceleration of free fall along world x and y [m/s2].
     basis : Manipulator, optional
         The same arm with another end effector, whose modes are assumed; by default its own.
+    push : float
+        Distance from the root to where the loads PUSH_X and PUSH_Y act [m]; 0: they do not.
 
     Attributes
     ----------
@@ -299,7 +301,7 @@ class Formulation(Observables):
     sectors, speed_limit = 0, math.inf
 
     def __init__(self, manipulator, count, damping=0.0, constraints=Constraints(), nodes=None,
-                 static=(), axial=0, gravity=(0.0, 0.0), basis=None):
+                 static=(), axial=0, gravity=(0.0, 0.0), basis=None, push=0.0):
         self.manipulator, self.constraints = manipulator, constraints
         self.gravity = np.array(gravity, dtype=float)
         basis = basis or manipulator
@@ -325,6 +327,7 @@ class Formulation(Observables):
         self.point_mass, self.point_inertia = manipulator.inertia(masses)
         self.arm_mass = self.point_mass.sum()
         self.mass = manipulator.base_mass + self.arm_mass
+        self.push_point = self.at([push]) if push else None
         self.tables, self.linear = self.build()
         self.pack, self.packed = pack, pack(self.tables)
         self._of_any_size, self._kept = of_any_size(self.tables), {}
@@ -362,16 +365,21 @@ class Formulation(Observables):
         Return the force on the carrier and torque on the shaft that accelerations need (T42).
 
         They include loads on carrier and shaft, friction and constraints. There are n motions,
-        accelerations of 3 + N coordinates and loads, of which only those on the tip are used.
+        accelerations of 3 + N coordinates and loads, of which only those on tip and arm are used.
         Shape (n, 3): in world axes [N], then [N m].
         """
         specific = accelerations.copy()
         specific[:, :2] -= self.gravity  # held in gravity is the same as accelerated against it
-        return self._effort(motions, specific, loads)
+        effort = self._effort(motions, specific, loads)
+        if self.push_point:
+            push_x, push_y = loads[:, PUSH_X], loads[:, PUSH_Y]
+            x, y = (self.world(motions, self.push_point)[:, 0] - motions[:, :2]).T
+            effort -= np.column_stack([push_x, push_y, x * push_y - y * push_x])
+        return effort
 
     @abstractmethod
     def _effort(self, motions, accelerations, loads):
-        """Return the effort where there is no gravity."""
+        """Return the effort where there is no gravity and no push on the arm."""
 
     @cached_property
     def reach(self):

@@ -10,7 +10,7 @@
 
 from dataclasses import dataclass
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class Input(NamedTuple):
     frame: str = 'world'  # axes along which a force acts: world, arm or tip
     limit: str = ''       # parameter with the largest magnitude of its commands; empty: none
     rate_limit: str = ''  # parameter with the largest rate at which they act; empty: none
+    needs: str = ''       # parameter that must be > 0 where it acts; empty: none
 
     @property
     def argument(self) -> str:
@@ -73,11 +74,16 @@ INPUTS = (
     Input('angle', 'rad', 'angle of a driven shaft'),
     Input('speed', 'rad/s', 'speed of a driven shaft'),
     Input('acceleration', 'rad/s2', 'acceleration of a driven shaft'),
-    Input('voltage', 'V', 'voltage at a DC motor', 'shaft', 'world', 'motor.dc.voltage_limit'),
+    Input('voltage', 'V', 'voltage at a DC motor', 'shaft', 'world', 'motor.dc.voltage_limit',
+          needs='motor.dc.resistance'),
+    Input('push_x', 'N', 'force on the arm at push.position along world x', 'push',
+          needs='push.position'),
+    Input('push_y', 'N', 'force on the arm at push.position along world y', 'push',
+          needs='push.position'),
 )
 LOADS = len(INPUTS)
 (FORCE_X, FORCE_Y, FORCE_I, FORCE_II, TORQUE, TIP_X, TIP_Y, TIP_I, TIP_II, TIP_TORQUE,
- ANGLE, SPEED, ACCELERATION, VOLTAGE, *_) = range(LOADS)
+ ANGLE, SPEED, ACCELERATION, VOLTAGE, PUSH_X, PUSH_Y, *_) = range(LOADS)
 # Rows of the loads of a step: three that its stages see, then the true load at its end.
 START, MIDDLE, END, AFTER = range(4)
 STAGES, STEP_LOADS = 3, 4
@@ -98,32 +104,32 @@ class MotionFields:
         return self.values.shape[-1] // 2
 
     @property
-    def carrier(self):
+    def carrier(self) -> np.ndarray:
         """Carrier position in world axes, shape (..., 2) [m]."""
         return self.values[..., :2]
 
     @property
-    def shaft(self):
+    def shaft(self) -> np.ndarray:
         """Shaft angle, not wrapped, shape (...,) [rad]."""
         return self.values[..., 2]
 
     @property
-    def q(self):
+    def q(self) -> np.ndarray:
         """Modal coordinates, shape (..., N) [m sqrt(kg)]."""
         return self.values[..., 3:self._half]
 
     @property
-    def carrier_velocity(self):
+    def carrier_velocity(self) -> np.ndarray:
         """Carrier velocity in world axes, shape (..., 2) [m/s]."""
         return self.values[..., self._half:self._half + 2]
 
     @property
-    def shaft_velocity(self):
+    def shaft_velocity(self) -> np.ndarray:
         """Shaft speed, shape (...,) [rad/s]."""
         return self.values[..., self._half + 2]
 
     @property
-    def qdot(self):
+    def qdot(self) -> np.ndarray:
         """Modal rates, shape (..., N) [m sqrt(kg)/s]."""
         return self.values[..., self._half + 3:]
 
@@ -144,7 +150,7 @@ class Motion(MotionFields):
     values: np.ndarray
 
 
-def rotate(theta, x, y):
+def rotate(theta: Any, x: Any, y: Any) -> tuple[Any, Any]:
     """
     Return a vector of the plane turned by an angle.
 
@@ -166,13 +172,14 @@ def rotate(theta, x, y):
     return cosine * x - sine * y, sine * x + cosine * y
 
 
-def tip_force(loads, theta):
+def tip_force(loads: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return x, y of the tip force in world axes [N], for loads (..., LOADS), angles (...)."""
     x, y = rotate(theta, loads[..., TIP_I], loads[..., TIP_II])
     return x + loads[..., TIP_X], y + loads[..., TIP_Y]
 
 
-def place(origin_x, origin_y, theta, x, y):
+def place(origin_x: float, origin_y: float, theta: float, x: float,
+          y: float) -> tuple[float, float]:
     """Return an origin plus the vector x, y turned by theta, such as a point in world axes."""
     cosine, sine = math.cos(theta), math.sin(theta)
     return origin_x + cosine * x - sine * y, origin_y + sine * x + cosine * y

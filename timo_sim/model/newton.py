@@ -40,20 +40,21 @@ is held. The row of a driven shaft, whose theta'' is given, is left out too. The
 motion without the coordinates that are held or driven.
 """
 
+from collections import namedtuple
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from timo_sim.compiled.constants import local
-from timo_sim.compiled.functions import inlined, inner
+from timo_sim.compiled.functions import inlined, inner, optional
 from timo_sim.compiled.lanes import some
 from timo_sim.model import functions
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
-    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, rotate, SPEED, tip_force, TIP_I,
-    TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
+    ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, rotate,
+    SPEED, tip_force, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
 
 
 class Tables(NamedTuple):
@@ -86,6 +87,38 @@ class Tables(NamedTuple):
     gravity: np.ndarray         # g along world x and y, (2,)
 
 
+# Constants for a force on the arm, PUSH_X and PUSH_Y of a load. In addition:
+# - push_place: distance from the root to where it acts;
+# - push_sway: W_n there, (N,).
+PushedTables = namedtuple(  # type: ignore[misc]
+    'PushedTables', (*Tables._fields, 'push_place', 'push_sway'))
+
+
+# x + -0.0 is x, for every x: where there is no push the compiler removes these sums.
+@optional
+def push(tables, q, load, cosine, sine):
+    """Return the force on the arm along axes I, II, and its moment about the shaft."""
+    return -0.0, -0.0, -0.0
+
+
+@optional
+def push_on_mode(tables, n, push_2):
+    """Return the force of a push across the arm on a mode."""
+    return -0.0
+
+
+@push.of(PushedTables)
+def _push(tables, q, load, cosine, sine):
+    along = cosine * load[PUSH_X] + sine * load[PUSH_Y]
+    across = cosine * load[PUSH_Y] - sine * load[PUSH_X]
+    return along, across, tables.push_place * across - _dot(tables.push_sway, q) * along
+
+
+@push_on_mode.of(PushedTables)
+def _push_on_mode(tables, n, push_2):
+    return tables.push_sway[n] * push_2
+
+
 @inner
 def _dot(left, right):
     total = 0.0
@@ -101,14 +134,15 @@ def _resistance(tables, joint, speed):
 
 
 @inlined
-def _set_z_0(tables, q, theta_rate, load, tip_2, tip_moment, force, z):
+def _set_z_0(tables, q, theta_rate, load, tip_2, push_2, tip_moment, force, z):
     """Set z_0: theta'' and q'' at beta = 0, without the modal stress (in the linear part)."""
     inverse, softening = tables.inverse, tables.softening
     rows, count = softening.shape
     first = rows - len(inverse)
     for i in range(first, rows):
         if i:
-            force[i] = tables.sway[i - 1] * tip_2 + tables.turn[i - 1] * load[TIP_TORQUE]
+            force[i] = (tables.sway[i - 1] * tip_2 + tables.turn[i - 1] * load[TIP_TORQUE]
+                        + push_on_mode(tables, i - 1, push_2))
         else:
             force[i] = load[TORQUE] - _resistance(tables, 1, theta_rate) + tip_moment
         for n in range(count):
@@ -177,7 +211,7 @@ def _fall(tables, cosine, sine, tilt, out):
         out[len(out) - free + i] -= tables.response[len(tables.response) - free + i] * beta
 
 
-@functions.rate.of(Tables)
+@functions.rate.of(Tables, PushedTables)
 def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
     rows, count = tables.softening.shape
@@ -198,8 +232,9 @@ def _rate(tables, state, load, out):
     tip_2 = load[TIP_II] - sine * load[TIP_X] + cosine * load[TIP_Y]
     tip_moment = tables.tip_share * (
         load[TIP_TORQUE] + tables.length * tip_2 - _dot(tables.sway, q) * tip_1)
+    push_1, push_2, push_moment = push(tables, q, load, cosine, sine)
     force, z = local((tables.softening,)), local((tables.softening,))
-    _set_z_0(tables, q, omega, load, tip_2, tip_moment, force, z)
+    _set_z_0(tables, q, omega, load, tip_2, push_2, tip_moment + push_moment, force, z)
 
     # P(0) and V(0) at alpha = beta = 0.
     swing = z[0]
@@ -210,9 +245,9 @@ def _rate(tables, state, load, out):
         linear_shear += tables.reaction[n] * stress
     bent = _dot(tables.axial, q)
     axial = (bent * swing + 2.0 * omega * _dot(tables.axial, qdot) + omega**2 * tables.lever
-             + tip_1)
+             + tip_1 + push_1)
     shear = (linear_shear - _dot(tables.shear_row, z) + omega**2 * _dot(tables.shear_softening, q)
-             + tables.tip_share * tip_2)
+             + tables.tip_share * tip_2 + push_2)
     tilt = bent * tables.response[0]  # -P(0) per beta
     beta = _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out)
 
@@ -225,7 +260,7 @@ def _rate(tables, state, load, out):
         _fall(tables, cosine, sine, tilt, out)
 
 
-@functions.observe.of(Tables)
+@functions.observe.of(Tables, PushedTables)
 def _observe(tables, state, load, out):
     """Write the motion of a state."""
     parts = (0, 0), (len(state) // 2, len(out) // 2)
@@ -241,7 +276,7 @@ def _observe(tables, state, load, out):
             out[goal + 2 + i] = state[source + len(tables.axes) + i - first]
 
 
-@functions.tip.of(Tables)
+@functions.tip.of(Tables, PushedTables)
 def _tip(tables, motion, out):
     """Write the tip's position (l, w), and its rotation."""
     out[0] = tables.length
@@ -350,7 +385,10 @@ class Newton(Formulation):
             np.array(self.manipulator.coulomb), self.axes, self.anchor,
             self.manipulator.arm.length, laws.tip_share,
             self.points.deflection[:, -1], self.points.rotation[:, -1], self.gravity)
-        return tables, linear
+        if not self.push_point:
+            return tables, linear
+        return PushedTables._make([*tables, self.push_point.xi[0],
+                                   self.push_point.deflection[:, 0]]), linear
 
     def state(self, motion):
         """Return the state that belongs to a motion."""
@@ -380,13 +418,14 @@ class Newton(Formulation):
 
     @cached_property
     def _tension(self):
-        # Geometric stiffness of the first mode per axial force on the tip, per alpha, and per
-        # squared shaft speed.
+        # Geometric stiffness of the first mode per axial force on the tip and of a push, per
+        # alpha, and per squared shaft speed.
         xi = self.quadrature.nodes
         slope = self.modes.rotation(xi)[:, 0] + self.modes.shear(xi)[:, 0]
         inboard = self.points.integral.T @ slope**2
         mass = self.point_mass
-        return np.array([inboard[-1], -mass @ inboard, (mass * self.points.xi) @ inboard])
+        push = self.push_point.integral[:, 0] @ slope**2 if self.push_point else 0.0
+        return np.array([inboard[-1], push, -mass @ inboard, (mass * self.points.xi) @ inboard])
 
     def axial_share(self, state, load):
         """
@@ -402,7 +441,8 @@ class Newton(Formulation):
         acceleration[axes] = self.rate(state, load)[half:half + len(axes)]
         alpha, _ = rotate(-angle, *(acceleration - self.gravity))
         pull, _ = rotate(-angle, *np.ravel(tip_force(load[np.newaxis], np.array([angle]))))
-        return float(self._tension @ [pull, alpha, speed**2] / self.modes.omega[0]**2)
+        push, _ = rotate(-angle, load[PUSH_X], load[PUSH_Y])
+        return float(self._tension @ [pull, push, alpha, speed**2] / self.modes.omega[0]**2)
 
     def centre_line(self, q, points):
         """Return the points (xi, w)."""

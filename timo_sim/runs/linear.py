@@ -8,7 +8,11 @@
 
 """Linear models of a scene about an equilibrium, continuous or discrete in time."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -68,7 +72,8 @@ class LinearModel:
             'frequencies [Hz]': ', '.join(f'{each:.4g}' for each in self.frequencies()),
             'time': 'continuous' if self.dt is None else f'dt = {self.dt:g} s'})
 
-    def select(self, inputs=None, outputs=None):
+    def select(self, inputs: Sequence[str] | None = None,
+               outputs: Sequence[str] | None = None) -> LinearModel:
         """
         Return the model with some inputs and outputs, in the order given.
 
@@ -84,20 +89,20 @@ class LinearModel:
                        inputs=tuple(self.inputs[place] for place in u),
                        outputs=tuple(self.outputs[place] for place in y))
 
-    def state_space(self):
+    def state_space(self) -> Any:
         """Return the model as a `scipy.signal.StateSpace`."""
         from scipy.signal import StateSpace
         time = {} if self.dt is None else {'dt': self.dt}
         return StateSpace(self.A, self.B, self.C, self.D, **time)
 
-    def to_control(self):
+    def to_control(self) -> Any:
         """Return the model as a `control.StateSpace` of python-control, names included."""
         with optional():
             from control import ss
         return ss(self.A, self.B, self.C, self.D, self.dt or 0, states=list(self.states),
                   inputs=list(self.inputs), outputs=list(self.outputs))
 
-    def to_discrete(self, dt):
+    def to_discrete(self, dt: float) -> LinearModel:
         """
         Return the model at the instants of a controller that holds its commands for dt [s].
 
@@ -116,7 +121,7 @@ class LinearModel:
         a, b, c, d, _ = cont2discrete((self.A, self.B, self.C, self.D), dt, method='zoh')
         return replace(self, A=a, B=b, C=c, D=d, dt=dt)
 
-    def frequency_response(self, frequency):
+    def frequency_response(self, frequency: Any) -> np.ndarray:
         """Return outputs per input at frequencies, shape (n,) [Hz], complex, (n, y, u)."""
         s = 2j * np.pi * np.asarray(frequency, dtype=float)[:, np.newaxis, np.newaxis]
         if self.dt is not None:
@@ -124,7 +129,7 @@ class LinearModel:
         return self.C @ np.linalg.solve(s * np.eye(len(self.A)) - self.A,
                                         self.B[np.newaxis]) + self.D
 
-    def poles(self):
+    def poles(self) -> np.ndarray:
         """
         Return the poles by magnitude, shape (m,) [1/s].
 
@@ -135,7 +140,7 @@ class LinearModel:
             poles = np.log(poles.astype(complex)) / self.dt
         return poles[np.lexsort((poles.imag, np.abs(poles).round(9)))]
 
-    def frequencies(self):
+    def frequencies(self) -> np.ndarray:
         """Return the natural frequencies of the oscillating poles, ascending [Hz]."""
         poles = self.poles()
         return np.abs(poles[poles.imag > 1e-3]) / (2.0 * np.pi)

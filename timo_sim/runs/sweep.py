@@ -63,7 +63,7 @@ def kind_of(scene, steps):
         return None
     return Kind(scene.step, steps,
                 (values['model.modes'], values['model.axial_modes'],
-                 len(scene.build().quadrature.nodes)),
+                 len(scene.build().quadrature.nodes), values['push.position'] > 0.0),
                 (values['carrier.held'], values['motor.shaft']))
 
 

@@ -325,6 +325,8 @@ _ALL = [
     Parameter('integrator.step', 0.001, 's', 'time step', low=1e-9, high=1000.0),
     *[parameter for each in INPUTS if each.prescribed
       for parameter in _load(each.name, each.unit, each.meaning)],
+    _not_negative('push.position', 0.0, 'm', 'distance from the root to the point of the arm at '
+                  'which load.push_x and load.push_y act; 0: there is none'),
     Parameter('sensor.seed', 0, '', 'seed of the noise of all sensors', low=0, high=1000000000),
     *[parameter for sensor in SENSORS
       for parameter in _sensor(sensor.name, sensor.unit, sensor.meaning)],

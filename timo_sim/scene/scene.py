@@ -25,7 +25,7 @@ import numpy as np
 from timo_sim.model import formulation_class
 from timo_sim.model.bodies import Beam, Constraints, Manipulator, Section
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.layout import START
+from timo_sim.model.layout import INPUTS, START
 from timo_sim.model.statics import equilibrium
 from timo_sim.scene.files import flatten, html_table, read_parameter_file
 from timo_sim.scene.loads import (
@@ -144,6 +144,23 @@ def check_initial(values):
         if name.startswith('initial.') and ('velocity' in name or 'modal' in name) and value:
             raise ParameterError(f'{name} must not be given with initial.equilibrium = true, got '
                                  f'{short(value)}')
+
+
+def check_push(values):
+    """Raise ParameterError if loads lack what they need, or a push is not on the arm."""
+    for each in INPUTS:
+        if each.prescribed and each.needs and not values[each.needs]:
+            given = [name for name in _OF_CHANNELS[each.name] if values[name]]
+            if given:
+                raise ParameterError(f'{given[0]} needs {each.needs} > 0, got '
+                                     f'{values[each.needs]:g}')
+    place = values['push.position']
+    if place > values['arm.length']:
+        raise ParameterError(f'push.position must be at most arm.length = '
+                             f'{values["arm.length"]:g} m, got {place:g}')
+    if place and values['model.formulation'] == 'newton_root_stress':
+        raise ParameterError('push.position must be 0 with model.formulation = '
+                             f'newton_root_stress, got {place:g}')
 
 
 def modal_count(values):
@@ -351,10 +368,10 @@ _STATIC = {'none': (), 'force': ('force',), 'torque': ('torque',), 'both': ('for
 
 # Scenes that differ in loads, limits or initial motion share their equations of motion.
 @lru_cache(maxsize=4)
-def _shared_model(name, body, modes, damping, constraints, static, axial, gravity, basis):
+def _shared_model(name, body, modes, damping, constraints, static, axial, gravity, basis, push):
     return formulation_class(name)(body, modes, damping[0] if len(damping) == 1 else damping,
                                    constraints, static=static, axial=axial, gravity=gravity,
-                                   basis=basis)
+                                   basis=basis, push=push)
 
 
 _OF_SCENE = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
@@ -428,7 +445,7 @@ class Scene:
             values['model.formulation'], body, values['model.modes'],
             tuple(np.ravel(damping).tolist()), self.constraints,
             _STATIC[values['model.static_modes']], values['model.axial_modes'],
-            tuple(values['gravity']), basis or body)
+            tuple(values['gravity']), basis or body, values['push.position'])
 
     @cached_property
     def _own_model(self):
@@ -584,6 +601,7 @@ def scene_from(values):
         for name in _OF_SCENE})
     check_counts(values)
     check_initial(values)
+    check_push(values)
     payloads_of(values)
     step = values['integrator.step']
     for name in DELAYS:

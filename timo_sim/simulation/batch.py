@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 import threading
 from typing import Any
 
@@ -18,7 +18,8 @@ import numpy as np
 
 from timo_sim.compiled.cache import compiling
 from timo_sim.compiled.lanes import WIDTH
-from timo_sim.model.layout import AFTER, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE
+from timo_sim.model.layout import (
+    AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.scene.parameters import Parameter, ParameterError, steps_in
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.loads import Actuators, commanded_load
@@ -38,7 +39,7 @@ class LaneLoads:
 
     """
 
-    def __init__(self, scenes):
+    def __init__(self, scenes: list[Scene]) -> None:
         self._step, self._scenes = scenes[0].step, scenes
         kinds = [(id(scene.load.terms), scene.load.drive) for scene in scenes]
         loads = {kind: scene.load for kind, scene in zip(kinds, scenes)}
@@ -58,12 +59,12 @@ class LaneLoads:
         self._places = np.searchsorted(self.columns, np.arange(LOADS))
         self.reset(range(len(scenes)), 0)
 
-    def reset(self, lanes, first):
+    def reset(self, lanes: Iterable[int], first: int) -> None:
         """Let no command act in some lanes from step `first` on."""
         for lane in self._slow.keys() & set(lanes):
             self._slow[lane] = Actuators(self._scenes[lane].values, first)
 
-    def command(self, commanded, first):
+    def command(self, commanded: np.ndarray, first: int) -> np.ndarray:
         """
         Take the commands from step `first` on.
 
@@ -86,7 +87,7 @@ class LaneLoads:
             acting[lane, actuators.slow] = 0.0
         return acting
 
-    def varying(self, first, count, origin):
+    def varying(self, first: int, count: int, origin: np.ndarray) -> np.ndarray:
         """
         Return what varies with time of the loads of some steps.
 
@@ -189,8 +190,8 @@ class Batch:
                   for scene, model in zip(self.scenes, self._models)}
         self._initial = np.array([motions[id(scene)] for scene in self.scenes])
         self._initial_state = np.array([states[id(scene)] for scene in self.scenes])
-        self._motors = np.array([scene.values['motor.dc.resistance'] > 0.0
-                                 for scene in self.scenes])
+        self._needed = {each.needs: np.array([scene.values[each.needs] for scene in self.scenes])
+                        for each in INPUTS if each.needs}
         self._loads = LaneLoads(self.scenes)
         self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT)
         self.steps, self._origin, self._warm = 0, np.zeros(self.n, dtype=int), False
@@ -235,7 +236,7 @@ class Batch:
         return divergence(scene, round(self.t[number] / scene.step), motion, model.reach, bend,
                           None)
 
-    def reset(self, mask=None, motion=None) -> None:
+    def reset(self, mask: Any = None, motion: Any = None) -> None:
         """
         Return to the initial motion and the start of the loads, all or some.
 
@@ -311,7 +312,7 @@ class Batch:
             fit the step.
 
         """
-        commanded = commanded_load(self._motors, (self.n,), **commands)
+        commanded = commanded_load(self._needed, (self.n,), **commands)
         self.advance(1 if duration is None else steps_in(duration, self.scenes[0].step), commanded)
         return self.motion
 
@@ -377,6 +378,9 @@ def _check(scenes):
                 raise ParameterError(f'{name} must be the same in all scenes of a Batch, got '
                                      f'{first.values[name]} and {scene.values[name]} (scene '
                                      f'{number})')
+        if (scene.values['push.position'] > 0.0) != (first.values['push.position'] > 0.0):
+            raise ParameterError('push.position must be > 0 in all scenes of a Batch or in none, '
+                                 f'got {scene.values["push.position"]:g} (scene {number})')
         if [np.shape(part) for part in other.tables] != [np.shape(part) for part in model.tables]:
             raise ParameterError('the models of all scenes of a Batch must have the same size: '
                                  f'scene {number} has {scene.modal_count} modes and '
@@ -384,7 +388,7 @@ def _check(scenes):
                                  f'{first.modal_count} and {len(model.quadrature.nodes)}')
 
 
-def refusal(scene):
+def refusal(scene: Scene) -> str:
     """Return the first parameter that lanes do not know, as text, or ''."""
     values = scene.values
     if scene.build().sectors:

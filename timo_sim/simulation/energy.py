@@ -8,8 +8,11 @@
 
 """Energy balance between samples of a motion: work of forces, and dissipated energy."""
 
+from __future__ import annotations
+
 import numpy as np
 
+from timo_sim.scene.scene import Scene
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.steps import CHUNK
@@ -34,7 +37,8 @@ def energy(models: list, motions: np.ndarray) -> np.ndarray:
         for model, part in models for first in range(part.start, part.stop, _BLOCK)])
 
 
-def work(ns, position, velocity, force, jumps=False):
+def work(ns: np.ndarray, position: np.ndarray, velocity: np.ndarray, force: np.ndarray,
+         jumps: np.ndarray | bool = False) -> np.ndarray:
     """
     Return the work done from each sample to the next.
 
@@ -75,7 +79,7 @@ def work(ns, position, velocity, force, jumps=False):
     return np.sum(np.where(still, 0.0, span * power / 6.0), axis=1)
 
 
-def integral(ns, power):
+def integral(ns: np.ndarray, power: np.ndarray) -> np.ndarray:
     """
     Return the integral of a power from each sample to the next.
 
@@ -103,7 +107,7 @@ def integral(ns, power):
     return done
 
 
-def dissipated(scene, t, motions):
+def dissipated(scene: Scene, t: np.ndarray, motions: np.ndarray) -> tuple[np.ndarray, bool]:
     """
     Return what friction that is not dry, and modal damping, dissipate since the first sample.
 

@@ -8,6 +8,9 @@
 
 """Loads of coming steps: the scene's own, what actuators make of commands, the load at the tip."""
 
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 import math
@@ -15,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import (
     AFTER, END, INPUTS, LOADS, STAGES, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.model.statics import pick_up
 from timo_sim.scene.loads import on_boundaries, parabolas
 from timo_sim.scene.parameters import did_you_mean, ParameterError, short
-from timo_sim.scene.scene import motor_constants
+from timo_sim.scene.scene import motor_constants, Scene
 from timo_sim.steps.steps import CHUNK, NO_LOADS
 
 # Columns of a load that each argument of `Simulator.step` sets: one, or a list of two.
@@ -32,7 +36,7 @@ for _column, _input in enumerate(INPUTS):
         ARGUMENTS[_input.argument] = _column
 
 
-def check_arguments(names, source):
+def check_arguments(names: Iterable[str], source: str) -> None:
     """Raise ParameterError unless all are names of ARGUMENTS; `source` is what has them."""
     for name in names:
         if name not in ARGUMENTS:
@@ -40,14 +44,15 @@ def check_arguments(names, source):
                                  f'{", ".join(ARGUMENTS)}{did_you_mean(name, ARGUMENTS)}')
 
 
-def commanded_load(motor, many=(), **commands):
+def commanded_load(values: Mapping[str, Any], many: tuple[int, ...] = (),
+                   **commands: Any) -> np.ndarray:
     """
     Return commands as a load, or as many loads.
 
     Parameters
     ----------
-    motor : bool or ndarray of bool, shape `many`
-        Whether there is a DC motor.
+    values : mapping
+        By name the parameters that inputs need, see `Input.needs`; arrays of shape `many`.
     many : tuple of int
         Shape of the array of loads; the same shape precedes that of commands of their own.
     **commands : float or sequence of float
@@ -60,8 +65,8 @@ def commanded_load(motor, many=(), **commands):
     Raises
     ------
     ParameterError
-        If a name is unknown, a command has not the right number of finite values, or a voltage has
-        no DC motor.
+        If a name is unknown, a command has not the right number of finite values, or a parameter
+        that an input needs is 0: a voltage needs a DC motor.
 
     """
     check_arguments(commands, 'step')
@@ -79,10 +84,13 @@ def commanded_load(motor, many=(), **commands):
             kind += f', or an array of them of shape {(*many, *shape)}' if many else ''
             raise ParameterError(f'{name} must be {kind}, got {short(given)}')
         load[..., columns] = numbers
-    lacking = load[..., VOLTAGE][(load[..., VOLTAGE] != 0.0) & ~np.asarray(motor)]
-    if lacking.size:
-        raise ParameterError(f'voltage = {lacking.flat[0]:g} V needs a DC motor: '
-                             'motor.dc.resistance must be > 0 ohm')
+        for column in np.ravel(columns):
+            each, numbers = INPUTS[column], load[..., column]
+            if each.needs:
+                lacking = numbers[(numbers != 0.0) & (np.asarray(values[each.needs]) == 0.0)]
+                if lacking.size:
+                    raise ParameterError(f'{each.name} = {lacking.flat[0]:g} {each.unit} needs '
+                                         f'{each.needs} > 0, got 0')
     return load
 
 
@@ -114,7 +122,8 @@ class Actuators:
 
     """
 
-    def __init__(self, values, first=0, reached=None):
+    def __init__(self, values: Mapping[str, Any], first: int = 0,
+                 reached: np.ndarray | None = None) -> None:
         self._period = values['integrator.step']
         self.limit, self._rate = np.full(LOADS, np.inf), np.full(LOADS, np.inf)
         for column, each in enumerate(INPUTS):
@@ -128,7 +137,7 @@ class Actuators:
         self._since, self._start = first, np.zeros(LOADS) if reached is None else reached
         self._given, self._goal = b'', self._start
 
-    def command(self, commanded, first):
+    def command(self, commanded: np.ndarray, first: int) -> None:
         """Take the commands from step `first` on, shape (LOADS,)."""
         given = commanded.tobytes()
         if given == self._given:
@@ -143,11 +152,11 @@ class Actuators:
         way = np.abs(self._goal - self._start)[self.slow]
         return on_boundaries(way / (self._rate[self.slow] * self._period))
 
-    def reached(self, step):
+    def reached(self, step: int) -> np.ndarray:
         """Return what acts of the commands at a step, (LOADS,); a voltage is not yet a torque."""
         return self._at(np.array((step - self._since) * self._period))
 
-    def loads(self, first, count):
+    def loads(self, first: int, count: int) -> np.ndarray:
         """Return what acts in some steps, shape (LOADS,) or (count, 4, LOADS)."""
         if self._ideal:
             return self._goal
@@ -186,16 +195,16 @@ class LoadTable:
 
     """
 
-    def __init__(self, scene):
+    def __init__(self, scene: Scene) -> None:
         self._load, self._step = scene.load, scene.step
         self._begin, self._block = 0, NO_LOADS
         self._room = NO_LOADS
 
-    def at_start(self):
+    def at_start(self) -> np.ndarray:
         """Return the scene's own load at its beginning, shape (LOADS,)."""
         return self._load.stages(0, 1, self._step)[0, 0]
 
-    def stages(self, first, count, actuators=None):
+    def stages(self, first: int, count: int, actuators: Actuators | None = None) -> np.ndarray:
         """
         Return the loads of steps.
 
@@ -243,45 +252,46 @@ class TipLoad:
 
     """
 
-    def __init__(self, scene):
+    def __init__(self, scene: Scene) -> None:
         self._first = self.tip = _own(scene)
         self._payloads, self._next, self.lost = scene.payloads, 0, 0.0
 
-    def copy(self):
+    def copy(self) -> TipLoad:
         """Return a copy as it is now."""
         return copy(self)
 
-    def reset(self, scene):
+    def reset(self, scene: Scene) -> bool:
         """Return to the end effector of a scene, and whether that is another one than now."""
         before, self.tip, self._next, self.lost = self.tip, _own(scene), 0, 0.0
         return self.tip != before
 
     @property
-    def next_step(self):
+    def next_step(self) -> float:
         """Number of the step at which the scene changes the load next; infinite: never."""
         return self._payloads[self._next][0] if self._next < len(self._payloads) else math.inf
 
-    def take_next(self):
+    def take_next(self) -> tuple[float, float]:
         """Return mass and inertia from `next_step` on, and go to the change after it."""
         self._next += 1
         return self._payloads[self._next - 1][1:]
 
-    def of_change(self, before, scene):
+    def of_change(self, before: Scene, scene: Scene) -> tuple[float, float]:
         """Return mass and inertia after a change of the scene: its own, if it changes them."""
         return self.tip if _own(scene) == _own(before) else _own(scene)
 
-    def add(self, tip):
+    def add(self, tip: tuple[float, float]) -> list[float] | None:
         """Set mass and inertia; return what is added of each, or None if nothing changes."""
         before, self.tip = self.tip, tip
         return None if tip == before else [now - then for now, then in zip(tip, before)]
 
-    def model(self, scene):
+    def model(self, scene: Scene) -> Formulation:
         """Return the formulation of a scene with this load."""
         mass, inertia = self._first
         return scene.build(replace(scene.manipulator, end_effector_mass=mass,
                                    end_effector_inertia=inertia), self.tip)
 
-    def picked_up(self, scene, model, motion, added):
+    def picked_up(self, scene: Scene, model: Formulation, motion: np.ndarray,
+                  added: Sequence[float]) -> np.ndarray:
         """Return the motion after mass and inertia are added."""
         taken = [max(change, 0.0) for change in added]
         if scene.values['end_effector.pick_up'] == 'at_rest' and any(taken):
@@ -290,7 +300,8 @@ class TipLoad:
         return motion
 
 
-def pieces(scene, steps, payloads):
+def pieces(scene: Scene, steps: np.ndarray,
+           payloads: Sequence[tuple[int, float, float]]) -> list[tuple[Formulation, slice]]:
     """
     Return the formulations of a run whose load at the tip changes, and their samples.
 

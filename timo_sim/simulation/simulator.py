@@ -8,6 +8,9 @@
 
 """The simulator: a scene advanced in time, with tables of loads, time steps and warnings."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 import math
 import threading
 from typing import Any
@@ -18,7 +21,7 @@ from timo_sim.compiled.cache import compiling, is_compiled, place_of
 from timo_sim.compiled.constants import of_any_size
 from timo_sim.model.layout import AFTER, Motion
 from timo_sim.scene.parameters import check_runtime, Parameter, steps_in
-from timo_sim.scene.scene import load_scene
+from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation import warnings
 from timo_sim.simulation.finer import finer, has_finer, parts_of, tip_distance
 from timo_sim.simulation.loads import Actuators, commanded_load, LoadTable, TipLoad
@@ -75,13 +78,14 @@ class Simulator:
 
     """
 
-    def __init__(self, scene, estimate=False, pack=None):
+    def __init__(self, scene: SceneLike, estimate: bool = False,
+                 pack: Callable | None = None) -> None:
         self.steps, self._warm, scene = 0, False, load_scene(scene)
         self._lock = threading.RLock()  # threads take turns; a diverged advance calls another
         self.tip_load, self._pack = TipLoad(scene), pack
         self._take(scene, scene.build())
         self._estimate = estimate and has_finer(scene)
-        self._finer = None
+        self._finer: Simulator | None = None
         self.reset()
 
     def _take(self, scene, model):
@@ -92,36 +96,37 @@ class Simulator:
         return f'<Simulator at t = {self.t:.6g} s (step {self.steps}) of {self.scene!r}>'
 
     @property
-    def t(self):
+    def t(self) -> float:
         """Sim time [s]."""
         return self.steps * self.scene.step
 
     @property
-    def nanoseconds(self):
+    def nanoseconds(self) -> int:
         """Sim time [ns]."""
         return round(self.steps * self.scene.step * 1e9)
 
     @property
-    def motion(self):
+    def motion(self) -> Motion:
         """The motion now, see `Motion`."""
         return Motion(self.integration.motion(self._state, self.load))
 
     @property
-    def sensors(self):
+    def sensors(self) -> Sensors:
         """What the sensors read now: encoder, root_strain, tip_acceleration, gyro."""
         return Sensors(self.snapshot(state=self._state.copy()))
 
     @property
-    def deflection(self):
+    def deflection(self) -> np.ndarray:
         """Deflection of the tip in the arm frame, axial and transverse, shape (2,) [m]."""
         return self.model.tip(self.motion.values)[:2] - [self.model.manipulator.arm.length, 0.0]
 
     @property
-    def effort(self):
+    def effort(self) -> np.ndarray:
         """Efforts of carrier x, y [N] and shaft [N m], shape (3,), see `Snapshot.effort`."""
         return np.array(self.snapshot().effort)
 
-    def snapshot(self, load=None, state=None):
+    def snapshot(self, load: list[float] | None = None,
+                 state: np.ndarray | None = None) -> Snapshot:
         """Return a Snapshot of now: valid until the next step, or longer with a kept state."""
         load = self.load.tolist() if load is None else load
         acts = (self.integration, self._state if state is None else state,
@@ -129,7 +134,7 @@ class Simulator:
         return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
                         load, acts)
 
-    def tip_acceleration(self):
+    def tip_acceleration(self) -> np.ndarray:
         """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
         return self.integration.tip_acceleration(self._state, self.integration.acting(self.load))
 
@@ -138,7 +143,7 @@ class Simulator:
         modes, half = self.model.reach[3:], len(self._state) // 2
         return np.abs(self._state[half - len(modes):half]) @ modes
 
-    def reset(self):
+    def reset(self) -> None:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
         with self._lock:
             self._reset()
@@ -163,7 +168,7 @@ class Simulator:
             self._parts = parts_of(self.scene)[0]
             self._finer = Simulator(finer(self.scene, self._parts), pack=of_any_size)
 
-    def change(self, scene):
+    def change(self, scene: Scene) -> None:
         """
         Go on with another scene: other loads, damping, viscous friction, limits or end effector.
 
@@ -198,7 +203,7 @@ class Simulator:
             motion = self.tip_load.picked_up(scene, self.model, motion, added)
             self._state = self.model.state(motion)
 
-    def warm_up(self, tell=None, messages=False):
+    def warm_up(self, tell: Callable[[str], None] | None = None, messages: bool = False) -> None:
         """
         Compile, or load from disk, the functions that `advance` calls.
 
@@ -232,9 +237,10 @@ class Simulator:
         duration : float, optional
             [s], a whole multiple of the time step; by default one step.
         **commands : float or sequence of float
-            On the shaft `torque` [N m]; on the carrier `force` and on the tip `tip_force`, world
-            x and y [N]; on the end effector `tip_torque` [N m]; at a DC motor `voltage` [V]; by
-            default 0. They are the inputs of `model.layout.INPUTS`.
+            On the shaft `torque` [N m]; on the carrier `force`, on the tip `tip_force` and on the
+            arm at `push.position` `push`, world x and y [N]; on the end effector `tip_torque`
+            [N m]; at a DC motor `voltage` [V]; by default 0. They are those of
+            `model.layout.INPUTS`.
 
         Returns
         -------
@@ -250,11 +256,12 @@ class Simulator:
             As `advance` does.
 
         """
-        commanded = commanded_load(self.scene.values['motor.dc.resistance'] > 0.0, **commands)
+        commanded = commanded_load(self.scene.values, **commands)
         self.advance(1 if duration is None else steps_in(duration, self.scene.step), commanded)
         return self.motion
 
-    def advance(self, count, commanded=None, sample_every=0):
+    def advance(self, count: int, commanded: np.ndarray | None = None,
+                sample_every: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """
         Advance by some steps.
 
@@ -340,13 +347,13 @@ class Simulator:
         return before
 
     @property
-    def estimated_error(self):
+    def estimated_error(self) -> float:
         """Estimated error of the tip so far [m]; NaN without `estimate`, or if it is not known."""
         with self._lock:
             self.measure_error()
             return self._error
 
-    def measure_error(self, most=_MOST_UNMEASURED):
+    def measure_error(self, most: int = _MOST_UNMEASURED) -> bool:
         """
         Advance the finer run, and measure how far apart the tips of both runs are.
 

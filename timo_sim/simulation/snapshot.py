@@ -8,12 +8,18 @@
 
 """The motion at one step, and what messages need of it: sensors, and forces of joints."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 from functools import cached_property, lru_cache, partial
 import math
+from typing import Any
 
 import numpy as np
 
+from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, place, rotate, TORQUE
+from timo_sim.scene.scene import Scene
 from timo_sim.steps.steps import Steps
 from timo_sim.topics.outputs import NANOSECONDS
 from timo_sim.topics.sensors import SENSORS
@@ -24,7 +30,7 @@ _FRICTION = [FORCE_X, FORCE_Y, TORQUE]  # columns of a load, by joint
 _STILL, _SWEEPS = 1e-7, 200
 
 
-def applied(loads, theta):
+def applied(loads: np.ndarray, theta: np.ndarray) -> np.ndarray:
     """Return carrier forces [N] and shaft torque [N m] of loads, (n, LOADS), shape (n, 3)."""
     x, y = rotate(theta, loads[:, FORCE_I], loads[:, FORCE_II])
     return np.column_stack([loads[:, FORCE_X] + x, loads[:, FORCE_Y] + y, loads[:, TORQUE]])
@@ -45,7 +51,8 @@ class Joints:
 
     """
 
-    def __init__(self, model, motions, accelerations, loads):
+    def __init__(self, model: Formulation, motions: np.ndarray, accelerations: np.ndarray,
+                 loads: np.ndarray) -> None:
         self._model, self._motions, self._loads = model, motions, loads
         self._accelerations = accelerations
         self._applied = applied(loads, motions[:, 2])
@@ -55,7 +62,7 @@ class Joints:
         return self._model.effort(self._motions, self._accelerations, self._loads)
 
     @property
-    def reactions(self):
+    def reactions(self) -> np.ndarray:
         """
         Force on the carrier, world axes [N], and torque on the shaft [N m] by constraints, (n, 3).
 
@@ -64,7 +71,7 @@ class Joints:
         return self._needed - self._applied
 
     @property
-    def root_moment(self):
+    def root_moment(self) -> np.ndarray:
         """Moment in the arm at its root, from the shaft's own balance (T43), shape (n,) [N m]."""
         model = self._model
         if model.constrained[2]:
@@ -74,25 +81,27 @@ class Joints:
         return model.manipulator.shaft_inertia * self._accelerations[:, 2] - torque
 
     @property
-    def root_strain(self):
+    def root_strain(self) -> np.ndarray:
         """Strain of the outer fibre at the root, axial strain included, shape (n,)."""
         return self._model.strain(self._motions, 0.0, self.root_moment)
 
 
-def accelerations_of(integration, state, load):
+def accelerations_of(integration: Steps, state: np.ndarray, load: np.ndarray) -> np.ndarray:
     """Return the accelerations of the coordinates of a state under a load, shape (3 + N,)."""
     before, after, half_time = integration.flow(state, load)
     return (after - before)[0, before.shape[1] // 2:] / (2.0 * half_time[0])
 
 
-def joints_of_state(integration, motion, state, load):
+def joints_of_state(integration: Steps, motion: np.ndarray, state: np.ndarray,
+                    load: np.ndarray) -> Joints:
     """Return the Joints of a motion, with its state, by `Steps` under a load that acts."""
     accelerations = accelerations_of(integration, state, load)
     return Joints(integration.model, motion[np.newaxis], accelerations[np.newaxis],
                   load[np.newaxis])
 
 
-def joints_of_run(scene, model, motions, loads):
+def joints_of_run(scene: Scene, model: Formulation, motions: np.ndarray,
+                  loads: np.ndarray) -> Joints:
     """
     Return the Joints of sampled motions of a scene.
 
@@ -153,7 +162,7 @@ class Sensors:
 
     """
 
-    def __init__(self, snapshot):
+    def __init__(self, snapshot: Snapshot) -> None:
         self._snapshot = snapshot
 
     def __dir__(self):
@@ -166,7 +175,8 @@ class Sensors:
         return axes[0] if len(axes) == 1 else np.array(axes)
 
 
-def reading(values, name, number, step, quantities):
+def reading(values: Mapping[str, Any], name: str, number: int, step: int,
+            quantities: Sequence[float]) -> tuple[float, ...]:
     """
     Return the reading of a sensor for the true quantities.
 
@@ -203,7 +213,7 @@ def reading(values, name, number, step, quantities):
     return tuple(result)
 
 
-def variance(values, name):
+def variance(values: Mapping[str, Any], name: str) -> float:
     """Return the variance of a sensor's reading, with a uniform error of rounding."""
     noise, resolution = (values[f'sensor.{name}.{kind}'] for kind in ('noise', 'resolution'))
     return noise**2 + resolution**2 / 12.0
@@ -252,25 +262,28 @@ class Snapshot:
 
     """
 
-    def __init__(self, scene, model, step, nanoseconds, motion, load, acts=None):
-        self._scene, self.model, self._load, self._acts = scene, model, load, acts
+    def __init__(self, scene: Scene, model: Formulation, step: int, nanoseconds: int,
+                 motion: np.ndarray, load: Sequence[float],
+                 acts: tuple[Steps, np.ndarray, np.ndarray] | None = None) -> None:
+        self._scene, self.model, self._load = scene, model, load
+        self._acts: Any = acts
         self.step, self.nanoseconds, self.motion = step, nanoseconds, motion
         self.time = divmod(nanoseconds, NANOSECONDS)
         self._values = motion.tolist()
         self._half = len(self._values) // 2
 
     @property
-    def joint_positions(self):
+    def joint_positions(self) -> list[float]:
         """Carrier x, y [m] and shaft angle [rad]."""
         return self._values[:3]
 
     @property
-    def joint_velocities(self):
+    def joint_velocities(self) -> list[float]:
         """Carrier x, y [m/s] and shaft speed [rad/s]."""
         return self._values[self._half:self._half + 3]
 
     @property
-    def modal_state(self):
+    def modal_state(self) -> list[float]:
         """Modal coordinates [m sqrt(kg)], then their rates [m sqrt(kg)/s]."""
         return self._values[3:self._half] + self._values[self._half + 3:]
 
@@ -280,7 +293,7 @@ class Snapshot:
         return joints_of_state(integration, self.motion, state, acting)
 
     @property
-    def effort(self):
+    def effort(self) -> tuple[float, ...]:
         """
         Forces on the carrier in world axes [N] and torque on the shaft [N m].
 
@@ -295,48 +308,48 @@ class Snapshot:
         return tuple(np.where(constrained, self._joints.reactions[0], effort).tolist())
 
     @cached_property
-    def tip(self):
+    def tip(self) -> list[float]:
         """Position of the tip in the arm frame [m], and its rotation from the shaft [rad]."""
         return self.model.tip(self.motion).tolist()
 
     @property
-    def root_strain(self):
+    def root_strain(self) -> float:
         """Strain of the outer fibre at the root."""
         return float(self._joints.root_strain[0])
 
     @property
-    def tip_turning(self):
+    def tip_turning(self) -> float:
         """Angular velocity of the end effector [rad/s]."""
         rotation = self.model.points.rotation[:, -1]
         return self._values[self._half + 2] + float(rotation @ self.motion[self._half + 3:])
 
     @property
-    def tip_acceleration(self):
+    def tip_acceleration(self) -> tuple[float, float]:
         """Specific force at the tip, acceleration less gravity, in its axes [m/s2]."""
         integration, state, acting = self._acts
         x, y = (integration.tip_acceleration(state, acting) - self.model.gravity).tolist()
         return rotate(-(self._values[2] + self.tip[2]), x, y)
 
-    def sensor(self, name):
+    def sensor(self, name: str) -> tuple[float, ...]:
         """Return what a sensor reads, a tuple of float, one for each axis."""
         number, sensor = _SENSORS[name]
         return reading(self._scene.values, name, number, self.step, sensor.quantities(self))
 
-    def variance(self, name):
+    def variance(self, name: str) -> float:
         """Return the variance of what a sensor reads, on each axis."""
         return variance(self._scene.values, name)
 
     @cached_property
-    def energy(self):
+    def energy(self) -> float:
         """Kinetic plus strain energy and the potential of gravity [J]."""
         return float(self.model.energy(self.motion[np.newaxis])[0])
 
     @property
-    def gravity(self):
+    def gravity(self) -> float:
         """Gravity in the plane of motion [m/s2]."""
         return math.hypot(*self.model.gravity)
 
     @property
-    def length(self):
+    def length(self) -> float:
         """Length of the arm [m]."""
         return self.model.manipulator.arm.length

@@ -8,8 +8,11 @@
 
 """The topics that carry the motion: one entry of `outputs` says everything about a topic."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
 import math
-from typing import Callable, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,7 +27,7 @@ _GRAVITY = 9.80665  # [m/s2]
 FRAMES = 'world', 'carrier', 'arm', 'tip'
 
 
-def title(topic):
+def title(topic: str) -> str:
     """Return the short name of a topic in columns and rates: tip_imu for ~/tip_imu/data_raw."""
     return topic.strip('~/').partition('/')[0]
 
@@ -82,27 +85,27 @@ class Output(NamedTuple):
     delay: str | None = None
     unlogged: Callable = lambda snapshot: ()
 
-    def content(self, snapshot, numbers):
+    def content(self, snapshot: Any, numbers: Sequence[float]) -> tuple[float, ...]:
         """Return `numbers` and those without a name, as many as the template has Numbers."""
         return (*numbers, *self.unlogged(snapshot))
 
     @property
-    def rate(self):
+    def rate(self) -> str:
         """Name of the parameter with the rate."""
         return f'rate.{title(self.name)}'
 
     @property
-    def columns(self):
+    def columns(self) -> tuple[str, ...]:
         """Names of the numbers, with units."""
         return columns(self.template)
 
     @property
-    def places(self):
+    def places(self) -> tuple[int, ...]:
         """Indices of the numbers among the float64 of a message."""
         return form(self.type_name, self.template).places[:len(self.columns)]
 
     @property
-    def texts(self):
+    def texts(self) -> Sequence[str]:
         """Texts of a message: the frame of the header, names of joints, ..."""
         return form(self.type_name, self.template).layout.texts
 
@@ -162,7 +165,7 @@ def _sensor_outputs():
                 'name': [joint], 'position': _numbers(*columns)}, delay)
 
 
-def outputs(modes):
+def outputs(modes: int) -> list[Output]:
     """Return the list of Outputs, the topics that carry the motion, for a number of modes."""
     names = [f'mode_{n + 1}' for n in range(modes)]
     modal = [Output('~/modal_state', 'sensor_msgs/msg/JointState',
@@ -203,7 +206,7 @@ TRANSFORMS = Output('/tf', 'tf2_msgs/msg/TFMessage', _transforms, {'transforms':
 ]})
 
 
-def in_frames(template, names):
+def in_frames(template: Any, names: Mapping[str, str]) -> Any:
     """Return a template with its frames renamed; `names` is a dictionary with keys of FRAMES."""
     if isinstance(template, dict):
         return {key: names.get(part, part) if key.endswith('frame_id') else in_frames(part, names)
@@ -212,7 +215,8 @@ def in_frames(template, names):
         template, list) else template
 
 
-def with_angles(columns, values):
+def with_angles(columns: tuple[str, ...],
+                values: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
     """
     Return columns, a tuple of str, and values (n, k) with an angle in place of an orientation.
 
