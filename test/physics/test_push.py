@@ -28,24 +28,25 @@ def pushed(name, x=0.0, y=FORCE):
 def test_a_clamped_arm_bends_as_a_beam_under_a_point_load(formulation):
     """Its tip: w = F a^2 (3 l - a) / (6 E I) + F a / (kappa G A), phi = F a^2 / (2 E I)."""
     errors = []
-    for modes in (4, 8):
+    for modes in (3, 8):
         scene = timo_sim.load_scene({
             'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0,
             'model.formulation': formulation, 'model.modes': modes, 'push.position': PLACE,
-            'initial.equilibrium': True, **pushed('push', y=1e-3)})
+            'initial.equilibrium': True, **pushed('push')})
         model, section = scene.build(), scene.manipulator.arm.section
         _, across, rotation = model.tip(scene.initial_motion())
-        bent = 1e-3 * PLACE**2 / (2.0 * section.bending_stiffness)
-        sheared = 1e-3 * PLACE / section.shear_stiffness
+        bent = FORCE * PLACE**2 / (2.0 * section.bending_stiffness)
+        sheared = FORCE * PLACE / section.shear_stiffness
         errors.append([across / (bent * (LENGTH - PLACE / 3.0) + sheared) - 1.0,
                        rotation / bent - 1.0])
-    # The series of the tip's deflection by a force within the arm falls as 1/n^4, or faster.
+    # Measured: 9e-4 with three modes, 3e-6 with eight.
     assert np.abs(errors[1]).max() < 1e-5
     assert np.abs(errors[1]).max() < 0.1 * np.abs(errors[0]).max()
 
 
 @pytest.mark.parametrize('values', [
-    {}, {'model.axial_modes': 1, 'carrier.held': 'y', 'integrator.step': 2e-4}], ids=str)
+    {}, {'model.axial_modes': 1, 'carrier.held': 'y', 'integrator.step': 2e-4,
+         'initial.modal_rates': [0.5, 0.1, 0.0, 0.0]}], ids=str)
 def test_the_energy_grows_by_the_work_of_the_push(values):
     """A constant force in world axes does the work F times the way of its point."""
     scene = timo_sim.load_scene({
@@ -61,8 +62,8 @@ def test_the_energy_grows_by_the_work_of_the_push(values):
 @pytest.mark.parametrize('values', [
     {}, {'model.formulation': 'newton'}, {'carrier.held': 'x'},
     {'model.formulation': 'newton', 'carrier.held': 'y', 'gravity': [0.0, -9.81]},
-    {'carrier.held': 'both', 'motor.shaft': 'locked', 'model.axial_modes': 1,
-     'initial.shaft_velocity': 0.0}], ids=str)
+    {'carrier.held': 'y', 'model.axial_modes': 1, 'initial.modal_rates': [0.5, 0.1, 0.0, 0.0]}],
+    ids=str)
 def test_at_the_tip_it_is_a_force_on_the_tip(values):
     """Motions, efforts, strain at the root as sensor and in fits, and linear models."""
     values = {**MOVING, 'push.position': LENGTH, **values}
@@ -92,7 +93,7 @@ def test_commands_push_as_loads_do_also_in_a_batch():
 
 
 @pytest.mark.parametrize('values, words', [
-    (pushed('push'), 'load.push_y.piecewise.time needs push.position > 0, got 0'),
+    (pushed('push'), 'load.push_x.piecewise.time needs push.position > 0, got 0'),
     ({'push.position': 2.5}, 'push.position must be at most arm.length = 2 m, got 2.5'),
     ({'push.position': 1.0, 'model.formulation': 'newton_root_stress'},
      'push.position must be 0 with model.formulation = newton_root_stress')], ids=str)
