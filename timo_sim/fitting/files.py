@@ -240,7 +240,7 @@ def _number(text):
 
 
 _COLUMNS = {**CHANNELS, 'voltage': VOLTAGE}
-# By output, the topics and columns that show it, the first that a log has; sensors have noise.
+# Sensors by topic. An output of a log is the first of its topics and columns that the log has.
 _SENSORS = {'~/encoder': 'encoder', '~/root_strain': 'root_strain',
             '~/tip_imu/data_raw': 'tip_acceleration'}
 _OUTPUTS = {
