@@ -136,7 +136,7 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
         pickle.dumps(variations)
     except (AttributeError, TypeError, pickle.PicklingError) as error:
         raise ParameterError(f'variations must be picklable: {error}') from None
-    # Columns are in order of appearance. An unknown name has none; the `reason` of its row names it.
+    # Columns are in order of appearance. An unknown name has none, and is in a row's `reason`.
     names = [name for name in {name: None for each in variations for name in flatten(each)}
              if name in PARAMETERS and PARAMETERS[name].scope == SCENE]
     jobs = jobs_of(load_scene(scene), duration, len(variations), variations, names)
