@@ -210,7 +210,8 @@ def _draw(fit):
     """Return a Figure of a Fit; the part of the record that was held out is shaded."""
     with optional():
         from matplotlib.figure import Figure
-    from timo_sim.view.plot import COLOURS
+
+        from timo_sim.view.plot import COLOURS
     record = fit.record
     rows = [*record.inputs, *record.outputs]
     figure = Figure(figsize=(12, 1.0 + 2.2 * len(rows)), layout='constrained')
