@@ -317,8 +317,8 @@ BAD_ARGUMENTS = [
 
 
 def test_bad_arguments_of_the_command(tmp_path):
+    timo_sim.simulate('paper', 1.0, sample_every=10).save(tmp_path / 'run.csv')
     for arguments, message in BAD_ARGUMENTS:
-        timo_sim.simulate('paper', 1.0, sample_every=10).save(tmp_path / 'run.csv')
         done = CliRunner().invoke(main, ['fit', str(tmp_path / 'run.csv'), *arguments])
         assert done.exit_code == 2 and message in ' '.join(done.output.split())
         assert len(done.output.splitlines()) == 1

@@ -11,7 +11,6 @@
 from collections import Counter
 import csv
 import json
-import math
 import os
 from pathlib import Path
 import random
@@ -40,18 +39,16 @@ from timo_sim.cli import main
 from timo_sim.log import read
 from timo_sim.log.export import table
 from timo_sim.log.info import info
-from timo_sim.log.notes import CHANGE, START
+from timo_sim.log.notes import START
 from timo_sim.log.read import LogError, LogFile, recover
 from timo_sim.log.tables import common, Recording
 from timo_sim.log.write import Channel, Recorder
-from timo_sim.runs.replay import replay
 from timo_sim.topics.cdr import Serializer
 from timo_sim.topics.commands import COMMANDS
 from timo_sim.topics.outputs import outputs
 
 LIES = 150
 STORE = get_typestore(Stores.ROS2_JAZZY)
-OLD_LOG = Path(__file__).parents[1] / 'data' / 'log_0_1_0.mcap'
 
 
 @pytest.fixture(scope='module')
@@ -99,47 +96,6 @@ def call(*arguments, code=0):
 def numbers(message):
     """Return the columns of a joint state that another reader has decoded."""
     return [*message.position, *message.velocity, *message.effort]
-
-
-def test_a_log_of_version_0_1_has_its_parameters_by_present_name():
-    recording = Recording(OLD_LOG)
-    assert recording.facts['timo_sim'] == '0.1.0'
-    assert 'motor.dc.gear"' in recording.facts['changed']
-    values = recording.scene.values
-    assert values['motor.dc.gear_ratio'] == 3.0 and values['motor.torque_rate_limit'] == 5.0
-    assert values['motor.torque_limit'] == math.inf
-    assert recording.parameters['steps_per_call'] == 1
-
-
-def test_a_log_of_version_0_1_is_replayed(tmp_path, monkeypatch):
-    """To the last bit on the machine that made it; others round differently."""
-    monkeypatch.chdir(tmp_path)
-    lines = []
-    good = replay(OLD_LOG, show=lines.append)
-    if not good:
-        assert 'differ' in lines[1] and 'logged with' in lines[-1]
-    old, new = timo_sim.open_log(OLD_LOG), Recording(OLD_LOG).scene
-    again = timo_sim.simulate(new.vary({'motor.dc.resistance': 0.0}), 0.1)
-    assert again.motion.shape[1] == old.motion.shape[1]
-
-
-def test_limits_of_0_in_a_log_of_version_0_1_are_none(tmp_path):
-    """Two parameters had other names, and a limit of 0 meant no limit."""
-    recorder = Recorder(tmp_path / 'old.mcap', [
-        Channel('/timo_sim/motor_torque', 'std_msgs/msg/Float64')], {START: {
-            'node': '/timo_sim', 'changed': '{}', 'parameters': json.dumps({
-                'motor.dc.resistance': 0.5, 'motor.dc.torque_constant': 0.06,
-                'motor.dc.gear': 3.0, 'motor.dc.voltage_limit': 0.0, 'motor.torque_limit': 0.0,
-                'carrier.force_limit': 100.0, 'step_count': 7})}})
-    recorder.note(CHANGE, {'step': '5', 'values': '{"carrier.force_limit": 0.0}'})
-    recorder.close()
-    recording = Recording(tmp_path / 'old.mcap')
-    found = recording.scene.values
-    assert found['motor.dc.gear_ratio'] == 3.0 and found['carrier.force_limit'] == 100.0
-    assert found['motor.torque_limit'] == found['motor.dc.voltage_limit'] == np.inf
-    assert recording.parameters['steps_per_call'] == 7
-    (step, _, values), = recording.changes
-    assert step == 5 and values == {'carrier.force_limit': np.inf}
 
 
 def test_an_imu_of_an_older_log_or_bag_gets_its_present_name(tmp_path):

@@ -214,7 +214,7 @@ class Sampled(Term):
                  delay: float = 0.0, shift: float = 0.0) -> None:
         t, values = channel.t + (delay - shift), gain * channel.values + bias
         self._t, self._values, self._holds = t, values, channel.hold == 'zero'
-        # The integral from the first sample on, before which its value holds.
+        # The integral begins at the first sample, before which its value holds.
         self._integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
 
     def stages(self, first: int, count: int, step: float) -> np.ndarray:

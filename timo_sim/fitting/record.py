@@ -46,7 +46,8 @@ def _place(run, axis):
 
 
 def _rate(run, values):
-    # Of a spline through the samples: a run has thousands, and no friction needs to be known.
+    # A spline through the samples is differentiated: a run has thousands, and its friction need
+    # not be known.
     return CubicSpline(run.t, values).derivative()(run.t) if len(run.t) > 3 else np.gradient(
         values, run.t, axis=0)
 
@@ -125,7 +126,7 @@ def unit_of(name: str) -> str:
 
 
 HOLDS = 'zero', 'linear'
-# Of values, and of noise in parts of them: squares of residuals stay finite.
+# Limits of values, and of noise relative to them, that keep squares of residuals finite.
 _LARGEST, _LEAST_NOISE = 1e100, 1e-12
 _FEWEST = 20  # samples of an output, or of a drive
 
@@ -284,7 +285,7 @@ def _check_count(name, count, is_output, place):
 def _checked(name, channel, source, is_output):
     t, values, *more = channel
     try:
-        # As numbers complex values would lose a part, and stamps their unit.
+        # Converted to floats, complex values would lose a part, and stamps their unit.
         good = not any(np.asarray(each).dtype.kind in 'cmM' for each in (t, values))
         t, values = (np.array(each if good else [], dtype=float) for each in (t, values))
         good = good and t.ndim == 1 and t.shape == values.shape

@@ -154,7 +154,7 @@ def r_squared(measured: np.ndarray, predicted: np.ndarray) -> float:
 
 
 LOSSES = 'linear', 'soft_l1', 'huber', 'cauchy'
-# Steps of differences in coordinates of the fit: of a search, and two for the intervals.
+# Steps of differences in coordinates of the fit: one for the search, two for the intervals.
 _FORWARD, _CENTRAL, _WIDE = 1e-6, 3e-4, 1e-3
 _ROUGH = 0.3         # relative difference of derivatives by two steps, above which a run jumps
 _FIRST = 0.25        # part of the record that is fitted first: early, runs are closer to it

@@ -319,7 +319,7 @@ def _resets_of_bag(motions, scene):
 
 
 def _steps_of(steps, recording, scene):
-    # Steps of a recording, converted to those of a scene.
+    """Return steps of a recording in steps of a scene, rounded up."""
     ratio = recording.scene.step / scene.step
     return np.ceil(np.asarray(steps) * ratio - _ROUNDING).astype(int)
 

@@ -300,7 +300,7 @@ class Run(MotionFields):
         show_tracks([lambda: track_of_run(self)], web=web)
 
     def _outputs(self):
-        # Topics that follow from the motion alone; sensors need the simulator.
+        # These topics follow from the motion alone; sensors need the simulator.
         return [output for output in outputs(self.scene.modal_count)
                 if output.columns and not output.delay]
 

@@ -95,7 +95,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
 
 
 def _parts_of_samples(steps, sample_every):
-    # Between two samples of a short run, further ones are taken to compare it with a finer one.
+    """Return by how much samples are closer in a short run, so that enough are compared."""
     parts = -(-_LEAST_COMPARED * sample_every // max(1, steps))
     return next(k for k in range(min(parts, sample_every), sample_every + 1)
                 if sample_every % k == 0)

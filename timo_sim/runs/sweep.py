@@ -136,7 +136,7 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
         pickle.dumps(variations)
     except (AttributeError, TypeError, pickle.PicklingError) as error:
         raise ParameterError(f'variations must be picklable: {error}') from None
-    # In order of appearance. An unknown name has no column; the `reason` of its row names it.
+    # Columns are in order of appearance. An unknown name has none, and is in a row's `reason`.
     names = [name for name in {name: None for each in variations for name in flatten(each)}
              if name in PARAMETERS and PARAMETERS[name].scope == SCENE]
     jobs = jobs_of(load_scene(scene), duration, len(variations), variations, names)
@@ -278,7 +278,7 @@ def _cells(parameter, values):
 
 
 def _summary(run):
-    # The numbers of `SUMMARY`.
+    """Return the numbers of `SUMMARY` for a run."""
     tip = run.model.tip_point
     deflection = run.model.centre_line(run.q, tip)[:, 0, 1]
     rotation = run.model.section_rotation(run.q, tip)[:, 0]
@@ -290,7 +290,7 @@ def _summary(run):
 
 
 def _summaries(runs, steps):
-    # The numbers of `SUMMARY` for each of some runs that were done together.
+    """Return the numbers of `SUMMARY` for each of some LaneRuns, shape (n, columns)."""
     return np.column_stack([
         runs.peak, runs.peak_time, np.sqrt(runs.squares / (steps + 1)),
         runs.deflection, runs.rotation, runs.motion[:, :3], np.full(len(runs.peak), np.nan)])

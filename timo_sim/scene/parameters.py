@@ -127,7 +127,7 @@ class Parameter:
 def warn(text: str) -> None:
     """Give a ModelWarning whose place is the caller's line outside of this package."""
     level, frame = 1, sys._getframe()
-    # functools, because it calls the functions of cached properties.
+    # functools is skipped, too, because it calls the functions of cached properties.
     while frame.f_back and frame.f_globals.get('__name__', '').partition('.')[0] in (
             'timo_sim', 'functools'):
         level, frame = level + 1, frame.f_back

@@ -338,7 +338,7 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
 
 
 def _smooth_coulomb(values, body):
-    # Coulomb friction without a speed is dry: joints stick.
+    # Coulomb friction without a speed is dry: joints stick, and the bodies do not know it.
     speed = values[f'{body}.coulomb_speed']
     return (values[f'{body}.coulomb_friction'], speed) if speed else (0.0, 1.0)
 
