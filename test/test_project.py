@@ -285,7 +285,7 @@ for use in (lambda: run.plot(), lambda: run.view(), lambda: run.to_pandas(),
     (tmp_path / 'in.parquet').touch()
     assert python('-W', 'ignore', '-c', code, cwd=tmp_path).splitlines() == [
         f"{package} is missing: pip install 'timo_sim[{extra}]'" for package, extra in (
-            ('matplotlib', 'plot'), ('rerun_cli', 'view'), ('pandas', 'pandas'),
+            ('matplotlib', 'plot'), ('rerun', 'view'), ('pandas', 'pandas'),
             ('pyarrow', 'sweep'), ('control', 'control'), ('pyarrow', 'sweep'),
             ('gymnasium', 'rl'), ('distributed', 'cluster'))]
     assert [*tmp_path.iterdir()] == [tmp_path / 'in.parquet']
