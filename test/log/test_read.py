@@ -12,7 +12,6 @@ from collections import Counter
 import csv
 import json
 import os
-from pathlib import Path
 import random
 import re
 import shutil

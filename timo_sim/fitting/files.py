@@ -241,7 +241,7 @@ def _number(text):
 
 
 _COLUMNS = {each.name: column for column, each in enumerate(INPUTS) if each.argument}
-# The topics and columns that show an output; the first one that a log has is read. Sensors have noise.
+# The topics and columns that show an output, of which the first that a log has is read.
 _OUTPUTS = {
     'shaft': [('joint_states', 'shaft_rad')],
     'carrier_x': [('joint_states', 'carrier_x_m')],

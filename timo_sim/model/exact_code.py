@@ -77,15 +77,6 @@ _TURNING = TurningTables, PUSHED[TurningTables]
 _RATED = RateTables, PUSHED[RateTables], *_TURNING
 _ALL = Tables, PUSHED[Tables], *_RATED
 
-# Constants for a force on the arm, PUSH_X and PUSH_Y of a load. In addition:
-# - push: from nodal values to their integral from the root to where it acts, (n_g,).
-PUSHED: dict[type, Any] = {
-    kind: namedtuple(f'Pushed{kind.__name__}', (*kind._fields, 'push'))
-    for kind in (Tables, RateTables, TurningTables)}
-_TURNING = TurningTables, PUSHED[TurningTables]
-_RATED = RateTables, PUSHED[RateTables], *_TURNING
-_ALL = Tables, PUSHED[Tables], *_RATED
-
 
 # Slopes of the centre line and their derivatives, (T22) to (T24).
 
