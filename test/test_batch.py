@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.model.layout import FORCE_Y, TIP_X, TORQUE, VOLTAGE
+from timo_sim.model.layout import FORCE_Y, LOADS, TIP_X, TORQUE, VOLTAGE
 
 HELD = {'carrier.held': 'both'}
 MOTOR = {'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5, 'motor.dc.gear_ratio': 3.0,
@@ -48,8 +48,8 @@ def scene_of(name, formulation, **more):
 
 
 def commands(scene, lanes, random):
-    """Return commands of some lanes that suit a scene, (lanes, 14)."""
-    load = np.zeros((lanes, 14))
+    """Return commands of some lanes that suit a scene, (lanes, LOADS)."""
+    load = np.zeros((lanes, LOADS))
     load[:, TORQUE], load[:, FORCE_Y], load[:, TIP_X] = random.normal(
         0.0, [[20.0], [40.0], [5.0]], (3, lanes))
     if scene.values['motor.dc.resistance']:

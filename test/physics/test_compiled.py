@@ -26,6 +26,7 @@ from timo_sim.compiled import cache
 from timo_sim.compiled.cache import is_compiled, lock, size_mark, store_directory
 from timo_sim.compiled.functions import entry_point, FASTMATH
 from timo_sim.model.functions import rate_once, sincos, tanh
+from timo_sim.model.layout import LOADS
 from timo_sim.simulation.loads import LoadTable
 from timo_sim.simulation.simulator import Simulator
 
@@ -98,9 +99,9 @@ def test_loads_and_states_of_other_shapes_are_refused(values):
     def advance(state, load, shape):
         return steps.advance(state, load, np.zeros((1, *shape)), 0, 0, *steps.samples(0, 0))
 
-    assert advance(state, load, (4, 14)) == 1
-    for wrong in ((state, load, (4, 8)), (state, load, (3, 14)), (state, load[:8].copy(), (4, 14)),
-                  (state[:-2].copy(), load, (4, 14))):
+    assert advance(state, load, (4, LOADS)) == 1
+    for wrong in ((state, load, (4, 8)), (state, load, (3, LOADS)),
+                  (state, load[:8].copy(), (4, LOADS)), (state[:-2].copy(), load, (4, LOADS))):
         with pytest.raises(ValueError, match='a step takes a state of its model'):
             advance(*wrong)
 

@@ -14,6 +14,7 @@ import pytest
 from oracles import elastica, references, spectral_elements
 import timo_sim
 from timo_sim.model import FORMULATIONS
+from timo_sim.model.layout import LOADS
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.topics.outputs import outputs
 
@@ -144,7 +145,7 @@ def test_a_model_about_an_equilibrium_is_a_small_motion():
     model = timo_sim.linearize(scene).select(['torque_N_m']).to_discrete(scene.step)
     simulator, x = Simulator(scene), np.zeros(len(model.A))
     start = scene.initial_motion()
-    small = np.zeros(14)
+    small = np.zeros(LOADS)
     small[4] = 1e-3
     simulator.warm_up()
     for _ in range(400):
@@ -210,12 +211,12 @@ def test_the_sag_that_modes_leave_out_is_estimated():
 def test_the_axial_force_that_newton_leaves_out_is_that_of_an_accelerated_carrier():
     held = timo_sim.load_scene({**HANGING, 'model.formulation': 'newton'}).build()
     pushed = timo_sim.load_scene({'model.formulation': 'newton', 'initial.shaft': -np.pi / 2})
-    pushed, load = pushed.build(), np.zeros(14)
+    pushed, load = pushed.build(), np.zeros(LOADS)
     load[1] = pushed.mass * G
     motion = np.zeros(held.size)
     motion[2] = -np.pi / 2
     share = pushed.axial_share(pushed.state(motion), load)
-    assert held.axial_share(held.state(motion), np.zeros(14)) == pytest.approx(share, rel=1e-9)
+    assert held.axial_share(held.state(motion), np.zeros(LOADS)) == pytest.approx(share, rel=1e-9)
     assert share > 0.04
 
 
