@@ -51,7 +51,7 @@ def pytest_collection():
 LONGEST = [f'test_{name}.py' for name in (
     'project examples equations accuracy sync stress storm node batch stretch compiled tutorial '
     'sweep_command estimated_error same_bits smooth_friction recover formulations payload '
-    'ros2_control log fit lock_step friction start gravity view sensitivities sweep '
+    'ros2_control fit lock_step friction start gravity view sensitivities sweep '
     'one_axis_held fit_statistics parameters peers looking step_control').split()]
 
 
