@@ -225,7 +225,8 @@ class Sampled(Term):
         values = np.interp(at, self._t, self._values)
         return np.column_stack([values[:-2:2], values[1::2], values[2::2]])
 
-    def parabolas(self, first: int, count: int, step: float) -> np.ndarray:
+    def parabolas(self, first: int, count: int,
+                  step: float) -> tuple[np.ndarray, np.ndarray]:
         if self._holds:
             return super().parabolas(first, count, step)
         return parabolas(lambda at: np.interp(at * step, self._t, self._values),

@@ -8,17 +8,23 @@
 
 """The node's publishers, its subscriptions to commands, and its log."""
 
+from collections.abc import Sequence
 from datetime import datetime
 from importlib import import_module
 import math
 import os
+from pathlib import Path
 import time
 
+import numpy as np
 from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.subscription import Subscription
 
 from timo_sim.log.notes import names_note, START, SUMMARY
 from timo_sim.log.write import Channel, Recorder
+from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.topics.cdr import Serializer
 from timo_sim.topics.commands import COMMANDS, GROUPS, JOINTS, LARGEST, Refused
 from timo_sim.topics.outputs import in_frames, NANOSECONDS
@@ -26,13 +32,13 @@ from timo_sim.topics.outputs import in_frames, NANOSECONDS
 _NEW = 10.0  # [s] of wall time in which a new subscriber discovers the publisher, too
 
 
-def message_class(type_name):
+def message_class(type_name: str) -> type:
     """Return the class of messages of a type, named as in 'sensor_msgs/msg/JointState'."""
     package, _, name = type_name.split('/')
     return getattr(import_module(f'{package}.msg'), name)
 
 
-def channel_of(endpoint, type_name, name):
+def channel_of(endpoint: Publisher | Subscription, type_name: str, name: str) -> Channel:
     """Return the channel of a publisher or subscription in the log, with the QoS that acts."""
     qos = endpoint.qos_profile
     return Channel(endpoint.topic_name, type_name, name, qos.depth, qos.reliability.name.lower())
@@ -74,21 +80,21 @@ class Outlet:
         if event.total_count_change:
             self._joined = time.monotonic()
 
-    def watched_anew(self, now):
+    def watched_anew(self, now: float) -> bool:
         """Return whether somebody has subscribed shortly before a wall time [s]."""
         return self.subscribed and now < self._joined + _NEW
 
-    def look(self):
+    def look(self) -> None:
         """Ask the middleware whether anybody subscribes; this is also done at every change."""
         self.subscribed = self._publisher.get_subscription_count() > 0
 
     @property
-    def wanted(self):
+    def wanted(self) -> bool:
         """Whether a message would reach a subscriber or the log."""
         return self.subscribed or (
             self.asks and self.recorder is not None and self.recorder.error is None)
 
-    def send(self, data, step, nanoseconds, again=False):
+    def send(self, data: bytes, step: int, nanoseconds: int, again: bool = False) -> None:
         """
         Send a serialised message to subscribers and log; with `again` to subscribers alone.
 
@@ -113,7 +119,7 @@ class MotionOutlet(Outlet):
         self._output, self.rate = output, output.rate
         self.name, self.every, self.watch = output.name, 1, None
 
-    def publish(self, snapshot, again=False):
+    def publish(self, snapshot: Snapshot, again: bool = False) -> None:
         """Send the message of a snapshot."""
         numbers, data = self._message(snapshot)
         self.send(data, snapshot.step, snapshot.nanoseconds, again)
@@ -136,22 +142,22 @@ class LateOutlet(MotionOutlet):
         super().__init__(node, output, frames)
         self._delay, self._under_way = delay, {}
 
-    def publish(self, snapshot, again=False):
+    def publish(self, snapshot: Snapshot, again: bool = False) -> None:
         """Measure; measuring the same step again replaces the earlier measurement."""
         self._under_way[snapshot.step] = self._message(snapshot)[1]
 
     @property
-    def arrival(self):
+    def arrival(self) -> float:
         """The step at which the next message is due, or infinity."""
         return next(iter(self._under_way), math.inf) + self._delay
 
-    def deliver(self, step, nanoseconds):
+    def deliver(self, step: int, nanoseconds: int) -> None:
         """Send the messages that are due until a step, at this sim time [ns]."""
         while self.arrival <= step:
             measured = next(iter(self._under_way))
             self.send(self._under_way.pop(measured), measured, nanoseconds)
 
-    def drop(self):
+    def drop(self) -> None:
         """Drop the messages that are not due yet."""
         self._under_way.clear()
 
@@ -247,7 +253,7 @@ class Inlet:
         except RuntimeError:  # rclpy's error for bytes that are no such message
             raise Refused(f'it is not a serialised {self.command.type_name}') from None
 
-    def poll(self, answered):
+    def poll(self, answered: int | None) -> bool:
         """Receive what has arrived, see `Commands.poll`; return whether a command is in it."""
         handle, received = self._subscription.handle, False
         with handle:
@@ -286,25 +292,25 @@ class Commands:
         self._followed = {}
 
     @property
-    def refused(self):
+    def refused(self) -> int:
         """Number of commands refused."""
         return sum(inlet.refused for inlet in self._inlets)
 
     @property
-    def mismatched(self):
+    def mismatched(self) -> int:
         """Number of commands dropped in lock step, because they answer another state."""
         return sum(inlet.mismatched for inlet in self._inlets)
 
     @property
-    def foreign(self):
+    def foreign(self) -> int:
         """Number of names in commands that are no joints here."""
         return sum(inlet.foreign for inlet in self._inlets)
 
-    def expected(self):
+    def expected(self) -> bool:
         """Return whether anybody publishes commands."""
         return any(inlet.publishers() for inlet in self._inlets)
 
-    def poll(self, answered):
+    def poll(self, answered: int | None) -> None:
         """
         Receive what has arrived.
 
@@ -314,7 +320,8 @@ class Commands:
         for inlet in self._inlets:
             self.received |= inlet.poll(answered)
 
-    def apply(self, step, timeout_steps, commanded):
+    def apply(self, step: int, timeout_steps: float,
+              commanded: np.ndarray) -> list[tuple[int, bytes]]:
         """
         Let pending commands act from this step on, and set inputs to zero that have timed out.
 
@@ -343,12 +350,12 @@ class Commands:
                     started.append((index, serialize_message(self._inlets[index].type())))
         return started
 
-    def end(self, timeout_steps):
+    def end(self, timeout_steps: float) -> list[float]:
         """Return the list of steps at which inputs will time out."""
         return [since + timeout_steps for _, since in self._followed.values()
                 ] if timeout_steps else []
 
-    def clear(self, commanded):
+    def clear(self, commanded: np.ndarray) -> None:
         """Set all commanded values, (COMMANDED,), to zero and drop pending commands."""
         commanded[:] = 0.0
         self._followed, self.received = {}, False
@@ -368,11 +375,12 @@ class RunLog:
         self._logger, self._recorder, self.error = logger, None, None
 
     @property
-    def path(self):
+    def path(self) -> Path | None:
         """Path of the log, or None without one."""
         return self._recorder and self._recorder.path
 
-    def open(self, path, channels, outlets, note):
+    def open(self, path: str, channels: list[Channel], outlets: Sequence[Outlet],
+             note: dict[str, str]) -> None:
         """
         Begin a log with a note, a dictionary; without a path its name has date and time.
 
@@ -391,24 +399,24 @@ class RunLog:
         for index, outlet in enumerate(outlets, start=len(channels)):
             outlet.recorder, outlet.index = self._recorder, index
 
-    def write(self, index, step, nanoseconds, data):
+    def write(self, index: int, step: int, nanoseconds: int, data: bytes) -> None:
         """Log a serialised message of the channel with this index, at a sim time [ns]."""
         if self._recorder is not None:
             self._recorder.write(index, step, nanoseconds, data)
 
-    def note(self, name, values):
+    def note(self, name: str, values: dict[str, str]) -> None:
         """Log a metadata record: a name, and a dictionary of str."""
         if self._recorder is not None:
             self._recorder.note(name, values)
 
-    def look(self):
+    def look(self) -> None:
         """Ask the recorder whether the log has ended early or was moved."""
         if self._recorder is not None:
             error = self._recorder.error and f'the log ends early: {self._recorder.error}'
             if (error or self._recorder.warning) not in (None, self.error):
                 self._fail(error or self._recorder.warning)
 
-    def close(self, summary):
+    def close(self, summary: dict[str, str]) -> None:
         """End the log with a summary of the run, a dictionary of str."""
         if self._recorder is not None:
             self._recorder.note(SUMMARY, summary)

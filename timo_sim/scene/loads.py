@@ -16,6 +16,7 @@ the boundary of two steps, each step sees its own side; a jump inside a step is 
 has a kink inside a step, the step sees the parabola with the same moments, see below.
 """
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import functools
 from functools import cache
@@ -23,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from timo_sim.model.bodies import Constraints
 from timo_sim.model.layout import (
     ACCELERATION, AFTER, ANGLE, INPUTS, LOADS, STAGES, STEP_LOADS)
 from timo_sim.scene.parameters import ParameterError
@@ -43,13 +45,14 @@ _gauss = cache(np.polynomial.legendre.leggauss)
 NEAR = 1e-6  # [steps] distance from a step boundary within which a position counts as on it
 
 
-def on_boundaries(position):
+def on_boundaries(position: np.ndarray) -> np.ndarray:
     """Return positions, counted in steps, with those near a step boundary moved onto it."""
     whole = np.rint(position)
     return np.where(np.abs(position - whole) <= NEAR, whole, position)
 
 
-def parabolas(function, breaks, degree, first, count):
+def parabolas(function: Callable[[np.ndarray], np.ndarray], breaks: np.ndarray, degree: int,
+              first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """
     Return the parabolas that replace a piecewise polynomial in steps with a break inside.
 
@@ -130,11 +133,12 @@ class Term:
     have a kink inside, and what replaces their stages, see `parabolas`.
     """
 
-    def jumps(self):
+    def jumps(self) -> Sequence[float]:
         return ()
 
-    def parabolas(self, first, count, step):
-        return (), None
+    def parabolas(self, first: int, count: int,
+                  step: float) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros(0, dtype=int), np.zeros((0, STAGES))
 
 
 @dataclass(frozen=True)
@@ -145,7 +149,7 @@ class Harmonic(Term):
     frequency: float
     phase: float
 
-    def stages(self, first, count, step):
+    def stages(self, first: int, count: int, step: float) -> np.ndarray:
         return self.amplitude * _wave(self.frequency, self.phase, first, count, step)
 
 
@@ -156,7 +160,7 @@ class Piecewise(Term):
     time: tuple
     value: tuple
 
-    def jumps(self):
+    def jumps(self) -> Sequence[float]:
         return self.time
 
     @functools.cached_property
@@ -170,7 +174,7 @@ class Piecewise(Term):
         end = np.searchsorted(time, (first + count + 1) * step, side='right')
         return begin, np.rint(time[begin:end] / step)
 
-    def stages(self, first, count, step):
+    def stages(self, first: int, count: int, step: float) -> np.ndarray:
         begin, jumps = self._jumps(first, count, step)
         edges = np.concatenate([[first], jumps, [first + count]]).clip(first, first + count)
         values = self._points[1][begin:begin + len(jumps) + 1]
@@ -184,7 +188,7 @@ class Table(Term):
     time: tuple
     value: tuple
 
-    def jumps(self):
+    def jumps(self) -> Sequence[float]:
         return tuple(a for a, b in zip(self.time, self.time[1:]) if a == b)
 
     @functools.cached_property
@@ -200,7 +204,7 @@ class Table(Term):
         # Knots near a step boundary are put exactly on it, so that `stages` finds the right side.
         return np.where(position == np.rint(position), position * step, time[part]), value[part]
 
-    def stages(self, first, count, step):
+    def stages(self, first: int, count: int, step: float) -> np.ndarray:
         times = _of_stages(_instants(first, count, step))
         knots, value = self._pieces(first, count, step)
         right = np.stack([np.searchsorted(knots, times[:, 0], side='right'),
@@ -211,7 +215,8 @@ class Table(Term):
         share = np.where(span > 0.0, (times - knots[low]) / np.where(span > 0.0, span, 1.0), 0.0)
         return value[low] + share * (value[high] - value[low])
 
-    def parabolas(self, first, count, step):
+    def parabolas(self, first: int, count: int,
+                  step: float) -> tuple[np.ndarray, np.ndarray]:
         knots, value = self._pieces(first, count, step)
         return parabolas(lambda at: np.interp(at * step, knots, value),
                          on_boundaries(knots / step), 1, first, count)
@@ -249,11 +254,12 @@ class Drive(Term):
                 motion[within, order] = self._curve(time[within], order)
         return motion
 
-    def stages(self, first, count, step):
+    def stages(self, first: int, count: int, step: float) -> np.ndarray:
         """Return angle, speed and acceleration at the stages of steps, shape (count, 3, 3)."""
         return self._at(_of_stages(_instants(first, count, step)))
 
-    def parabolas(self, first, count, step):
+    def parabolas(self, first: int, count: int,
+                  step: float) -> tuple[np.ndarray, np.ndarray]:
         breaks = on_boundaries(np.array(self.time) / step)
         return parabolas(lambda at: self._at(at * step), breaks, 5, first, count)
 
@@ -276,17 +282,18 @@ class Load:
             *found, (slice(ANGLE, ACCELERATION + 1), (self.drive,))]
 
     @property
-    def columns(self):
+    def columns(self) -> list[int]:
         """The columns of loads that are not zero, see `model.layout`, a list of int."""
         return [column for columns, _ in self._columns
                 for column in (range(LOADS)[columns] if isinstance(columns, slice) else [columns])]
 
-    def fastest(self):
+    def fastest(self) -> tuple[float, str]:
         """Return the highest frequency of a harmonic term [Hz] and its channel, or (0, '')."""
         return max(((term.frequency, channel) for channel, terms in self.terms.items()
                     for term in terms if isinstance(term, Harmonic)), default=(0.0, ''))
 
-    def stages(self, first, count, step, room=None):
+    def stages(self, first: int, count: int, step: float,
+               room: np.ndarray | None = None) -> np.ndarray:
         """
         Return the loads of steps first, first + 1, ..., shape (count, 4, LOADS), see `layout`.
 
@@ -297,7 +304,7 @@ class Load:
         self.fill(loads, range(LOADS), first, count, step)
         return loads
 
-    def fill(self, loads, places, first, count, step):
+    def fill(self, loads: np.ndarray, places: Any, first: int, count: int, step: float) -> None:
         """
         Write the columns of loads that are not zero.
 
@@ -330,7 +337,7 @@ class Load:
 _STABLE = 2.5
 
 
-def largest(values, constraints):
+def largest(values: Mapping[str, Any], constraints: Constraints) -> np.ndarray:
     """Return the largest dry friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,)."""
     axis, shaft = (0.0 if values[f'{body}.coulomb_speed'] else values[f'{body}.coulomb_friction']
                    for body in ('carrier', 'motor'))
@@ -338,7 +345,7 @@ def largest(values, constraints):
     return np.where([*held, constraints.driven], 0.0, [axis, axis, shaft])
 
 
-def check_slope(scene):
+def check_slope(scene: Any) -> None:
     """Raise ParameterError if steps are too long for friction that builds up over a speed."""
     limit, speed = np.array(scene.manipulator.coulomb)[[0, 0, 1]].T
     if not limit.any():

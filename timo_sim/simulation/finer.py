@@ -16,8 +16,9 @@ is the estimated error: nothing about the motion is assumed, so it also holds wh
 
 import numpy as np
 
+from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import Motion
-from timo_sim.scene.scene import scene_from
+from timo_sim.scene.scene import Scene, scene_from
 from timo_sim.simulation.warnings import unseen_load
 
 MORE_MODES, MORE_AXIAL, MOST_AXIAL = 3, 1, 3
@@ -29,7 +30,8 @@ _AXIAL_PHASE = 4.0
 _LISTS = 'initial.modal_coordinates', 'initial.modal_rates', 'arm.damping_ratio'
 
 
-def refine(scene, parts, modes=None, axial=MORE_AXIAL, same_equations=False):
+def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE_AXIAL,
+           same_equations: bool = False) -> Scene:
     """
     Return a finer scene.
 
@@ -81,13 +83,13 @@ def _on_boundaries(times, step):
                  for time, number in zip(times, nearest))
 
 
-def can_refine(scene):
+def can_refine(scene: Scene) -> bool:
     """Return whether a scene has a finer one: the coordinates of static modes have no meaning."""
     return scene.values['model.static_modes'] == 'none' or not any(
         any(scene.values[name]) for name in _LISTS[:2])
 
 
-def choose_parts(scene):
+def choose_parts(scene: Scene) -> tuple[int, ...]:
     """Return the parts of a step that may do for a finer run, a tuple of int, fewest first."""
     # Events of dry friction are found to the first order of the step only.
     tried = PARTS[1:] if scene.friction.any() else PARTS
@@ -102,7 +104,8 @@ def _resolves(scene):
         axial and scene.step * scene.build().modes.omega[-axial:].min() > _AXIAL_PHASE)
 
 
-def tip_distance(model, motions, other, others, in_arm=False):
+def tip_distance(model: Formulation, motions: np.ndarray, other: Formulation, others: np.ndarray,
+                 in_arm: bool = False) -> float:
     """
     Return the largest distance between two tips [m].
 

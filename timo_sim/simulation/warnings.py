@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from timo_sim.model.layout import Motion
+from timo_sim.scene.scene import Scene
 
 # Phase of the first axial vibration in a step with which no tested arm diverged [rad].
 _AXIAL_PHASE = 0.5
@@ -40,7 +41,7 @@ class DivergenceError(ArithmeticError):
     run: Any = None
 
 
-def unseen_load(scene):
+def unseen_load(scene: Scene) -> str | None:
     """Return the warning of a load that is too fast for the step, or None."""
     frequency, channel = scene.load.fastest()
     if frequency * scene.step <= _MOST_OF_A_PERIOD:
@@ -50,7 +51,8 @@ def unseen_load(scene):
             f'{_MOST_OF_A_PERIOD / frequency:.2g} s')
 
 
-def after_steps(scene, model, share, time, motions):
+def after_steps(scene: Scene, model: Any, share: float, time: float,
+                motions: np.ndarray) -> str | None:
     """
     Return the warning that some motions of a run call for, or None.
 
@@ -71,7 +73,7 @@ def after_steps(scene, model, share, time, motions):
     return _fast_shaft(scene, model, motions) or _left_out(scene, model, time, share, motions)
 
 
-def inaccurate(scene, error, remedy=None):
+def inaccurate(scene: Scene, error: float, remedy: str | None = None) -> str | None:
     """
     Return the warning of a run whose tip is far from that of a finer run, or None.
 
@@ -116,7 +118,8 @@ def _left_out(scene, model, time, share, motions):
             'model.formulation exact')
 
 
-def divergence(scene, step, motion, reach, bend, warning):
+def divergence(scene: Scene, step: int, motion: np.ndarray, reach: np.ndarray, bend: float,
+               warning: str | None) -> str:
     """
     Return the text of a DivergenceError.
 

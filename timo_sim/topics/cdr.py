@@ -12,6 +12,7 @@ Definitions of the messages that are logged, and their serialisation as CDR.
 Numbers and texts are located in serialised messages, so that they can be read and written fast.
 """
 
+from collections.abc import Mapping, Sequence
 from functools import cache
 import re
 import struct
@@ -91,7 +92,7 @@ class Field(NamedTuple):
 
 
 @cache
-def fields(type_name):
+def fields(type_name: str) -> tuple[Field, ...]:
     """Return the fields of a message type of DEFINITIONS in order, a tuple of Field."""
     # A line with '=' defines a constant, which is in no message.
     return tuple(_field(type_name.split('/')[0], line) for line in DEFINITIONS[type_name]
@@ -114,7 +115,7 @@ def _field(package, line):
 
 
 @cache
-def schema_text(type_name):
+def schema_text(type_name: str) -> str:
     """Return a definition with all that it depends on, in the `ros2msg` encoding of MCAP."""
     names = [type_name]
     for name in names:  # grows by what is found
@@ -151,7 +152,7 @@ class Layout(NamedTuple):
     texts: list          # the texts themselves
     fixed: list          # places of the bytes of encoding, texts, integers and lengths
 
-    def split(self, numbers):
+    def split(self, numbers: Sequence[float]) -> list[Sequence[float]]:
         """Return the float64 of a message, given in order, split as in `lists`."""
         parts, place = [], 0
         for length in self.lists:
@@ -159,13 +160,13 @@ class Layout(NamedTuple):
             place += length
         return parts
 
-    def meant(self):
+    def meant(self) -> list[int]:
         """Return the places of all bytes with content; the others are padding."""
         return [*self.fixed, *(place + byte for place in (*self.stamps, *self.doubles)
                                for byte in range(8))]
 
 
-def layout(type_name, data):
+def layout(type_name: str, data: bytes | memoryview) -> Layout:
     """
     Return the Layout of a serialised message of one of TYPES.
 
@@ -180,7 +181,7 @@ def layout(type_name, data):
     return walk.found._replace(size=walk.place)
 
 
-def pack(type_name, values):
+def pack(type_name: str, values: Mapping[str, Any]) -> bytes:
     """
     Return a serialised message, little-endian CDR with zeros as padding.
 
@@ -316,7 +317,7 @@ class Number(NamedTuple):
     column: str = ''  # its name with unit, as in 'shaft_rad'
 
 
-def columns(template):
+def columns(template: Any) -> tuple[str, ...]:
     """Return the names of those numbers of a template that have one, a tuple of str."""
     found = []
     _filled(template, lambda number: found.append(number.column))
@@ -331,7 +332,7 @@ class Form(NamedTuple):
     places: tuple  # index of each Number among all float64 of the message
 
 
-def form(type_name, template):
+def form(type_name: str, template: Mapping[str, Any]) -> Form:
     """Return the Form of a template."""
     marks: list[tuple[bool, float]] = []
 
