@@ -122,6 +122,12 @@ def test_a_run_with_a_warning_has_it_in_its_row(scene):
     assert table['warning'].tolist() == [str(caught[0].message), '']
 
 
+def test_a_run_without_a_finer_one_has_no_error_in_its_row(scene):
+    bent = {'model.static_modes': 'force', 'initial.modal_coordinates': [0.1, 0.0, 0.0]}
+    table = timo_sim.simulate_many(scene, [bent, {}], 0.1, workers=1)
+    assert table['reason'].tolist() == ['', ''] and np.isnan(table['tip_error']).all()
+
+
 BAD_ARGUMENTS = [
     ({'variations': []}, 'at least one element, got none'),
     ({'duration': 0.125}, 'the ratio is 12.5'),

@@ -33,7 +33,7 @@ MARGIN = 2.0           # least ratio of the stated error to the estimate of the 
 _STILL = 1e-13         # travel of a tip that only round-off moves [arm lengths]
 
 
-def measure_error(run: Run) -> Run:
+def measure_error(run: Run, find_remedy: bool = True) -> Run:
     """
     Return a run with its measured error, and the warning that this calls for.
 
@@ -43,6 +43,9 @@ def measure_error(run: Run) -> Run:
     ----------
     run : Run
         Of `run_scene`.
+    find_remedy : bool
+        Whether the warning of a large error names what moves the tip most, by up to three more
+        runs, or all remedies.
 
     Returns
     -------
@@ -62,7 +65,7 @@ def measure_error(run: Run) -> Run:
     # out may make a motion unstable that both runs do not leave.
     earlier = (unseen_load(fine.scene) if scene.values['model.formulation'] == 'exact'
                else run.warning)
-    large = error > MOST_APART * scene.manipulator.arm.length
+    large = find_remedy and error > MOST_APART * scene.manipulator.arm.length
     remedy = _remedy(run, round(scene.step / fine.scene.step), error) if large else None
     return replace(run, stats={**run.stats, 'estimated_tip_error_m': error},
                    warning=earlier or inaccurate(scene, error, remedy))
