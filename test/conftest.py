@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from importlib.util import find_spec
 import os
 from pathlib import Path
+import resource
 import signal
 import subprocess
 import sys
@@ -134,3 +135,14 @@ def pytest_terminal_summary(terminalreporter):
 
 # The fixtures `start`, `client` and `ros`: a node in its own process, and a client of it.
 pytest_plugins = ['ros_process']
+
+
+@pytest.fixture
+def small_disk():
+    """Let no file of this process grow beyond 2 kB, as a full disk would."""
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    signal.signal(signal.SIGXFSZ, handler)

@@ -346,17 +346,6 @@ def test_files_without_permission_are_errors(log, intact):
     assert errors.count('\n') == 1
 
 
-@pytest.fixture
-def small_disk():
-    """Let no file of this process grow beyond 2 kB, as a full disk would."""
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    signal.signal(signal.SIGXFSZ, handler)
-
-
 def test_a_full_disk_leaves_no_half_recovered_log(log, intact, small_disk):
     code, output, errors = run(log, '-o', log.with_name('unused.mcap'))
     assert code == 0 and 'is complete' in output

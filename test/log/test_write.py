@@ -13,7 +13,6 @@ import json
 import os
 from pathlib import Path
 import resource
-import signal
 import threading
 import time
 
@@ -196,17 +195,6 @@ def test_a_slow_disk_is_given_the_time_it_takes_to_end_a_log(tmp_path, monkeypat
     assert recorder.error is None
     with open(recorder.path, 'rb') as stream:
         assert len([*make_reader(stream).iter_messages()]) == 10
-
-
-@pytest.fixture
-def small_disk():
-    """Let no file of this process grow beyond 2 kB, as a full disk would."""
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    signal.signal(signal.SIGXFSZ, handler)
 
 
 def test_no_file_descriptor_left_is_an_error(tmp_path):
