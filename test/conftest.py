@@ -23,10 +23,7 @@ import pytest
 from oracles.domains import own_domain
 from oracles.references import read
 import timo_sim
-from timo_sim.compiled.cache import lock
-from timo_sim.compiled.constants import of_any_size
-from timo_sim.model import formulation
-from timo_sim.scene import scene as scenes
+from timo_sim.compiled.store import lock
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / 'config' / 'paper.yaml'
@@ -67,15 +64,6 @@ def waves():
     """Compile the code of every model in one test process, while the others wait for it."""
     with lock('waves.lock'):
         timo_sim.load_scene({})
-
-
-@pytest.fixture
-def any_size(monkeypatch):
-    """Let models use machine code for any size, as second runs do: slower, compiled only once."""
-    monkeypatch.setattr(formulation, 'pack', of_any_size)
-    scenes._shared_model.cache_clear()
-    yield
-    scenes._shared_model.cache_clear()
 
 
 @pytest.fixture(scope='session')

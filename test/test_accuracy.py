@@ -89,7 +89,6 @@ def tip_of(run):
 
 @pytest.mark.parametrize('values, goal', KINDS.values(), ids=KINDS)
 @pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # about stretch
-@pytest.mark.usefixtures('any_size')
 def test_the_estimate_agrees_with_a_much_finer_run(values, goal):
     choice = choose_resolution(timo_sim.load_scene({'model.accuracy': goal, **values}), 2.0)
     finer = {'model.modes': 16, 'integrator.step': 5e-5}  # more modes than the choice tries
@@ -101,7 +100,6 @@ def test_the_estimate_agrees_with_a_much_finer_run(values, goal):
     assert choice.warning or run.warning is None and run.stats['estimated_tip_error_m'] < goal
 
 
-@pytest.mark.usefixtures('any_size')
 def test_the_estimate_with_one_axis_held_agrees_with_spectral_elements():
     scene = timo_sim.load_scene({
         'model.accuracy': 2e-4, **HEAVY, 'carrier.held': 'x', 'end_effector.inertia': 5.0})
@@ -112,7 +110,6 @@ def test_the_estimate_with_one_axis_held_agrees_with_spectral_elements():
     assert error < 2e-4 and error / 5.0 < choice.estimate < 5.0 * error
 
 
-@pytest.mark.usefixtures('any_size')
 def test_the_estimate_covers_a_long_run_to_its_end():
     """At 10 ms modes dominate the error for 2 s; by 120 s the error of the steps is larger."""
     goal, end = 3e-4, 120.0

@@ -83,7 +83,6 @@ def quietly(values, duration, every=5, **options):
         return timo_sim.simulate(timo_sim.load_scene(values), duration, every, **options)
 
 
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('name', SCENES)
 def test_the_error_is_the_distance_from_finite_elements(name):
     run = quietly(SCENES[name], 0.5)
@@ -95,7 +94,6 @@ def test_the_error_is_the_distance_from_finite_elements(name):
     assert (run.warning is not None) == (error > 1.4e-3)  # 7e-4 of the arm's length
 
 
-@pytest.mark.usefixtures('any_size')
 def test_steps_that_do_not_resolve_axial_vibrations():
     run = quietly(ABRUPT, 2.0)
     tip = spectral_elements.simulate(run.scene, 0.025, 80)[2]
@@ -103,7 +101,6 @@ def test_steps_that_do_not_resolve_axial_vibrations():
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.5)
 
 
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('name', GROWS)
 def test_errors_that_grow_are_measured(name):
     """Against spectral elements, in a run and beside one."""
@@ -142,7 +139,6 @@ def test_a_comparison_changes_no_model_that_others_use():
     np.testing.assert_array_equal(again, before)
 
 
-@pytest.mark.usefixtures('any_size')
 def test_an_error_is_measured_only_if_asked_for():
     once, twice = (quietly(SCENES['stretch'], 0.5, estimate=choice) for choice in (False, True))
     assert math.isnan(once.stats['estimated_tip_error_m'])
@@ -150,7 +146,6 @@ def test_an_error_is_measured_only_if_asked_for():
     assert math.isnan(timo_sim.Simulator('paper').estimated_error)
 
 
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('values, remedy', [
     (SCENES['stretch'], 'model.axial_modes 1'), (SCENES['modes'], 'more model.modes'),
     (SCENES['formulation'], 'model.formulation exact'),
@@ -160,7 +155,6 @@ def test_the_warning_names_what_moves_the_tip_most(values, remedy):
     assert quietly(values, 1.0).warning.endswith(f'take {remedy}')
 
 
-@pytest.mark.usefixtures('any_size')
 def test_the_error_under_commands_is_that_from_finer_steps():
     """Random torques, one for each call; the finer run is followed in parts and at once."""
     random, paths, found = np.random.default_rng(1), [], []
@@ -181,7 +175,6 @@ def test_the_error_under_commands_is_that_from_finer_steps():
     assert error > 1e-4 and found[0] == pytest.approx(error, rel=0.3)
 
 
-@pytest.mark.usefixtures('any_size')
 def test_the_finer_run_follows_changes_and_resets():
     """A change of the scene that both runs make is no error; a reset begins anew."""
     scene = timo_sim.load_scene('paper')
@@ -207,7 +200,6 @@ def test_lists_of_modes_grow_with_the_modes():
     np.testing.assert_allclose(*tips, atol=1e-15)
 
 
-@pytest.mark.usefixtures('any_size')
 def test_one_mode_has_a_finer_run_but_what_starts_bent_in_static_modes_has_none():
     one = {'model.modes': 1, 'initial.modal_coordinates': [0.2], 'arm.damping_ratio': [0.01]}
     static = {**SCENES['stretch'], 'model.static_modes': 'force'}
@@ -216,7 +208,6 @@ def test_one_mode_has_a_finer_run_but_what_starts_bent_in_static_modes_has_none(
     assert found[0] > 0.0 and found[1] > 0.0 and math.isnan(found[2])
 
 
-@pytest.mark.usefixtures('any_size')
 def test_steps_with_dry_friction_are_fine_enough():
     run = quietly(DRY, 2.0)
     fine = run_scene(refine(run.scene, 16), 16 * run.stats['steps'], 16 * 5)

@@ -296,7 +296,6 @@ def test_a_bound_that_is_met_is_told():
     assert found.values['motor.viscous_friction'] == pytest.approx(0.015, rel=1e-6)
 
 
-@pytest.mark.usefixtures('any_size')
 def test_coarse_steps_are_told():
     """A record of a fine run cannot be met with steps and modes that are too coarse."""
     fine = {**ARM, 'integrator.step': 0.0005}

@@ -161,7 +161,6 @@ def test_a_missing_file_is_an_os_error(tmp_path):
         timo_sim.load_scene(tmp_path / 'none.yaml')
 
 
-@pytest.mark.usefixtures('any_size')
 def test_the_standing_scene_rests_until_its_torque_ends():
     scene = timo_sim.load_scene('standing')
     run = timo_sim.simulate(scene, 3.0)

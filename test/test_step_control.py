@@ -36,7 +36,6 @@ TORQUE_STEPS = {'load.torque.piecewise.time': [0.0, 0.5, 1.0],
 SHAKEN = {'load.torque.harmonic.amplitude': [50.0], 'load.torque.harmonic.frequency': [3.0]}
 
 
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('values', [
     {**SHAKEN, **TORQUE_STEPS, 'carrier.held': 'x'},
     {**SHAKEN, 'carrier.held': 'both', 'initial.shaft_velocity': 5.0},
@@ -51,7 +50,6 @@ def test_the_estimate_is_the_error_where_steps_cause_it(values):
     assert (run.warning is not None) == (estimate > 1.4e-3)
 
 
-@pytest.mark.usefixtures('any_size')
 def test_the_error_of_a_single_event_is_estimated():
     """A spike inside one of 100 steps."""
     error, estimate, _ = error_of(0.01, 1, 1.0, axial=0, **{

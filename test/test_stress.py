@@ -70,7 +70,6 @@ SILENT_ONCE = {
         'carrier.mass': 1e6, 'initial.shaft_velocity': 0.0, 'arm.damping_ratio': [0.1]})}
 
 
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('cell', SILENT_ONCE.values(), ids=SILENT_ONCE)
 def test_errors_that_were_silent_once_no_longer_are(cell):
     for found in truth.judge(cell()):
@@ -128,7 +127,6 @@ def without_warnings(monkeypatch):
     monkeypatch.setattr(truth, 'measure_error', lambda run: run)
 
 
-@pytest.mark.usefixtures('any_size')
 def test_an_error_without_a_warning_is_silent(monkeypatch):
     cell = plain(50, 0.02, 0.3, **{'initial.shaft_velocity': 36.0, 'carrier.mass': 1.0})
     finer = truth._Finer(cell)
@@ -141,7 +139,6 @@ def test_an_error_without_a_warning_is_silent(monkeypatch):
     assert numerics.is_listed(untold)
 
 
-@pytest.mark.usefixtures('any_size')
 def test_the_two_references_agree_and_see_too_few_modes_and_stretch(monkeypatch):
     """The errors of a spinning arm under a push are far larger than the references' distance."""
     push = {'load.tip_force_y.piecewise.time': [0.0, 0.1],
@@ -155,7 +152,6 @@ def test_the_two_references_agree_and_see_too_few_modes_and_stretch(monkeypatch)
     assert found == pytest.approx(found[:1] * 2, rel=0.1) and found[0] > 1e-4
 
 
-@pytest.mark.usefixtures('any_size')
 def test_an_unstable_motion_is_no_silent_error():
     """A push along the arm beyond Euler's load: the arm may buckle to either side."""
     cell = plain(bend=0.0, step=0.0005, steps=4000, **{

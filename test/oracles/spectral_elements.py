@@ -25,7 +25,7 @@ import numba
 import numpy as np
 from numpy.polynomial import legendre
 
-from timo_sim.compiled.cache import lock
+from timo_sim.compiled.store import lock
 from timo_sim.model.layout import ANGLE, FORCE_I, FORCE_X, SPEED, TIP_I, TIP_TORQUE, TIP_X, TORQUE
 
 _CHUNK = 20000  # steps whose loads are in memory

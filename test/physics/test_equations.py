@@ -238,7 +238,6 @@ CASES = [*(('exact', constraints) for constraints in CONSTRAINTS),
              'newton_rigid_axial', 'newton_root_stress') for constraints in ('free', 'x held'))]
 
 
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('formulation, constraints', CASES)
 def test_formulation_agrees_with_its_equations(formulation, constraints):
     scene = scene_of(formulation, constraints)

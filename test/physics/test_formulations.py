@@ -251,7 +251,6 @@ def test_fast_spin_with_large_vibration_stays_bounded(modes, step, limit):
     assert np.abs(energy / energy[0] - 1).max() < limit
 
 
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('formulation', ALL_FORCES)
 def test_an_arm_described_in_pieces_moves_as_the_uniform_arm(formulation, paper):
     values = {'model.formulation': formulation, 'model.modes': 5, 'integrator.step': 0.005}
@@ -265,7 +264,6 @@ def test_an_arm_described_in_pieces_moves_as_the_uniform_arm(formulation, paper)
     assert np.abs(split.carrier - whole.carrier).max() < limit
 
 
-@pytest.mark.usefixtures('any_size')
 def test_a_tapered_arm_conserves_energy_and_momentum():
     scene = vibrating('exact', **{
         'model.modes': 5, 'arm.profile.position': [0.0, 1.2, 1.2, 2.0],

@@ -89,7 +89,6 @@ def test_energy_of_a_pendulum(formulation):
         (arm + 2.0 * body.end_effector_mass) * G * np.sin(-0.8), rel=1e-12)
 
 
-@pytest.mark.usefixtures('any_size')
 def test_a_clamped_arm_let_go_under_its_weight_against_finite_elements():
     """The tip sinks by a fifth of the arm; the stored reference is right to 1e-5 m."""
     run = timo_sim.simulate(timo_sim.load_scene({
@@ -100,7 +99,6 @@ def test_a_clamped_arm_let_go_under_its_weight_against_finite_elements():
     assert run.deflection(10.0)[:, 1] == pytest.approx(truth, abs=3e-4) and truth.min() < -2.0
 
 
-@pytest.mark.usefixtures('any_size')
 def test_a_swinging_arm_against_finite_elements():
     truth = references.read('pendulum')[1]
     run = timo_sim.simulate(timo_sim.load_scene(references.PENDULUM, {
@@ -110,7 +108,6 @@ def test_a_swinging_arm_against_finite_elements():
     assert np.abs(run.deflection(2.0)[:, 1] - truth['w_l_m']).max() < 5e-6
 
 
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('held, gravity, angle', [
     ('both', [0.0, -G], 0.6), ('x', [0.0, -G], 0.6), ('both', [4.0, -3.0], 2.0)])
 def test_a_swinging_arm_against_spectral_elements(held, gravity, angle):
@@ -198,7 +195,6 @@ def test_forces_that_hold_an_arm_at_rest():
     assert falling.sensors.tip_acceleration == pytest.approx([0.0, 0.0], abs=1e-6)
 
 
-@pytest.mark.usefixtures('any_size')
 def test_the_sag_that_modes_leave_out_is_estimated():
     scene = timo_sim.load_scene({**CLAMPED, 'initial.shaft': 0.0})
     run = timo_sim.simulate(scene, 0.1)

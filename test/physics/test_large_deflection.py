@@ -15,7 +15,6 @@ from oracles import elastica
 import timo_sim
 
 LOAD = 3.2
-pytestmark = pytest.mark.usefixtures('any_size')
 
 
 def test_the_boundary_value_solver_gives_the_closed_form():

@@ -11,7 +11,6 @@
 import numpy as np
 import pytest
 import timo_sim
-from timo_sim.compiled.constants import of_any_size
 from timo_sim.model.exact_code import BAND, BANDS, SECTORS
 from timo_sim.model.functions import rate_once
 from timo_sim.model.layout import ANGLE, LOADS
@@ -75,7 +74,7 @@ def test_the_linear_part_of_an_arm_that_stretches_is_that_at_its_speed(speed):
         # The compiled rate lacks just this linear part.
         state, rest = straight(model, angle, speed), np.empty(len(linear))
         state += 1e-3 * np.arange(len(state))
-        rate_once(of_any_size(tables), state, np.zeros(LOADS), rest)
+        rate_once(model.pack(tables), state, np.zeros(LOADS), rest)
         np.testing.assert_allclose(linear @ state + rest, model.rate(state, np.zeros(LOADS)),
                                    rtol=0, atol=1e-9 * np.abs(linear @ state).max())
 

@@ -108,7 +108,6 @@ def test_torque_steps_against_finite_elements():
     assert np.abs(run.carrier[:, 0] - fem['x_c_m']).max() < 1e-6
 
 
-@pytest.mark.usefixtures('any_size')
 def test_spin_up_against_finite_elements(spin_up):
     _, fem = read('spin_up')
     scene = timo_sim.load_scene(spin_up, {'model.modes': 12})

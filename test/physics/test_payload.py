@@ -15,7 +15,6 @@ import pytest
 
 from oracles import spectral_elements
 import timo_sim
-from timo_sim.compiled.constants import of_any_size
 from timo_sim.log.tables import Recording
 from timo_sim.runs.replay import replay
 from timo_sim.runs.run import run_scene
@@ -31,7 +30,6 @@ BOTH = {'payload.time': [0.2, 0.5], 'payload.mass': [5.0, 1.0], 'payload.inertia
         'end_effector.pick_up': 'at_rest'}
 
 
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('values', [
     {**HELD, **PICKED}, {**FREE, **PICKED}, {**FREE, **DROPPED}],
     ids=['held', 'free', 'dropped'])
@@ -47,7 +45,6 @@ def test_a_load_that_changes_in_flight_against_spectral_elements(values):
     assert np.abs(same.position(2.0) - tip).max() > 1e-3
 
 
-@pytest.mark.usefixtures('any_size')
 def test_the_estimate_knows_of_vibrations_that_the_modes_leave_out():
     """Let go in gravity all modes vibrate; a load takes the momentum of all at the tip."""
     scene = timo_sim.load_scene({**HELD, **PICKED, 'gravity': [0.0, -9.81], 'model.modes': 5,
@@ -58,7 +55,6 @@ def test_the_estimate_knows_of_vibrations_that_the_modes_leave_out():
     assert 0.5 < run.stats['estimated_tip_error_m'] / error < 2.0
 
 
-@pytest.mark.usefixtures('any_size')
 def test_a_load_picked_up_from_rest_against_spectral_elements():
     """The impact makes all modes vibrate, of which the model has five."""
     scene = timo_sim.load_scene({
@@ -97,7 +93,6 @@ PLASTIC = {
     'load.torque.piecewise.value': [60.0, 70.0, 40.0], 'integrator.step': 0.0005}
 
 
-@pytest.mark.usefixtures('any_size')
 def test_the_energy_lost_in_an_impact_is_that_of_two_bodies():
     """What the momenta of N modes lose tends to the loss of the two bodies at the tip as 1/N."""
     excess = []
@@ -120,12 +115,11 @@ def test_the_estimate_of_a_plastic_impact():
     scene = timo_sim.load_scene({**PLASTIC, 'model.modes': 5, 'integrator.step': 0.001})
     fine = timo_sim.load_scene({**PLASTIC, 'model.modes': 40, 'integrator.step': 0.00025})
     run = timo_sim.simulate(scene, 0.8, 10)
-    true = run_scene(fine, 3200, 40, pack=of_any_size)
+    true = run_scene(fine, 3200, 40)
     error = np.linalg.norm(run.position(2.0) - true.position(2.0), axis=1).max()
     assert 0.5 * error < run.stats['estimated_tip_error_m'] < 2.0 * error
 
 
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('values', [{}, {'carrier.held': 'x'}, {'motor.shaft': 'locked'}],
                          ids=['free', 'x held', 'locked'])
 def test_momentum_is_kept_by_an_impact(values):
@@ -214,7 +208,6 @@ def test_a_state_after_a_change_is_not_taken_for_one_before():
         run.scene.at(run, 0.4)
 
 
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('values', [
     {'carrier.coulomb_friction': 3.0, 'motor.coulomb_friction': 1.0},
     {'model.axial_modes': 1}, {'motor.shaft': 'locked'},

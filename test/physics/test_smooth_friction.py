@@ -81,7 +81,7 @@ def by_dop853(scene, duration):
 @pytest.mark.parametrize('more', [
     {}, {'model.formulation': 'newton', 'gravity': [0.0, -9.81]}, {'carrier.held': 'x'},
     {'carrier.held': 'y', 'model.axial_modes': 1}], ids=str)
-def test_another_integrator_finds_the_same_motion(more, any_size):
+def test_another_integrator_finds_the_same_motion(more):
     """By SciPy's DOP853; of fourth order where steps resolve all vibrations."""
     scene = timo_sim.load_scene({
         **BOTH, 'initial.shaft_velocity': 0.5, 'arm.damping_ratio': [0.02],

@@ -21,7 +21,6 @@ def run_of(spin_up, **overrides):
     return timo_sim.simulate(timo_sim.load_scene(spin_up, overrides), 20.0, estimate=False)
 
 
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('modes, step, lowest, tolerance', [
     (3, 0.01, -0.5738, 1e-4), (5, 0.002, -0.57380, 1e-5)])
 def test_exact_gives_the_deflection_of_the_literature(spin_up, modes, step, lowest, tolerance):

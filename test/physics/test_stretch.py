@@ -19,7 +19,6 @@ import timo_sim
 from timo_sim.model.bodies import Quadrature
 from timo_sim.simulation.simulator import Simulator
 
-pytestmark = pytest.mark.usefixtures('any_size')  # many sizes, few steps
 HELD = {'carrier.held': 'both', 'initial.shaft': 0.0}
 SPINNING = {'initial.shaft_velocity': 10.0, 'load.tip_force_y.piecewise.time': [0.0, 0.1],
             'load.tip_force_y.piecewise.value': [20.0, 0.0]}
@@ -124,7 +123,6 @@ def test_dissipated_energy_is_the_energy_that_is_lost():
     ({'carrier.held': 'x', **SPINNING}, 8, 0.001, 1e-4, 1e-5),
     ({'carrier.held': 'both', **DRIVEN}, 5, 0.005, 2e-5, 5e-6),
 ], ids=['held', 'free', 'x held', 'driven'])
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # axial ringing of the first step
 def test_one_axial_mode_moves_as_spectral_elements(values, modes, step, effect, limit):
     scene = scene_of(values, **{'model.modes': modes, 'integrator.step': step})
@@ -175,7 +173,6 @@ def test_axial_coordinates_are_the_last_of_all_lists():
         scene.vary({'arm.damping_ratio': last})
 
 
-@pytest.mark.usefixtures('any_size')
 def test_stretch_that_matters_gives_a_warning():
     fast = {**HELD, 'model.modes': 5, 'initial.shaft_velocity': 10.0}
     with pytest.warns(timo_sim.ModelWarning, match='take model.axial_modes 1'):
@@ -193,7 +190,6 @@ LARGE = {'end_effector.mass': 0.5, 'end_effector.inertia': 0.01, 'arm.height': 0
          'load.tip_force_y.piecewise.time': [0.0], 'load.tip_force_y.piecewise.value': [60.0]}
 
 
-@pytest.mark.usefixtures('any_size')
 @pytest.mark.parametrize('load, until', [(BUCKLED, 1.6), (LARGE, 1.0)], ids=['buckled', 'large'])
 def test_an_error_names_a_step_with_which_an_arm_that_stretches_does_not_diverge(load, until):
     scene = timo_sim.load_scene({**BENT, **load})

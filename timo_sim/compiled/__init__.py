@@ -7,14 +7,14 @@
 # language governing permissions and limitations under the License.
 
 """
-Tools for compiled code: decorators, lanes, packed constants, a store of machine code on disk.
+Compiled functions: what decorates them, and how Python calls their machine code.
 
-This package may import numba, NumPy and small libraries, and nothing of timo_sim.
+The source of a compiled function is Python. `emit` turns it into LLVM's intermediate code once,
+with numba, for all sizes: numbers of modes, nodes and states are symbols in it. `machine` gives the
+symbols their values and makes machine code for these sizes, in which all loops have known lengths.
+So the compiler of a size is LLVM alone, and numba is not needed where intermediate code is on disk.
+
+A compiled function may use whole numbers, floats, tuples, loops, branches, fields of constants
+(see `constants`), elements of arrays, `local` and the functions of `functions`. It takes no
+exceptions, strings or lists, and writes x * x for a square.
 """
-
-try:
-    import numba  # noqa: F401
-except Exception as error:  # of any kind: numba does not check what it reads
-    raise ImportError('numba cannot be imported with its settings, NUMBA_* of the environment or '
-                      '.numba_config.yaml in the working directory: '
-                      + ' '.join(str(error).split())) from error

@@ -6,122 +6,119 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Constants and local arrays of compiled functions, with shapes that the compiler knows."""
+"""
+Constants of compiled functions: named numbers and arrays in one block of memory.
 
+A kind of constants is a NamedTuple. Its annotations say what the fields are: `float`, `int`, or
+`Annotated[np.ndarray, dims...]` with the lengths of the axes, which are numbers or names of sizes,
+and `int` before them if the array is one of whole numbers.
+"""
+
+import ctypes
 import functools
 import math
-from typing import Any
+from typing import Any, get_args, get_type_hints, NamedTuple
 
-from llvmlite import ir
-from numba.core import cgutils, types
-from numba.extending import intrinsic
-from numba.np.arrayobj import _empty_nd_impl
 import numpy as np
 
-from timo_sim.compiled.lanes import LANES, SHARED, WIDTH
+from timo_sim.compiled.machine import WIDTH
 
-_CACHE_LINE = 64  # alignment of lanes in memory [B]
+_CACHE_LINE = 64  # alignment of blocks in memory [B]
+_NUMBER = 8       # length of a number [B]
+
+
+class Field(NamedTuple):
+    """A field of constants."""
+
+    name: str
+    whole: bool  # whether its numbers are whole
+    dims: tuple[int | str, ...]  # lengths of its axes, () of a single number
 
 
 @functools.cache
-def _unique(layout):
-    # One dtype object per layout, because numba keeps every one that it has seen.
-    return layout
+def fields_of(kind: type) -> tuple[Field, ...]:
+    """Return the fields of a kind of constants."""
+    hints = get_type_hints(kind, include_extras=True)
+    return tuple(Field(name, hint is int or int in get_args(hint), tuple(
+        each for each in get_args(hint)[1:] if each is not int)) for name, hint in hints.items())
 
 
-def pack(fields: Any) -> Any:
+class Packed:
     """
-    Return a NamedTuple of numbers and arrays as one block of memory with known shapes.
-
-    Returns
-    -------
-    numpy.void
-        A NumPy record; names and shapes of its fields are part of its type.
-
-    """
-    values = {name: np.asarray(value) for name, value in fields._asdict().items()}
-    packed = np.zeros((), _unique(np.dtype([
-        (name, value.dtype.str, value.shape) for name, value in values.items()])))
-    for name, value in values.items():
-        packed[name] = value
-    return packed[()]
-
-
-def pack_lanes(fields: Any) -> np.ndarray:
-    """
-    Return a NamedTuple of arrays whose first axis is that of lanes as records with known shapes.
+    Constants in one block of memory, or a block for each group of lanes.
 
     Parameters
     ----------
     fields : NamedTuple
-        Of arrays for a multiple of WIDTH lanes; whole numbers must be the same in all.
+        A kind of constants; with lanes the first axis of every array is that of lanes, and whole
+        numbers are the same in all.
+    lanes : bool
+        Whether it is of lanes.
+    **sizes : int
+        Sizes that are not those of a field.
 
-    Returns
-    -------
-    ndarray, shape (lanes // WIDTH,)
-        Records; numbers have the lanes as last axis.
-
-    """
-    values = {name: np.asarray(value) for name, value in fields._asdict().items()}
-    count = len(next(iter(values.values()))) // WIDTH
-    for name, stack in values.items():
-        if stack.dtype == float:
-            values[name] = np.moveaxis(stack.reshape(count, WIDTH, *stack.shape[1:]), 1, -1)
-        else:
-            values[name] = stack[:count]
-    sizes = [_CACHE_LINE * math.ceil(stack[0].nbytes / _CACHE_LINE) for stack in values.values()]
-    layout = np.dtype({'names': list(values), 'itemsize': sum(sizes),
-                       'formats': [(stack.dtype, stack.shape[1:]) for stack in values.values()],
-                       'offsets': np.cumsum([0, *sizes[:-1]]).tolist()})
-    memory = np.zeros(count * layout.itemsize + _CACHE_LINE, dtype=np.uint8)
-    begin = -memory.ctypes.data % _CACHE_LINE
-    packed = memory[begin:begin + count * layout.itemsize].view(_unique(layout))
-    for name, stack in values.items():
-        packed[name] = stack
-    return packed
-
-
-def of_any_size(fields: Any) -> Any:
-    """Return a NamedTuple of numbers and arrays for which all sizes share one machine code."""
-    values = (np.array(value, order='C') for value in fields)
-    return fields._make(value if value.ndim else value.item() for value in values)
-
-
-@intrinsic
-def local(_, like):
-    """
-    Return a work array, not initialised, for the current call of a compiled function.
-
-    Parameters
+    Attributes
     ----------
-    like : tuple of arrays
-        Fields of constants; the length of the new array's k-th axis is that of the k-th field's
-        first axis. If the constants are packed, the array is on the stack, else on the heap.
+    kind : type
+    sizes : dict
+        Sizes by name.
+    offsets : dict
+        Place of each field in a block, by name [B].
+    groups : int
+        Number of blocks.
+    views : dict
+        The fields as arrays; the last axis is that of lanes.
 
     """
-    # Its numbers are of the kind of the constants: floats, or lanes.
-    lanes = any(array.dtype in (LANES, SHARED) for array in like)
-    dtype = LANES if lanes else types.float64
-    kind, width = types.Array(dtype, len(like), 'C', aligned=not lanes), dtype.bitwidth // 8
-    packed = all(isinstance(array, types.NestedArray) for array in like)
-    shape = tuple(array.shape[0] for array in like) if packed else ()
 
-    def allocate(context, builder, signature, arguments):
-        arrays = (context.make_array(array)(context, builder, value) for array, value in zip(
-            like, cgutils.unpack_tuple(builder, arguments[0])))
-        lengths = [builder.extract_value(array.shape, 0) for array in arrays]
-        return _empty_nd_impl(context, builder, kind, lengths)._getvalue()
+    def __init__(self, fields: Any, lanes: bool = False, **sizes: int) -> None:
+        self.kind, self.sizes = type(fields), sizes
+        values = [np.asarray(value, dtype=np.int64 if field.whole else float, order='C')
+                  for field, value in zip(fields_of(self.kind), fields)]
+        self.groups = len(values[0]) // WIDTH if lanes else 1
+        self.offsets, self.views, end = {}, {}, 0
+        for field, value in zip(fields_of(self.kind), values):
+            for dim, size in zip(field.dims, value.shape[lanes:], strict=True):
+                if sizes.setdefault(dim, size) != size if isinstance(dim, str) else dim != size:
+                    raise ValueError(f'{field.name} of {self.kind.__name__} has shape '
+                                     f'{value.shape[lanes:]}, not {field.dims} as of {sizes}')
+            count = math.prod(value.shape[lanes:]) * (WIDTH if lanes and not field.whole else 1)
+            # Lanes are aligned as vectors.
+            self.offsets[field.name] = end
+            end += _CACHE_LINE * math.ceil(count * _NUMBER / _CACHE_LINE) if lanes else (
+                count * _NUMBER)
+        self.length = max(end, _NUMBER)
+        memory = np.zeros(self.groups * self.length + _CACHE_LINE, dtype=np.uint8)
+        begin = -memory.ctypes.data % _CACHE_LINE
+        self.memory = memory[begin:begin + self.groups * self.length]
+        blocks = self.memory.reshape(self.groups, self.length)
+        for field, value in zip(fields_of(self.kind), values):
+            if lanes:
+                value = (value[:self.groups] if field.whole else np.moveaxis(
+                    value.reshape(self.groups, WIDTH, *value.shape[1:]), 1, -1))
+            else:
+                value = value[np.newaxis]
+            offset = self.offsets[field.name]
+            size = math.prod(value.shape[1:]) * _NUMBER
+            view = blocks[:, offset:offset + size].view(value.dtype).reshape(value.shape)
+            view[...] = value
+            self.views[field.name] = view if lanes else view[0]
+        self.place = (ctypes.c_char * 0).from_buffer(self.memory)
+        self.key = self.kind, lanes, tuple(sorted(sizes.items()))
 
-    def generate(context, builder, signature, arguments):
-        size = ir.Constant(ir.IntType(64), max(1, math.prod(shape)))
-        data = cgutils.alloca_once(builder, context.get_data_type(dtype), size=size)
-        data.align = max(32, width)  # [B], the width of 256-bit vector registers, or of lanes
-        array = context.make_array(kind)(context, builder)
-        number = functools.partial(context.get_constant, types.intp)
-        context.populate_array(
-            array, data=data, shape=[number(length) for length in shape],
-            strides=[number(width * math.prod(shape[axis + 1:])) for axis in range(len(shape))],
-            itemsize=number(width), meminfo=None)
-        return array._getvalue()
+    def __getattr__(self, name: str) -> np.ndarray:
+        """Return a field as an array."""
+        try:
+            return self.__dict__['views'][name]
+        except KeyError:
+            raise AttributeError(name) from None
 
-    return kind(like), generate if packed else allocate
+
+def pack(fields: Any, **sizes: int) -> Packed:
+    """Return constants in one block of memory, see `Packed`."""
+    return Packed(fields, **sizes)
+
+
+def pack_lanes(fields: Any, **sizes: int) -> Packed:
+    """Return constants of a multiple of WIDTH lanes in blocks of memory, see `Packed`."""
+    return Packed(fields, True, **sizes)

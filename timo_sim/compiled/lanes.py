@@ -10,29 +10,26 @@
 Lanes: numbers of several runs that compiled functions handle as one value.
 
 A function that is compiled for floats can be compiled for lanes, too, if it takes no branch on
-them: where it would need one it uses a function of `compiled.lanes`. A value of type LANES is a
+them: where it would need one it uses a function of `functions`. A value of type LANES is a
 vector of WIDTH floats; an operation on it is one vector instruction, or a few where the
 processor's registers are narrower. No operation mixes lanes or changes the order of a sum, and
 what is fused is chosen here and not by the optimiser, so the bits of a lane depend on its own
 numbers only. A value of type SHARED is the same for all lanes: one float in memory.
 
-In NumPy lanes are the last axis of an array, of length WIDTH. `as_lanes` and `as_shared` tell the
-compiler to see such an array, or a record of them, as one of lanes.
+In NumPy lanes are the last axis of an array, of length WIDTH.
 """
 
-import math
 import operator
-from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.datamodel import models, register_default
 from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, lower_cast, overload
-import numpy as np
+from numba.extending import lower_builtin, lower_cast
 
-WIDTH = 8
+from timo_sim.compiled.machine import WIDTH
+
 VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 _FUSED = f'llvm.fmuladd.v{WIDTH}f64'
 # The sign of zero may change. Operations without flags would get numba's fast-math flags, which
@@ -82,12 +79,7 @@ class _Mask(types.Type):
         return Conversion.safe if other == types.boolean else None
 
 
-class _LaneRecord(types.Record):
-    dtype = np.dtype(np.void)  # NumPy knows no lanes; the memory is that of a record of floats
-
-
 LANES, SHARED, MASK = _Lanes(), _Shared(), _Mask()
-register_default(_LaneRecord)(models.RecordModel)
 
 
 @register_default(_Lanes)
@@ -104,20 +96,12 @@ class _MaskModel(models.PrimitiveModel):
 
 @register_default(_Shared)
 class _SharedModel(models.PrimitiveModel):
-    # A vector as a value, one float in memory.
-
     def __init__(self, manager, kind):
         super().__init__(manager, kind, VECTOR)
 
-    def get_data_type(self):
-        return ir.DoubleType()
 
-    def from_data(self, builder, value):
-        return _spread(builder, value)
-
-
-def _spread(builder, value):
-    # A vector with the same float in all lanes.
+def spread(builder: ir.IRBuilder, value: ir.Value) -> ir.Value:
+    """Return a vector with the same float in all lanes."""
     nothing, index = ir.Constant(VECTOR, ir.Undefined), ir.IntType(32)
     single = builder.insert_element(nothing, value, ir.Constant(index, 0))
     return builder.shuffle_vector(single, nothing,
@@ -127,7 +111,7 @@ def _spread(builder, value):
 @lower_cast(types.Float, LANES)
 @lower_cast(types.Integer, LANES)
 def _lanes_of_number(context, builder, source, _, value):
-    return _spread(builder, context.cast(builder, value, source, types.float64))
+    return spread(builder, context.cast(builder, value, source, types.float64))
 
 
 @lower_cast(SHARED, LANES)
@@ -200,159 +184,3 @@ def _define_arithmetic():
 
 
 _define_arithmetic()
-
-
-class _Square(AbstractTemplate):
-    def generic(self, given, _):
-        # The only power in use; others have no signature and are refused.
-        if given[0] in (LANES, SHARED) and getattr(given[1], 'literal_value', None) == 2:
-            return signature(LANES, LANES, given[1])
-        return None
-
-
-infer_global(operator.pow)(_Square)
-
-
-@lower_builtin(operator.pow, LANES, types.IntegerLiteral)
-def _square(context, builder, _, operands):
-    return _multiply(builder, operands[0], operands[0])
-
-
-def _seen(kind, shared):
-    # The type of a field, array or record of floats that is seen as one of lanes.
-    if isinstance(kind, types.Record):
-        return _LaneRecord([(name, {'type': _seen(field.type, shared), 'offset': field.offset})
-                            for name, field in kind.fields.items()], kind.size, aligned=False)
-    if kind == types.float64 and shared:
-        return SHARED
-    if getattr(kind, 'dtype', None) != types.float64:
-        return kind  # whole numbers, the same for all lanes
-    dtype, last = (SHARED, None) if shared else (LANES, -1)
-    if not isinstance(kind, types.NestedArray):
-        return types.Array(dtype, kind.ndim if shared else kind.ndim - 1, 'C', aligned=False)
-    if not kind.shape[:last]:
-        return dtype
-    seen = types.NestedArray(dtype, kind.shape[:last])
-    seen.aligned = False
-    return seen
-
-
-@intrinsic
-def as_shared(context, record):
-    """See a record of floats as one that is the same for all lanes."""
-    return _seen(record, True)(record), lambda context, builder, _, arguments: arguments[0]
-
-
-@intrinsic
-def as_lanes(context, values):
-    """See a record, or an array in C order, of floats with lanes as last axis as one of lanes."""
-    kind = _seen(values, False)
-
-    def generate(context, builder, _, arguments):
-        if isinstance(values, types.Record):
-            return arguments[0]
-        given = context.make_array(values)(context, builder, arguments[0])
-        array = context.make_array(kind)(context, builder)
-        shape, strides = (cgutils.unpack_tuple(builder, part)[:-1]
-                          for part in (given.shape, given.strides))
-        context.populate_array(
-            array, data=builder.bitcast(given.data, VECTOR.as_pointer()), shape=shape,
-            strides=strides, itemsize=context.get_constant(types.intp, LANES.bitwidth // 8),
-            meminfo=None)
-        return array._getvalue()
-    return kind(values), generate
-
-
-_PLAIN = {'forceinline': True, 'fastmath': False}
-
-
-def _function_of(name):
-    # A function of LLVM that takes and returns lanes.
-    @intrinsic
-    def call(context, value):
-        def generate(context, builder, _, arguments):
-            function = cgutils.get_or_insert_function(
-                builder.module, ir.FunctionType(VECTOR, [VECTOR]), f'llvm.{name}.v{WIDTH}f64')
-            return builder.call(function, [context.cast(builder, arguments[0], value, LANES)])
-        return LANES(value), generate
-    return call
-
-
-_floor_of_lanes, _magnitude_of_lanes = _function_of('floor'), _function_of('fabs')
-
-
-@intrinsic
-def _select(context, condition, yes, no):
-    def generate(context, builder, _, arguments):
-        values = [context.cast(builder, value, kind, LANES)
-                  for value, kind in zip(arguments[1:], (yes, no))]
-        return builder.select(arguments[0], *values)
-    return LANES(condition, yes, no), generate
-
-
-@intrinsic
-def _any_of(context, condition):
-    def generate(context, builder, _, arguments):
-        bits = builder.bitcast(arguments[0], ir.IntType(WIDTH))
-        return builder.icmp_unsigned('!=', bits, ir.Constant(bits.type, 0))
-    return types.boolean(condition), generate
-
-
-def floor(value: Any) -> float:
-    """Return the largest whole number up to a value, as a float."""
-    return float(math.floor(value))
-
-
-@overload(floor, jit_options=_PLAIN)
-def _floor(value):
-    if value in (LANES, SHARED):
-        return lambda value: _floor_of_lanes(value)
-    return lambda value: np.floor(value)
-
-
-def magnitude(value: Any) -> Any:
-    """Return the absolute value."""
-    return abs(value)
-
-
-@overload(magnitude, jit_options=_PLAIN)
-def _magnitude(value):
-    if value in (LANES, SHARED):
-        return lambda value: _magnitude_of_lanes(value)
-    return lambda value: abs(value)
-
-
-def where(condition: Any, yes: Any, no: Any) -> Any:
-    """Return `yes` where a condition holds, else `no`; both have been computed."""
-    return yes if condition else no
-
-
-@overload(where, jit_options=_PLAIN)
-def _where(condition, yes, no):
-    if condition == MASK:
-        return lambda condition, yes, no: _select(condition, yes, no)
-    return lambda condition, yes, no: yes if condition else no
-
-
-def some(condition: Any) -> Any:
-    """Return whether a condition holds, in any lane."""
-    return condition
-
-
-@overload(some, jit_options=_PLAIN)
-def _some(condition):
-    if condition == MASK:
-        return lambda condition: _any_of(condition)
-    return lambda condition: condition
-
-
-def is_lanes(vector: Any) -> bool:
-    """Return whether the numbers of an array are lanes; known to the compiler."""
-    return False
-
-
-@overload(is_lanes, jit_options=_PLAIN)
-def _is_lanes(vector):
-    if getattr(vector, 'dtype', None) in (LANES, SHARED):
-        return lambda vector: True
-    return lambda vector: False

@@ -52,9 +52,8 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.compiled.constants import of_any_size
-from timo_sim.model.exact_code import (
-    BAND, BANDS, PUSHED, RateTables, SECTORS, Tables, TurningTables)
+from timo_sim.compiled.constants import pack
+from timo_sim.model.exact_code import BAND, BANDS, SECTORS, Tables
 from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.layout import ANGLE, LOADS, SPEED, tip_force, TIP_TORQUE
 
@@ -88,23 +87,21 @@ class Exact(Formulation):
         locked = self.constraints.locked
         self.sectors = SECTORS if one_axis and self._rate_count and locked is None else 0
         self._kernel, self._slope = kernel, rotation + shear
+        push = self.push_point.integral.T if self.push_point else np.empty((0, len(nodes)))
         tables = Tables(
             self.mass, kernel if one_axis else kernel[:1], to_centre, rotation.T, shear.T, rotary,
-            np.empty(0), damping, self.manipulator.carrier_friction,
+            np.empty((0, 0)), damping, self.manipulator.carrier_friction,
             np.array(self.manipulator.coulomb), self.axes, self.held_position,
-            self.points.integral[:, -1], at_points[-1], self.mass * self.gravity)
+            self.points.integral[:, -1], at_points[-1], self.mass * self.gravity, push,
+            self._stretch[len(self._stretch) - self.axial:], np.append(0.0, modes.omega**2),
+            np.empty((0, 2, 0)), -1, 0.0, np.empty((0, 0)))
         tables, linear = self._with_linear_part(tables, locked if one_axis else None)
         if self.sectors and self.axial:
             self._band = BAND * modes.omega[0]
             inertia = 1.0 if self.driven else tables.rotary[0, 0] + kernel.mean(axis=0).sum()
-            return self._with_push(TurningTables._make([
-                *tables, 1.0 / (self._band * inertia), np.zeros_like(linear)])), linear
-        return self._with_push(tables), linear
-
-    def _with_push(self, tables):
-        # With the constants of a force on the arm, if there is one.
-        return PUSHED[type(tables)]._make([
-            *tables, self.push_point.integral[:, 0]]) if self.push_point else tables
+            tables = tables._replace(bands_per_speed=1.0 / (self._band * inertia),
+                                     turning=np.zeros_like(linear))
+        return tables, linear
 
     def _with_linear_part(self, tables, angle):
         # Returns the tables and the linear part of the straight arm, whose C is E along the arm
@@ -119,7 +116,7 @@ class Exact(Formulation):
             matrix = tables.rotary + x @ kernel[0] @ x.T + y @ kernel[1] @ y.T
         matrix = matrix[self.driven:, self.driven:]
         inverse = straight = np.linalg.inv(matrix)
-        stiffness, damping = np.append(0.0, self.modes.omega**2), tables.damping
+        stiffness, damping = tables.stiffness, tables.damping
         if self._rate_count:
             # The state has the rates of the last coordinates, and momenta of those before: q' is
             # these rates, and M^-1 (p - M q') for the others (T35).
@@ -143,8 +140,7 @@ class Exact(Formulation):
             rate = -inverse[last, last] * [[stiffness[last]], [damping[last]]]
             linear[last] = 0.0
             linear[last, half - self._rate_count:half], linear[last, last] = rate
-            tables = RateTables._make([*tables, stretch[len(stretch) - self.axial:], stiffness,
-                                       rate.transpose(1, 0, 2), -1])
+            tables = tables._replace(linear_rate=rate.transpose(1, 0, 2))
         return tables, linear
 
     def state(self, motion: np.ndarray) -> np.ndarray:
@@ -234,20 +230,19 @@ class Exact(Formulation):
         """Return tables and linear part of the straight arm in the middle of a sector, a band."""
         band, sector = divmod(number, SECTORS)
         angle = (sector + 0.5) * np.pi / SECTORS
-        tables, linear = self._with_linear_part(Tables._make(self.tables[:len(Tables._fields)]),
-                                                angle)
+        tables, linear = self._with_linear_part(self.tables, angle)
         if self.axial:
             turning = self._about_turning(angle, (band - BANDS + 0.5) * self._band) - linear
             turning[:, len(self.axes)] *= self.driven  # the angle itself is not bounded
             linear += turning
-            tables = TurningTables._make([*tables, self.tables.bands_per_speed, turning])
-        return self._with_push(tables._replace(sector=number)), linear
+            tables = tables._replace(turning=turning)
+        return tables._replace(sector=number), linear
 
     def _about_turning(self, angle, speed):
         # The rate's derivatives by the state of a straight arm that turns. Without friction that
         # builds up it is quadratic in speeds and momenta; other differences are good to 1e-8.
         model = copy(self)
-        model._of_any_size = of_any_size(self.tables._replace(coulomb=np.zeros((2, 2))))
+        model.packed = model.pack(self.tables._replace(coulomb=np.zeros((2, 2))))
         motion, load = np.zeros(self.size), np.zeros(LOADS)
         motion[2] = load[ANGLE] = angle
         motion[self.size // 2 + 2] = load[SPEED] = speed

@@ -17,15 +17,12 @@ counts coordinates, the shaft first; j and k count quadrature nodes. `driven` is
 driven or locked, else 0, and thus the number of the first coordinate that is free.
 """
 
-from collections import namedtuple
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import local
-from timo_sim.compiled.functions import inlined, inner, optional
-from timo_sim.compiled.lanes import some
+from timo_sim.compiled.functions import inner, local, some
 from timo_sim.model import functions
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
@@ -34,48 +31,49 @@ from timo_sim.model.layout import (
 
 
 class Tables(NamedTuple):
-    """Constants of the compiled functions; N modes, n_g quadrature nodes, n free q_i."""
+    """
+    Constants of the compiled functions.
 
-    mass: float                # m_t
-    kernel: np.ndarray         # K for x and for y, (2, n_g, n_g), or for both, (1, n_g, n_g)
-    to_centre: np.ndarray      # d / m_t, from slopes to the mass centre, (n_g,)
-    rotation: np.ndarray       # Phi_i at the nodes, (1 + N, n_g)
-    shear: np.ndarray          # Gamma_i at the nodes, (1 + N, n_g)
-    rotary: np.ndarray         # Xi_ij = int J Phi_i Phi_j, with the shaft's J_m, (1 + N, 1 + N)
-    straight: np.ndarray       # M^-1 of the straight arm, (n, n)
-    damping: np.ndarray        # c_s, then 2 zeta_i omega_i, (1 + N,)
-    carrier_friction: float    # c_c
-    coulomb: np.ndarray        # `Manipulator.coulomb`, (2, 2)
-    axes: np.ndarray           # axes along which the carrier is free
-    held_position: np.ndarray  # of a carrier that is held, (2,)
-    to_tip: np.ndarray         # D_l, from slopes to the tip, (n_g,)
-    tip_rotation: np.ndarray   # Phi_i at the tip, (1 + N,)
-    weight: np.ndarray         # m_t g along world x and y, (2,)
+    Sizes: 1 + N `coordinates`, of which n are `free`, the last A `axial`, and the last R have
+    `rates` in place of momenta in the state (T35); n_g `nodes`. `kernels` is 2, or 1 if that for x
+    holds for y, too; `axes` counts those along which the carrier is free, `pushes` is 1 if a force
+    may act on the arm, else 0; `turning` is the length of the state for an arm that stretches with
+    one axis of the carrier held, else 0.
+    """
+
+    mass: float  # m_t
+    kernel: Annotated[np.ndarray, 'kernels', 'nodes', 'nodes']      # K for x and for y
+    to_centre: Annotated[np.ndarray, 'nodes']                       # d / m_t, from slopes to the mass centre
+    rotation: Annotated[np.ndarray, 'coordinates', 'nodes']         # Phi_i at the nodes
+    shear: Annotated[np.ndarray, 'coordinates', 'nodes']            # Gamma_i at the nodes
+    # Xi_ij = int J Phi_i Phi_j, with the shaft's J_m
+    rotary: Annotated[np.ndarray, 'coordinates', 'coordinates']
+    straight: Annotated[np.ndarray, 'free', 'free']                 # M^-1 of the straight arm
+    damping: Annotated[np.ndarray, 'coordinates']                   # c_s, then 2 zeta_i omega_i
+    carrier_friction: float                                         # c_c
+    coulomb: Annotated[np.ndarray, 2, 2]                            # `Manipulator.coulomb`
+    axes: Annotated[np.ndarray, int, 'axes']           # axes along which the carrier is free
+    held_position: Annotated[np.ndarray, 2]            # of a carrier that is held
+    to_tip: Annotated[np.ndarray, 'nodes']             # D_l, from slopes to the tip
+    tip_rotation: Annotated[np.ndarray, 'coordinates']  # Phi_i at the tip
+    weight: Annotated[np.ndarray, 2]                   # m_t g along world x and y
+    push: Annotated[np.ndarray, 'pushes', 'nodes']     # from slopes to where a force acts
+    stretch: Annotated[np.ndarray, 'axial', 'nodes']   # E_i of the axial coordinates at the nodes
+    stiffness: Annotated[np.ndarray, 'coordinates']    # omega_i^2
+    # Linear part of the last accelerations per q_i and per q_i'.
+    linear_rate: Annotated[np.ndarray, 'rates', 2, 'rates']
+    # Number of the sector for which the linear part is, plus SECTORS times that of the band of the
+    # speed; -1: any.
+    sector: int
+    bands_per_speed: float                             # bands per p_0, or per q_0' of a driven shaft
+    # What the linear part has for the speed of the band.
+    turning: Annotated[np.ndarray, 'turning', 'turning']
 
 
-# Constants where the last R coordinates have rates in place of momenta (T35). In addition:
-# - stretch: E_i of the last A coordinates, the axial ones, at the nodes, (A, n_g);
-# - stiffness: omega_i^2, (1 + N,);
-# - linear_rate: linear part of the last accelerations per q_i and per q_i', (R, 2, R);
-# - sector: number of the sector for which the linear part is, -1: any.
-RateTables = namedtuple(  # type: ignore[misc]
-    'RateTables', (*Tables._fields, 'stretch', 'stiffness', 'linear_rate', 'sector'))
-
-# Constants of an arm that stretches, with one axis of the carrier held. In addition:
-# - bands_per_speed: bands per p_0, or per q_0' of a driven shaft;
-# - turning: what the linear part has for the speed of the band, (m, m). `sector` counts both:
-#   SECTORS times the number of the band, plus that of the sector.
-TurningTables = namedtuple(  # type: ignore[misc]
-    'TurningTables', (*RateTables._fields, 'bands_per_speed', 'turning'))
-
-# Constants for a force on the arm, PUSH_X and PUSH_Y of a load. In addition:
-# - push: from slopes to where it acts, (n_g,).
-PUSHED: dict[type, Any] = {
-    kind: namedtuple(f'Pushed{kind.__name__}', (*kind._fields, 'push'))  # type: ignore[misc]
-    for kind in (Tables, RateTables, TurningTables)}
-_TURNING = TurningTables, PUSHED[TurningTables]
-_RATED = RateTables, PUSHED[RateTables], *_TURNING
-_ALL = Tables, PUSHED[Tables], *_RATED
+@inner
+def _half(tables):
+    """Return the half of the length of a state."""
+    return len(tables.axes) + len(tables.straight)
 
 
 # Slopes of the centre line and their derivatives, (T22) to (T24).
@@ -102,7 +100,7 @@ def _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2):
         for j in range(nodes):
             c1[i, j] = -b[j] * rotation[i, j] - sine[j] * shear[i, j]
             c2[i, j] = a[j] * rotation[i, j] + cosine[j] * shear[i, j]
-    add_stretch_to_slopes(tables, coordinate, cosine, sine, a, b, c1, c2)
+    _add_stretch_to_slopes(tables, coordinate, cosine, sine, a, b, c1, c2)
 
 
 # Mass matrix and speeds, (T26) and (T31).
@@ -141,7 +139,7 @@ def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors):
             mass[i, j] = total
 
     # The momenta less the share M_i0 q_0' of a driven shaft, whose speed is given (T31).
-    momenta = len(state) - count
+    momenta = 2 * _half(tables) - count
     speed[0] = load[SPEED]
     for i in range(driven, count):
         speed[i] = state[momenta + i]
@@ -161,7 +159,7 @@ def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors):
             mass[i, k] = factor[i]
     for i in range(driven, count):
         speed[i] *= inverse[i]
-    take_rates_of_state(tables, state, mass, inverse, speed, factors)
+    _take_rates_of_state(tables, state, mass, inverse, speed, factors)
     for k in range(count - 1, driven - 1, -1):
         for i in range(driven, k):
             speed[i] -= mass[k, i] * speed[k]
@@ -169,26 +167,22 @@ def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors):
 
 # A force on the arm. For every x, x + -0.0 is x: without one the compiler removes these sums.
 
-@optional
-def push_force(tables, load):
-    """Return x, y of the force on the arm."""
-    return -0.0, -0.0
-
-
-@optional
-def push_work(tables, load, j):
-    """Return what this force adds to the force against the slope at node j, in x and y."""
-    return -0.0, -0.0
-
-
-@push_force.of(*PUSHED.values())
+@inner
 def _push_force(tables, load):
-    return load[PUSH_X], load[PUSH_Y]
+    """Return x, y of the force on the arm."""
+    x, y = -0.0, -0.0
+    if len(tables.push):
+        x, y = load[PUSH_X], load[PUSH_Y]
+    return x, y
 
 
-@push_work.of(*PUSHED.values())
+@inner
 def _push_work(tables, load, j):
-    return -tables.push[j] * load[PUSH_X], -tables.push[j] * load[PUSH_Y]
+    """Return what this force adds to the force against the slope at node j, in x and y."""
+    x, y = -0.0, -0.0
+    if len(tables.push):
+        x, y = -tables.push[0, j] * load[PUSH_X], -tables.push[0, j] * load[PUSH_Y]
+    return x, y
 
 
 # Mass centre and carrier, (T25), (T27), (T33), (T44).
@@ -196,20 +190,20 @@ def _push_work(tables, load, j):
 @inner
 def _carrier_speed(tables, state, k, derivative, speed):
     """Return the carrier's speed along its k-th free axis (T33); `derivative` is C1 or C2."""
-    rate = state[len(state) // 2 + k] / tables.mass
+    rate = state[_half(tables) + k] / tables.mass
     for j in range(len(tables.to_centre)):
         for i in range(len(speed)):
             rate -= tables.to_centre[j] * derivative[i, j] * speed[i]
     return rate
 
 
-@inlined
+@inner
 def _resistance(tables, speed):
     """Return the friction against a speed of the carrier."""
     return tables.carrier_friction * speed + functions.coulomb(tables, 0, speed)
 
 
-@inlined
+@inner
 def _translate(tables, state, load, angle, c1, c2, speed, out):
     """
     Write the rates of the mass centre; return x, y of the force on the carrier and of the tip's.
@@ -217,12 +211,12 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
     The first is F of (T28), along free axes the sum of the forces on carrier and tip (T32). Where
     the carrier is held, the weights act on the arm as a force -m_t g on the carrier would (T44).
     """
-    axes, half, weight = tables.axes, len(state) // 2, tables.weight
+    axes, half, weight = tables.axes, _half(tables), tables.weight
     push_x, push_y = 0.0 - weight[0], 0.0 - weight[1]
     shaft_y, shaft_x = sincos(angle)
     tip_x = load[TIP_X] + shaft_x * load[TIP_I] - shaft_y * load[TIP_II]
     tip_y = load[TIP_Y] + shaft_y * load[TIP_I] + shaft_x * load[TIP_II]
-    arm_x, arm_y = push_force(tables, load)
+    arm_x, arm_y = _push_force(tables, load)
     rubs = some((tables.carrier_friction != 0.0) | (tables.coulomb[0, 0] != 0.0))
     for k in range(len(axes)):
         if axes[k] == 0:
@@ -242,7 +236,7 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
 
 # Forces on the coordinates, (T28), (T29), (T32).
 
-@inlined
+@inner
 def _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, image_2, speed,
                  script_a, script_b):
     """
@@ -268,7 +262,7 @@ def _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, imag
             shearing += speed[i] * shear[i, j]
         along = cosine[j] * g1 + sine[j] * g2
         # The force against the slope: -Q_i of (T28), (T32) is the sum of its products with C_i.
-        arm_x, arm_y = push_work(tables, load, j)
+        arm_x, arm_y = _push_work(tables, load, j)
         force_x = to_centre[j] * push_x - to_tip[j] * tip_x + arm_x
         force_y = to_centre[j] * push_y - to_tip[j] * tip_y + arm_y
         script_a[j] = force_x * b[j] - force_y * a[j]
@@ -278,7 +272,7 @@ def _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, imag
     return moment
 
 
-@functions.rate.of(*_ALL)
+@functions.rate.of(Tables)
 def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
     rotation, shear, to_centre = tables.rotation, tables.shear, tables.to_centre
@@ -292,7 +286,8 @@ def _rate(tables, state, load, out):
     factors = local((rotation, rotation))
     _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2)
     _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors)
-    momenta, half = len(state) - count, len(state) // 2
+    half = _half(tables)
+    momenta = 2 * half - count
     coordinates = momenta - half
 
     # q' (T28) less that by the mass matrix of the straight arm, which is in the linear part.
@@ -308,7 +303,7 @@ def _rate(tables, state, load, out):
     script_a, script_b = local((to_centre,)), local((to_centre,))
     moment = _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, image_2,
                           speed, script_a, script_b)
-    for i in range(driven, count - rate_count(tables)):
+    for i in range(driven, count - len(tables.linear_rate)):
         # Unless one axis is held, T does not depend on the shaft angle; that sum would only give
         # round-off and is left out.
         total = moment
@@ -318,12 +313,12 @@ def _rate(tables, state, load, out):
                 total += rotation[i, j] * script_a[j] + shear[i, j] * script_b[j]
         total += tables.tip_rotation[i] * load[TIP_TORQUE]
         out[momenta + i] = total - tables.damping[i] * out[coordinates + i]
-    add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2,
+    _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2,
                        coordinate, speed, factors, out)
-    subtract_turning(tables, state, out)
+    _subtract_turning(tables, state, out)
 
 
-@functions.observe.of(*_ALL)
+@functions.observe.of(Tables)
 def _observe(tables, state, load, out):
     """Write the motion of a state: the carrier's from the mass centre's (T25), and q'."""
     rotation, to_centre = tables.rotation, tables.to_centre
@@ -352,7 +347,7 @@ def _observe(tables, state, load, out):
         out[half + axis] = _carrier_speed(tables, state, k, derivative, speed)
 
 
-@functions.tip.of(*_ALL)
+@functions.tip.of(Tables)
 def _tip(tables, motion, out):
     """Write the tip's position, the integral of the slopes, and rotation from the shaft."""
     rotation, shear, to_tip = tables.rotation, tables.shear, tables.to_tip
@@ -370,19 +365,14 @@ def _tip(tables, motion, out):
         out[1] += (sine + gamma * cosine) * to_tip[j]
     for i in range(1, count):
         out[2] += motion[2 + i] * tables.tip_rotation[i]
-    add_stretch_to_tip(tables, motion, out)
+    _add_stretch_to_tip(tables, motion, out)
 
 
-# Axial strain (T34). These functions are empty for an arm that does not stretch, unless one axis
-# of the carrier is held. Then all free coordinates have rates in place of momenta, and A = 0.
+# Axial strain (T34); these functions do nothing for an arm that does not stretch.
 
-@optional
-def add_stretch_to_slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
-    """Add the axial strain to a, b (T23), C1 and C2 (T24)."""
-
-
-@add_stretch_to_slopes.of(*_RATED)
+@inner
 def _add_stretch_to_slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
+    """Add the axial strain to a, b (T23), C1 and C2 (T24)."""
     rotation, stretch = tables.rotation, tables.stretch
     count, nodes = rotation.shape
     axial = count - len(stretch)
@@ -401,13 +391,9 @@ def _add_stretch_to_slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
             c2[i, j] += strain * cosine[j] * rotation[i, j]
 
 
-@optional
-def add_stretch_to_tip(tables, motion, out):
-    """Add the displacement by axial strain to the tip's position from the shaft."""
-
-
-@add_stretch_to_tip.of(*_RATED)
+@inner
 def _add_stretch_to_tip(tables, motion, out):
+    """Add the displacement by axial strain to the tip's position from the shaft."""
     rotation, stretch, to_tip = tables.rotation, tables.stretch, tables.to_tip
     count, nodes = rotation.shape
     axial = count - len(stretch)
@@ -427,24 +413,11 @@ def _add_stretch_to_tip(tables, motion, out):
 # Coordinates with rates in place of momenta (T35): the axial ones or, with one axis of the carrier
 # held and no axial ones, all free ones.
 
-@optional
-def rate_count(tables):
-    """Return the number of last coordinates that have rates in place of momenta."""
-    return 0
-
-
-@rate_count.of(*_RATED)
-def _rate_count(tables):
-    return len(tables.linear_rate)
-
-
-@optional
-def take_rates_of_state(tables, state, mass, inverse, speed, factors):
-    """Set the rates that are part of the state; copy L and 1/D of the mass matrix to `factors`."""
-
-
-@take_rates_of_state.of(*_RATED)
+@inner
 def _take_rates_of_state(tables, state, mass, inverse, speed, factors):
+    """Set the rates that are part of the state; copy L and 1/D of the mass matrix to `factors`."""
+    if len(tables.linear_rate) == 0:
+        return
     count = len(speed)
     rates_from = count - len(tables.linear_rate)
     for i in range(count - len(tables.straight), count):
@@ -452,24 +425,22 @@ def _take_rates_of_state(tables, state, mass, inverse, speed, factors):
             factors[i, j] = mass[i, j]
         factors[i, i] = inverse[i]
     for i in range(rates_from, count):
-        speed[i] = state[len(state) - count + i]
+        speed[i] = state[2 * _half(tables) - count + i]
         for j in range(rates_from, i):
             mass[i, j] = 0.0  # the back substitution that follows must not change these rates
 
 
-@optional
-def add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2,
-                       coordinate, speed, factors, out):
-    """Add the terms of the axial strain to dT/dq (T29); write the accelerations (T35)."""
-
-
-@add_stretch_forces.of(*_RATED)
+@inner
 def _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2,
                         coordinate, speed, factors, out):
+    """Add the terms of the axial strain to dT/dq (T29); write the accelerations (T35)."""
+    if len(tables.linear_rate) == 0:
+        return
     rotation, shear, stretch = tables.rotation, tables.shear, tables.stretch
     to_centre = tables.to_centre
     count, nodes = rotation.shape
-    driven, axial, momenta = count - len(tables.straight), count - len(stretch), len(out) - count
+    driven, axial, momenta = (
+        count - len(tables.straight), count - len(stretch), 2 * _half(tables) - count)
     rates_from = count - len(tables.linear_rate)
     push_x, push_y, tip_x, tip_y = forces
     # The addition to A_j of (T29), and a_2, b_2 of (T35): accelerations of the slopes at q'' = 0.
@@ -499,7 +470,7 @@ def _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, imag
         added = 0.0
         for j in range(nodes):
             added += rotation[i, j] * added_a[j]
-            arm_x, arm_y = push_work(tables, load, j)
+            arm_x, arm_y = _push_work(tables, load, j)
             force_x = tables.to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
             force_y = tables.to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
             total += (force_x * c1[i, j] + force_y * c2[i, j] - image_1[i, j] * a_2[j]
@@ -546,37 +517,30 @@ def _sector(angle):
     return number - SECTORS * math.floor(number / SECTORS)
 
 
-@optional
-def band(tables, state, load):
-    """Return the number of the band in which the speed lies."""
-    return 0
-
-
-@band.of(*_TURNING)
+@inner
 def _band(tables, state, load):
+    """Return the number of the band in which the speed lies."""
+    if len(tables.turning) == 0:
+        return 0
     driven = len(tables.rotation) > len(tables.straight)
-    speed = load[SPEED] if driven else state[len(state) // 2 + len(tables.axes)]
+    speed = load[SPEED] if driven else state[_half(tables) + len(tables.axes)]
     return min(max(math.floor(speed * tables.bands_per_speed), -BANDS), BANDS - 1) + BANDS
 
 
-@functions.linear_part_is_valid.of(*_RATED)
+@functions.linear_part_is_valid.of(Tables)
 def _linear_part_is_valid(tables, state, load):
     if tables.sector < 0:
         return True
     driven = len(tables.rotation) > len(tables.straight)
     number = _sector(load[ANGLE] if driven else state[len(tables.axes)])
-    return number + SECTORS * band(tables, state, load) == tables.sector
+    return number + SECTORS * _band(tables, state, load) == tables.sector
 
 
-@optional
-def subtract_turning(tables, state, out):
-    """Subtract what the linear part has for the speed of a band."""
-
-
-@subtract_turning.of(*_TURNING)
+@inner
 def _subtract_turning(tables, state, out):
-    for i in range(len(out)):
+    """Subtract what the linear part has for the speed of a band."""
+    for i in range(len(tables.turning)):
         total = 0.0
-        for j in range(len(out)):
+        for j in range(len(tables.turning)):
             total += tables.turning[i, j] * state[j]
         out[i] -= total

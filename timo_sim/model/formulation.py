@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from timo_sim.compiled.constants import of_any_size, pack
+from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import rate_once, tip_once
 from timo_sim.model.layout import PUSH_X, PUSH_Y, rotate
@@ -115,9 +115,7 @@ class Formulation(ABC):
         self.mass = manipulator.base_mass + self.arm_mass
         self.push_point = self.at([push]) if push else None
         self.tables, self.linear = self.build()
-        self.pack: Callable[[Any], Any] = pack
-        self.packed = pack(self.tables)
-        self._of_any_size, self._linear_parts = of_any_size(self.tables), {}
+        self.packed, self._linear_parts = self.pack(self.tables), {}
 
     def linear_parts(self, step: float) -> dict[int | None, Any]:
         """Return the dict in which all `Steps` of a length [s] share their linear parts."""
@@ -184,13 +182,9 @@ class Formulation(ABC):
         by_modes = np.abs(modes.deflection(tip)) + np.abs(modes.displacement(tip))
         return np.concatenate([[1.0, 1.0, tip[0]], by_modes[0]])
 
-    def packed_by(self, pack: Callable[[Any], Any]) -> 'Formulation':
-        """Return the same equations, whose constants `pack` packs for compiled functions."""
-        if pack is self.pack:
-            return self
-        model = copy.copy(self)
-        model.pack, model.packed, model._linear_parts = pack, pack(self.tables), {}
-        return model
+    def pack(self, tables: Any) -> Packed:
+        """Return tables packed for compiled functions."""
+        return pack(tables, motion=self.size, state=len(self.linear))
 
     @cached_property
     def magnitude_bound(self) -> float:
@@ -217,7 +211,7 @@ class Formulation(ABC):
     def rate(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         """Return the rate of a state under a load, linear part included, shape (m,)."""
         rate = np.empty(len(state))
-        rate_once(self._of_any_size, state, load, rate)
+        rate_once(self.packed, state, load, rate)
         return self.linear @ state + rate
 
     @cached_property

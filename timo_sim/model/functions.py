@@ -9,17 +9,18 @@
 """
 Declarations of the compiled functions of a formulation, and what their bodies share.
 
-An integrator calls `rate` and `observe` by these names. numba chooses the body by the type of the
+An integrator calls `rate` and `observe` by these names. The body is chosen by the kind of the
 constants, for which `@rate.of(Tables)` registers it.
 """
 
 import numpy as np
 
-from timo_sim.compiled.functions import dispatch, entry_point, inlined, optional, strict
-from timo_sim.compiled.lanes import floor, some, where
+from timo_sim.compiled.functions import (
+    Array, Constants, declare, entry_point, floor, inner, some, strict, where)
+from timo_sim.model.layout import LOADS
 
 
-@dispatch
+@declare
 def rate(tables, state, load, out):
     """
     Write n(y, load), the state's rate less its linear part; loads are included.
@@ -35,18 +36,17 @@ def rate(tables, state, load, out):
     """
 
 
-@optional
+@declare
 def linear_part_is_valid(tables, state, load):
     """Return whether the linear part that belongs to the constants is the one for this state."""
-    return True
 
 
-@dispatch
+@declare
 def observe(tables, state, load, out):
     """Write the motion (see `formulation.Formulation`) that belongs to a state and a load."""
 
 
-@inlined
+@inner
 def coulomb(tables, joint, speed):
     """Return the Coulomb friction against a speed of the carrier, joint 0, or of the shaft, 1."""
     friction = 0.0
@@ -55,7 +55,7 @@ def coulomb(tables, joint, speed):
     return friction
 
 
-@dispatch
+@declare
 def tip(tables, motion, out):
     """
     Write the position and rotation of the tip in a motion.
@@ -72,13 +72,14 @@ def tip(tables, motion, out):
     """
 
 
-@entry_point
+@entry_point(tables=Constants(), state=Array(('state',)), load=Array((LOADS,)),
+             out=Array(('state',)))
 def rate_once(tables, state, load, out):
     """Call `rate` from Python."""
     rate(tables, state, load, out)
 
 
-@entry_point
+@entry_point(tables=Constants(), motion=Array(('motion',)), out=Array((3,)))
 def tip_once(tables, motion, out):
     """Call `tip` from Python."""
     tip(tables, motion, out)

@@ -17,12 +17,13 @@ section 2: closed form (T5) to (T7), Legendre-Galerkin (T8), static shapes (T9);
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 import functools
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from timo_sim.compiled.constants import pack
-from timo_sim.compiled.functions import entry_point, strict
+from timo_sim.compiled.functions import Array, Constants, entry_point, magnitude, strict
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 
 
@@ -134,14 +135,16 @@ class UniformModes(Modes):
         self.omega = self._roots(manipulator, count)
         # The shares of the waves in a mode are the null vector of its boundary conditions (T7).
         matrices, scales = np.empty((count, 4, 4)), np.empty((count, 4))
+        conditions = boundary_conditions.of(self._arm)
         for omega, matrix, scale in zip(self.omega, matrices, scales):
-            boundary_conditions(self._arm, omega, matrix, scale)
-        self._shape = (np.linalg.svd(matrices)[2][:, -1] / scales).T
+            conditions(omega, matrix, scale)
+        self._shape = np.linalg.svd(matrices)[2][:, -1] / scales
         fine = Quadrature(manipulator.arm.breaks, 4 * count + 40)
         mass, inertia = manipulator.inertia(fine)
         deflection, rotation, _, _ = self._fields(fine.points)
         modal_mass = mass @ deflection**2 + inertia @ rotation**2
-        self._shape *= np.sign(self.curvature(np.zeros(1))[0]) / np.sqrt(modal_mass)
+        sign = np.sign(self.curvature(np.zeros(1))[0])
+        self._shape *= (sign / np.sqrt(modal_mass))[:, np.newaxis]
 
     def deflection(self, xi: np.ndarray) -> np.ndarray:
         """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
@@ -160,10 +163,10 @@ class UniformModes(Modes):
         return self._fields(xi)[3]
 
     def _fields(self, xi):
-        values = np.empty((4, len(xi), len(self)))
-        # A copy, because read-only points would need machine code of their own.
-        fields(self._arm, self.omega, self._shape, np.array(xi, dtype=float), values)
-        return values
+        values = np.empty((len(xi) * len(self), 4))
+        fields(self._arm, self.omega, len(self), self._shape, np.ascontiguousarray(xi, dtype=float),
+               len(xi), values)
+        return np.moveaxis(values.reshape(len(xi), len(self), 4), -1, 0)
 
     def _roots(self, manipulator, count):
         omega = np.zeros(count)
@@ -175,7 +178,7 @@ class UniformModes(Modes):
         # guesses depend on the number of BLAS threads, and those of the frequencies should not.
         limits = np.append(0.5 * guesses[0], np.sqrt(guesses[:-1] * guesses[1:]))
         limits = limits.astype(np.float32).astype(float)
-        found = bisect(self._arm, limits, omega)
+        found = bisect(self._arm, limits, omega, count, np.empty((4, 4)), np.empty(4))
         if found < count:
             raise ValueError(f'mode {found + 1} of the arm is not separate from its neighbours')
         return omega
@@ -211,24 +214,29 @@ class UniformArm(NamedTuple):
 
 
 @strict
+def _square(value):
+    return value * value
+
+
+@strict
 def _wave_numbers(arm, omega):
     """Return both roots s of the characteristic equation (8), and nu of (T5)."""
-    k2 = omega * np.sqrt(arm.mass_per_length / arm.bending_stiffness)
-    root = np.sqrt((0.5 * (1.0 - arm.ratio) * arm.radius2 * k2)**2 + 1.0)
+    k2 = omega * math.sqrt(arm.mass_per_length / arm.bending_stiffness)
+    root = math.sqrt(_square(0.5 * (1.0 - arm.ratio) * arm.radius2 * k2) + 1.0)
     mean = 0.5 * (1.0 + arm.ratio) * arm.radius2 * k2
     # root - mean, written without the cancellation near the cut-off, where it changes sign.
-    second = k2 * (1.0 - arm.ratio * (arm.radius2 * k2)**2) / (root + mean)
-    return -k2 * (root + mean), second, arm.mass_per_length / arm.shear_stiffness * omega**2
+    second = k2 * (1.0 - arm.ratio * _square(arm.radius2 * k2)) / (root + mean)
+    return -k2 * (root + mean), second, arm.mass_per_length / arm.shear_stiffness * omega * omega
 
 
 @strict
 def _standing(s, xi):
     """Return two pairs g, G (T6): cos, sin / k, -k sin, cos of k xi; hyperbolic for s > 0."""
-    k = np.sqrt(abs(s))
+    k = math.sqrt(magnitude(s))
     if s > 0.0:
-        even, odd = np.cosh(k * xi), np.sinh(k * xi)
+        even, odd = math.cosh(k * xi), math.sinh(k * xi)
     else:
-        even, odd = np.cos(k * xi), np.sin(k * xi)
+        even, odd = math.cos(k * xi), math.sin(k * xi)
     integral = odd / k if k > 0.0 else xi
     return even, integral, s * integral, even
 
@@ -238,9 +246,9 @@ def _waves(arm, omega, xi):
     """Return g, G, s of the four waves, and nu."""
     first, second, nu = _wave_numbers(arm, omega)
     g_0, integral_0, g_1, integral_1 = _standing(first, xi)
-    if second * arm.length**2 > 1.0:
-        beta = np.sqrt(second)
-        g_2, g_3 = np.exp(-beta * xi), np.exp(-beta * (arm.length - xi))
+    if second * arm.length * arm.length > 1.0:
+        beta = math.sqrt(second)
+        g_2, g_3 = math.exp(-beta * xi), math.exp(-beta * (arm.length - xi))
         integral_2, integral_3 = -g_2 / beta, g_3 / beta
     else:
         g_2, integral_2, g_3, integral_3 = _standing(second, xi)
@@ -248,7 +256,7 @@ def _waves(arm, omega, xi):
             (first, first, second, second), nu)
 
 
-@entry_point
+@entry_point(arm=Constants(), omega=float, matrix=Array((4, 4)), scale=Array((4,)))
 def boundary_conditions(arm, omega, matrix, scale):
     """
     Write the boundary conditions at a frequency.
@@ -272,15 +280,17 @@ def boundary_conditions(arm, omega, matrix, scale):
         matrix[0, j] = g_root[j]
         matrix[1, j] = (s[j] + nu) * integral_root[j]
         matrix[2, j] = (-arm.shear_stiffness * nu * integral_tip[j]
-                        - arm.end_effector_mass * omega**2 * g_tip[j])
+                        - arm.end_effector_mass * omega * omega * g_tip[j])
         matrix[3, j] = (s[j] + nu) * (arm.bending_stiffness * g_tip[j]
-                                      - arm.end_effector_inertia * omega**2 * integral_tip[j])
+                                      - arm.end_effector_inertia * omega * omega * integral_tip[j])
     for i in range(4):
-        length = np.sqrt(matrix[i, 0]**2 + matrix[i, 1]**2 + matrix[i, 2]**2 + matrix[i, 3]**2)
+        length = math.sqrt(_square(matrix[i, 0]) + _square(matrix[i, 1])
+                           + _square(matrix[i, 2]) + _square(matrix[i, 3]))
         for j in range(4):
             matrix[i, j] /= length
     for j in range(4):
-        scale[j] = np.sqrt(matrix[0, j]**2 + matrix[1, j]**2 + matrix[2, j]**2 + matrix[3, j]**2)
+        scale[j] = math.sqrt(_square(matrix[0, j]) + _square(matrix[1, j])
+                             + _square(matrix[2, j]) + _square(matrix[3, j]))
         for i in range(4):
             matrix[i, j] /= scale[j]
 
@@ -305,8 +315,9 @@ def _determinant(arm, omega, matrix, scale):
     return total
 
 
-@entry_point
-def bisect(arm, limits, omega):
+@entry_point(arm=Constants(), limits=Array((None,)), omega=Array((None,)), count=int,
+             matrix=Array((4, 4)), scale=Array((4,)))
+def bisect(arm, limits, omega, count, matrix, scale):
     """
     Find one eigenfrequency between each two neighbouring limits, to the last bit.
 
@@ -318,6 +329,10 @@ def bisect(arm, limits, omega):
         Ascending [rad/s].
     omega : ndarray, shape (N,)
         Receives the frequencies.
+    count : int
+        N.
+    matrix, scale : ndarray, shapes (4, 4) and (4,)
+        Room for `boundary_conditions`.
 
     Returns
     -------
@@ -326,8 +341,7 @@ def bisect(arm, limits, omega):
         boundary conditions does not change sign; N if all are found.
 
     """
-    matrix, scale = np.empty((4, 4)), np.empty(4)
-    for n in range(len(omega)):
+    for n in range(count):
         low, high = limits[n], limits[n + 1]
         at_low = at_high = 0.0
         point = low
@@ -351,11 +365,12 @@ def bisect(arm, limits, omega):
             if not low < point < high:
                 break
         omega[n] = point
-    return len(omega)
+    return count
 
 
-@entry_point
-def fields(arm, omega, shape, xi, out):
+@entry_point(arm=Constants(), omega=Array((None,)), count=int, shape=Array((None, 4)),
+             xi=Array((None,)), points=int, out=Array((None, 4)))
+def fields(arm, omega, count, shape, xi, points, out):
     """
     Write the fields of modes at points.
 
@@ -364,26 +379,28 @@ def fields(arm, omega, shape, xi, out):
     arm : packed constants
         Of `UniformArm`.
     omega : ndarray, shape (N,)
-        Frequencies [rad/s].
-    shape : ndarray, shape (4, N)
+        Frequencies of `count` modes [rad/s].
+    shape : ndarray, shape (N, 4)
         Share of each wave in each mode.
     xi : ndarray, shape (p,)
-        Points [m].
-    out : ndarray, shape (4, p, N)
-        Receives deflection, rotation, curvature and shear strain. The last is computed as -nu G,
-        since the difference W' - Phi would lose seven digits on a slender arm.
+        `points` points [m].
+    out : ndarray, shape (p N, 4)
+        Receives deflection, rotation, curvature and shear strain of each mode at each point. The
+        last is computed as -nu G, since the difference W' - Phi would lose seven digits on a
+        slender arm.
 
     """
-    for n in range(len(omega)):
-        for i in range(len(xi)):
+    for n in range(count):
+        for i in range(points):
+            row = i * count + n
             for field in range(4):
-                out[field, i, n] = 0.0
+                out[row, field] = 0.0
             g, integral, s, nu = _waves(arm, omega[n], xi[i])
             for j in range(4):
-                out[0, i, n] += shape[j, n] * g[j]
-                out[1, i, n] += shape[j, n] * (s[j] + nu) * integral[j]
-                out[2, i, n] += shape[j, n] * (s[j] + nu) * g[j]
-                out[3, i, n] -= shape[j, n] * nu * integral[j]
+                out[row, 0] += shape[n, j] * g[j]
+                out[row, 1] += shape[n, j] * (s[j] + nu) * integral[j]
+                out[row, 2] += shape[n, j] * (s[j] + nu) * g[j]
+                out[row, 3] -= shape[n, j] * nu * integral[j]
 
 
 class GalerkinModes(Modes):

@@ -40,15 +40,12 @@ is held. A driven shaft has no row, since its theta'' is given. The state is the
 coordinates that are held or driven.
 """
 
-from collections import namedtuple
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import local
-from timo_sim.compiled.functions import inlined, inner, optional
-from timo_sim.compiled.lanes import some
+from timo_sim.compiled.functions import inner, local, some
 from timo_sim.model import functions
 from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.functions import sincos
@@ -155,11 +152,10 @@ class Newton(Formulation):
             np.array([self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
             np.array(self.manipulator.coulomb), self.axes, self.held_position,
             self.manipulator.arm.length, laws.tip_share,
-            self.points.deflection[:, -1], self.points.rotation[:, -1], self.gravity)
-        if not self.push_point:
-            return tables, linear
-        return PushedTables._make([*tables, self.push_point.xi[0],
-                                   self.push_point.deflection[:, 0]]), linear
+            self.points.deflection[:, -1], self.points.rotation[:, -1], self.gravity,
+            self.push_point.xi[0] if self.push_point else 0.0,
+            self.push_point.deflection.T if self.push_point else np.empty((0, len(stiffness))))
+        return tables, linear
 
     def state(self, motion: np.ndarray) -> np.ndarray:
         """Return the state that belongs to a motion."""
@@ -281,66 +277,68 @@ class NewtonRigidAxial(Newton):
 # Compiled functions. `driven` is 1 if the shaft is driven or locked, so that theta has no row.
 
 class Tables(NamedTuple):
-    """Constants of the compiled functions, from `newton.Laws`; N modes, n free of theta, q."""
+    """
+    Constants of the compiled functions, from `newton.Laws`.
 
-    base_mass: float            # m_c + m_m
-    arm_mass: float             # m_a
-    first_moment: float         # s_a
-    inverse: np.ndarray         # A^-1 of the free rows, (n, n)
-    coupling: np.ndarray        # A_i0 of a driven shaft, (1 + N,)
-    response: np.ndarray        # v = A^-1 c, (1 + N,)
-    mass_across: float          # m_V - h.v: -V(0) per beta
-    shaft_per_stress: np.ndarray  # theta'' per k_n, (N,)
-    shear_per_stress: np.ndarray  # V(0) per k_n at beta = 0, (N,)
-    linear_beta: float          # beta per V(0) of the modal stress in the linear part, or 0
-    softening: np.ndarray       # S, (1 + N, N)
-    shear_row: np.ndarray       # h, (1 + N,)
-    shear_softening: np.ndarray  # U, (N,)
-    axial: np.ndarray           # e, (N,)
-    stiffness: np.ndarray       # omega_n^2, (N,)
-    damping: np.ndarray         # 2 zeta_n omega_n, (N,)
-    viscous_friction: np.ndarray  # c_c of the carrier, c_s of the shaft, (2,)
-    coulomb: np.ndarray         # `Manipulator.coulomb`, (2, 2)
-    axes: np.ndarray            # axes along which the carrier is free
-    held_position: np.ndarray   # of a carrier that is held, (2,)
-    length: float               # l
-    tip_share: float            # share of a load on the tip, see `Laws`
-    tip_deflection: np.ndarray  # W_n at the tip, (N,)
-    tip_rotation: np.ndarray    # Phi_n at the tip, (N,)
-    gravity: np.ndarray         # g along world x and y, (2,)
+    Sizes: N `modes`, 1 + N `coordinates`, of which n are `free`; `axes` along which the carrier is
+    free; `pushes` is 1 if a force may act on the arm, else 0.
+    """
+
+    base_mass: float     # m_c + m_m
+    arm_mass: float      # m_a
+    first_moment: float  # s_a
+    inverse: Annotated[np.ndarray, 'free', 'free']         # A^-1 of the free rows
+    coupling: Annotated[np.ndarray, 'coordinates']         # A_i0 of a driven shaft
+    response: Annotated[np.ndarray, 'coordinates']         # v = A^-1 c
+    mass_across: float   # m_V - h.v: -V(0) per beta
+    shaft_per_stress: Annotated[np.ndarray, 'modes']       # theta'' per k_n
+    shear_per_stress: Annotated[np.ndarray, 'modes']       # V(0) per k_n at beta = 0
+    linear_beta: float   # beta per V(0) of the modal stress in the linear part, or 0
+    softening: Annotated[np.ndarray, 'coordinates', 'modes']  # S
+    shear_row: Annotated[np.ndarray, 'coordinates']        # h
+    shear_softening: Annotated[np.ndarray, 'modes']        # U
+    axial: Annotated[np.ndarray, 'modes']                  # e
+    stiffness: Annotated[np.ndarray, 'modes']              # omega_n^2
+    damping: Annotated[np.ndarray, 'modes']                # 2 zeta_n omega_n
+    viscous_friction: Annotated[np.ndarray, 2]             # c_c of the carrier, c_s of the shaft
+    coulomb: Annotated[np.ndarray, 2, 2]                   # `Manipulator.coulomb`
+    axes: Annotated[np.ndarray, int, 'axes']               # axes along which the carrier is free
+    held_position: Annotated[np.ndarray, 2]                # of a carrier that is held
+    length: float        # l
+    tip_share: float     # share of a load on the tip, see `Laws`
+    tip_deflection: Annotated[np.ndarray, 'modes']         # W_n at the tip
+    tip_rotation: Annotated[np.ndarray, 'modes']           # Phi_n at the tip
+    gravity: Annotated[np.ndarray, 2]                      # g along world x and y
+    push_place: float    # distance from the root to where a force acts on the arm
+    push_deflection: Annotated[np.ndarray, 'pushes', 'modes']  # W_n there
 
 
-# Constants for a force on the arm, PUSH_X and PUSH_Y of a load. In addition:
-# - push_place: distance from the root to where it acts;
-# - push_deflection: W_n there, (N,).
-PushedTables = namedtuple(  # type: ignore[misc]
-    'PushedTables', (*Tables._fields, 'push_place', 'push_deflection'))
+@inner
+def _half(tables):
+    """Return the half of the length of a state."""
+    return len(tables.axes) + len(tables.inverse)
 
 
 # For every x, x + -0.0 is x: without a force on the arm the compiler removes these sums.
 
-@optional
-def push(tables, q, load, cosine, sine):
-    """Return the force on the arm along axes I, II, and its moment about the shaft."""
-    return -0.0, -0.0, -0.0
-
-
-@optional
-def push_on_mode(tables, n, push_2):
-    """Return what a force across the arm does on a mode."""
-    return -0.0
-
-
-@push.of(PushedTables)
+@inner
 def _push(tables, q, load, cosine, sine):
-    along = cosine * load[PUSH_X] + sine * load[PUSH_Y]
-    across = cosine * load[PUSH_Y] - sine * load[PUSH_X]
-    return along, across, tables.push_place * across - _dot(tables.push_deflection, q) * along
+    """Return the force on the arm along axes I, II, and its moment about the shaft."""
+    along, across, moment = -0.0, -0.0, -0.0
+    if len(tables.push_deflection):
+        along = cosine * load[PUSH_X] + sine * load[PUSH_Y]
+        across = cosine * load[PUSH_Y] - sine * load[PUSH_X]
+        moment = tables.push_place * across - _dot(tables.push_deflection[0], q) * along
+    return along, across, moment
 
 
-@push_on_mode.of(PushedTables)
+@inner
 def _push_on_mode(tables, n, push_2):
-    return tables.push_deflection[n] * push_2
+    """Return what a force across the arm does on a mode."""
+    on_mode = -0.0
+    if len(tables.push_deflection):
+        on_mode = tables.push_deflection[0, n] * push_2
+    return on_mode
 
 
 @inner
@@ -351,13 +349,13 @@ def _dot(left, right):
     return total
 
 
-@inlined
+@inner
 def _resistance(tables, joint, speed):
     """Return the friction against a speed of the carrier, joint 0, or of the shaft, 1."""
     return tables.viscous_friction[joint] * speed + functions.coulomb(tables, joint, speed)
 
 
-@inlined
+@inner
 def _set_z_0(tables, q, theta_rate, load, tip_2, push_2, moment, force, z):
     """Set z_0: theta'' and q'' at beta = 0, without the modal stress (in the linear part)."""
     inverse, softening = tables.inverse, tables.softening
@@ -367,11 +365,11 @@ def _set_z_0(tables, q, theta_rate, load, tip_2, push_2, moment, force, z):
         if i:
             force[i] = (tables.tip_deflection[i - 1] * tip_2
                         + tables.tip_rotation[i - 1] * load[TIP_TORQUE]
-                        + push_on_mode(tables, i - 1, push_2))
+                        + _push_on_mode(tables, i - 1, push_2))
         else:
             force[i] = load[TORQUE] - _resistance(tables, 1, theta_rate) + moment
         for n in range(count):
-            force[i] += theta_rate**2 * softening[i, n] * q[n]
+            force[i] += theta_rate * theta_rate * softening[i, n] * q[n]
         if driven:
             force[i] -= tables.coupling[i] * load[ACCELERATION]
     z[0] = load[ACCELERATION]
@@ -382,10 +380,10 @@ def _set_z_0(tables, q, theta_rate, load, tip_2, push_2, moment, force, z):
         z[i] = total
 
 
-@inlined
+@inner
 def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
     """Write the carrier's acceleration in world axes, (T16); return beta."""
-    axes, half = tables.axes, len(state) // 2
+    axes, half = tables.axes, _half(tables)
     force_x = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
     force_y = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
     for k in range(len(axes)):
@@ -403,28 +401,28 @@ def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
         out[half + 1] = sine * alpha + cosine * beta
     elif len(axes) == 1:
         push, along, across = (force_x, cosine, -sine) if axes[0] == 0 else (force_y, sine, cosine)
-        inertia = (tables.base_mass + along**2 * tables.arm_mass + along * across * tilt
-                   + across**2 * tables.mass_across)
+        inertia = (tables.base_mass + along * along * tables.arm_mass + along * across * tilt
+                   + across * across * tables.mass_across)
         out[half] = (push + along * axial + across * shear) / inertia
         beta = across * out[half]
     return beta
 
 
-@inlined
+@inner
 def _add_gravity(tables, cosine, sine, tilt, out):
     """
     Add what gravity does, see doc/theory.md, section 10.
 
     In a freely falling frame gravity vanishes and a held carrier accelerates by -g: alpha, beta.
     """
-    axes, half, gravity = tables.axes, len(out) // 2, tables.gravity
+    axes, half, gravity = tables.axes, _half(tables), tables.gravity
     held_x = 0.0 if len(axes) == 2 or len(axes) == 1 and axes[0] == 0 else -gravity[0]
     held_y = 0.0 if len(axes) == 2 or len(axes) == 1 and axes[0] == 1 else -gravity[1]
     alpha, beta = cosine * held_x + sine * held_y, cosine * held_y - sine * held_x
     if len(axes) == 1:
         along, across = (cosine, -sine) if axes[0] == 0 else (sine, cosine)
-        inertia = (tables.base_mass + along**2 * tables.arm_mass + along * across * tilt
-                   + across**2 * tables.mass_across)
+        inertia = (tables.base_mass + along * along * tables.arm_mass + along * across * tilt
+                   + across * across * tables.mass_across)
         pulled = -(along * (tables.arm_mass * alpha + tilt * beta)
                    + across * tables.mass_across * beta) / inertia
         out[half] += pulled
@@ -433,14 +431,14 @@ def _add_gravity(tables, cosine, sine, tilt, out):
         out[half + k] += gravity[axes[k]]
     free = len(tables.inverse)
     for i in range(free):
-        out[len(out) - free + i] -= tables.response[len(tables.response) - free + i] * beta
+        out[2 * half - free + i] -= tables.response[len(tables.response) - free + i] * beta
 
 
-@functions.rate.of(Tables, PushedTables)
+@functions.rate.of(Tables)
 def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
     rows, count = tables.softening.shape
-    driven, half = rows - len(tables.inverse), len(state) // 2
+    driven, half = rows - len(tables.inverse), _half(tables)
     modal = half - count
     q, qdot = local((tables.axial,)), local((tables.axial,))
     for n in range(count):
@@ -457,7 +455,7 @@ def _rate(tables, state, load, out):
     tip_2 = load[TIP_II] - sine * load[TIP_X] + cosine * load[TIP_Y]
     tip_moment = tables.tip_share * (
         load[TIP_TORQUE] + tables.length * tip_2 - _dot(tables.tip_deflection, q) * tip_1)
-    push_1, push_2, push_moment = push(tables, q, load, cosine, sine)
+    push_1, push_2, push_moment = _push(tables, q, load, cosine, sine)
     force, z = local((tables.softening,)), local((tables.softening,))
     _set_z_0(tables, q, omega, load, tip_2, push_2, tip_moment + push_moment, force, z)
 
@@ -470,8 +468,8 @@ def _rate(tables, state, load, out):
         linear_shear += tables.shear_per_stress[n] * stress
     bent = _dot(tables.axial, q)
     axial = (bent * theta_acceleration + 2.0 * omega * _dot(tables.axial, qdot)
-             + omega**2 * tables.first_moment + tip_1 + push_1)
-    shear = (linear_shear - _dot(tables.shear_row, z) + omega**2 * _dot(tables.shear_softening, q)
+             + omega * omega * tables.first_moment + tip_1 + push_1)
+    shear = (linear_shear - _dot(tables.shear_row, z) + omega * omega * _dot(tables.shear_softening, q)
              + tables.tip_share * tip_2 + push_2)
     tilt = bent * tables.response[0]  # -P(0) per beta
     beta = _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out)
@@ -485,10 +483,15 @@ def _rate(tables, state, load, out):
         _add_gravity(tables, cosine, sine, tilt, out)
 
 
-@functions.observe.of(Tables, PushedTables)
+@functions.linear_part_is_valid.of(Tables)
+def _linear_part_is_valid(tables, state, load):
+    return True
+
+
+@functions.observe.of(Tables)
 def _observe(tables, state, load, out):
     """Write the motion of a state."""
-    parts = (0, 0), (len(state) // 2, len(out) // 2)
+    parts = (0, 0), (_half(tables), len(out) // 2)
     for k in range(2):
         source, goal = parts[k]
         for axis in range(2):
@@ -501,7 +504,7 @@ def _observe(tables, state, load, out):
             out[goal + 2 + i] = state[source + len(tables.axes) + i - driven]
 
 
-@functions.tip.of(Tables, PushedTables)
+@functions.tip.of(Tables)
 def _tip(tables, motion, out):
     """Write the tip's position (l, w), and its rotation."""
     out[0] = tables.length

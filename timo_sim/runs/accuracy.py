@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import of_any_size
 from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.parameters import ParameterError, PARAMETERS, steps_in, warn
 from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
@@ -75,7 +74,7 @@ def _run_alike(scene, run):
     """Return the run of a finer scene with samples at the times of `run`; None if it diverges."""
     steps = round(run.scene.step / scene.step) * run.stats['steps']
     try:
-        return run_scene(scene, steps, steps // (len(run.t) - 1), pack=of_any_size)
+        return run_scene(scene, steps, steps // (len(run.t) - 1))
     except DivergenceError:
         return None
 
@@ -226,8 +225,7 @@ def _run_trial(scene, modes, step, duration):
     try:
         scene = scene_from({**scene.values, 'model.accuracy': 0.0, 'model.modes': modes,
                             'integrator.step': step})
-        return None if unseen_load(scene) else run_scene(scene, samples * every, every,
-                                                         pack=of_any_size)
+        return None if unseen_load(scene) else run_scene(scene, samples * every, every)
     except (ParameterError, DivergenceError):  # such as a load that jumps inside of a step
         return None
 

@@ -329,15 +329,14 @@ class Run(MotionFields):
 
 def run_scene(scene: Scene, steps: int, sample_every: int = 1,
               report: Callable[[int], object] = lambda count: None,
-              tell: Callable[[str], object] | None = None,
-              pack: Callable | None = None) -> Run:
+              tell: Callable[[str], object] | None = None) -> Run:
     """
     Return the Run of a resolved scene; without the progress bar and ModelWarning of `simulate`.
 
-    `report(count)` is called after each `count` further steps. `tell` goes to `Simulator.warm_up`,
-    `pack` to `Simulator`.
+    `report(count)` is called after each `count` further steps. `tell` goes to
+    `Simulator.warm_up`.
     """
-    simulator = Simulator(scene, pack=pack)
+    simulator = Simulator(scene)
     simulator.warm_up(tell)
     motion = np.empty((steps // sample_every + 1, simulator.model.size))
     motion[0], heat = simulator.motion.values, np.zeros(len(motion))
@@ -360,7 +359,7 @@ def run_scene(scene: Scene, steps: int, sample_every: int = 1,
         except DivergenceError as error:
             # A call that fails returns no samples: a second simulator takes those that are good.
             last = simulator.steps // sample_every * sample_every
-            again = Simulator(scene, pack=pack)
+            again = Simulator(scene)
             again.advance(first)
             samples = slice(samples.start, last // sample_every + 1)
             motion[samples], heat[samples] = again.advance(last - first, sample_every=sample_every)

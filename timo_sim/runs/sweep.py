@@ -29,8 +29,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.cache import compiling
-from timo_sim.compiled.lanes import WIDTH
+from timo_sim.compiled.machine import WIDTH
 from timo_sim.extras import optional
 from timo_sim.runs.accuracy import measure_error, resolve
 from timo_sim.runs.run import run_scene
@@ -353,8 +352,7 @@ class LaneRuns:
             for scene, model in zip(scenes, self._models)]))
         self._loads = LaneLoads(scenes)
         self._origin = np.zeros(len(scenes), dtype=int)
-        with compiling(*self._lanes.constants):
-            self._lanes.advance(self._loads.columns, self._loads.varying(0, 0, self._origin))
+        self._lanes.advance(self._loads.columns, self._loads.varying(0, 0, self._origin))
         self.warnings = [unseen_load(scene) for scene in scenes]
         self.peak, self.rotation, self.squares = np.zeros((3, len(scenes)))
         self.peak_time = np.zeros(len(scenes))

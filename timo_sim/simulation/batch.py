@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.compiled.cache import compiling
-from timo_sim.compiled.lanes import WIDTH
+from timo_sim.compiled.machine import WIDTH
 from timo_sim.model.layout import (
     AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.scene.parameters import Parameter, ParameterError, steps_in
@@ -345,13 +344,12 @@ class Batch:
         lanes, loads = self._lanes, self._loads
         commanded = np.broadcast_to(0.0 if commanded is None else commanded, (self.n, LOADS))
         acting = loads.command(commanded, self.steps)
-        lanes.lane_constants['constant_load'] = to_lanes(acting)
+        lanes.constant_load[:] = to_lanes(acting)
         samples = lanes.room(1 + count // sample_every if sample_every else 0,
                              lanes.motion.shape[1])
         most = max(1, min(CHUNK, _ROOM // (4 * self.n * max(1, len(loads.columns)))))
         if not self._warm:
-            with compiling(*lanes.constants):
-                lanes.advance(loads.columns, loads.varying(self.steps, 0, self._origin))
+            lanes.advance(loads.columns, loads.varying(self.steps, 0, self._origin))
             self._warm = True
         for first in range(0, count, most):
             part = min(most, count - first)

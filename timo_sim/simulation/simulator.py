@@ -17,8 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.cache import compiling, is_compiled, mark_of
-from timo_sim.compiled.constants import of_any_size
+from timo_sim.compiled.machine import telling
 from timo_sim.model.layout import AFTER, Motion
 from timo_sim.scene.parameters import check_runtime, Parameter, steps_in
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
@@ -30,7 +29,6 @@ from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.friction import steps_of
 from timo_sim.steps.steps import CHUNK
 
-COMPILING = 'compiling once for a model of this size, this takes some seconds'
 # Deflection beyond which the run counts as diverged, in arm lengths.
 MOST_BENT = 10.0
 COUNT = Parameter('count', 1, '', 'number of steps', low=0)
@@ -38,7 +36,6 @@ SAMPLE_EVERY = Parameter('sample_every', 1, '', 'steps between samples, 0: none'
 _MOST_BEHIND = 256  # most calls of `advance` that the finer run may be behind
 # Steps for which the finer run is called at once: a call takes as long as some steps.
 STEPS_BEHIND = 8
-_WARM = set()  # sizes whose functions this process has, with or without those of messages
 
 
 class _Call(NamedTuple):
@@ -59,8 +56,6 @@ class Simulator:
     estimate : bool
         Whether a finer run is advanced beside this one, to estimate its error, see
         `simulation.finer`. It takes some twenty times as long as the run alone.
-    pack : function, optional
-        Packs the constants of compiled functions, see `Formulation.packed_by`.
 
     Attributes
     ----------
@@ -87,18 +82,17 @@ class Simulator:
 
     """
 
-    def __init__(self, scene: SceneLike, estimate: bool = False,
-                 pack: Callable | None = None) -> None:
-        self.steps, self._warm, scene = 0, False, load_scene(scene)
+    def __init__(self, scene: SceneLike, estimate: bool = False) -> None:
+        self.steps, scene = 0, load_scene(scene)
         self._lock = threading.RLock()  # threads take turns; a diverged advance calls another
-        self.tip_load, self._pack = TipLoad(scene), pack
+        self.tip_load = TipLoad(scene)
         self._take(scene, scene.build())
         self._estimate = estimate and can_refine(scene)
         self._finer: Simulator | None = None
         self.reset()
 
     def _take(self, scene, model):
-        self.scene, self.model = scene, model.packed_by(self._pack or model.pack)
+        self.scene, self.model = scene, model
         self.integration = steps_of(self.model, scene.step, scene.friction)
 
     def __repr__(self):
@@ -175,7 +169,7 @@ class Simulator:
             self._finer.reset()
         elif self._estimate:
             self._parts = choose_parts(self.scene)[0]
-            self._finer = Simulator(refine(self.scene, self._parts), pack=of_any_size)
+            self._finer = Simulator(refine(self.scene, self._parts))
 
     def change(self, scene: Scene) -> None:
         """
@@ -221,21 +215,12 @@ class Simulator:
         """
         if self._finer:
             self._finer.warm_up(tell)
-        constants, self._warm = self.integration.constants, True
-        done = mark_of(*constants), messages
-        if done in _WARM:
-            return
-        compiled = is_compiled(*constants)
-        if tell is not None and not compiled:
-            tell(COMPILING)
-        with compiling(*constants):
+        with telling(tell):
             motion = self.motion.values
-            self.integration.warm_up(self._state, self.load)
-            if messages:
-                self.model.tip(motion)
             # Warnings and efforts need it; a node has no time to compile it later.
             self.integration.rate(self._state, self.integration.acting(self.load))
-        _WARM.add(done)
+            if messages:
+                self.model.tip(motion)
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """
@@ -307,8 +292,6 @@ class Simulator:
     def _advance(self, count, commanded, sample_every):
         if self._rests(count, commanded):
             return self._rest(count, sample_every)
-        if not self._warm:
-            self.warm_up()
         before = (self._state.copy(), self.load, self.integration.memory.copy(),
                   self.tip_load.copy(), self.model, self.integration)
         first = self.steps - self._origin

@@ -15,14 +15,14 @@ Matthews, J. Comput. Phys. 176 (2002) 430-455, eqs. (26)-(29); doc/theory.md (T3
 
 from collections.abc import Callable
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dgebal
 
-from timo_sim.compiled.constants import local
-from timo_sim.compiled.functions import entry_point, inlined, inner, strict
-from timo_sim.compiled.lanes import is_lanes
+from timo_sim.compiled.functions import (
+    Array, as_vectors, Constants, entry_point, inner, local, strict)
+from timo_sim.compiled.machine import WIDTH
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import linear_part_is_valid, observe, rate
 from timo_sim.model.layout import (
@@ -37,12 +37,12 @@ class Propagator(NamedTuple):
     or those of many linear parts (n, m, m).
     """
 
-    whole: np.ndarray          # phi_0(h L)
-    half: np.ndarray           # phi_0(h L/2)
-    half_weight: np.ndarray    # h/2 phi_1(h L/2)
-    start_weight: np.ndarray   # h (phi_1 - 3 phi_2 + 4 phi_3)(h L)
-    middle_weight: np.ndarray  # h (2 phi_2 - 4 phi_3)(h L)
-    end_weight: np.ndarray     # h (4 phi_3 - phi_2)(h L)
+    whole: Annotated[np.ndarray, 'state', 'padded']  # phi_0(h L)
+    half: Annotated[np.ndarray, 'state', 'padded']  # phi_0(h L/2)
+    half_weight: Annotated[np.ndarray, 'state', 'padded']  # h/2 phi_1(h L/2)
+    start_weight: Annotated[np.ndarray, 'state', 'padded']  # h (phi_1 - 3 phi_2 + 4 phi_3)(h L)
+    middle_weight: Annotated[np.ndarray, 'state', 'padded']  # h (2 phi_2 - 4 phi_3)(h L)
+    end_weight: Annotated[np.ndarray, 'state', 'padded']  # h (4 phi_3 - phi_2)(h L)
 
 
 def propagator(linear: np.ndarray, step: float) -> Propagator:
@@ -65,6 +65,12 @@ def propagator(linear: np.ndarray, step: float) -> Propagator:
     return Propagator(whole, half[0], 0.5 * step * half[1],
                       step * (phi_1 - 3.0 * phi_2 + 4.0 * phi_3),
                       step * (2.0 * phi_2 - 4.0 * phi_3), step * (4.0 * phi_3 - phi_2))
+
+
+def for_product(matrices: Propagator) -> Propagator:
+    """Return the transposed matrices, with zeros up to a whole number of vectors."""
+    wanted = -len(matrices.whole) % WIDTH
+    return Propagator._make(np.pad(matrix.T, ((0, 0), (0, wanted))) for matrix in matrices)
 
 
 # The series of phi_3 is summed where the norm of its argument is at most _NORM. Cut off after
@@ -177,64 +183,35 @@ def flow(model: Formulation, state: np.ndarray, rate: np.ndarray, load: np.ndarr
 
 @inner
 def copy(vector, out):
-    for i in range(len(vector)):
+    for i in range(min(len(vector), len(out))):
         out[i] = vector[i]
 
 
 @inner
-def product(matrix, vector, out):
-    """Write the product of a matrix, which for lanes is given transposed, and a vector."""
-    if is_lanes(out):
-        for i in range(len(out)):
-            out[i] = 0.0
-        _add_columns(matrix, vector, out)
-    else:
-        for i in range(matrix.shape[0]):
-            total = 0.0
-            for j in range(matrix.shape[1]):
-                total += matrix[i, j] * vector[j]
-            out[i] = total
+def product(turned, vector, out):
+    """Write the product of a matrix, which is given as `for_product` returns it, and a vector."""
+    for i in range(len(out)):
+        out[i] = 0.0
+    add_product(turned, vector, out)
 
 
 @inner
-def add_product(matrix, vector, out):
+def add_product(turned, vector, out):
     """Add what `product` writes."""
-    if is_lanes(out):
-        _add_columns(matrix, vector, out)
-    else:
-        for i in range(matrix.shape[0]):
-            total = 0.0
-            for j in range(matrix.shape[1]):
-                total += matrix[i, j] * vector[j]
-            out[i] += total
-
-
-@inner
-def _add_columns(turned, vector, out):
-    # The sums of lanes stay in registers, and each number of the vector is loaded once.
-    for j in range(turned.shape[0]):
-        for i in range(turned.shape[1]):
-            out[i] += turned[j, i] * vector[j]
+    # Rows here are columns of the matrix. Their sum stays in registers, and each number of the
+    # vector is loaded once.
+    rows, sums = as_vectors(turned), as_vectors(out)
+    for j in range(len(rows)):
+        for i in range(len(sums)):
+            sums[i] += rows[j, i] * vector[j]
 
 
 @strict
 def is_finite(vector):
     for i in range(len(vector)):
-        if not np.isfinite(vector[i]):
+        if vector[i] - vector[i] != 0.0:
             return False
     return True
-
-
-_SHAPES = (f'a step takes a state of its model, a load of shape ({LOADS},) and loads of shape '
-           f'(steps, {STEP_LOADS}, {LOADS})')
-
-
-@strict
-def check_shapes(state, load, loads, propagator):
-    """Raise ValueError if a state or loads have other shapes than the compiled step reads."""
-    if len(state) != len(propagator.whole) or len(load) != LOADS or (
-            loads.shape[1] != STEP_LOADS or loads.shape[2] != LOADS):
-        raise ValueError(_SHAPES)
 
 
 class Work(NamedTuple):
@@ -249,15 +226,7 @@ class Work(NamedTuple):
     rate_c: np.ndarray    # n at the end, at the third stage
 
 
-@inlined
-def work_arrays(propagator):
-    """Return the work arrays of the steps in a call of a compiled function."""
-    size = propagator.whole
-    return Work(local((size,)), local((size,)), local((size,)), local((size,)), local((size,)),
-                local((size,)), local((size,)))
-
-
-@inlined
+@inner
 def one_step(tables, propagator, now, start, middle, end, work, following):
     """
     Write the state one step after `now` (T36) to `following`.
@@ -295,8 +264,12 @@ def one_step(tables, propagator, now, start, middle, end, work, following):
     add_product(propagator.end_weight, work.rate_c, following)
 
 
-@entry_point
-def advance(tables, propagator, state, load, loads, sample_every, since, samples, remainder):
+@entry_point(tables=Constants(), propagator=Constants(), state=Array(('state',)),
+             load=Array((LOADS,)), loads=Array((None, STEP_LOADS, LOADS)), count=int,
+             sample_every=int, since=int, samples=Array((None, 'motion')),
+             remainder=Array(('state',)))
+def advance(tables, propagator, state, load, loads, count, sample_every, since, samples,
+            remainder):
     """
     Integrate over some equal steps, as long as the linear part of the tables is valid.
 
@@ -314,6 +287,8 @@ def advance(tables, propagator, state, load, loads, sample_every, since, samples
         Load of each step at its start, middle and end, as the step itself sees it: of a jump on
         the boundary between two steps each sees its own side, and changes inside a step enter by
         their moments (T37). Then the true load at the end of the step, which samples show.
+    count : int
+        Number of steps.
     sample_every : int
         Steps between samples; 0: none are taken.
     since : int
@@ -330,26 +305,27 @@ def advance(tables, propagator, state, load, loads, sample_every, since, samples
         the one for it.
 
     """
-    check_shapes(state, load, loads, propagator)
-    size, work = propagator.whole, work_arrays(propagator)
+    size = propagator.whole[0]
     now, following = local((size,)), local((size,))
+    work = Work(local((size,)), local((size,)), local((size,)), local((size,)), local((size,)),
+                local((size,)), local((size,)))
     copy(state, now)
-    for k in range(len(loads) + 1):
+    k = 0
+    while True:
         # `Steps.motion` comes from here, too: compiled elsewhere it could be rounded differently.
-        if sample_every and (since + k) % sample_every == 0:
+        if sample_every != 0 and (since + k) % sample_every == 0:
             observe(tables, now, load, samples[(since + k) // sample_every])
-        if k == len(loads):
+        if k == count:
             break
         start, middle, end = loads[k, START], loads[k, MIDDLE], loads[k, END]
         one_step(tables, propagator, now, start, middle, end, work, following)
         if not is_finite(following):
-            copy(now, state)
-            return k
+            break
         copy(work.rate_0, remainder)
         copy(following, now)
         load = loads[k, AFTER]
-        if k + 1 < len(loads) and not linear_part_is_valid(tables, now, load):
-            copy(now, state)
-            return k + 1
+        k += 1
+        if k < count and not linear_part_is_valid(tables, now, load):
+            break
     copy(now, state)
-    return len(loads)
+    return k

@@ -17,16 +17,17 @@ away. No trial depends on earlier steps, so that it does not matter how many ste
 once. Time in a step runs from 0 to 1 here, so that the rate of a speed has its unit.
 """
 
-from typing import Any, NamedTuple
+import math
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import local, pack
-from timo_sim.compiled.functions import entry_point, inlined, inner
+from timo_sim.compiled.constants import pack
+from timo_sim.compiled.functions import Array, Call, Constants, entry_point, inner, local
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import linear_part_is_valid, observe
-from timo_sim.model.layout import AFTER, FORCE_X, FORCE_Y, LOADS, STAGES, TORQUE
-from timo_sim.steps.etdrk4 import check_shapes, copy, is_finite, one_step, work_arrays
+from timo_sim.model.layout import AFTER, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TORQUE
+from timo_sim.steps.etdrk4 import copy, is_finite, one_step, Work
 from timo_sim.steps.steps import Steps
 
 COLUMNS = FORCE_X, FORCE_Y, TORQUE  # of a load, by joint
@@ -42,8 +43,10 @@ _SWEEPS = 200   # most sweeps over the joints in `_hold`
 class Joints(NamedTuple):
     """Constants of the compiled function."""
 
-    limit: np.ndarray  # of carrier x, y [N] and shaft [N m]; 0: no friction; (3,)
+    limit: Annotated[np.ndarray, 3]  # of carrier x, y [N] and shaft [N m]; 0: no friction
     step: float  # [s]
+    pushed: Annotated[np.ndarray, STAGES, LOADS]  # room for the loads of a step
+    motion: Annotated[np.ndarray, 'motion']       # room for a motion
 
 
 class FrictionSteps(Steps):
@@ -62,13 +65,9 @@ class FrictionSteps(Steps):
 
     def __init__(self, model: Formulation, step: float, limit: np.ndarray) -> None:
         super().__init__(model, step)
-        self._joints = pack(Joints(limit, step))
+        self._joints = pack(Joints(limit, step, np.empty((STAGES, LOADS)), np.empty(model.size)))
         self.memory = np.zeros(JOINTS + 1)
-
-    @property
-    def constants(self) -> list[Any]:
-        """The packed constants for whose sizes machine code is needed."""
-        return [*super().constants, self._joints]
+        self._advance: dict[int, Call] = {}
 
     @property
     def friction(self) -> np.ndarray:
@@ -80,14 +79,11 @@ class FrictionSteps(Steps):
         """Heat of Coulomb friction since the initial motion [J]."""
         return float(self.memory[_HEAT])
 
-    def warm_up(self, state: np.ndarray, load: np.ndarray) -> None:
-        """Compile, or load from disk, the functions that `motion` does not call."""
-        # A step without friction, for rates.
-        self._observe(state[np.newaxis], load[np.newaxis])
-
     def _run(self, part, state, load, loads, samples, since):
-        return advance(part.packed, part.propagator, self._joints, self.memory, state, load, loads,
-                       samples.every, since, samples.motions, samples.heat)
+        if id(part) not in self._advance:  # the model keeps its parts
+            self._advance[id(part)] = advance.of(*part.constants, self._joints)
+        return self._advance[id(part)](self.memory, state, load, loads, len(loads), samples.every,
+                                   since, samples.motions, samples.heat)
 
     def acting(self, load: np.ndarray) -> np.ndarray:
         """Return a load plus the friction at the end of the last step, shape (LOADS,)."""
@@ -123,6 +119,11 @@ def steps_of(model: Formulation, step: float, friction: np.ndarray | None = None
 # the duration of the step, and bend the e of a speed that is a parabola in time:
 # speed_per_mean = B, travel_per_mean = B_x, speed_per_slope = C, bend_per_slope = B_s;
 # drift = d, bend = e.
+
+@inner
+def _sign(value):
+    return 1.0 if value > 0.0 else -1.0 if value < 0.0 else 0.0
+
 
 @inner
 def _hold(direction, pull, mobility, room, friction):
@@ -161,7 +162,7 @@ def _follow(joints, start_speed, drift, bend, speed_per_mean, bend_per_slope, fr
     speed, direction, pull = local((three,)), local((three,)), local((three,))
     rate, room, held_slope = local((three,)), local((three,)), local((three,))
     for i in range(JOINTS):
-        speed[i], direction[i] = start_speed[i], np.sign(start_speed[i])
+        speed[i], direction[i] = start_speed[i], _sign(start_speed[i])
         mean[i], slope[i], held_slope[i] = 0.0, 0.0, 0.0
     left, span = 1.0, 1.0  # what remains of the step, and the time to the next event
     for _ in range(JOINTS + 1):  # each joint comes to rest once at most
@@ -180,7 +181,7 @@ def _follow(joints, start_speed, drift, bend, speed_per_mean, bend_per_slope, fr
             rate[i] = drift[i] + (0.5 - left) * bend[i]
             for j in range(JOINTS):
                 rate[i] += speed_per_mean[i, j] * friction[j]
-            falling = np.sqrt(rate[i]**2 - 2.0 * bend[i] * speed[i]) - direction[i] * rate[i]
+            falling = math.sqrt(rate[i] * rate[i] - 2.0 * bend[i] * speed[i]) - direction[i] * rate[i]
             until = 2.0 * direction[i] * speed[i] / falling
             if joints.limit[i] * abs(direction[i]) > 0.0 and falling > 0.0 and until < span:
                 span, stops = until, i
@@ -201,7 +202,7 @@ def _follow(joints, start_speed, drift, bend, speed_per_mean, bend_per_slope, fr
         room[i] = 2.0 * (joints.limit[i] - abs(friction[i])) / span
     _hold(direction, bend, bend_per_slope, room, held_slope)
     for i in range(JOINTS):
-        slope[i] += span**3 * held_slope[i]
+        slope[i] += span * span * span * held_slope[i]
         friction[i] += 0.5 * span * held_slope[i]
 
 
@@ -214,7 +215,7 @@ def _same(joints, mean, other):
     return True
 
 
-@inlined
+@inner
 def _fit_model(start_speed, end_speed, travel, speed_per_mean, travel_per_mean, mean, slope, drift,
                bend, speed_per_slope, bend_per_slope):
     """Set the rest of the linear model (T40) from the last trial, whose friction was R, R'."""
@@ -229,7 +230,7 @@ def _fit_model(start_speed, end_speed, travel, speed_per_mean, travel_per_mean, 
                         - 12.0 * speed_per_slope[i, j] * mean[j])
 
 
-@inlined
+@inner
 def _solve_model(joints, start_speed, drift, bend, speed_per_mean, speed_per_slope, bend_per_slope,
                  tried, end_friction, mean, slope):
     """
@@ -264,15 +265,15 @@ def _solve_model(joints, start_speed, drift, bend, speed_per_mean, speed_per_slo
     return solved
 
 
-@inlined
+@inner
 def _let_slide(joints, speed, mean, slope, end_friction):
     """Set the friction of joints that slide through the whole step."""
     for i in range(JOINTS):
-        mean[i] = end_friction[i] = -joints.limit[i] * np.sign(speed[i])
+        mean[i] = end_friction[i] = -joints.limit[i] * _sign(speed[i])
         slope[i] = 0.0
 
 
-@inlined
+@inner
 def _add_friction(loads, mean, slope, pushed):
     """Set the loads of a step with friction at its start, middle and end."""
     for j in range(STAGES):
@@ -281,7 +282,7 @@ def _add_friction(loads, mean, slope, pushed):
             pushed[j, COLUMNS[i]] += mean[i] + 0.5 * (j - 1) * slope[i]
 
 
-@inlined
+@inner
 def _note_trial(joints, trial, motion, start, speed, mean, tried, end_speed, travel,
                 speed_per_mean, travel_per_mean):
     """
@@ -302,7 +303,7 @@ def _note_trial(joints, trial, motion, start, speed, mean, tried, end_speed, tra
     return sliding
 
 
-@inlined
+@inner
 def _add_heat(joints, motion, start, speed, mean, slope, memory):
     """Add the heat of friction in a step that ends with a motion."""
     rates = len(motion) // 2
@@ -311,9 +312,12 @@ def _add_heat(joints, motion, start, speed, mean, slope, memory):
                           + slope[i] * joints.step * (motion[rates + i] - speed[i]) / 12.0)
 
 
-@entry_point
-def advance(tables, propagator, joints, memory, state, load, loads, sample_every, since, samples,
-            heat):
+@entry_point(tables=Constants(), propagator=Constants(), joints=Constants(), memory=Array((4,)),
+             state=Array(('state',)), load=Array((LOADS,)),
+             loads=Array((None, STEP_LOADS, LOADS)), count=int, sample_every=int, since=int,
+             samples=Array((None, 'motion')), heat=Array((None,)))
+def advance(tables, propagator, joints, memory, state, load, loads, count, sample_every, since,
+            samples, heat):
     """
     Integrate over a run of equal steps with friction, as `etdrk4.advance` does without.
 
@@ -328,9 +332,10 @@ def advance(tables, propagator, joints, memory, state, load, loads, sample_every
         Receives the heat with each sample; see `etdrk4.advance` for the others.
 
     """
-    check_shapes(state, load, loads, propagator)
-    size, three, work = propagator.whole, joints.limit, work_arrays(propagator)
+    size, three = propagator.whole[0], joints.limit
     now, following = local((size,)), local((size,))
+    work = Work(local((size,)), local((size,)), local((size,)), local((size,)), local((size,)),
+                local((size,)), local((size,)))
     # Positions and speeds at the start of a step, speeds and travels at the end of a trial.
     start, speed = local((three,)), local((three,))
     end_speed, travel = local((three,)), local((three,))
@@ -340,22 +345,23 @@ def advance(tables, propagator, joints, memory, state, load, loads, sample_every
     drift, bend = local((three,)), local((three,))
     speed_per_mean, travel_per_mean = local((three, three)), local((three, three))
     speed_per_slope, bend_per_slope = local((three, three)), local((three, three))
-    motion, pushed = np.empty(samples.shape[1]), np.empty((STAGES, LOADS))
+    motion, pushed = joints.motion, joints.pushed
     for i in range(JOINTS):
         for j in range(JOINTS):
             # They stay zero for joints without friction.
             speed_per_mean[i, j] = travel_per_mean[i, j] = 0.0
     copy(state, now)
-    for k in range(len(loads) + 1):
+    k = 0
+    while True:
         observe(tables, now, load, motion)
-        if k:
+        if k > 0:
             _add_heat(joints, motion, start, speed, mean, slope, memory)
         for i in range(JOINTS):
             start[i], speed[i] = motion[i], motion[len(motion) // 2 + i]
-        if sample_every and (since + k) % sample_every == 0:
+        if sample_every != 0 and (since + k) % sample_every == 0:
             copy(motion, samples[(since + k) // sample_every])
             heat[(since + k) // sample_every] = memory[_HEAT]
-        if k == len(loads) or k and not linear_part_is_valid(tables, now, load):
+        if k == count or k > 0 and not linear_part_is_valid(tables, now, load):
             break
 
         for trial in range(_TRIALS):
@@ -382,10 +388,10 @@ def advance(tables, propagator, joints, memory, state, load, loads, sample_every
             if trial == 0 and sliding:
                 break
         if not is_finite(following):
-            copy(now, state)
-            return k
+            break
         copy(following, now)
-        copy(end_friction, memory[:JOINTS])
+        copy(end_friction, memory)
         load = loads[k, AFTER]
+        k += 1
     copy(now, state)
     return k

@@ -14,27 +14,30 @@ The step is that of `etdrk4`, compiled for vectors of WIDTH floats. Lanes take n
 own: a lane that diverges is computed on and its result thrown away.
 """
 
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import local, pack, pack_lanes
-from timo_sim.compiled.functions import entry_point, inlined, inner
-from timo_sim.compiled.lanes import as_lanes, as_shared, magnitude, where, WIDTH
+from timo_sim.compiled.constants import pack, pack_lanes, Packed
+from timo_sim.compiled.functions import (
+    Array, Constants, entry_point, inner, local, magnitude, where)
+from timo_sim.compiled.machine import WIDTH
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import observe, tip
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, STAGES, START, STEP_LOADS
-from timo_sim.steps.etdrk4 import copy, one_step, propagator, Propagator, work_arrays
+from timo_sim.steps.etdrk4 import copy, one_step, propagator, Propagator, Work
 
 
 class LaneConstants(NamedTuple):
     """What each lane has of its own besides the constants of its model and step."""
 
-    constant_load: np.ndarray  # the part of its load that does not vary within a call, (LOADS,)
-    load: np.ndarray           # room for the loads of a step, (4, LOADS)
-    tip_travel: np.ndarray     # travel of the tip per modal coordinate, (N,)
-    bend_limit: np.ndarray     # deflection beyond which it diverges [m], (1,)
-    motion: np.ndarray         # room for a motion, (2 (3 + N),)
+    # The part of its load that does not vary within a call, and room for the loads of a step.
+    constant_load: Annotated[np.ndarray, LOADS]
+    load: Annotated[np.ndarray, STEP_LOADS, LOADS]
+    tip_travel: Annotated[np.ndarray, 'modes']  # travel of the tip per modal coordinate
+    bend_limit: Annotated[np.ndarray, 1]        # deflection beyond which it diverges [m]
+    motion: Annotated[np.ndarray, 'motion']     # room for a motion
 
 
 class LaneSteps:
@@ -54,8 +57,8 @@ class LaneSteps:
     ----------
     state : ndarray, shape (groups, m, WIDTH)
     progress : ndarray, shape (groups, 2, WIDTH)
-    lane_constants : ndarray, shape (groups,)
-        Of `LaneConstants`.
+    constant_load : ndarray, shape (groups, LOADS, WIDTH)
+        The part of loads that does not vary within a call.
     motion, tip : ndarray, shapes (groups, 2 (3 + N), WIDTH), (groups, 3, WIDTH)
         See `advance_each`; the motion and tip at the end of the last call.
 
@@ -66,44 +69,65 @@ class LaneSteps:
         groups = -(-len(models) // WIDTH)
         padded = [models[min(row, len(models) - 1)] for row in range(groups * WIDTH)]
         lanes, size = len(padded), models[0].size
-        self._constants: tuple[Any, Any]
         if all(model is models[0] for model in models):
-            self._advance = advance_alike
-            self._constants = (models[0].packed,
-                               pack(_transposed_propagator(models[0].linear, step)))
+            entry, tables = advance_alike, models[0].packed
+            matrices = pack(_transposed_propagator(models[0].linear, step))
         else:
-            self._advance = advance_each
-            tables, linear = ([model.tables for model in padded],
+            fields, linear = ([model.tables for model in padded],
                               np.array([model.linear for model in padded]))
-            self._constants = (
-                pack_lanes(tables[0]._make(np.array(fields) for fields in zip(*tables))),
-                pack_lanes(_transposed_propagator(linear, step)))
-        self.lane_constants = pack_lanes(LaneConstants(
+            entry, tables = advance_each, pack_lanes(
+                fields[0]._make(np.array(each) for each in zip(*fields)), motion=size)
+            matrices = pack_lanes(_transposed_propagator(linear, step))
+        lane_constants = pack_lanes(LaneConstants(
             np.zeros((lanes, LOADS)), np.zeros((lanes, STEP_LOADS, LOADS)),
             np.array([model.tip_travel[3:] for model in padded]),
             np.array([[bend_limit * model.manipulator.arm.length] for model in padded]),
             np.zeros((lanes, size))))
+        self.groups, self.constant_load = groups, lane_constants.constant_load
+        self._entry, self._constants = entry, (tables, matrices, lane_constants)
         self.state = np.zeros((groups, len(models[0].linear), WIDTH))
         self.progress, self.motion = np.ones((groups, 2, WIDTH)), np.zeros((groups, size, WIDTH))
         self.tip, self.progress[:, 1] = np.zeros((groups, 3, WIDTH)), 0.0
 
-    @property
-    def constants(self) -> list[Any]:
-        """The packed constants for whose sizes machine code is needed."""
-        return [*self._constants, self.lane_constants]
+    @cached_property
+    def _advance(self):
+        return self._entry.of(*self._constants)
+
+    def warm_up(self) -> None:
+        """Compile, or load from disk, what `advance` calls."""
+        self._advance
 
     def room(self, number: int, length: int) -> np.ndarray:
         """Return an array for so many vectors of a length in each lane."""
-        return np.empty((len(self.lane_constants), number, length, WIDTH))
+        return np.empty((self.groups, number, length, WIDTH))
 
     def advance(self, columns: np.ndarray, varying: np.ndarray, sample_every: int = 0,
                 since: int = 0, samples: np.ndarray | None = None,
                 tips: np.ndarray | None = None) -> None:
-        """Advance all lanes, see `advance_each`."""
-        none = self.room(0, 1)
-        self._advance(*self._constants, self.lane_constants, columns, varying, self.state,
-                      self.progress, self.motion, self.tip, sample_every, since,
-                      none if samples is None else samples, none if tips is None else tips)
+        """
+        Advance all lanes, see `advance_each`.
+
+        Parameters
+        ----------
+        columns : ndarray of int, shape (c,)
+            Columns of the load that vary, see `model.layout`.
+        varying : ndarray, shape (groups, 1 + steps, 4, c, WIDTH)
+            What varies, as in `etdrk4.advance`; row 0 has only the load at the beginning.
+        sample_every, since : int
+            See `etdrk4.advance`.
+        samples : ndarray, shape (groups, n, 2 (3 + N), WIDTH), optional
+            Receives motions.
+        tips : ndarray, shape (groups, rows, 3, WIDTH), optional
+            Receives what `tip` returns at the start of each step; of as many steps as it has rows
+            for.
+
+        """
+        samples = self.room(0, self.motion.shape[1]) if samples is None else samples
+        tips = self.room(0, 3) if tips is None else tips
+        self._advance(columns, len(columns), varying.reshape(-1, WIDTH), varying.shape[1] - 1,
+                      self.state, self.progress, self.motion, self.tip, self.groups, sample_every,
+                      since, samples.reshape(-1, *samples.shape[2:]), samples.shape[1],
+                      tips.reshape(-1, *tips.shape[2:]), tips.shape[1])
 
 
 def _transposed_propagator(linear, step):
@@ -140,40 +164,45 @@ def from_lanes(values: np.ndarray, count: int) -> np.ndarray:
 
 
 @inner
-def _set_load(lane, columns, varying, row):
-    for j in range(len(columns)):
-        lane.load[row, columns[j]] = lane.constant_load[columns[j]] + varying[row, j]
+def _set_load(lane, columns, count, varying, place, row):
+    for j in range(count):
+        lane.load[row, columns[j]] = lane.constant_load[columns[j]] + varying[place + j]
 
 
-@inlined
-def _advance(tables, propagator, lane, columns, varying, state, progress, end_motion, end_tip,
-             sample_every, since, samples, tips):
+@inner
+def _advance(tables, propagator, lane, columns, count, varying, varying_from, steps, state,
+             progress, end_motion, end_tip, sample_every, since, samples, samples_from, tips,
+             tips_from, tip_rows):
     """Integrate some lanes over equal steps, see `advance_each`."""
-    size, work = propagator.whole, work_arrays(propagator)
+    size = propagator.whole[0]
     now, following = local((size,)), local((size,))
+    work = Work(local((size,)), local((size,)), local((size,)), local((size,)), local((size,)),
+                local((size,)), local((size,)))
     motion, load = local((lane.motion,)), lane.load
     for row in range(STEP_LOADS):
         copy(lane.constant_load, load[row])
-    modal, steps = len(state) // 2 - len(lane.tip_travel), len(varying) - 1
-    alive, count = progress[0], progress[1]
+    modal = len(state) // 2 - len(lane.tip_travel)
+    alive, done = progress[0], progress[1]
     copy(state, now)
-    for k in range(steps + 1):
-        _set_load(lane, columns, varying[k], AFTER)
+    k = 0
+    while True:
+        place = varying_from + k * STEP_LOADS * count
+        _set_load(lane, columns, count, varying, place + AFTER * count, AFTER)
         sampled = sample_every > 0 and (since + k) % sample_every == 0
         if sampled or k == steps:
             observe(tables, now, load[AFTER], motion)
             if sampled:
-                copy(motion, samples[(since + k) // sample_every])
+                copy(motion, samples[samples_from + (since + k) // sample_every])
         if k == steps:
             break
         for row in range(STAGES):
-            _set_load(lane, columns, varying[k + 1], row)
+            _set_load(lane, columns, count, varying, place + (STEP_LOADS + row) * count, row)
         one_step(tables, propagator, now, load[START], load[MIDDLE], load[END], work, following)
-        if k < len(tips):
+        if k < tip_rows:
             for i in range(len(lane.tip_travel)):
                 motion[3 + i] = now[modal + i]
             tip(tables, motion, end_tip)
-            copy(end_tip, tips[k])
+            copy(end_tip, tips[tips_from + k])
         # 0 if all numbers are finite, else NaN: no branch is needed to find out.
         not_finite = 0.0
         bend = 0.0
@@ -182,58 +211,67 @@ def _advance(tables, propagator, lane, columns, varying, state, progress, end_mo
         for i in range(len(lane.tip_travel)):
             bend += lane.tip_travel[i] * magnitude(following[modal + i])
         alive = where((not_finite == 0.0) & (bend <= lane.bend_limit[0]), alive, 0.0)
-        count += alive
+        done += alive
         for i in range(len(now)):
             now[i] = where(alive > 0.0, following[i], now[i])
+        k += 1
     copy(now, state)
     copy(motion, end_motion)
     tip(tables, motion, end_tip)
-    progress[0], progress[1] = alive, count
+    progress[0], progress[1] = alive, done
 
 
-@entry_point
-def advance_alike(tables, propagator, lane_constants, columns, varying, state, progress, motion,
-                  tip, sample_every, since, samples, tips):
+def _arguments(form):
+    # Of both functions below; lanes are the last axis of arrays.
+    return {
+        'tables': Constants(form), 'propagator': Constants(form), 'lane': Constants('lanes'),
+        'columns': Array((None,), whole=True), 'count': int, 'varying': Array((None,), lanes=True),
+        'steps': int, 'state': Array((None, 'state'), lanes=True),
+        'progress': Array((None, 2), lanes=True), 'motion': Array((None, 'motion'), lanes=True),
+        'end_tip': Array((None, 3), lanes=True), 'groups': int, 'sample_every': int, 'since': int,
+        'samples': Array((None, 'motion'), lanes=True), 'sample_rows': int,
+        'tips': Array((None, 3), lanes=True), 'tip_rows': int}
+
+
+@entry_point(**_arguments('shared'))
+def advance_alike(tables, propagator, lane, columns, count, varying, steps, state, progress,
+                  motion, end_tip, groups, sample_every, since, samples, sample_rows, tips,
+                  tip_rows):
     """Do what `advance_each` does for lanes with the same packed constants."""
-    for g in range(len(lane_constants)):
-        _advance(as_shared(tables), as_shared(propagator), as_lanes(lane_constants[g]), columns,
-                 as_lanes(varying[g]), as_lanes(state[g]), as_lanes(progress[g]),
-                 as_lanes(motion[g]), as_lanes(tip[g]), sample_every, since,
-                 as_lanes(samples[g]), as_lanes(tips[g]))
+    for g in range(groups):
+        _advance(tables, propagator, lane[g], columns, count, varying,
+                 g * (1 + steps) * STEP_LOADS * count, steps, state[g], progress[g], motion[g],
+                 end_tip[g], sample_every, since, samples, g * sample_rows, tips, g * tip_rows,
+                 tip_rows)
 
 
-@entry_point
-def advance_each(tables, propagator, lane_constants, columns, varying, state, progress, motion,
-                 tip, sample_every, since, samples, tips):
+@entry_point(**_arguments('lanes'))
+def advance_each(tables, propagator, lane, columns, count, varying, steps, state, progress,
+                 motion, end_tip, groups, sample_every, since, samples, sample_rows, tips,
+                 tip_rows):
     """
-    Integrate groups of lanes over equal steps.
+    Integrate groups of lanes over equal steps, see `LaneSteps.advance`.
 
-    A lane that diverges stays at its last good state, while the others go on.
+    A lane that diverges stays at its last good state, while the others go on. First axes are
+    those of groups, merged with the next one where there is one.
 
     Parameters
     ----------
-    tables, propagator, lane_constants : ndarray, shape (groups,)
-        Packed constants of the models, the matrices of their steps, and `LaneConstants`.
-    columns : ndarray, shape (c,)
-        Columns of the load that vary, see `model.layout`.
-    varying : ndarray, shape (groups, 1 + steps, 4, c, WIDTH)
-        What varies, as in `etdrk4.advance`; row 0 has only the load at the beginning.
+    tables, propagator, lane : packed constants
+        Of the models, the matrices of their steps, and `LaneConstants`; blocks of lanes.
+    columns, varying, sample_every, since, samples, tips
+        See `LaneSteps.advance`; `count` columns, `steps` steps, `sample_rows` samples and
+        `tip_rows` tips of each group.
     state : ndarray, shape (groups, m, WIDTH)
         Advanced in place.
     progress : ndarray, shape (groups, 2, WIDTH)
         Whether a lane is alive, 1 or 0, and how many steps it has done; updated.
-    motion, tip : ndarray, shapes (groups, 2 (3 + N), WIDTH), (groups, 3, WIDTH)
+    motion, end_tip : ndarray, shapes (groups, 2 (3 + N), WIDTH), (groups, 3, WIDTH)
         Receive the motion at the end, and what `model.functions.tip` returns for it.
-    sample_every, since : int
-        See `etdrk4.advance`.
-    samples : ndarray, shape (groups, n, 2 (3 + N), WIDTH)
-        Receives motions.
-    tips : ndarray, shape (groups, rows, 3, WIDTH)
-        Receives what `tip` returns at the start of each step; of as many steps as it has rows for.
 
     """
-    for g in range(len(lane_constants)):
-        _advance(as_lanes(tables[g]), as_lanes(propagator[g]), as_lanes(lane_constants[g]),
-                 columns, as_lanes(varying[g]), as_lanes(state[g]), as_lanes(progress[g]),
-                 as_lanes(motion[g]), as_lanes(tip[g]), sample_every, since,
-                 as_lanes(samples[g]), as_lanes(tips[g]))
+    for g in range(groups):
+        _advance(tables[g], propagator[g], lane[g], columns, count, varying,
+                 g * (1 + steps) * STEP_LOADS * count, steps, state[g], progress[g], motion[g],
+                 end_tip[g], sample_every, since, samples, g * sample_rows, tips, g * tip_rows,
+                 tip_rows)

@@ -8,14 +8,16 @@
 
 """Equal time steps of one run: what calls the compiled step, and knows its linear parts."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from timo_sim.compiled.constants import pack, Packed
+from timo_sim.compiled.functions import Call
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, LOADS, STEP_LOADS
 from timo_sim.steps import etdrk4
-from timo_sim.steps.etdrk4 import flow, propagator
+from timo_sim.steps.etdrk4 import flow, for_product, propagator
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
 CHUNK = 2048  # most steps at once, for which loads are tabulated
@@ -32,8 +34,8 @@ class Samples(NamedTuple):
 class LinearPart(NamedTuple):
     """Constants of a model with one linear part L of its rate, and the matrices of its steps."""
 
-    packed: Any         # constants of the compiled functions, packed
-    propagator: Any     # `etdrk4.Propagator`, packed
+    advance: Call       # `etdrk4.advance` with its constants
+    constants: tuple[Packed, Packed]  # of the compiled functions; `etdrk4.Propagator`
     linear: np.ndarray  # L, (m, m)
 
 
@@ -85,14 +87,6 @@ class Steps:
         """Take over the memory from the steps of a model of the same size."""
         self.memory = earlier.memory
 
-    @property
-    def constants(self) -> list[Any]:
-        """The packed constants for whose sizes machine code is needed."""
-        return [self.model.packed, self._part(None).propagator]
-
-    def warm_up(self, state: np.ndarray, load: np.ndarray) -> None:
-        """Compile, or load from disk, the functions that `motion` does not call."""
-
     def samples(self, count: int, every: int) -> Samples:
         """Return room for samples of `count` steps, at the start and after each `every` steps."""
         if not every:
@@ -135,8 +129,8 @@ class Steps:
 
     def _run(self, part, state, load, loads, samples, since):
         """Integrate as long as a linear part is valid; return the number of steps done."""
-        return etdrk4.advance(part.packed, part.propagator, state, load, loads, samples.every,
-                              since, samples.motions, self._remainder)
+        return part.advance(state, load, loads, len(loads), samples.every, since, samples.motions,
+                            self._remainder)
 
     def _part(self, sector):
         """Return the LinearPart of a sector, made at its first use; None: that of the model."""
@@ -145,16 +139,16 @@ class Steps:
             if sector is not None:
                 tables, linear = model.in_sector(sector)
                 packed = model.pack(tables)
-            self._parts[sector] = LinearPart(
-                packed, model.pack(propagator(linear, self.step)), linear)
+            constants = packed, pack(for_product(propagator(linear, self.step)))
+            self._parts[sector] = LinearPart(etdrk4.advance.of(*constants), constants, linear)
         return self._parts[sector]
 
     def rate(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         """Return the rate of a state under a load that acts, linear part included, shape (m,)."""
         part = self._part(self.model.sector(state, load))
         self._constant[:] = load
-        done = etdrk4.advance(part.packed, part.propagator, state.copy(), load, self._constant,
-                              0, 0, self._no_samples.motions, self._remainder)
+        done = part.advance(state.copy(), load, self._constant, 1, 0, 0, self._no_samples.motions,
+                            self._remainder)
         # n is a by-product of a step, so that nothing else is compiled unless the step diverges.
         return part.linear @ state + self._remainder if done else self.model.rate(state, load)
 
@@ -185,6 +179,5 @@ class Steps:
         # Motions of one state by the code of a step without friction, as those of `rate` are.
         motions = np.empty((1, self.model.size))
         part = self._part(self.model.sector(states[0], loads[0]))
-        etdrk4.advance(part.packed, part.propagator, states[0], loads[0], NO_LOADS, 1, 0, motions,
-                       self._remainder)
+        part.advance(states[0], loads[0], NO_LOADS, 0, 1, 0, motions, self._remainder)
         return motions

@@ -1,0 +1,471 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Intermediate code of compiled functions, made by numba: the front end of the compiler.
+
+The source is compiled for constants and arrays whose sizes are symbols, external numbers of LLVM's
+code. numba infers types and writes LLVM's code; it optimises nothing here and makes no machine code.
+"""
+
+import operator
+from typing import Any
+
+from llvmlite import binding as llvm
+from llvmlite import ir
+from numba import njit  # noqa: F401  loads what the compiler needs
+from numba.core import (
+    cgutils, codegen, cpu, dispatcher, registry, target_extension, types)
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.datamodel import models, register_default
+from numba.core.imputils import lower_builtin, lower_getattr_generic
+from numba.core.typing.templates import (
+    AbstractTemplate, AttributeTemplate, infer_getattr, infer_global, signature)
+from numba.extending import typeof_impl
+
+from timo_sim.compiled import functions
+from timo_sim.compiled.constants import fields_of
+from timo_sim.compiled.functions import Array, Constants, Declaration, EntryPoint, Function
+from timo_sim.compiled.lanes import LANES, MASK, SHARED, spread, VECTOR, WIDTH
+
+# Sums may be reordered and fused, which vectorises the short loops; NaN and Inf keep their
+# meaning, so that a diverged state is still seen ('fast' would assume them away).
+FASTMATH = {'reassoc', 'contract', 'nsz'}
+_OPTIONS = {'error_model': 'numpy', 'no_cfunc_wrapper': True, 'no_cpython_wrapper': True,
+            'nopython': True, '_nrt': False, 'forceinline': True}
+_WORD, _BYTES = ir.IntType(64), ir.IntType(8).as_pointer()
+
+
+# Constants and arrays. Both are pointers; their sizes are known by type.
+
+class View(types.Type):
+    """An array: type of its elements, and lengths of its axes."""
+
+    def __init__(self, element: Any, dims: tuple[Any, ...]) -> None:
+        self.element, self.dims = element, dims
+        super().__init__(f'View({element}, {dims})')
+
+
+class Block(types.Type):
+    """Constants of a kind; `number` is the type of their floats: float64, SHARED or LANES."""
+
+    def __init__(self, kind: type, number: Any) -> None:
+        self.kind, self.number = kind, number
+        self.fields = {field.name: field for field in fields_of(kind)}
+        super().__init__(f'Block({kind.__module__}.{kind.__name__}, {number})')
+
+
+class Blocks(types.Type):
+    """Blocks of constants, one for each group of lanes."""
+
+    def __init__(self, block: Block) -> None:
+        self.block = block
+        super().__init__(f'Blocks({block})')
+
+
+def _stored(number):
+    # The type of a number in memory.
+    return {types.float64: ir.DoubleType(), SHARED: ir.DoubleType(), LANES: VECTOR}.get(
+        number, _WORD)
+
+
+@register_default(View)
+class _ViewModel(models.PrimitiveModel):
+    def __init__(self, manager, kind):
+        super().__init__(manager, kind, _stored(kind.element).as_pointer())
+
+
+@register_default(Block)
+@register_default(Blocks)
+class _BlockModel(models.PrimitiveModel):
+    def __init__(self, manager, kind):
+        super().__init__(manager, kind, _BYTES)
+
+
+def _symbol(builder, name):
+    """Return the value of a symbol, or of a length that is a number."""
+    if isinstance(name, int):
+        return ir.Constant(_WORD, name)
+    module = builder.module
+    if name not in module.globals:
+        ir.GlobalVariable(module, _WORD, name).global_constant = True
+    return builder.load(module.globals[name])
+
+
+def _length(builder, dim):
+    return _symbol(builder, f'size.{dim}' if isinstance(dim, str) else dim)
+
+
+def _load(builder, place, number):
+    value = builder.load(place)
+    value.align = 8
+    if number == SHARED:
+        return spread(builder, value)
+    return value
+
+
+def _number_of(block, field):
+    return types.int64 if field.whole else block.number
+
+
+@infer_getattr
+class _BlockFields(AttributeTemplate):
+    key = Block
+
+    def generic_resolve(self, block, name):
+        field = block.fields.get(name)
+        if field is None:
+            return None
+        number = _number_of(block, field)
+        return View(number, field.dims) if field.dims else number
+
+
+@lower_getattr_generic(Block)
+def _field(context, builder, block, pointer, name):
+    field = block.fields[name]
+    number = _number_of(block, field)
+    place = builder.gep(pointer, [_symbol(builder, f'offset.{block.kind.__name__}.{name}')],
+                        inbounds=True)
+    place = builder.bitcast(place, _stored(number).as_pointer())
+    return place if field.dims else _load(builder, place, number)
+
+
+@infer_getattr
+class _ViewFields(AttributeTemplate):
+    key = View
+
+    def resolve_shape(self, view):
+        return types.UniTuple(types.intp, len(view.dims))
+
+
+@lower_getattr_generic(View)
+def _shape(context, builder, view, pointer, name):
+    return cgutils.pack_array(builder, [_length(builder, dim) for dim in view.dims])
+
+
+@infer_global(len)
+class _Len(AbstractTemplate):
+    def generic(self, given, _):
+        return signature(types.intp, *given) if isinstance(given[0], View) else None
+
+
+@lower_builtin(len, View)
+def _len(context, builder, sig, arguments):
+    return _length(builder, sig.args[0].dims[0])
+
+
+def _indices(index):
+    return tuple(index) if isinstance(index, types.BaseTuple) else (index,)
+
+
+@infer_global(operator.getitem)
+class _GetItem(AbstractTemplate):
+    def generic(self, given, _):
+        array, index = given
+        if isinstance(array, Blocks):
+            return signature(array.block, array, types.intp)
+        if not isinstance(array, View):
+            return None
+        rest = array.dims[len(_indices(index)):]
+        return signature(View(array.element, rest) if rest else array.element, array, index)
+
+
+@infer_global(operator.setitem)
+class _SetItem(AbstractTemplate):
+    def generic(self, given, _):
+        array, index, value = given
+        if not isinstance(array, View) or len(_indices(index)) != len(array.dims):
+            return None
+        return signature(types.none, array, index, array.element)
+
+
+def _place(context, builder, view, pointer, kind, index):
+    """Return the pointer to an element, or to the first one of a part of an array."""
+    kinds = _indices(kind)
+    indices = cgutils.unpack_tuple(builder, index) if isinstance(kind, types.BaseTuple) else [index]
+    place = ir.Constant(_WORD, 0)
+    for axis, dim in enumerate(view.dims):
+        if axis:
+            place = builder.mul(place, _length(builder, dim), flags=('nsw',))
+        if axis < len(kinds):
+            place = builder.add(place, context.cast(builder, indices[axis], kinds[axis],
+                                                    types.intp), flags=('nsw',))
+    return builder.gep(pointer, [place], inbounds=True)
+
+
+@lower_builtin(operator.getitem, View, types.Any)
+def _get_item(context, builder, sig, arguments):
+    view, index = sig.args
+    place = _place(context, builder, view, arguments[0], index, arguments[1])
+    return place if isinstance(sig.return_type, View) else _load(builder, place, view.element)
+
+
+@lower_builtin(operator.getitem, Blocks, types.intp)
+def _get_block(context, builder, sig, arguments):
+    length = _symbol(builder, f'length.{sig.args[0].block.kind.__name__}')
+    return builder.gep(arguments[0], [builder.mul(arguments[1], length, flags=('nsw',))],
+                       inbounds=True)
+
+
+@lower_builtin(operator.setitem, View, types.Any, types.Any)
+def _set_item(context, builder, sig, arguments):
+    view, index, _ = sig.args
+    place = _place(context, builder, view, arguments[0], index, arguments[1])
+    builder.store(arguments[2], place).align = 8
+
+
+# Functions of `functions`.
+
+@infer_global(functions.local)
+class _Local(AbstractTemplate):
+    def generic(self, given, _):
+        like = given[0]
+        lanes = any(view.element in (LANES, SHARED) for view in like)
+        return signature(View(LANES if lanes else types.float64,
+                              tuple(view.dims[0] for view in like)), like)
+
+
+@lower_builtin(functions.local, types.Any)
+def _local(context, builder, sig, arguments):
+    view = sig.return_type
+    with builder.goto_entry_block():
+        size = ir.Constant(_WORD, 1)
+        for dim in view.dims:
+            size = builder.mul(size, _length(builder, dim))
+        place = builder.alloca(_stored(view.element), size)
+        place.align = 64
+    return place
+
+
+def _vector_function(name):
+    def call(context, builder, sig, arguments):
+        value = context.cast(builder, arguments[0], sig.args[0], sig.return_type)
+        suffix = f'v{WIDTH}f64' if sig.return_type == LANES else 'f64'
+        function = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(value.type, [value.type]), f'llvm.{name}.{suffix}')
+        return builder.call(function, [value])
+    return call
+
+
+def _define_function(function, name):
+    class Template(AbstractTemplate):
+        def generic(self, given, _):
+            lanes = given[0] in (LANES, SHARED)
+            return signature(LANES if lanes else types.float64, *given)
+
+    infer_global(function)(type('Template', (Template,), {}))
+    lower_builtin(function, types.Any)(_vector_function(name))
+
+
+_define_function(functions.floor, 'floor')
+_define_function(functions.magnitude, 'fabs')
+
+
+@infer_global(functions.where)
+class _Where(AbstractTemplate):
+    def generic(self, given, _):
+        condition, yes, no = given
+        lanes = any(kind in (LANES, SHARED, MASK) for kind in given)
+        result = LANES if lanes else types.float64
+        return signature(result, condition, result, result)
+
+
+@lower_builtin(functions.where, types.Any, types.Any, types.Any)
+def _where(context, builder, sig, arguments):
+    return builder.select(*arguments)
+
+
+@infer_global(functions.some)
+class _Some(AbstractTemplate):
+    def generic(self, given, _):
+        return signature(types.boolean, *given)
+
+
+@lower_builtin(functions.some, types.Any)
+def _some(context, builder, sig, arguments):
+    if sig.args[0] != MASK:
+        return arguments[0]
+    bits = builder.bitcast(arguments[0], ir.IntType(WIDTH))
+    return builder.icmp_unsigned('!=', bits, ir.Constant(bits.type, 0))
+
+
+@infer_global(functions.as_vectors)
+class _AsVectors(AbstractTemplate):
+    def generic(self, given, _):
+        view = given[0]
+        if view.element != types.float64:
+            return signature(view, view)
+        *first, last = view.dims
+        last = f'{last}/{WIDTH}' if isinstance(last, str) else last // WIDTH
+        return signature(View(LANES, (*first, last)), view)
+
+
+@lower_builtin(functions.as_vectors, View)
+def _as_vectors(context, builder, sig, arguments):
+    return builder.bitcast(arguments[0], context.get_value_type(sig.return_type))
+
+
+# The target: code of a processor that is not chosen yet.
+
+class _Library(codegen.AOTCodeLibrary):
+    def _optimize_functions(self, module):
+        module.data_layout = self._codegen._data_layout
+
+    def _optimize_final_module(self):
+        pass
+
+    def get_pointer_to_function(self, name: str) -> int:
+        self._ensure_finalized()
+        return 0
+
+
+class _Codegen(codegen.AOTCPUCodegen):
+    _library_class = _Library
+
+    def set_env(self, name: str, environment: Any) -> None:
+        pass
+
+    def magic_tuple(self) -> tuple[Any, ...]:
+        return ()
+
+
+class _Context(cpu.CPUContext):
+    def init(self) -> None:
+        super().init()
+        self._internal_codegen = _Codegen('timo_sim')
+
+
+class _Target(registry.CPUTarget):
+    @property
+    def _toplevel_target_context(self):
+        if '_context' not in self.__dict__:
+            self.__dict__['_context'] = _Context(self.typing_context, self._target_name)
+        return self.__dict__['_context']
+
+
+class _AnyProcessor(target_extension.CPU):
+    """The name of the target, for functions of numba that are compiled for it."""
+
+
+target_extension.target_registry['timo_sim'] = _AnyProcessor
+_TARGET = _Target('timo_sim')
+
+
+class _Compiler(dispatcher.Dispatcher):
+    targetdescr = _TARGET
+
+
+def _compile_for_numba(*_, **options):
+    # What numba's own functions are written with, in place of `njit`.
+    kept = {name: options[name] for name in ('inline', 'fastmath') if name in options}
+    return lambda function: _Compiler(function, targetoptions={**_OPTIONS, **kept})
+
+
+target_extension.dispatcher_registry[_AnyProcessor] = _Compiler
+target_extension.jit_registry[_AnyProcessor] = _compile_for_numba
+
+class _Choice(_Compiler):
+    """The dispatcher of a `Declaration`: it chooses a body by the kind of the first argument."""
+
+    declaration: Declaration
+
+    def _body(self, args):
+        kind = getattr(args[0], 'kind', None)
+        if kind not in self.declaration.bodies:
+            raise TypeError(f'{self.declaration.__name__} has no body for {args[0]}')
+        return _compiler_of(self.declaration.bodies[kind])
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        return self._body(args).get_call_template(args, kws)
+
+    def get_overload(self, args: Any) -> Any:
+        return self._body(args).get_overload(args)
+
+
+_COMPILERS: dict[Function, Any] = {}
+
+
+def _compiler_of(function):
+    if function not in _COMPILERS:
+        options = {**_OPTIONS, 'fastmath': FASTMATH if function.fast else False,
+                   'forceinline': function.merge}
+        choice = isinstance(function, Declaration)
+        made = (_Choice if choice else _Compiler)(function.function, targetoptions=options)
+        if choice:
+            made.declaration = function
+        _COMPILERS[function] = made
+    return _COMPILERS[function]
+
+
+@typeof_impl.register(Function)
+def _typeof(function, _):
+    return types.Dispatcher(_compiler_of(function))
+
+
+def _type_of(argument, kind):
+    if isinstance(argument, Constants):
+        number = {'floats': types.float64, 'shared': SHARED, 'lanes': LANES}[argument.form]
+        block = Block(kind, number)
+        return Blocks(block) if argument.form == 'lanes' else block
+    if isinstance(argument, Array):
+        number = LANES if argument.lanes else types.int64 if argument.whole else types.float64
+        return View(number, argument.dims)
+    return {int: types.int64, float: types.float64}[argument]
+
+
+@global_compiler_lock
+def emit(entry: EntryPoint, kinds: tuple[type, ...]) -> bytes:
+    """
+    Return LLVM's bitcode of an entry point; its function is called `entry`.
+
+    Parameters
+    ----------
+    entry : EntryPoint
+    kinds : tuple of type
+        Kinds of its constants, in the order of arguments.
+
+    """
+    rest = list(kinds)
+    arguments = tuple(
+        _type_of(argument, rest.pop(0) if isinstance(argument, Constants) else None)
+        for argument in entry.arguments.values())
+    compiler = _compiler_of(entry)
+    compiler.compile(arguments)
+    result = compiler.overloads[arguments]
+    library = result.library.codegen.create_library(entry.name)
+    library.add_linking_library(result.library)
+    library.add_ir_module(_entry_module(result, library))
+    library.finalize()
+    module = llvm.parse_assembly(str(library._final_module))
+    for each in [*module.functions, *module.global_variables]:
+        if not each.is_declaration and each.name != 'entry':
+            each.linkage = 'internal'
+    machine = library.codegen._tm
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_global_dead_code_eliminate_pass()
+    passes.add_sroa_pass()
+    passes.add_simplify_cfg_pass()
+    passes.run(module, builder)
+    return module.as_bitcode()
+
+
+def _entry_module(result, library):
+    """Return a module with a function `entry` of plain C that calls a compiled function."""
+    context, sig = result.target_context, result.signature
+    module = context.create_module('entry')
+    natives = [context.get_value_type(kind) for kind in sig.args]
+    function = ir.Function(module, ir.FunctionType(_WORD, natives), 'entry')
+    builder = ir.IRBuilder(function.append_basic_block())
+    called = cgutils.get_or_insert_function(
+        module, context.call_conv.get_function_type(sig.return_type, sig.args),
+        result.fndesc.llvm_func_name)
+    _, value = context.call_conv.call_function(
+        builder, called, sig.return_type, sig.args, function.args)
+    builder.ret(ir.Constant(_WORD, 0) if sig.return_type == types.none else value)
+    return module

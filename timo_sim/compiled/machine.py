@@ -1,0 +1,193 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Machine code of entry points for given sizes, from LLVM's intermediate code.
+
+Intermediate code has symbols in place of sizes (see `emit`). Here they get their values, LLVM
+optimises the code and makes an object file of it, in which nothing refers to Python. It is kept
+in the store and loaded.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+import functools
+import gc
+import hashlib
+import threading
+from typing import Any
+
+import llvmlite.binding as llvm
+
+from timo_sim.compiled import store
+
+WIDTH = 8  # number of lanes in a vector
+
+COMPILING = 'compiling once for a model of this size, this takes some seconds'
+_TELL: ContextVar[Callable[[str], object] | None] = ContextVar('tell', default=None)
+_LOCK = threading.RLock()
+_ENTRY = 'entry'  # name of the function in intermediate code
+
+
+@contextmanager
+def telling(tell: Callable[[str], object] | None) -> Iterator[None]:
+    """Call `tell` with a sentence before something is compiled in this block."""
+    token = _TELL.set(tell)
+    try:
+        yield
+    finally:
+        _TELL.reset(token)
+
+
+def symbols_of(constants: tuple[Any, ...]) -> dict[str, int]:
+    """Return the values of the symbols in the code for some packed constants."""
+    symbols = {}
+    for each in constants:
+        kind = each.kind.__name__
+        found = {f'size.{name}': size for name, size in each.sizes.items()}
+        found |= {f'size.{name}/{WIDTH}': size // WIDTH for name, size in each.sizes.items()}
+        found |= {f'offset.{kind}.{name}': offset for name, offset in each.offsets.items()}
+        found[f'length.{kind}'] = each.length
+        for name, value in found.items():
+            if symbols.setdefault(name, value) != value:
+                raise ValueError(f'constants have {name} = {symbols[name]} and {value}')
+    return symbols
+
+
+def intermediate_code(entry: Any, constants: tuple[Any, ...]) -> bytes:
+    """Return LLVM's bitcode of an entry point for constants of these kinds, of any size."""
+    kinds = tuple(each.kind for each in constants)
+    return _intermediate_code(entry, kinds)
+
+
+@functools.cache
+def _intermediate_code(entry, kinds):
+    name = f'{entry.name}-{"-".join(f"{kind.__module__}.{kind.__name__}" for kind in kinds)}.bc'
+    with store.lock(f'{name}.lock'):
+        code = store.read(name)
+        if code is None:
+            from timo_sim.compiled.emit import emit
+            with _no_garbage_collection():
+                code = emit(entry, kinds)
+            store.write(name, code)
+    return code
+
+
+@contextmanager
+def _no_garbage_collection() -> Iterator[None]:
+    # While numba compiles, the collector frees little and takes a tenth of the time.
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+@functools.cache
+def _initialise():
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+
+
+def host_machine() -> Any:
+    """Return LLVM's target machine for this computer."""
+    _initialise()
+    target = llvm.Target.from_triple(llvm.get_process_triple())
+    return target.create_target_machine(
+        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=3,
+        reloc='pic', codemodel='default')
+
+
+def object_code(code: bytes, symbols: dict[str, int], machine: Any, name: str) -> bytes:
+    """
+    Return an object file of intermediate code for given sizes.
+
+    Parameters
+    ----------
+    code : bytes
+        Of `intermediate_code`.
+    symbols : dict
+        Of `symbols_of`.
+    machine : llvmlite.binding.TargetMachine
+    name : str
+        Name of its one function.
+
+    """
+    _initialise()
+    module = llvm.parse_bitcode(code)
+    module.link_in(llvm.parse_assembly(''.join(
+        f'@"{symbol}" = constant i64 {value}\n' for symbol, value in symbols.items())))
+    module.triple, module.data_layout = str(machine.triple), str(machine.target_data)
+    for each in [*module.functions, *module.global_variables]:
+        if not each.is_declaration:
+            each.linkage = 'internal'
+    entry = module.get_function(_ENTRY)
+    entry.linkage, entry.name = 'external', name
+    _optimise(module, machine)
+    return machine.emit_object(module)
+
+
+def _optimise(module, machine):
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    builder = llvm.create_pass_builder(machine, options)
+    # Symbols become numbers in each function, so that work arrays have known lengths, before
+    # functions become parts of others.
+    first = llvm.create_new_module_pass_manager()
+    first.add_global_opt_pass()
+    first.add_sroa_pass()
+    first.add_instruction_combine_pass()
+    first.add_simplify_cfg_pass()
+    first.add_always_inliner_pass()
+    first.add_global_dead_code_eliminate_pass()
+    first.run(module, builder)
+    builder.getModulePassManager().run(module, builder)
+
+
+class _Engine:
+    def __init__(self):
+        _initialise()
+        self.engine = llvm.create_mcjit_compiler(llvm.parse_assembly(''), host_machine())
+
+    def add(self, data, name):
+        self.engine.add_object_file(llvm.ObjectFileRef.from_data(data))
+        self.engine.finalize_object()
+        return self.engine.get_function_address(name)
+
+
+_engine = functools.cache(_Engine)
+_ADDRESSES: dict[str, int] = {}
+
+
+def _name_of(entry, constants):
+    text = (f'{entry.name} {[(each.kind.__name__, each.groups > 1) for each in constants]} '
+            f'{sorted(symbols_of(constants).items())} {llvm.get_host_cpu_name()} '
+            f'{llvm.get_host_cpu_features().flatten()}')
+    return f'timo_{hashlib.sha256(text.encode()).hexdigest()[:24]}'
+
+
+def load(entry: Any, constants: tuple[Any, ...]) -> int:
+    """Return the address of the machine code of an entry point for these sizes."""
+    with _LOCK:
+        name = _name_of(entry, constants)
+        if name not in _ADDRESSES:
+            data = store.read(f'{name}.o')
+            if data is None:
+                with store.lock(f'{name}.lock'):
+                    data = store.read(f'{name}.o')
+                    if data is None:  # no other process was faster
+                        tell = _TELL.get()
+                        if tell:
+                            tell(COMPILING)
+                        data = object_code(intermediate_code(entry, constants),
+                                           symbols_of(constants), host_machine(), name)
+                        store.write(f'{name}.o', data)
+            _ADDRESSES[name] = _engine().add(data, name)
+        return _ADDRESSES[name]

@@ -1,0 +1,155 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Store of code on disk.
+
+A file begins with a checksum and gets its name when it is complete; if anything is wrong with it,
+it is as if it did not exist.
+
+Code from the store is executed: nothing is read from a folder or file that another user owns or
+may write to, or that is a symbolic link.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager, ExitStack, suppress
+import errno
+import fcntl
+import functools
+import hashlib
+from importlib.metadata import version
+import os
+from pathlib import Path
+import stat
+import sys
+import tempfile
+import uuid
+import warnings
+
+import platformdirs
+
+_CHECKSUM = 32  # length of a SHA-256 checksum [B]
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+# Folders with the sources of compiled functions.
+_SOURCES = [Path(__file__).parents[1] / folder for folder in ('compiled', 'model', 'steps')]
+
+
+@functools.cache
+def store_directory() -> Path | None:
+    """
+    Return the folder for code of these sources; warn and return None if none is usable.
+
+    The physics calls across files, so the folder is named after the contents of all of them.
+    """
+    digest = hashlib.sha256(f'{version("numba")} {version("llvmlite")} '
+                            f'{sys.implementation.cache_tag}'.encode())
+    for source in sorted(path for folder in _SOURCES for path in folder.rglob('*.py')):
+        digest.update(source.read_bytes())
+    refused = []
+    for root in _roots():
+        try:
+            directory = root.absolute() / digest.hexdigest()[:16]
+            with _opened(directory):
+                if os.access(directory, os.W_OK):
+                    return directory
+                refused.append(f'{directory} is not writable')
+        except OSError as error:
+            refused.append(str(error))
+    warnings.warn('machine code is not kept, every process compiles it: ' + '; '.join(refused))
+    return None
+
+
+def _roots():
+    with suppress(RuntimeError):  # raised where there is no home folder
+        # Not the folder `timo_sim` itself: earlier versions made it, with some umasks writable by
+        # the group.
+        yield Path(os.environ.get('NUMBA_CACHE_DIR')
+                   or Path(platformdirs.user_cache_dir('timo_sim'), 'code')).expanduser()
+    with suppress(OSError):  # no folder for temporary files
+        yield Path(tempfile.gettempdir(), f'timo_sim-{os.geteuid()}')
+
+
+def _open(name, flags, folder=None):
+    """Return a descriptor; raise PermissionError if others own what is opened or may write it."""
+    # O_NONBLOCK: opening must not wait, not even for a named pipe in the place of a file.
+    descriptor = os.open(name, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o600, dir_fd=folder)
+    status = os.fstat(descriptor)
+    if status.st_uid == os.geteuid() and not status.st_mode & _OTHERS_WRITE:
+        return descriptor
+    os.close(descriptor)
+    raise PermissionError(errno.EPERM, 'Another user owns it or may write to it', str(name))
+
+
+def _open_folder(name, parent=None):
+    try:
+        return _open(name, os.O_DIRECTORY, parent)
+    except FileNotFoundError:
+        with suppress(FileExistsError):  # another process was faster
+            os.mkdir(name, 0o700, dir_fd=parent)
+    descriptor = _open(name, os.O_DIRECTORY, parent)
+    os.fchmod(descriptor, 0o700)  # whatever the umask
+    return descriptor
+
+
+@contextmanager
+def _opened(directory):
+    """Open a folder after its parent, both with the checks of `_open`; make missing ones."""
+    if directory is None:
+        raise FileNotFoundError(errno.ENOENT, 'No folder for machine code')
+    directory.parent.parent.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as stack:
+        root = _open_folder(directory.parent)
+        stack.callback(os.close, root)
+        leaf = _open_folder(directory.name, root)
+        stack.callback(os.close, leaf)
+        yield leaf
+
+
+@contextmanager
+def _file(name, mode):
+    """Open a file of the store as `open` does, with the checks of `_open`."""
+    with _opened(store_directory()) as folder, open(
+            name, mode, opener=functools.partial(_open, folder=folder)) as file:
+        yield file
+
+
+def read(name: str) -> bytes | None:
+    """Return the contents of a file of the store, None if there is no whole one."""
+    try:
+        with _file(name, 'rb') as file:
+            content = file.read()
+    except OSError:
+        return None
+    data = content[_CHECKSUM:]
+    return data if hashlib.sha256(data).digest() == content[:_CHECKSUM] else None
+
+
+def write(name: str, data: bytes) -> None:
+    """Write a file of the store; warn if that fails."""
+    unfinished = uuid.uuid4().hex
+    try:
+        with _file(unfinished, 'xb') as file:
+            file.write(hashlib.sha256(data).digest() + data)
+        with _opened(store_directory()) as folder:
+            os.replace(unfinished, name, src_dir_fd=folder, dst_dir_fd=folder)
+    except OSError as error:
+        with suppress(OSError), _opened(store_directory()) as folder:
+            os.unlink(unfinished, dir_fd=folder)
+        warnings.warn(f'machine code is not kept, it will be compiled again: {error}')
+
+
+@contextmanager
+def lock(name: str) -> Iterator[None]:
+    """Let one process at a time run a block, of all that share the folder of machine code."""
+    with ExitStack() as stack:
+        # Where no file can be made or locked, the block runs unlocked: code may be compiled twice.
+        with suppress(OSError):
+            held = stack.enter_context(_file(name, 'ab'))
+            fcntl.flock(held, fcntl.LOCK_EX)
+            stack.callback(fcntl.flock, held, fcntl.LOCK_UN)  # a forked child may keep it open
+        yield
