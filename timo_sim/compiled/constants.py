@@ -11,7 +11,8 @@ Constants of compiled functions: named numbers and arrays in one block of memory
 
 A kind of constants is a NamedTuple. Its annotations say what the fields are: `float`, `int`, or
 `Annotated[np.ndarray, dims...]` with the lengths of the axes, which are numbers or names of sizes,
-and `int` before them if the array is one of whole numbers.
+and `int` before them if the array is one of whole numbers. An axis whose name begins with `padded`
+gets zeros at its end, up to a whole number of vectors, unless the constants are those of lanes.
 """
 
 import ctypes
@@ -43,6 +44,12 @@ def fields_of(kind: type) -> tuple[Field, ...]:
         each for each in get_args(hint)[1:] if each is not int)) for name, hint in hints.items())
 
 
+def _padded(field, value):
+    wanted = [(0, -size % WIDTH if str(dim).startswith('padded') else 0)
+              for dim, size in zip(field.dims, value.shape)]
+    return np.pad(value, wanted) if any(after for _, after in wanted) else value
+
+
 class Packed:
     """
     Constants in one block of memory, or a block for each group of lanes.
@@ -54,6 +61,8 @@ class Packed:
         numbers are the same in all.
     lanes : bool
         Whether it is of lanes.
+    pad : bool
+        Whether axes are padded; not for constants that are the same for all lanes.
     **sizes : int
         Sizes that are not those of a field.
 
@@ -71,10 +80,13 @@ class Packed:
 
     """
 
-    def __init__(self, fields: Any, lanes: bool = False, **sizes: int) -> None:
+    def __init__(self, fields: Any, lanes: bool = False, pad: bool = True, **sizes: int) -> None:
         self.kind, self.sizes = type(fields), sizes
         values = [np.asarray(value, dtype=np.int64 if field.whole else float, order='C')
                   for field, value in zip(fields_of(self.kind), fields)]
+        if pad and not lanes:
+            values = [_padded(field, value)
+                      for field, value in zip(fields_of(self.kind), values)]
         self.groups = len(values[0]) // WIDTH if lanes else 1
         self.offsets, self.views, end = {}, {}, 0
         for field, value in zip(fields_of(self.kind), values):
@@ -114,9 +126,9 @@ class Packed:
             raise AttributeError(name) from None
 
 
-def pack(fields: Any, **sizes: int) -> Packed:
+def pack(fields: Any, pad: bool = True, **sizes: int) -> Packed:
     """Return constants in one block of memory, see `Packed`."""
-    return Packed(fields, **sizes)
+    return Packed(fields, pad=pad, **sizes)
 
 
 def pack_lanes(fields: Any, **sizes: int) -> Packed:

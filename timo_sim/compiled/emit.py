@@ -310,6 +310,28 @@ def _as_vectors(context, builder, sig, arguments):
     return builder.bitcast(arguments[0], context.get_value_type(sig.return_type))
 
 
+@infer_global(functions.sum_of)
+class _SumOf(AbstractTemplate):
+    def generic(self, given, _):
+        lanes = given[1].element in (LANES, SHARED)
+        return signature(LANES if lanes else types.float64, LANES, given[1])
+
+
+@lower_builtin(functions.sum_of, LANES, View)
+def _sum_of(context, builder, sig, arguments):
+    # Halves are added to each other, in an order that no optimiser changes.
+    value, width, index = arguments[0], WIDTH, ir.IntType(32)
+    if sig.return_type == LANES:
+        return value
+    nothing = ir.Constant(VECTOR, ir.Undefined)
+    while width > 1:
+        width //= 2
+        order = ir.Constant(ir.VectorType(index, WIDTH), [
+            (lane + width) % WIDTH for lane in range(WIDTH)])
+        value = builder.fadd(value, builder.shuffle_vector(value, nothing, order))
+    return builder.extract_element(value, ir.Constant(index, 0))
+
+
 # The target: code of a processor that is not chosen yet.
 
 class _Library(codegen.AOTCodeLibrary):

@@ -228,6 +228,15 @@ def as_vectors(array: Any) -> Any:
     return array.reshape(*array.shape[:-1], -1, machine.WIDTH)
 
 
+def sum_of(vector: Any, like: Any) -> Any:
+    """
+    Return the sum of a vector's numbers, if `like` is an array of floats.
+
+    If it is one of lanes, each number belongs to another run, and the vector stays as it is.
+    """
+    return np.sum(vector)
+
+
 def floor(value: Any) -> float:
     """Return the largest whole number up to a value, as a float."""
     return float(math.floor(value))

@@ -22,7 +22,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.functions import inner, local, some
+from timo_sim.compiled.functions import as_vectors, inner, local, some, sum_of
 from timo_sim.model import functions
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
@@ -42,10 +42,10 @@ class Tables(NamedTuple):
     """
 
     mass: float  # m_t
-    kernel: Annotated[np.ndarray, 'kernels', 'nodes', 'nodes']      # K for x and for y
-    to_centre: Annotated[np.ndarray, 'nodes']                       # d / m_t, from slopes to the mass centre
-    rotation: Annotated[np.ndarray, 'coordinates', 'nodes']         # Phi_i at the nodes
-    shear: Annotated[np.ndarray, 'coordinates', 'nodes']            # Gamma_i at the nodes
+    kernel: Annotated[np.ndarray, 'kernels', 'nodes', 'padded_nodes']  # K for x and for y
+    to_centre: Annotated[np.ndarray, 'padded_nodes']                       # d / m_t, from slopes to the mass centre
+    rotation: Annotated[np.ndarray, 'coordinates', 'padded_nodes']         # Phi_i at the nodes
+    shear: Annotated[np.ndarray, 'coordinates', 'padded_nodes']            # Gamma_i at the nodes
     # Xi_ij = int J Phi_i Phi_j, with the shaft's J_m
     rotary: Annotated[np.ndarray, 'coordinates', 'coordinates']
     straight: Annotated[np.ndarray, 'free', 'free']                 # M^-1 of the straight arm
@@ -54,11 +54,11 @@ class Tables(NamedTuple):
     coulomb: Annotated[np.ndarray, 2, 2]                            # `Manipulator.coulomb`
     axes: Annotated[np.ndarray, int, 'axes']           # axes along which the carrier is free
     held_position: Annotated[np.ndarray, 2]            # of a carrier that is held
-    to_tip: Annotated[np.ndarray, 'nodes']             # D_l, from slopes to the tip
+    to_tip: Annotated[np.ndarray, 'padded_nodes']             # D_l, from slopes to the tip
     tip_rotation: Annotated[np.ndarray, 'coordinates']  # Phi_i at the tip
     weight: Annotated[np.ndarray, 2]                   # m_t g along world x and y
-    push: Annotated[np.ndarray, 'pushes', 'nodes']     # from slopes to where a force acts
-    stretch: Annotated[np.ndarray, 'axial', 'nodes']   # E_i of the axial coordinates at the nodes
+    push: Annotated[np.ndarray, 'pushes', 'padded_nodes']     # from slopes to where a force acts
+    stretch: Annotated[np.ndarray, 'axial', 'padded_nodes']   # E_i of the axial coordinates at the nodes
     stiffness: Annotated[np.ndarray, 'coordinates']    # omega_i^2
     # Linear part of the last accelerations per q_i and per q_i'.
     linear_rate: Annotated[np.ndarray, 'rates', 2, 'rates']
@@ -81,7 +81,7 @@ def _half(tables):
 @inner
 def _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2):
     """Set q, cosine and sine of phi, a, b (T23), C1 and C2 (T24)."""
-    rotation, shear = tables.rotation, tables.shear
+    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
     count, nodes = rotation.shape
     driven = count - len(tables.straight)
     coordinate[0] = load[ANGLE]
@@ -106,7 +106,7 @@ def _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2):
 # Mass matrix and speeds, (T26) and (T31).
 
 @inner
-def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors):
+def _set_speed(tables, state, load, numbers_1, numbers_2, image_1, image_2, speed, factors):
     """
     Set the images K C1, K C2 and q', the solution of M q' = p (T26), (T31).
 
@@ -114,29 +114,27 @@ def _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors):
     slopes to the points of mass, takes those of the mass centre away along an axis on which the
     carrier is free (T26), not where it is held (T30), multiplies by the masses and sums outwards.
     """
-    kernel, rotary = tables.kernel, tables.rotary
+    kernel, rotary = as_vectors(tables.kernel), tables.rotary
+    c1, c2 = as_vectors(numbers_1), as_vectors(numbers_2)
     count, nodes = c1.shape
     driven = count - len(tables.straight)
     for i in range(count):
         for j in range(nodes):
             total_1 = 0.0
             total_2 = 0.0
-            for k in range(nodes):
-                # K is symmetric. Up to 16 nodes it is read down a column, so that this loop is
-                # unrolled and the one over j is vector code; beyond, this loop is vector code.
-                row, column = (k, j) if nodes <= 16 else (j, k)
-                total_1 += c1[i, k] * kernel[0, row, column]
-                total_2 += c2[i, k] * kernel[len(kernel) - 1, row, column]
+            for k in range(kernel.shape[1]):  # K is symmetric
+                total_1 += numbers_1[i, k] * kernel[0, k, j]
+                total_2 += numbers_2[i, k] * kernel[len(kernel) - 1, k, j]
             image_1[i, j] = total_1
             image_2[i, j] = total_2
     # The lower triangle of M_ij = Xi_ij + C1_i K C1_j + C2_i K C2_j.
     mass = local((rotary, rotary))
     for i in range(driven, count):
         for j in range(i + 1):
-            total = rotary[i, j]
+            product = 0.0
             for k in range(nodes):
-                total += image_1[i, k] * c1[j, k] + image_2[i, k] * c2[j, k]
-            mass[i, j] = total
+                product += image_1[i, k] * c1[j, k] + image_2[i, k] * c2[j, k]
+            mass[i, j] = rotary[i, j] + sum_of(product, rotary)
 
     # The momenta less the share M_i0 q_0' of a driven shaft, whose speed is given (T31).
     momenta = 2 * _half(tables) - count
@@ -178,10 +176,11 @@ def _push_force(tables, load):
 
 @inner
 def _push_work(tables, load, j):
-    """Return what this force adds to the force against the slope at node j, in x and y."""
-    x, y = -0.0, -0.0
-    if len(tables.push):
-        x, y = -tables.push[0, j] * load[PUSH_X], -tables.push[0, j] * load[PUSH_Y]
+    """Return what this force adds to the forces against the slopes at nodes j, in x and y."""
+    push = as_vectors(tables.push)
+    x, y = -0.0 * load[PUSH_X], -0.0 * load[PUSH_Y]
+    if len(push):
+        x, y = -push[0, j] * load[PUSH_X], -push[0, j] * load[PUSH_Y]
     return x, y
 
 
@@ -190,11 +189,14 @@ def _push_work(tables, load, j):
 @inner
 def _carrier_speed(tables, state, k, derivative, speed):
     """Return the carrier's speed along its k-th free axis (T33); `derivative` is C1 or C2."""
-    rate = state[_half(tables) + k] / tables.mass
-    for j in range(len(tables.to_centre)):
+    to_centre = as_vectors(tables.to_centre)
+    centre = 0.0
+    for j in range(len(to_centre)):
+        slope_rate = 0.0
         for i in range(len(speed)):
-            rate -= tables.to_centre[j] * derivative[i, j] * speed[i]
-    return rate
+            slope_rate += derivative[i, j] * speed[i]
+        centre += to_centre[j] * slope_rate
+    return state[_half(tables) + k] / tables.mass - sum_of(centre, tables.to_centre)
 
 
 @inner
@@ -246,10 +248,10 @@ def _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, imag
     gamma. The forces on carrier (T28) and tip (T32) act on C1, C2, which by (T24) gives a sum of
     the same form: A_j, B_j include it. The sum of its share in A_j is the moment.
     """
-    to_centre, to_tip = tables.to_centre, tables.to_tip
-    rotation, shear = tables.rotation, tables.shear
+    to_centre, to_tip = as_vectors(tables.to_centre), as_vectors(tables.to_tip)
+    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
     push_x, push_y, tip_x, tip_y = forces
-    moment = torque
+    moment = 0.0
     for j in range(len(to_centre)):
         g1 = 0.0
         g2 = 0.0
@@ -269,23 +271,24 @@ def _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, imag
         script_b[j] = force_x * sine[j] - force_y * cosine[j] - turning * along
         moment += script_a[j]
         script_a[j] -= turning * (a[j] * g1 + b[j] * g2) + shearing * along
-    return moment
+    return torque + sum_of(moment, tables.to_centre)
 
 
 @functions.rate.of(Tables)
 def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
-    rotation, shear, to_centre = tables.rotation, tables.shear, tables.to_centre
+    rows, across = tables.rotation, tables.to_centre
+    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
     count, nodes = rotation.shape
     driven = count - len(tables.straight)
-    coordinate, speed = local((rotation,)), local((rotation,))
-    cosine, sine = local((to_centre,)), local((to_centre,))
-    a, b = local((to_centre,)), local((to_centre,))
-    c1, c2 = local((rotation, to_centre)), local((rotation, to_centre))
-    image_1, image_2 = local((rotation, to_centre)), local((rotation, to_centre))
-    factors = local((rotation, rotation))
+    coordinate, speed, factors = local((rows,)), local((rows,)), local((rows, rows))
+    cosine, sine = as_vectors(local((across,))), as_vectors(local((across,)))
+    a, b = as_vectors(local((across,))), as_vectors(local((across,)))
+    numbers_1, numbers_2 = local((rows, across)), local((rows, across))
+    c1, c2 = as_vectors(numbers_1), as_vectors(numbers_2)
+    image_1, image_2 = as_vectors(local((rows, across))), as_vectors(local((rows, across)))
     _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2)
-    _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors)
+    _set_speed(tables, state, load, numbers_1, numbers_2, image_1, image_2, speed, factors)
     half = _half(tables)
     momenta = 2 * half - count
     coordinates = momenta - half
@@ -300,7 +303,7 @@ def _rate(tables, state, load, out):
     # p' (T28): the stiffness is in the linear part, and damping of the straight arm's speeds.
     forces = _translate(tables, state, load, coordinate[0], c1, c2, speed, out)
     torque = load[TORQUE] - functions.coulomb(tables, 1, speed[0])
-    script_a, script_b = local((to_centre,)), local((to_centre,))
+    script_a, script_b = as_vectors(local((across,))), as_vectors(local((across,)))
     moment = _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, image_2,
                           speed, script_a, script_b)
     for i in range(driven, count - len(tables.linear_rate)):
@@ -308,9 +311,12 @@ def _rate(tables, state, load, out):
         # round-off and is left out.
         total = moment
         if i or len(tables.axes) == 1:
-            total = 0.0 if i else torque
+            work = 0.0
             for j in range(nodes):
-                total += rotation[i, j] * script_a[j] + shear[i, j] * script_b[j]
+                work += rotation[i, j] * script_a[j] + shear[i, j] * script_b[j]
+            total = sum_of(work, across)
+            if i == 0:
+                total += torque
         total += tables.tip_rotation[i] * load[TIP_TORQUE]
         out[momenta + i] = total - tables.damping[i] * out[coordinates + i]
     _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2,
@@ -321,16 +327,17 @@ def _rate(tables, state, load, out):
 @functions.observe.of(Tables)
 def _observe(tables, state, load, out):
     """Write the motion of a state: the carrier's from the mass centre's (T25), and q'."""
-    rotation, to_centre = tables.rotation, tables.to_centre
-    count, nodes = rotation.shape
-    coordinate, speed = local((rotation,)), local((rotation,))
-    cosine, sine = local((to_centre,)), local((to_centre,))
-    a, b = local((to_centre,)), local((to_centre,))
-    c1, c2 = local((rotation, to_centre)), local((rotation, to_centre))
-    image_1, image_2 = local((rotation, to_centre)), local((rotation, to_centre))
-    factors = local((rotation, rotation))
+    rows, across = tables.rotation, tables.to_centre
+    to_centre = as_vectors(across)
+    count = len(rows)
+    coordinate, speed, factors = local((rows,)), local((rows,)), local((rows, rows))
+    cosine, sine = as_vectors(local((across,))), as_vectors(local((across,)))
+    a, b = as_vectors(local((across,))), as_vectors(local((across,)))
+    numbers_1, numbers_2 = local((rows, across)), local((rows, across))
+    c1, c2 = as_vectors(numbers_1), as_vectors(numbers_2)
+    image_1, image_2 = as_vectors(local((rows, across))), as_vectors(local((rows, across)))
     _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2)
-    _set_speed(tables, state, load, c1, c2, image_1, image_2, speed, factors)
+    _set_speed(tables, state, load, numbers_1, numbers_2, image_1, image_2, speed, factors)
     half = len(out) // 2
     for i in range(count):
         out[2 + i] = coordinate[i]
@@ -341,31 +348,39 @@ def _observe(tables, state, load, out):
     for k in range(len(tables.axes)):
         axis = tables.axes[k]
         slope, derivative = (a, c1) if axis == 0 else (b, c2)
-        out[axis] = state[k]
-        for j in range(nodes):
-            out[axis] -= to_centre[j] * slope[j]
+        centre = 0.0
+        for j in range(len(to_centre)):
+            centre += to_centre[j] * slope[j]
+        out[axis] = state[k] - sum_of(centre, across)
         out[half + axis] = _carrier_speed(tables, state, k, derivative, speed)
 
 
 @functions.tip.of(Tables)
 def _tip(tables, motion, out):
     """Write the tip's position, the integral of the slopes, and rotation from the shaft."""
-    rotation, shear, to_tip = tables.rotation, tables.shear, tables.to_tip
+    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
+    stretch, to_tip = as_vectors(tables.stretch), as_vectors(tables.to_tip)
     count, nodes = rotation.shape
-    for k in range(3):
-        out[k] = 0.0
+    axial = count - len(stretch)
+    along = 0.0
+    across = 0.0
     for j in range(nodes):
         phi = 0.0
         gamma = 0.0
+        strain = 0.0
         for i in range(1, count):
             phi += motion[2 + i] * rotation[i, j]
             gamma += motion[2 + i] * shear[i, j]
+        for i in range(axial, count):
+            strain += motion[2 + i] * stretch[i - axial, j]
         sine, cosine = sincos(phi)
-        out[0] += (cosine - gamma * sine) * to_tip[j]
-        out[1] += (sine + gamma * cosine) * to_tip[j]
+        along += (cosine - gamma * sine + strain * cosine) * to_tip[j]
+        across += (sine + gamma * cosine + strain * sine) * to_tip[j]
+    out[0] = sum_of(along, tables.to_tip)
+    out[1] = sum_of(across, tables.to_tip)
+    out[2] = 0.0
     for i in range(1, count):
         out[2] += motion[2 + i] * tables.tip_rotation[i]
-    _add_stretch_to_tip(tables, motion, out)
 
 
 # Axial strain (T34); these functions do nothing for an arm that does not stretch.
@@ -373,7 +388,7 @@ def _tip(tables, motion, out):
 @inner
 def _add_stretch_to_slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
     """Add the axial strain to a, b (T23), C1 and C2 (T24)."""
-    rotation, stretch = tables.rotation, tables.stretch
+    rotation, stretch = as_vectors(tables.rotation), as_vectors(tables.stretch)
     count, nodes = rotation.shape
     axial = count - len(stretch)
     if axial == count:
@@ -389,25 +404,6 @@ def _add_stretch_to_slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
         for i in range(axial):
             c1[i, j] -= strain * sine[j] * rotation[i, j]
             c2[i, j] += strain * cosine[j] * rotation[i, j]
-
-
-@inner
-def _add_stretch_to_tip(tables, motion, out):
-    """Add the displacement by axial strain to the tip's position from the shaft."""
-    rotation, stretch, to_tip = tables.rotation, tables.stretch, tables.to_tip
-    count, nodes = rotation.shape
-    axial = count - len(stretch)
-    if axial == count:
-        return
-    for j in range(nodes):
-        phi = 0.0
-        for i in range(1, axial):
-            phi += motion[2 + i] * rotation[i, j]
-        sine, cosine = sincos(phi)
-        for i in range(axial, count):
-            strain = motion[2 + i] * stretch[i - axial, j]
-            out[0] += strain * cosine * to_tip[j]
-            out[1] += strain * sine * to_tip[j]
 
 
 # Coordinates with rates in place of momenta (T35): the axial ones or, with one axis of the carrier
@@ -436,15 +432,17 @@ def _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, imag
     """Add the terms of the axial strain to dT/dq (T29); write the accelerations (T35)."""
     if len(tables.linear_rate) == 0:
         return
-    rotation, shear, stretch = tables.rotation, tables.shear, tables.stretch
-    to_centre = tables.to_centre
+    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
+    stretch, to_tip = as_vectors(tables.stretch), as_vectors(tables.to_tip)
+    rows, across, to_centre = tables.rotation, tables.to_centre, as_vectors(tables.to_centre)
     count, nodes = rotation.shape
     driven, axial, momenta = (
         count - len(tables.straight), count - len(stretch), 2 * _half(tables) - count)
     rates_from = count - len(tables.linear_rate)
     push_x, push_y, tip_x, tip_y = forces
     # The addition to A_j of (T29), and a_2, b_2 of (T35): accelerations of the slopes at q'' = 0.
-    added_a, a_2, b_2 = local((to_centre,)), local((to_centre,)), local((to_centre,))
+    added_a = as_vectors(local((across,)))
+    a_2, b_2 = as_vectors(local((across,))), as_vectors(local((across,)))
     for j in range(nodes):
         g_across = 0.0
         turning = 0.0
@@ -464,22 +462,22 @@ def _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, imag
         a_2[j] = -turning * (slope_2 + cosine[j] * shearing + sine[j] * stretching)
         b_2[j] = turning * (slope_1 - sine[j] * shearing + cosine[j] * stretching)
     # The right-hand side of (T35), all loads and a given q_0'' included.
-    force = local((rotation,))
+    force = local((rows,))
     for i in range(driven, count):
-        total = 0.0
+        work = 0.0
         added = 0.0
         for j in range(nodes):
             added += rotation[i, j] * added_a[j]
             arm_x, arm_y = _push_work(tables, load, j)
-            force_x = tables.to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
-            force_y = tables.to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
-            total += (force_x * c1[i, j] + force_y * c2[i, j] - image_1[i, j] * a_2[j]
-                      - image_2[i, j] * b_2[j])
+            force_x = to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
+            force_y = to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
+            work += (force_x * c1[i, j] + force_y * c2[i, j] - image_1[i, j] * a_2[j]
+                     - image_2[i, j] * b_2[j])
         # Unless one axis is held, T does not depend on the shaft angle.
         if i < rates_from and (i or len(tables.axes) == 1):
-            out[momenta + i] += added
-        total += (tables.tip_rotation[i] * load[TIP_TORQUE] - tables.stiffness[i] * coordinate[i]
-                  - tables.damping[i] * speed[i])
+            out[momenta + i] += sum_of(added, across)
+        total = (sum_of(work, across) + tables.tip_rotation[i] * load[TIP_TORQUE]
+                 - tables.stiffness[i] * coordinate[i] - tables.damping[i] * speed[i])
         if i == 0:
             total += torque
         for j in range(driven):

@@ -182,9 +182,9 @@ class Formulation(ABC):
         by_modes = np.abs(modes.deflection(tip)) + np.abs(modes.displacement(tip))
         return np.concatenate([[1.0, 1.0, tip[0]], by_modes[0]])
 
-    def pack(self, tables: Any) -> Packed:
-        """Return tables packed for compiled functions."""
-        return pack(tables, motion=self.size, state=len(self.linear))
+    def pack(self, tables: Any, pad: bool = True) -> Packed:
+        """Return tables packed for compiled functions, see `compiled.constants`."""
+        return pack(tables, pad, motion=self.size, state=len(self.linear))
 
     @cached_property
     def magnitude_bound(self) -> float:

@@ -22,7 +22,6 @@ from scipy.linalg.lapack import dgebal
 
 from timo_sim.compiled.functions import (
     Array, as_vectors, Constants, entry_point, inner, local, strict)
-from timo_sim.compiled.machine import WIDTH
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import linear_part_is_valid, observe, rate
 from timo_sim.model.layout import (
@@ -37,12 +36,12 @@ class Propagator(NamedTuple):
     or those of many linear parts (n, m, m).
     """
 
-    whole: Annotated[np.ndarray, 'state', 'padded']  # phi_0(h L)
-    half: Annotated[np.ndarray, 'state', 'padded']  # phi_0(h L/2)
-    half_weight: Annotated[np.ndarray, 'state', 'padded']  # h/2 phi_1(h L/2)
-    start_weight: Annotated[np.ndarray, 'state', 'padded']  # h (phi_1 - 3 phi_2 + 4 phi_3)(h L)
-    middle_weight: Annotated[np.ndarray, 'state', 'padded']  # h (2 phi_2 - 4 phi_3)(h L)
-    end_weight: Annotated[np.ndarray, 'state', 'padded']  # h (4 phi_3 - phi_2)(h L)
+    whole: Annotated[np.ndarray, 'state', 'padded_state']  # phi_0(h L)
+    half: Annotated[np.ndarray, 'state', 'padded_state']  # phi_0(h L/2)
+    half_weight: Annotated[np.ndarray, 'state', 'padded_state']  # h/2 phi_1(h L/2)
+    start_weight: Annotated[np.ndarray, 'state', 'padded_state']  # h (phi_1 - 3 phi_2 + 4 phi_3)(h L)
+    middle_weight: Annotated[np.ndarray, 'state', 'padded_state']  # h (2 phi_2 - 4 phi_3)(h L)
+    end_weight: Annotated[np.ndarray, 'state', 'padded_state']  # h (4 phi_3 - phi_2)(h L)
 
 
 def propagator(linear: np.ndarray, step: float) -> Propagator:
@@ -67,10 +66,9 @@ def propagator(linear: np.ndarray, step: float) -> Propagator:
                       step * (2.0 * phi_2 - 4.0 * phi_3), step * (4.0 * phi_3 - phi_2))
 
 
-def for_product(matrices: Propagator) -> Propagator:
-    """Return the transposed matrices, with zeros up to a whole number of vectors."""
-    wanted = -len(matrices.whole) % WIDTH
-    return Propagator._make(np.pad(matrix.T, ((0, 0), (0, wanted))) for matrix in matrices)
+def transposed(matrices: Propagator) -> Propagator:
+    """Return the transposed matrices, as `product` takes them."""
+    return Propagator._make(np.swapaxes(matrix, -1, -2) for matrix in matrices)
 
 
 # The series of phi_3 is summed where the norm of its argument is at most _NORM. Cut off after
@@ -189,7 +187,7 @@ def copy(vector, out):
 
 @inner
 def product(turned, vector, out):
-    """Write the product of a matrix, which is given as `for_product` returns it, and a vector."""
+    """Write the product of a matrix, which is given transposed, and a vector."""
     for i in range(len(out)):
         out[i] = 0.0
     add_product(turned, vector, out)

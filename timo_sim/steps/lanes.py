@@ -26,7 +26,7 @@ from timo_sim.compiled.machine import WIDTH
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import observe, tip
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, STAGES, START, STEP_LOADS
-from timo_sim.steps.etdrk4 import copy, one_step, propagator, Propagator, Work
+from timo_sim.steps.etdrk4 import copy, one_step, propagator, transposed, Work
 
 
 class LaneConstants(NamedTuple):
@@ -70,14 +70,15 @@ class LaneSteps:
         padded = [models[min(row, len(models) - 1)] for row in range(groups * WIDTH)]
         lanes, size = len(padded), models[0].size
         if all(model is models[0] for model in models):
-            entry, tables = advance_alike, models[0].packed
-            matrices = pack(_transposed_propagator(models[0].linear, step))
+            entry, tables = advance_alike, models[0].pack(models[0].tables, pad=False)
+            matrices = pack(transposed(propagator(models[0].linear, step)), pad=False)
         else:
             fields, linear = ([model.tables for model in padded],
                               np.array([model.linear for model in padded]))
             entry, tables = advance_each, pack_lanes(
-                fields[0]._make(np.array(each) for each in zip(*fields)), motion=size)
-            matrices = pack_lanes(_transposed_propagator(linear, step))
+                fields[0]._make(np.array(each) for each in zip(*fields)), motion=size,
+                state=linear.shape[-1])
+            matrices = pack_lanes(transposed(propagator(linear, step)))
         lane_constants = pack_lanes(LaneConstants(
             np.zeros((lanes, LOADS)), np.zeros((lanes, STEP_LOADS, LOADS)),
             np.array([model.tip_travel[3:] for model in padded]),
@@ -128,11 +129,6 @@ class LaneSteps:
                       self.state, self.progress, self.motion, self.tip, self.groups, sample_every,
                       since, samples.reshape(-1, *samples.shape[2:]), samples.shape[1],
                       tips.reshape(-1, *tips.shape[2:]), tips.shape[1])
-
-
-def _transposed_propagator(linear, step):
-    # Lanes multiply by columns, see `etdrk4.product`.
-    return Propagator._make(np.swapaxes(matrix, -1, -2) for matrix in propagator(linear, step))
 
 
 def to_lanes(values: np.ndarray, numbers: np.ndarray | None = None) -> np.ndarray:

@@ -17,7 +17,7 @@ from timo_sim.compiled.functions import Call
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, LOADS, STEP_LOADS
 from timo_sim.steps import etdrk4
-from timo_sim.steps.etdrk4 import flow, for_product, propagator
+from timo_sim.steps.etdrk4 import flow, propagator, transposed
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
 CHUNK = 2048  # most steps at once, for which loads are tabulated
@@ -139,7 +139,7 @@ class Steps:
             if sector is not None:
                 tables, linear = model.in_sector(sector)
                 packed = model.pack(tables)
-            constants = packed, pack(for_product(propagator(linear, self.step)))
+            constants = packed, pack(transposed(propagator(linear, self.step)))
             self._parts[sector] = LinearPart(etdrk4.advance.of(*constants), constants, linear)
         return self._parts[sector]
 
