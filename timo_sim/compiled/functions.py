@@ -64,10 +64,10 @@ class Declaration(Function):
         super().__init__(function)
         self.bodies: dict[type, Function] = {}
 
-    def of(self, kind: type) -> Callable[[Callable], Function]:
-        """Return a decorator that registers the body for constants of a kind."""
+    def of(self, kind: type, merge: bool = False) -> Callable[[Callable], Function]:
+        """Return a decorator that registers the body for constants of a kind, see `Function`."""
         def add(function: Callable) -> Function:
-            self.bodies[kind] = Function(function, merge=False)
+            self.bodies[kind] = Function(function, merge=merge)
             return self.bodies[kind]
         return add
 

@@ -434,7 +434,7 @@ def _add_gravity(tables, cosine, sine, tilt, out):
         out[2 * half - free + i] -= tables.response[len(tables.response) - free + i] * beta
 
 
-@functions.rate.of(Tables)
+@functions.rate.of(Tables, merge=True)
 def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
     rows, count = tables.softening.shape
