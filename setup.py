@@ -1,10 +1,30 @@
 """Settings that colcon needs besides pyproject.toml."""
 
 from glob import glob
+import os
+import subprocess
+import sys
 
 from setuptools import setup
+from setuptools.command.build_py import build_py
+
+
+class Build(build_py):
+    """Makes the intermediate code of the physics, too; without it, the first run makes it."""
+
+    def run(self):
+        super().run()
+        if not self.editable_mode:
+            folder = os.path.join(self.build_lib, 'timo_sim', 'compiled', 'prebuilt')
+            done = subprocess.run(
+                [sys.executable, '-m', 'timo_sim.prebuilt', os.path.abspath(folder)],
+                env={**os.environ, 'PYTHONPATH': os.path.abspath(self.build_lib)})
+            if done.returncode:
+                print('timo_sim: the first runs will compile for some 10 s', file=sys.stderr)
+
 
 setup(
+    cmdclass={'build_py': Build},
     # No spelling in pyproject.toml suits both setuptools 68 (Ubuntu 24.04) and newer ones.
     license='Apache-2.0',
     # colcon reads metadata as literals; from pyproject.toml setuptools makes an object of this.

@@ -48,6 +48,11 @@ def inner(function: Callable) -> Function:
     return Function(function)
 
 
+def separate(function: Callable) -> Function:
+    """Compile a function that only compiled functions call, as one copy for all of them."""
+    return Function(function, merge=False)
+
+
 def strict(function: Callable) -> Function:
     """Compile a function that only compiled functions call, without any fast math."""
     return Function(function, fast=False)

@@ -15,11 +15,12 @@ in the store and loaded.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 import functools
 import gc
 import hashlib
+from pathlib import Path
 import threading
 from typing import Any
 
@@ -60,21 +61,33 @@ def symbols_of(constants: tuple[Any, ...]) -> dict[str, int]:
     return symbols
 
 
-def intermediate_code(entry: Any, constants: tuple[Any, ...]) -> bytes:
-    """Return LLVM's bitcode of an entry point for constants of these kinds, of any size."""
-    kinds = tuple(each.kind for each in constants)
-    return _intermediate_code(entry, kinds)
+# Intermediate code that was made when the package was built, see `prebuilt.py`.
+PREBUILT = Path(__file__).with_name('prebuilt')
+
+
+def file_name(entry: Any, kinds: tuple[type, ...]) -> str:
+    """Return the name of the file with the intermediate code of an entry point for some kinds."""
+    names = (f'{kind.__module__.removeprefix("timo_sim.")}.{kind.__name__}' for kind in kinds)
+    return f'{entry.name}-{"-".join(names)}-{store.digest_of_sources()}.bc'
+
+
+def emit_now(entry: Any, kinds: tuple[type, ...]) -> bytes:
+    """Return the intermediate code of an entry point for constants of some kinds, by numba."""
+    from timo_sim.compiled.emit import emit
+    with _no_garbage_collection():
+        return emit(entry, kinds)
 
 
 @functools.cache
-def _intermediate_code(entry, kinds):
-    name = f'{entry.name}-{"-".join(f"{kind.__module__}.{kind.__name__}" for kind in kinds)}.bc'
+def intermediate_code(entry: Any, kinds: tuple[type, ...]) -> bytes:
+    """Return LLVM's bitcode of an entry point for constants of some kinds, of any size."""
+    name = file_name(entry, kinds)
+    with suppress(OSError):
+        return (PREBUILT / name).read_bytes()
     with store.lock(f'{name}.lock'):
         code = store.read(name)
         if code is None:
-            from timo_sim.compiled.emit import emit
-            with _no_garbage_collection():
-                code = emit(entry, kinds)
+            code = emit_now(entry, kinds)
             store.write(name, code)
     return code
 
@@ -136,7 +149,10 @@ def object_code(code: bytes, symbols: dict[str, int], machine: Any, name: str) -
 
 
 def _optimise(module, machine):
+    # Vectors are written in the source. Those that LLVM would make of the short loops that are
+    # left are slower, and take longer to make.
     options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.loop_vectorization = options.slp_vectorization = False
     builder = llvm.create_pass_builder(machine, options)
     # Symbols become numbers in each function, so that work arrays have known lengths, before
     # functions become parts of others.
@@ -166,28 +182,27 @@ _engine = functools.cache(_Engine)
 _ADDRESSES: dict[str, int] = {}
 
 
-def _name_of(entry, constants):
-    text = (f'{entry.name} {[(each.kind.__name__, each.groups > 1) for each in constants]} '
-            f'{sorted(symbols_of(constants).items())} {llvm.get_host_cpu_name()} '
-            f'{llvm.get_host_cpu_features().flatten()}')
-    return f'timo_{hashlib.sha256(text.encode()).hexdigest()[:24]}'
-
-
 def load(entry: Any, constants: tuple[Any, ...]) -> int:
-    """Return the address of the machine code of an entry point for these sizes."""
+    """Return the address of the machine code of an entry point for some constants' sizes."""
+    kinds, symbols = tuple(each.kind for each in constants), symbols_of(constants)
+    key = (f'{file_name(entry, kinds)} {sorted(symbols.items())} {llvm.get_host_cpu_name()} '
+           f'{llvm.get_host_cpu_features().flatten()}')
+    name = f'timo_{hashlib.sha256(key.encode()).hexdigest()[:24]}'
     with _LOCK:
-        name = _name_of(entry, constants)
         if name not in _ADDRESSES:
             data = store.read(f'{name}.o')
             if data is None:
                 with store.lock(f'{name}.lock'):
-                    data = store.read(f'{name}.o')
-                    if data is None:  # no other process was faster
-                        tell = _TELL.get()
-                        if tell:
-                            tell(COMPILING)
-                        data = object_code(intermediate_code(entry, constants),
-                                           symbols_of(constants), host_machine(), name)
-                        store.write(f'{name}.o', data)
+                    # Another process may have been faster.
+                    data = store.read(f'{name}.o') or _compile(entry, kinds, symbols, name)
             _ADDRESSES[name] = _engine().add(data, name)
         return _ADDRESSES[name]
+
+
+def _compile(entry, kinds, symbols, name):
+    tell = _TELL.get()
+    if tell:
+        tell(COMPILING)
+    data = object_code(intermediate_code(entry, kinds), symbols, host_machine(), name)
+    store.write(f'{name}.o', data)
+    return data

@@ -26,7 +26,6 @@ from importlib.metadata import version
 import os
 from pathlib import Path
 import stat
-import sys
 import tempfile
 import uuid
 import warnings
@@ -40,20 +39,22 @@ _SOURCES = [Path(__file__).parents[1] / folder for folder in ('compiled', 'model
 
 
 @functools.cache
-def store_directory() -> Path | None:
-    """
-    Return the folder for code of these sources; warn and return None if none is usable.
-
-    The physics calls across files, so the folder is named after the contents of all of them.
-    """
-    digest = hashlib.sha256(f'{version("numba")} {version("llvmlite")} '
-                            f'{sys.implementation.cache_tag}'.encode())
+def digest_of_sources() -> str:
+    """Return a checksum of the sources of all compiled functions, which call across files."""
+    digest = hashlib.sha256()
     for source in sorted(path for folder in _SOURCES for path in folder.rglob('*.py')):
         digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def store_directory() -> Path | None:
+    """Return the folder for code of these sources; warn and return None if none is usable."""
+    name = f'{digest_of_sources()}-{version("numba")}-{version("llvmlite")}'
     refused = []
     for root in _roots():
         try:
-            directory = root.absolute() / digest.hexdigest()[:16]
+            directory = root.absolute() / name
             with _opened(directory):
                 if os.access(directory, os.W_OK):
                     return directory

@@ -22,7 +22,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.functions import as_vectors, inner, local, some, sum_of
+from timo_sim.compiled.functions import as_vectors, inner, local, separate, some, sum_of
 from timo_sim.model import functions
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
@@ -105,7 +105,7 @@ def _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2):
 
 # Mass matrix and speeds, (T26) and (T31).
 
-@inner
+@separate
 def _set_speed(tables, state, load, numbers_1, numbers_2, image_1, image_2, speed, factors):
     """
     Set the images K C1, K C2 and q', the solution of M q' = p (T26), (T31).

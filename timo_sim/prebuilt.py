@@ -1,0 +1,46 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Intermediate code of all entry points, made when the package is built: `write`.
+
+An installation that has it needs numba for nothing: LLVM alone makes machine code for a size.
+"""
+
+from pathlib import Path
+import sys
+from typing import Any
+
+from timo_sim.compiled import machine
+from timo_sim.model import exact_code, functions, modes, newton
+from timo_sim.steps import etdrk4, friction, lanes
+
+
+def entries() -> list[tuple[Any, tuple[type, ...]]]:
+    """Return the entry points and the kinds of their constants."""
+    found = [(entry, (modes.UniformArm,))
+             for entry in (modes.bisect, modes.boundary_conditions, modes.fields)]
+    for tables in (exact_code.Tables, newton.Tables):
+        step = tables, etdrk4.Propagator
+        found += [
+            (functions.rate_once, (tables,)), (functions.tip_once, (tables,)),
+            (etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
+            *((entry, (*step, lanes.LaneConstants))
+              for entry in (lanes.advance_alike, lanes.advance_each))]
+    return found
+
+
+def write(folder: Path) -> None:
+    """Write the intermediate code of all entry points to files of a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for entry, kinds in entries():
+        (folder / machine.file_name(entry, kinds)).write_bytes(machine.emit_now(entry, kinds))
+
+
+if __name__ == '__main__':
+    write(Path(sys.argv[1]))
