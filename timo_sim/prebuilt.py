@@ -23,8 +23,9 @@ from timo_sim.steps import etdrk4, friction, lanes
 
 def entries() -> list[tuple[Any, tuple[type, ...]]]:
     """Return the entry points and the kinds of their constants."""
-    found = [(entry, (modes.UniformArm,))
-             for entry in (modes.bisect, modes.boundary_conditions, modes.fields)]
+    found: list[tuple[Any, tuple[type, ...]]] = [
+        (entry, (modes.UniformArm,))
+        for entry in (modes.bisect, modes.boundary_conditions, modes.fields)]
     for tables in (exact_code.Tables, newton.Tables):
         step = tables, etdrk4.Propagator
         found += [

@@ -37,7 +37,7 @@ class Field(NamedTuple):
 
 
 @functools.cache
-def fields_of(kind: type) -> tuple[Field, ...]:
+def fields_of(kind: Any) -> tuple[Field, ...]:
     """Return the fields of a kind of constants."""
     hints = get_type_hints(kind, include_extras=True)
     return tuple(Field(name, hint is int or int in get_args(hint), tuple(
@@ -63,7 +63,7 @@ class Packed:
         Whether it is of lanes.
     pad : bool
         Whether axes are padded; not for constants that are the same for all lanes.
-    **sizes : int
+    sizes : dict
         Sizes that are not those of a field.
 
     Attributes
@@ -80,31 +80,32 @@ class Packed:
 
     """
 
-    def __init__(self, fields: Any, lanes: bool = False, pad: bool = True, **sizes: int) -> None:
-        self.kind, self.sizes = type(fields), sizes
+    def __init__(self, fields: Any, lanes: bool, pad: bool, sizes: dict[str, int]) -> None:
+        self.kind: Any = type(fields)
+        self.sizes = sizes
+        kind: Any = self.kind
+        described = fields_of(kind)
         values = [np.asarray(value, dtype=np.int64 if field.whole else float, order='C')
-                  for field, value in zip(fields_of(self.kind), fields)]
-        if pad and not lanes:
-            values = [_padded(field, value)
-                      for field, value in zip(fields_of(self.kind), values)]
+                  for field, value in zip(described, fields)]
+        if pad:
+            values = [_padded(field, value) for field, value in zip(described, values)]
         self.groups = len(values[0]) // WIDTH if lanes else 1
         self.offsets, self.views, end = {}, {}, 0
-        for field, value in zip(fields_of(self.kind), values):
+        for field, value in zip(described, values):
             for dim, size in zip(field.dims, value.shape[lanes:], strict=True):
                 if sizes.setdefault(dim, size) != size if isinstance(dim, str) else dim != size:
                     raise ValueError(f'{field.name} of {self.kind.__name__} has shape '
                                      f'{value.shape[lanes:]}, not {field.dims} as of {sizes}')
             count = math.prod(value.shape[lanes:]) * (WIDTH if lanes and not field.whole else 1)
-            # Lanes are aligned as vectors.
             self.offsets[field.name] = end
-            end += _CACHE_LINE * math.ceil(count * _NUMBER / _CACHE_LINE) if lanes else (
-                count * _NUMBER)
-        self.length = max(end, _NUMBER)
+            # Fields begin at cache lines, as vectors should.
+            end += _CACHE_LINE * math.ceil(count * _NUMBER / _CACHE_LINE)
+        self.length = max(end, _CACHE_LINE)
         memory = np.zeros(self.groups * self.length + _CACHE_LINE, dtype=np.uint8)
         begin = -memory.ctypes.data % _CACHE_LINE
         self.memory = memory[begin:begin + self.groups * self.length]
         blocks = self.memory.reshape(self.groups, self.length)
-        for field, value in zip(fields_of(self.kind), values):
+        for field, value in zip(described, values):
             if lanes:
                 value = (value[:self.groups] if field.whole else np.moveaxis(
                     value.reshape(self.groups, WIDTH, *value.shape[1:]), 1, -1))
@@ -115,7 +116,7 @@ class Packed:
             view = blocks[:, offset:offset + size].view(value.dtype).reshape(value.shape)
             view[...] = value
             self.views[field.name] = view if lanes else view[0]
-        self.place = (ctypes.c_char * 0).from_buffer(self.memory)
+        self.place = (ctypes.c_char * 0).from_buffer(self.memory.data)
         self.key = self.kind, lanes, tuple(sorted(sizes.items()))
 
     def __getattr__(self, name: str) -> np.ndarray:
@@ -128,9 +129,9 @@ class Packed:
 
 def pack(fields: Any, pad: bool = True, **sizes: int) -> Packed:
     """Return constants in one block of memory, see `Packed`."""
-    return Packed(fields, pad=pad, **sizes)
+    return Packed(fields, False, pad, sizes)
 
 
 def pack_lanes(fields: Any, **sizes: int) -> Packed:
     """Return constants of a multiple of WIDTH lanes in blocks of memory, see `Packed`."""
-    return Packed(fields, True, **sizes)
+    return Packed(fields, True, False, sizes)

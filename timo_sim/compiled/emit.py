@@ -10,7 +10,7 @@
 Intermediate code of compiled functions, made by numba: the front end of the compiler.
 
 The source is compiled for constants and arrays whose sizes are symbols, external numbers of LLVM's
-code. numba infers types and writes LLVM's code; it optimises nothing here and makes no machine code.
+code. numba infers types and writes this code; it optimises nothing and makes no machine code.
 """
 
 import operator
@@ -24,6 +24,7 @@ from numba.core import (
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.datamodel import models, register_default
 from numba.core.imputils import lower_builtin, lower_getattr_generic
+from numba.core.types import containers
 from numba.core.typing.templates import (
     AbstractTemplate, AttributeTemplate, infer_getattr, infer_global, signature)
 from numba.extending import typeof_impl
@@ -36,8 +37,9 @@ from timo_sim.compiled.lanes import LANES, MASK, SHARED, spread, VECTOR, WIDTH
 # Sums may be reordered and fused, which vectorises the short loops; NaN and Inf keep their
 # meaning, so that a diverged state is still seen ('fast' would assume them away).
 FASTMATH = {'reassoc', 'contract', 'nsz'}
-_OPTIONS = {'error_model': 'numpy', 'no_cfunc_wrapper': True, 'no_cpython_wrapper': True,
-            'nopython': True, '_nrt': False, 'forceinline': True}
+_OPTIONS: dict[str, Any] = {
+    'error_model': 'numpy', 'no_cfunc_wrapper': True, 'no_cpython_wrapper': True, 'nopython': True,
+    '_nrt': False, 'forceinline': True}
 _WORD, _BYTES = ir.IntType(64), ir.IntType(8).as_pointer()
 
 
@@ -140,7 +142,7 @@ class _ViewFields(AttributeTemplate):
     key = View
 
     def resolve_shape(self, view):
-        return types.UniTuple(types.intp, len(view.dims))
+        return containers.UniTuple(types.intp, len(view.dims))
 
 
 @lower_getattr_generic(View)
@@ -160,7 +162,7 @@ def _len(context, builder, sig, arguments):
 
 
 def _indices(index):
-    return tuple(index) if isinstance(index, types.BaseTuple) else (index,)
+    return tuple(index) if isinstance(index, containers.BaseTuple) else (index,)
 
 
 @infer_global(operator.getitem)
@@ -187,7 +189,8 @@ class _SetItem(AbstractTemplate):
 def _place(context, builder, view, pointer, kind, index):
     """Return the pointer to an element, or to the first one of a part of an array."""
     kinds = _indices(kind)
-    indices = cgutils.unpack_tuple(builder, index) if isinstance(kind, types.BaseTuple) else [index]
+    indices = (cgutils.unpack_tuple(builder, index) if isinstance(kind, containers.BaseTuple)
+               else [index])
     place = ir.Constant(_WORD, 0)
     for axis, dim in enumerate(view.dims):
         if axis:
@@ -385,11 +388,12 @@ class _Compiler(dispatcher.Dispatcher):
 def _compile_for_numba(*_, **options):
     # What numba's own functions are written with, in place of `njit`.
     kept = {name: options[name] for name in ('inline', 'fastmath') if name in options}
-    return lambda function: _Compiler(function, targetoptions={**_OPTIONS, **kept})
+    return lambda function: _Compiler(function, targetoptions=_OPTIONS | kept)
 
 
 target_extension.dispatcher_registry[_AnyProcessor] = _Compiler
 target_extension.jit_registry[_AnyProcessor] = _compile_for_numba
+
 
 class _Choice(_Compiler):
     """The dispatcher of a `Declaration`: it chooses a body by the kind of the first argument."""
@@ -416,11 +420,11 @@ def _compiler_of(function):
     if function not in _COMPILERS:
         options = {**_OPTIONS, 'fastmath': FASTMATH if function.fast else False,
                    'forceinline': function.merge}
-        choice = isinstance(function, Declaration)
-        made = (_Choice if choice else _Compiler)(function.function, targetoptions=options)
-        if choice:
-            made.declaration = function
-        _COMPILERS[function] = made
+        if isinstance(function, Declaration):
+            _COMPILERS[function] = choice = _Choice(function.function, targetoptions=options)
+            choice.declaration = function
+        else:
+            _COMPILERS[function] = _Compiler(function.function, targetoptions=options)
     return _COMPILERS[function]
 
 

@@ -135,9 +135,9 @@ class EntryPoint(Function):
         self.arguments = arguments
         self.name = f'{function.__module__.removeprefix("timo_sim.")}.{function.__name__}'
         self._arrays = [given for given in arguments.values() if not isinstance(given, Constants)]
+        kinds: dict[Any, Any] = {int: ctypes.c_int64, float: ctypes.c_double}
         self._prototype = ctypes.CFUNCTYPE(ctypes.c_int64, *(
-            {int: ctypes.c_int64, float: ctypes.c_double}.get(given, ctypes.c_void_p)
-            for given in arguments.values()))
+            kinds.get(given, ctypes.c_void_p) for given in arguments.values()))
         self._known: dict[Any, Any] = {}
 
     def of(self, *constants: Packed) -> 'Call':

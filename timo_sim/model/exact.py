@@ -52,7 +52,6 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.compiled.constants import pack
 from timo_sim.model.exact_code import BAND, BANDS, SECTORS, Tables
 from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.layout import ANGLE, LOADS, SPEED, tip_force, TIP_TORQUE

@@ -13,8 +13,9 @@ Compiled functions of the `exact` formulation, in the order of doc/theory.md, se
 Slopes (T22)-(T24), mass matrix and speeds (T26), (T31), translation (T25), (T27), (T33), forces on
 the coordinates (T28), (T29), (T32), the rate, motion and tip; then what an arm that stretches adds
 (T34), coordinates that have rates in place of momenta (T35), and sectors (section 7). An index i
-counts coordinates, the shaft first; j and k count quadrature nodes. `driven` is 1 if the shaft is
-driven or locked, else 0, and thus the number of the first coordinate that is free.
+counts coordinates, the shaft first; j counts vectors of quadrature nodes, or single nodes in code
+for lanes, and k single nodes. `driven` is 1 if the shaft is driven or locked, else 0, and thus the
+number of the first coordinate that is free.
 """
 
 import math
@@ -42,30 +43,31 @@ class Tables(NamedTuple):
     """
 
     mass: float  # m_t
-    kernel: Annotated[np.ndarray, 'kernels', 'nodes', 'padded_nodes']  # K for x and for y
-    to_centre: Annotated[np.ndarray, 'padded_nodes']                       # d / m_t, from slopes to the mass centre
-    rotation: Annotated[np.ndarray, 'coordinates', 'padded_nodes']         # Phi_i at the nodes
-    shear: Annotated[np.ndarray, 'coordinates', 'padded_nodes']            # Gamma_i at the nodes
+    # K for x and for y
+    kernel: Annotated[np.ndarray, 'kernels', 'nodes', 'padded_nodes']
+    to_centre: Annotated[np.ndarray, 'padded_nodes']  # d / m_t, from slopes to the mass centre
+    rotation: Annotated[np.ndarray, 'coordinates', 'padded_nodes']   # Phi_i at the nodes
+    shear: Annotated[np.ndarray, 'coordinates', 'padded_nodes']      # Gamma_i at the nodes
     # Xi_ij = int J Phi_i Phi_j, with the shaft's J_m
     rotary: Annotated[np.ndarray, 'coordinates', 'coordinates']
-    straight: Annotated[np.ndarray, 'free', 'free']                 # M^-1 of the straight arm
-    damping: Annotated[np.ndarray, 'coordinates']                   # c_s, then 2 zeta_i omega_i
-    carrier_friction: float                                         # c_c
-    coulomb: Annotated[np.ndarray, 2, 2]                            # `Manipulator.coulomb`
-    axes: Annotated[np.ndarray, int, 'axes']           # axes along which the carrier is free
-    held_position: Annotated[np.ndarray, 2]            # of a carrier that is held
-    to_tip: Annotated[np.ndarray, 'padded_nodes']             # D_l, from slopes to the tip
+    straight: Annotated[np.ndarray, 'free', 'free']     # M^-1 of the straight arm
+    damping: Annotated[np.ndarray, 'coordinates']       # c_s, then 2 zeta_i omega_i
+    carrier_friction: float                             # c_c
+    coulomb: Annotated[np.ndarray, 2, 2]                # `Manipulator.coulomb`
+    axes: Annotated[np.ndarray, int, 'axes']            # axes along which the carrier is free
+    held_position: Annotated[np.ndarray, 2]             # of a carrier that is held
+    to_tip: Annotated[np.ndarray, 'padded_nodes']       # D_l, from slopes to the tip
     tip_rotation: Annotated[np.ndarray, 'coordinates']  # Phi_i at the tip
-    weight: Annotated[np.ndarray, 2]                   # m_t g along world x and y
-    push: Annotated[np.ndarray, 'pushes', 'padded_nodes']     # from slopes to where a force acts
-    stretch: Annotated[np.ndarray, 'axial', 'padded_nodes']   # E_i of the axial coordinates at the nodes
-    stiffness: Annotated[np.ndarray, 'coordinates']    # omega_i^2
+    weight: Annotated[np.ndarray, 2]                    # m_t g along world x and y
+    push: Annotated[np.ndarray, 'pushes', 'padded_nodes']    # from slopes to where a force acts
+    stretch: Annotated[np.ndarray, 'axial', 'padded_nodes']  # E_i of the axial coordinates
+    stiffness: Annotated[np.ndarray, 'coordinates']     # omega_i^2
     # Linear part of the last accelerations per q_i and per q_i'.
     linear_rate: Annotated[np.ndarray, 'rates', 2, 'rates']
     # Number of the sector for which the linear part is, plus SECTORS times that of the band of the
     # speed; -1: any.
     sector: int
-    bands_per_speed: float                             # bands per p_0, or per q_0' of a driven shaft
+    bands_per_speed: float  # bands per p_0, or per q_0' of a driven shaft
     # What the linear part has for the speed of the band.
     turning: Annotated[np.ndarray, 'turning', 'turning']
 
@@ -320,7 +322,7 @@ def _rate(tables, state, load, out):
         total += tables.tip_rotation[i] * load[TIP_TORQUE]
         out[momenta + i] = total - tables.damping[i] * out[coordinates + i]
     _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2,
-                       coordinate, speed, factors, out)
+                        coordinate, speed, factors, out)
     _subtract_turning(tables, state, out)
 
 

@@ -10,7 +10,6 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-import copy
 from functools import cached_property
 import math
 from typing import Any, NamedTuple
@@ -115,7 +114,7 @@ class Formulation(ABC):
         self.mass = manipulator.base_mass + self.arm_mass
         self.push_point = self.at([push]) if push else None
         self.tables, self.linear = self.build()
-        self.packed, self._linear_parts = self.pack(self.tables), {}
+        self._linear_parts: dict[float, dict[int | None, Any]] = {}
 
     def linear_parts(self, step: float) -> dict[int | None, Any]:
         """Return the dict in which all `Steps` of a length [s] share their linear parts."""
@@ -181,6 +180,11 @@ class Formulation(ABC):
         tip, modes = np.array([self.manipulator.arm.length]), self.modes
         by_modes = np.abs(modes.deflection(tip)) + np.abs(modes.displacement(tip))
         return np.concatenate([[1.0, 1.0, tip[0]], by_modes[0]])
+
+    @cached_property
+    def packed(self) -> Packed:
+        """The tables, packed."""
+        return self.pack(self.tables)
 
     def pack(self, tables: Any, pad: bool = True) -> Packed:
         """Return tables packed for compiled functions, see `compiled.constants`."""

@@ -164,8 +164,8 @@ class UniformModes(Modes):
 
     def _fields(self, xi):
         values = np.empty((len(xi) * len(self), 4))
-        fields(self._arm, self.omega, len(self), self._shape, np.ascontiguousarray(xi, dtype=float),
-               len(xi), values)
+        fields(self._arm, self.omega, len(self), self._shape,
+               np.ascontiguousarray(xi, dtype=float), len(xi), values)
         return np.moveaxis(values.reshape(len(xi), len(self), 4), -1, 0)
 
     def _roots(self, manipulator, count):

@@ -469,8 +469,8 @@ def _rate(tables, state, load, out):
     bent = _dot(tables.axial, q)
     axial = (bent * theta_acceleration + 2.0 * omega * _dot(tables.axial, qdot)
              + omega * omega * tables.first_moment + tip_1 + push_1)
-    shear = (linear_shear - _dot(tables.shear_row, z) + omega * omega * _dot(tables.shear_softening, q)
-             + tables.tip_share * tip_2 + push_2)
+    shear = (linear_shear - _dot(tables.shear_row, z)
+             + omega * omega * _dot(tables.shear_softening, q) + tables.tip_share * tip_2 + push_2)
     tilt = bent * tables.response[0]  # -P(0) per beta
     beta = _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out)
 

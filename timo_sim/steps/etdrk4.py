@@ -36,12 +36,13 @@ class Propagator(NamedTuple):
     or those of many linear parts (n, m, m).
     """
 
-    whole: Annotated[np.ndarray, 'state', 'padded_state']  # phi_0(h L)
-    half: Annotated[np.ndarray, 'state', 'padded_state']  # phi_0(h L/2)
+    whole: Annotated[np.ndarray, 'state', 'padded_state']        # phi_0(h L)
+    half: Annotated[np.ndarray, 'state', 'padded_state']         # phi_0(h L/2)
     half_weight: Annotated[np.ndarray, 'state', 'padded_state']  # h/2 phi_1(h L/2)
-    start_weight: Annotated[np.ndarray, 'state', 'padded_state']  # h (phi_1 - 3 phi_2 + 4 phi_3)(h L)
-    middle_weight: Annotated[np.ndarray, 'state', 'padded_state']  # h (2 phi_2 - 4 phi_3)(h L)
-    end_weight: Annotated[np.ndarray, 'state', 'padded_state']  # h (4 phi_3 - phi_2)(h L)
+    # h (phi_1 - 3 phi_2 + 4 phi_3)(h L), h (2 phi_2 - 4 phi_3)(h L), h (4 phi_3 - phi_2)(h L)
+    start_weight: Annotated[np.ndarray, 'state', 'padded_state']
+    middle_weight: Annotated[np.ndarray, 'state', 'padded_state']
+    end_weight: Annotated[np.ndarray, 'state', 'padded_state']
 
 
 def propagator(linear: np.ndarray, step: float) -> Propagator:

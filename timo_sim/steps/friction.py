@@ -18,7 +18,7 @@ once. Time in a step runs from 0 to 1 here, so that the rate of a speed has its 
 """
 
 import math
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -82,8 +82,8 @@ class FrictionSteps(Steps):
     def _run(self, part, state, load, loads, samples, since):
         if id(part) not in self._advance:  # the model keeps its parts
             self._advance[id(part)] = advance.of(*part.constants, self._joints)
-        return self._advance[id(part)](self.memory, state, load, loads, len(loads), samples.every,
-                                   since, samples.motions, samples.heat)
+        return self._advance[id(part)](self.memory, state, load, loads, len(loads),
+                                       samples.every, since, samples.motions, samples.heat)
 
     def acting(self, load: np.ndarray) -> np.ndarray:
         """Return a load plus the friction at the end of the last step, shape (LOADS,)."""
@@ -181,7 +181,8 @@ def _follow(joints, start_speed, drift, bend, speed_per_mean, bend_per_slope, fr
             rate[i] = drift[i] + (0.5 - left) * bend[i]
             for j in range(JOINTS):
                 rate[i] += speed_per_mean[i, j] * friction[j]
-            falling = math.sqrt(rate[i] * rate[i] - 2.0 * bend[i] * speed[i]) - direction[i] * rate[i]
+            root = math.sqrt(rate[i] * rate[i] - 2.0 * bend[i] * speed[i])
+            falling = root - direction[i] * rate[i]
             until = 2.0 * direction[i] * speed[i] / falling
             if joints.limit[i] * abs(direction[i]) > 0.0 and falling > 0.0 and until < span:
                 span, stops = until, i

@@ -15,11 +15,11 @@ own: a lane that diverges is computed on and its result thrown away.
 """
 
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import pack, pack_lanes, Packed
+from timo_sim.compiled.constants import pack, pack_lanes
 from timo_sim.compiled.functions import (
     Array, Constants, entry_point, inner, local, magnitude, where)
 from timo_sim.compiled.machine import WIDTH
