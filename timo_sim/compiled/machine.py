@@ -71,13 +71,6 @@ def file_name(entry: Any, kinds: tuple[type, ...]) -> str:
     return f'{entry.name}-{"-".join(names)}-{store.digest_of_sources()}.bc'
 
 
-def emit_now(entry: Any, kinds: tuple[type, ...]) -> bytes:
-    """Return the intermediate code of an entry point for constants of some kinds, by numba."""
-    from timo_sim.compiled.emit import emit
-    with _no_garbage_collection():
-        return emit(entry, kinds)
-
-
 @functools.cache
 def intermediate_code(entry: Any, kinds: tuple[type, ...]) -> bytes:
     """Return LLVM's bitcode of an entry point for constants of some kinds, of any size."""
@@ -87,7 +80,9 @@ def intermediate_code(entry: Any, kinds: tuple[type, ...]) -> bytes:
     with store.lock(f'{name}.lock'):
         code = store.read(name)
         if code is None:
-            code = emit_now(entry, kinds)
+            from timo_sim.compiled.emit import emit
+            with _no_garbage_collection():
+                code = emit(entry, kinds)
             store.write(name, code)
     return code
 

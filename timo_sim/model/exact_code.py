@@ -78,11 +78,31 @@ def _half(tables):
     return len(tables.axes) + len(tables.straight)
 
 
+class Work(NamedTuple):
+    """Work arrays of a rate; those at nodes are vectors, see `as_vectors`."""
+
+    coordinate: np.ndarray  # q, (1 + N,)
+    speed: np.ndarray       # q', (1 + N,)
+    factors: np.ndarray     # L and 1/D of the mass matrix, where they are needed, (1 + N, 1 + N)
+    cosine: np.ndarray      # of phi, (n_g,)
+    sine: np.ndarray
+    a: np.ndarray           # slopes of the centre line (T23), (n_g,)
+    b: np.ndarray
+    numbers_1: np.ndarray   # C1 and C2 (T24) as single numbers, (1 + N, n_g)
+    numbers_2: np.ndarray
+    c1: np.ndarray          # the same as vectors
+    c2: np.ndarray
+    image_1: np.ndarray     # K C1, K C2 (T26), (1 + N, n_g)
+    image_2: np.ndarray
+
+
 # Slopes of the centre line and their derivatives, (T22) to (T24).
 
 @inner
-def _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2):
+def _set_slopes(tables, state, load, work):
     """Set q, cosine and sine of phi, a, b (T23), C1 and C2 (T24)."""
+    a, b, c1, c2, cosine, sine = work.a, work.b, work.c1, work.c2, work.cosine, work.sine
+    coordinate = work.coordinate
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
     count, nodes = rotation.shape
     driven = count - len(tables.straight)
@@ -102,13 +122,13 @@ def _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2):
         for j in range(nodes):
             c1[i, j] = -b[j] * rotation[i, j] - sine[j] * shear[i, j]
             c2[i, j] = a[j] * rotation[i, j] + cosine[j] * shear[i, j]
-    _add_stretch_to_slopes(tables, coordinate, cosine, sine, a, b, c1, c2)
+    _add_stretch_to_slopes(tables, work)
 
 
 # Mass matrix and speeds, (T26) and (T31).
 
 @separate
-def _set_speed(tables, state, load, numbers_1, numbers_2, image_1, image_2, speed, factors):
+def _set_speed(tables, state, load, work):
     """
     Set the images K C1, K C2 and q', the solution of M q' = p (T26), (T31).
 
@@ -117,7 +137,8 @@ def _set_speed(tables, state, load, numbers_1, numbers_2, image_1, image_2, spee
     carrier is free (T26), not where it is held (T30), multiplies by the masses and sums outwards.
     """
     kernel, rotary = as_vectors(tables.kernel), tables.rotary
-    c1, c2 = as_vectors(numbers_1), as_vectors(numbers_2)
+    c1, c2, image_1, image_2 = work.c1, work.c2, work.image_1, work.image_2
+    speed = work.speed
     count, nodes = c1.shape
     driven = count - len(tables.straight)
     for i in range(count):
@@ -125,8 +146,8 @@ def _set_speed(tables, state, load, numbers_1, numbers_2, image_1, image_2, spee
             total_1 = 0.0
             total_2 = 0.0
             for k in range(kernel.shape[1]):  # K is symmetric
-                total_1 += numbers_1[i, k] * kernel[0, k, j]
-                total_2 += numbers_2[i, k] * kernel[len(kernel) - 1, k, j]
+                total_1 += work.numbers_1[i, k] * kernel[0, k, j]
+                total_2 += work.numbers_2[i, k] * kernel[len(kernel) - 1, k, j]
             image_1[i, j] = total_1
             image_2[i, j] = total_2
     # The lower triangle of M_ij = Xi_ij + C1_i K C1_j + C2_i K C2_j.
@@ -159,7 +180,7 @@ def _set_speed(tables, state, load, numbers_1, numbers_2, image_1, image_2, spee
             mass[i, k] = factor[i]
     for i in range(driven, count):
         speed[i] *= inverse[i]
-    _take_rates_of_state(tables, state, mass, inverse, speed, factors)
+    _take_rates_of_state(tables, state, mass, inverse, work)
     for k in range(count - 1, driven - 1, -1):
         for i in range(driven, k):
             speed[i] -= mass[k, i] * speed[k]
@@ -180,7 +201,7 @@ def _push_force(tables, load):
 def _push_work(tables, load, j):
     """Return what this force adds to the forces against the slopes at nodes j, in x and y."""
     push = as_vectors(tables.push)
-    x, y = -0.0 * load[PUSH_X], -0.0 * load[PUSH_Y]
+    x, y = -0.0, -0.0
     if len(push):
         x, y = -push[0, j] * load[PUSH_X], -push[0, j] * load[PUSH_Y]
     return x, y
@@ -208,7 +229,7 @@ def _resistance(tables, speed):
 
 
 @inner
-def _translate(tables, state, load, angle, c1, c2, speed, out):
+def _translate(tables, state, load, work, out):
     """
     Write the rates of the mass centre; return x, y of the force on the carrier and of the tip's.
 
@@ -217,7 +238,7 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
     """
     axes, half, weight = tables.axes, _half(tables), tables.weight
     push_x, push_y = 0.0 - weight[0], 0.0 - weight[1]
-    shaft_y, shaft_x = sincos(angle)
+    shaft_y, shaft_x = sincos(work.coordinate[0])
     tip_x = load[TIP_X] + shaft_x * load[TIP_I] - shaft_y * load[TIP_II]
     tip_y = load[TIP_Y] + shaft_y * load[TIP_I] + shaft_x * load[TIP_II]
     arm_x, arm_y = _push_force(tables, load)
@@ -227,12 +248,14 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
             push_x = (load[FORCE_X] + shaft_x * load[FORCE_I] - shaft_y * load[FORCE_II]
                       + tip_x + arm_x)
             if rubs:
-                push_x -= _resistance(tables, _carrier_speed(tables, state, k, c1, speed))
+                speed = _carrier_speed(tables, state, k, work.c1, work.speed)
+                push_x -= _resistance(tables, speed)
         else:
             push_y = (load[FORCE_Y] + shaft_y * load[FORCE_I] + shaft_x * load[FORCE_II]
                       + tip_y + arm_y)
             if rubs:
-                push_y -= _resistance(tables, _carrier_speed(tables, state, k, c2, speed))
+                speed = _carrier_speed(tables, state, k, work.c2, work.speed)
+                push_y -= _resistance(tables, speed)
         out[k] = 0.0  # X' = P / m_t is in the linear part
         out[half + k] = push_x + weight[0] if axes[k] == 0 else push_y + weight[1]
     return push_x, push_y, tip_x, tip_y
@@ -241,8 +264,7 @@ def _translate(tables, state, load, angle, c1, c2, speed, out):
 # Forces on the coordinates, (T28), (T29), (T32).
 
 @inner
-def _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, image_2, speed,
-                 script_a, script_b):
+def _set_moments(tables, load, torque, forces, work, script_a, script_b):
     """
     Set A_j and B_j of (T29); return the moment of torque and forces about the shaft.
 
@@ -252,6 +274,7 @@ def _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, imag
     """
     to_centre, to_tip = as_vectors(tables.to_centre), as_vectors(tables.to_tip)
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
+    a, b, cosine, sine, speed = work.a, work.b, work.cosine, work.sine, work.speed
     push_x, push_y, tip_x, tip_y = forces
     moment = 0.0
     for j in range(len(to_centre)):
@@ -260,8 +283,8 @@ def _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, imag
         turning = 0.0
         shearing = 0.0
         for i in range(len(speed)):
-            g1 += speed[i] * image_1[i, j]
-            g2 += speed[i] * image_2[i, j]
+            g1 += speed[i] * work.image_1[i, j]
+            g2 += speed[i] * work.image_2[i, j]
             turning += speed[i] * rotation[i, j]
             shearing += speed[i] * shear[i, j]
         along = cosine[j] * g1 + sine[j] * g2
@@ -280,49 +303,46 @@ def _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, imag
 def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
     rows, across = tables.rotation, tables.to_centre
-    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
-    count, nodes = rotation.shape
-    driven = count - len(tables.straight)
-    coordinate, speed, factors = local((rows,)), local((rows,)), local((rows, rows))
-    cosine, sine = as_vectors(local((across,))), as_vectors(local((across,)))
-    a, b = as_vectors(local((across,))), as_vectors(local((across,)))
     numbers_1, numbers_2 = local((rows, across)), local((rows, across))
-    c1, c2 = as_vectors(numbers_1), as_vectors(numbers_2)
-    image_1, image_2 = as_vectors(local((rows, across))), as_vectors(local((rows, across)))
-    _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2)
-    _set_speed(tables, state, load, numbers_1, numbers_2, image_1, image_2, speed, factors)
-    half = _half(tables)
+    work = Work(
+        local((rows,)), local((rows,)), local((rows, rows)), as_vectors(local((across,))),
+        as_vectors(local((across,))), as_vectors(local((across,))), as_vectors(local((across,))),
+        numbers_1, numbers_2, as_vectors(numbers_1), as_vectors(numbers_2),
+        as_vectors(local((rows, across))), as_vectors(local((rows, across))))
+    _set_slopes(tables, state, load, work)
+    _set_speed(tables, state, load, work)
+    rotation, shear = as_vectors(rows), as_vectors(tables.shear)
+    count, nodes = rotation.shape
+    driven, half = count - len(tables.straight), _half(tables)
     momenta = 2 * half - count
     coordinates = momenta - half
 
     # q' (T28) less that by the mass matrix of the straight arm, which is in the linear part.
     for i in range(driven, count):
-        total = speed[i]
+        total = work.speed[i]
         for j in range(driven, count):
             total -= tables.straight[i - driven, j - driven] * state[momenta + j]
         out[coordinates + i] = total
 
     # p' (T28): the stiffness is in the linear part, and damping of the straight arm's speeds.
-    forces = _translate(tables, state, load, coordinate[0], c1, c2, speed, out)
-    torque = load[TORQUE] - functions.coulomb(tables, 1, speed[0])
+    forces = _translate(tables, state, load, work, out)
+    torque = load[TORQUE] - functions.coulomb(tables, 1, work.speed[0])
     script_a, script_b = as_vectors(local((across,))), as_vectors(local((across,)))
-    moment = _set_moments(tables, load, torque, forces, cosine, sine, a, b, image_1, image_2,
-                          speed, script_a, script_b)
+    moment = _set_moments(tables, load, torque, forces, work, script_a, script_b)
     for i in range(driven, count - len(tables.linear_rate)):
         # Unless one axis is held, T does not depend on the shaft angle; that sum would only give
         # round-off and is left out.
         total = moment
         if i or len(tables.axes) == 1:
-            work = 0.0
+            done = 0.0
             for j in range(nodes):
-                work += rotation[i, j] * script_a[j] + shear[i, j] * script_b[j]
-            total = sum_of(work, across)
+                done += rotation[i, j] * script_a[j] + shear[i, j] * script_b[j]
+            total = sum_of(done, across)
             if i == 0:
                 total += torque
         total += tables.tip_rotation[i] * load[TIP_TORQUE]
         out[momenta + i] = total - tables.damping[i] * out[coordinates + i]
-    _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2,
-                        coordinate, speed, factors, out)
+    _add_stretch_forces(tables, load, torque, forces, work, out)
     _subtract_turning(tables, state, out)
 
 
@@ -330,31 +350,29 @@ def _rate(tables, state, load, out):
 def _observe(tables, state, load, out):
     """Write the motion of a state: the carrier's from the mass centre's (T25), and q'."""
     rows, across = tables.rotation, tables.to_centre
-    to_centre = as_vectors(across)
-    count = len(rows)
-    coordinate, speed, factors = local((rows,)), local((rows,)), local((rows, rows))
-    cosine, sine = as_vectors(local((across,))), as_vectors(local((across,)))
-    a, b = as_vectors(local((across,))), as_vectors(local((across,)))
     numbers_1, numbers_2 = local((rows, across)), local((rows, across))
-    c1, c2 = as_vectors(numbers_1), as_vectors(numbers_2)
-    image_1, image_2 = as_vectors(local((rows, across))), as_vectors(local((rows, across)))
-    _set_slopes(tables, state, load, coordinate, cosine, sine, a, b, c1, c2)
-    _set_speed(tables, state, load, numbers_1, numbers_2, image_1, image_2, speed, factors)
-    half = len(out) // 2
-    for i in range(count):
-        out[2 + i] = coordinate[i]
-        out[half + 2 + i] = speed[i]
+    work = Work(
+        local((rows,)), local((rows,)), local((rows, rows)), as_vectors(local((across,))),
+        as_vectors(local((across,))), as_vectors(local((across,))), as_vectors(local((across,))),
+        numbers_1, numbers_2, as_vectors(numbers_1), as_vectors(numbers_2),
+        as_vectors(local((rows, across))), as_vectors(local((rows, across))))
+    _set_slopes(tables, state, load, work)
+    _set_speed(tables, state, load, work)
+    to_centre, half = as_vectors(across), len(out) // 2
+    for i in range(len(rows)):
+        out[2 + i] = work.coordinate[i]
+        out[half + 2 + i] = work.speed[i]
     for axis in range(2):
         out[axis] = tables.held_position[axis]
         out[half + axis] = 0.0
     for k in range(len(tables.axes)):
         axis = tables.axes[k]
-        slope, derivative = (a, c1) if axis == 0 else (b, c2)
+        slope, derivative = (work.a, work.c1) if axis == 0 else (work.b, work.c2)
         centre = 0.0
         for j in range(len(to_centre)):
             centre += to_centre[j] * slope[j]
         out[axis] = state[k] - sum_of(centre, across)
-        out[half + axis] = _carrier_speed(tables, state, k, derivative, speed)
+        out[half + axis] = _carrier_speed(tables, state, k, derivative, work.speed)
 
 
 @functions.tip.of(Tables)
@@ -388,17 +406,18 @@ def _tip(tables, motion, out):
 # Axial strain (T34); these functions do nothing for an arm that does not stretch.
 
 @inner
-def _add_stretch_to_slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
+def _add_stretch_to_slopes(tables, work):
     """Add the axial strain to a, b (T23), C1 and C2 (T24)."""
     rotation, stretch = as_vectors(tables.rotation), as_vectors(tables.stretch)
     count, nodes = rotation.shape
     axial = count - len(stretch)
     if axial == count:
         return
+    a, b, c1, c2, cosine, sine = work.a, work.b, work.c1, work.c2, work.cosine, work.sine
     for j in range(nodes):
         strain = 0.0
         for i in range(axial, count):
-            strain += coordinate[i] * stretch[i - axial, j]
+            strain += work.coordinate[i] * stretch[i - axial, j]
             c1[i, j] = cosine[j] * stretch[i - axial, j]
             c2[i, j] = sine[j] * stretch[i - axial, j]
         a[j] += strain * cosine[j]
@@ -412,31 +431,33 @@ def _add_stretch_to_slopes(tables, coordinate, cosine, sine, a, b, c1, c2):
 # held and no axial ones, all free ones.
 
 @inner
-def _take_rates_of_state(tables, state, mass, inverse, speed, factors):
+def _take_rates_of_state(tables, state, mass, inverse, work):
     """Set the rates that are part of the state; copy L and 1/D of the mass matrix to `factors`."""
     if len(tables.linear_rate) == 0:
         return
-    count = len(speed)
+    count = len(work.speed)
     rates_from = count - len(tables.linear_rate)
     for i in range(count - len(tables.straight), count):
         for j in range(i):
-            factors[i, j] = mass[i, j]
-        factors[i, i] = inverse[i]
+            work.factors[i, j] = mass[i, j]
+        work.factors[i, i] = inverse[i]
     for i in range(rates_from, count):
-        speed[i] = state[2 * _half(tables) - count + i]
+        work.speed[i] = state[2 * _half(tables) - count + i]
         for j in range(rates_from, i):
             mass[i, j] = 0.0  # the back substitution that follows must not change these rates
 
 
 @inner
-def _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, image_1, image_2,
-                        coordinate, speed, factors, out):
+def _add_stretch_forces(tables, load, torque, forces, work, out):
     """Add the terms of the axial strain to dT/dq (T29); write the accelerations (T35)."""
     if len(tables.linear_rate) == 0:
         return
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
     stretch, to_tip = as_vectors(tables.stretch), as_vectors(tables.to_tip)
-    rows, across, to_centre = tables.rotation, tables.to_centre, as_vectors(tables.to_centre)
+    across, to_centre = tables.to_centre, as_vectors(tables.to_centre)
+    cosine, sine, coordinate, speed = work.cosine, work.sine, work.coordinate, work.speed
+    c1, c2, image_1, image_2 = work.c1, work.c2, work.image_1, work.image_2
+    factors = work.factors
     count, nodes = rotation.shape
     driven, axial, momenta = (
         count - len(tables.straight), count - len(stretch), 2 * _half(tables) - count)
@@ -464,21 +485,21 @@ def _add_stretch_forces(tables, load, torque, forces, cosine, sine, c1, c2, imag
         a_2[j] = -turning * (slope_2 + cosine[j] * shearing + sine[j] * stretching)
         b_2[j] = turning * (slope_1 - sine[j] * shearing + cosine[j] * stretching)
     # The right-hand side of (T35), all loads and a given q_0'' included.
-    force = local((rows,))
+    force = local((tables.rotation,))
     for i in range(driven, count):
-        work = 0.0
+        done = 0.0
         added = 0.0
         for j in range(nodes):
             added += rotation[i, j] * added_a[j]
             arm_x, arm_y = _push_work(tables, load, j)
             force_x = to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
             force_y = to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
-            work += (force_x * c1[i, j] + force_y * c2[i, j] - image_1[i, j] * a_2[j]
+            done += (force_x * c1[i, j] + force_y * c2[i, j] - image_1[i, j] * a_2[j]
                      - image_2[i, j] * b_2[j])
         # Unless one axis is held, T does not depend on the shaft angle.
         if i < rates_from and (i or len(tables.axes) == 1):
             out[momenta + i] += sum_of(added, across)
-        total = (sum_of(work, across) + tables.tip_rotation[i] * load[TIP_TORQUE]
+        total = (sum_of(done, across) + tables.tip_rotation[i] * load[TIP_TORQUE]
                  - tables.stiffness[i] * coordinate[i] - tables.damping[i] * speed[i])
         if i == 0:
             total += torque
