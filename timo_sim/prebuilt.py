@@ -40,7 +40,8 @@ def write(folder: Path) -> None:
     """Write the intermediate code of all entry points to files of a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for entry, kinds in entries():
-        (folder / machine.file_name(entry, kinds)).write_bytes(machine.intermediate_code(entry, kinds))
+        place = folder / machine.file_name(entry, kinds)
+        place.write_bytes(machine.intermediate_code(entry, kinds))
 
 
 if __name__ == '__main__':
