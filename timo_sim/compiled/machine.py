@@ -80,11 +80,20 @@ def intermediate_code(entry: Any, kinds: tuple[type, ...]) -> bytes:
     with store.lock(f'{name}.lock'):
         code = store.read(name)
         if code is None:
-            from timo_sim.compiled.emit import emit
             with _no_garbage_collection():
-                code = emit(entry, kinds)
+                code = _emit(entry, kinds)
             store.write(name, code)
     return code
+
+
+def _emit(entry, kinds):
+    try:
+        from timo_sim.compiled.emit import emit
+    except Exception as error:  # of any kind: numba does not check what it reads
+        raise ImportError('numba cannot be imported with its settings, NUMBA_* of the environment '
+                          'or .numba_config.yaml in the working directory: '
+                          + ' '.join(str(error).split())) from error
+    return emit(entry, kinds)
 
 
 @contextmanager
