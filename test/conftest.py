@@ -22,7 +22,6 @@ import pytest
 
 from oracles.domains import own_domain
 from oracles.references import read
-import timo_sim
 from timo_sim.compiled.store import lock
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -57,13 +56,6 @@ def pytest_collection_modifyitems(items):
     """Sort the files, in the order in which `--dist loadfile --no-loadscope-reorder` runs them."""
     place = {name: number for number, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path.name, len(LONGEST)))
-
-
-@pytest.fixture(scope='session', autouse=True)
-def waves():
-    """Compile the code of every model in one test process, while the others wait for it."""
-    with lock('waves.lock'):
-        timo_sim.load_scene({})
 
 
 @pytest.fixture(scope='session')

@@ -66,9 +66,7 @@ def tip_of_reference(name, length):
 
 @pytest.mark.parametrize('name', SCENES)
 @pytest.mark.parametrize('goal', [1e-3, 1e-4])
-def test_the_stated_error_holds(name, goal, source, request):
-    if name == 'spin_up':  # other tests have no code for its sizes
-        request.getfixturevalue('any_size')
+def test_the_stated_error_holds(name, goal, source):
     scene = timo_sim.load_scene(source[name], {'model.accuracy': goal})
     choice = choose_resolution(scene, SCENES[name])
     run = timo_sim.simulate(choice.scene, SCENES[name],

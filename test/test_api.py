@@ -241,24 +241,23 @@ def test_a_scene_may_be_given_as_load_scene_takes_it(tmp_path):
         timo_sim.simulate(scene, 1e9)
 
 
-def test_disabled_compilation_changes_no_bit_and_is_left_to_the_caller():
+def test_disabled_compilation_changes_no_bit_and_is_left_to_the_caller(tmp_path):
     code = ('import numba, timo_sim; '
-            'print(timo_sim.simulate(timo_sim.load_scene({}), 0.1).q[-1].tobytes().hex(), '
-            'numba.njit(lambda: 1).__class__.__name__)')
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
-                          env={**os.environ, 'NUMBA_DISABLE_JIT': '1'})
-    run = timo_sim.simulate(timo_sim.load_scene({}), 0.1)
+            'print(timo_sim.simulate({"model.formulation": "newton"}, 0.1, estimate=False)'
+            '.q[-1].tobytes().hex(), numba.njit(lambda: 1).__class__.__name__)')
+    done = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True,
+        env={**os.environ, 'NUMBA_DISABLE_JIT': '1', 'NUMBA_CACHE_DIR': str(tmp_path)})
+    run = timo_sim.simulate({'model.formulation': 'newton'}, 0.1, estimate=False)
     assert done.stdout.split() == [run.q[-1].tobytes().hex(), 'function'], done.stderr
 
 
-@pytest.mark.parametrize('arguments', [
-    ['timo_sim', 'simulate', 'paper'], ['timo_sim.cli.sim_node']])
-def test_settings_that_numba_cannot_read_end_with_one_line(tmp_path, arguments):
+def test_settings_that_numba_cannot_read_do_no_harm_where_code_is_on_disk(tmp_path):
+    timo_sim.simulate('paper', 0.01)
     (tmp_path / '.numba_config.yaml').write_text('disable_jit: [')
-    done = subprocess.run([sys.executable, '-m', *arguments], cwd=tmp_path, capture_output=True,
-                          text=True)
-    assert done.returncode == 1 and done.stdout == '' and done.stderr.count('\n') == 1
-    assert done.stderr.startswith('timo_sim: numba cannot be imported with its settings')
+    done = subprocess.run([sys.executable, '-m', 'timo_sim', 'simulate', 'paper', '--duration',
+                           '0.01'], cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, '')
 
 
 MISSPELT = [

@@ -36,14 +36,16 @@ def test_scipy_agrees(truth):
     assert np.abs(motions[-1] - truth).max() < 1e-9
 
 
-def test_generalized_alpha_is_of_second_order(truth):
-    """It keeps the rate of the state from step to step, and must renew it where the load jumps."""
+@pytest.mark.parametrize('method, order', [
+    ('RK4', 4.0), ('implicit midpoint', 2.0), ('generalized-alpha', 2.0)])
+def test_methods_with_fixed_steps_have_their_order(method, order, truth):
+    """Generalized-alpha keeps the state's rate, which it must renew where the load jumps."""
     errors = []
-    for step in (0.01, 0.005, 0.0025):
+    for step in (0.004, 0.002, 0.001):
         scene = timo_sim.load_scene(SCENE, {'integrator.step': step})
         steps = round(DURATION / step)
-        motions = peers.fixed_step('generalized-alpha', scene.build(), scene.initial_motion(),
+        motions = peers.fixed_step(method, scene.build(), scene.initial_motion(),
                                    scene.load.stages(0, steps, step), step, steps)
         errors.append(np.abs(motions[-1] - truth).max())
     observed = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert observed == pytest.approx(2.0, abs=0.3)
+    assert observed == pytest.approx(order, abs=0.3)

@@ -25,24 +25,37 @@ import timo_sim
 from timo_sim.compiled.constants import pack
 from timo_sim.model import formulation_class
 from timo_sim.steps import etdrk4
-from timo_sim.steps.etdrk4 import propagator
+from timo_sim.steps.etdrk4 import for_product, propagator
 
 PAPER = ROOT / 'config' / 'paper.yaml'
 STEPS = 1000  # of 10 ms
 TARGETS = [('exact', 3, 1.5e-6), ('exact', 5, 2.5e-6), ('exact', 10, 8e-6), ('newton', 3, 0.6e-6)]
 BLOCK = 40  # variations or runs that are timed together
-# A run of the paper's scene, then one of another size, with no machine code at the start.
+# The very first run, of the paper's scene and of a finer one beside it; then one of another size
+# alone. Prints the time of each, and how much of it numba and LLVM take.
 FIRST = """
 import time
-from numba.core import event
 import timo_sim
+from timo_sim.compiled import machine
 
-for modes in (3, 4):
-    with event.install_timer('numba:compile', print):
+def timing(name):
+    function = getattr(machine, name)
+    def timed(*arguments):
         begun = time.perf_counter()
-        timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': modes}), 0.01,
-                          estimate=False)
-        print(time.perf_counter() - begun)
+        result = function(*arguments)
+        spans[name] += time.perf_counter() - begun
+        return result
+    setattr(machine, name, timed)
+
+COMPILERS = 'intermediate_code', 'object_code'
+for name in COMPILERS:
+    timing(name)
+for modes, estimate in ((3, True), (4, False)):
+    spans = dict.fromkeys(COMPILERS, 0.0)
+    begun = time.perf_counter()
+    timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': modes}), 0.01,
+                      estimate=estimate)
+    print(time.perf_counter() - begun, *spans.values())
 """
 
 
@@ -64,13 +77,14 @@ class Prepared:
         self._start = self.model.state(scene.initial_motion())
         self._loads = scene.load.stages(0, steps, scene.step)
         self._remainder = np.empty(len(self._start))
-        self._propagator = pack(propagator(self.model.linear, scene.step))
+        self._advance = etdrk4.advance.of(
+            self.model.packed, pack(for_product(propagator(self.model.linear, scene.step))))
 
     def run(self, every=0):
         """Do the steps; return motions at the start and after each `every` of them."""
         samples = np.empty((1 + len(self._loads) // every if every else 0, self.model.size))
-        etdrk4.advance(self.model.packed, self._propagator, self._start.copy(),
-                       self._loads[0, 0], self._loads, every, 0, samples, self._remainder)
+        self._advance(self._start.copy(), self._loads[0, 0], self._loads, len(self._loads), every,
+                      0, samples, self._remainder)
         return samples
 
     def time_of_step(self):
@@ -122,12 +136,12 @@ def around(quick):
                          lambda: [timo_sim.simulate(scene, 10.0, estimate=False)
                                   for _ in range(BLOCK)], units=BLOCK, rounds=rounds)
     own, least = whole.middle - steps.middle, whole.least - steps.least
-    # Each line is the time of a run or, after it, the part of it that numba needs to compile.
     with tempfile.TemporaryDirectory() as folder:
         output = subprocess.run(
             [sys.executable, '-c', FIRST], check=True, text=True, stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL, env={**os.environ, 'NUMBA_CACHE_DIR': folder}).stdout
-    everything, compiled, further, again = map(float, output.split())
+    (very_first, numba, llvm), (further, _, again) = [
+        map(float, line.split()) for line in output.splitlines()]
     return [
         ('set-up of a run that differs in loads and initial motion', '0.1 ms',
          loads.shown(1e-3, 'ms'), loads.middle <= 0.1e-3, '`Scene.vary`'),
@@ -137,8 +151,10 @@ def around(quick):
          f'{1e3 * own:.2f} ms (min {1e3 * least:.2f})', own <= 0.3e-3,
          '10 s at 10 ms, every step sampled: simulator, loads, samples and the Run'),
         ('first run of a size', '5 s', f'{further:.1f} s', further <= 5.0,
-         f'N = 4, with no machine code of that size: numba compiles for {again:.1f} s; the very '
-         f'first run, N = 3, {everything:.1f} s, of which {compiled:.1f} s')]
+         f'N = 4, with no machine code of it: LLVM takes {again:.1f} s'),
+        ('very first run, compared with a finer one', '', f'{very_first:.1f} s', None,
+         f'with an empty store: numba takes {numba:.1f} s, once for all sizes, and LLVM '
+         f'{llvm:.1f} s for two sizes')]
 
 
 def exponent(x, y):

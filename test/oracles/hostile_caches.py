@@ -8,19 +8,7 @@
 
 """Attacks on the store of machine code: folders and files as another user would plant them."""
 
-import hashlib
 import os
-import pickle
-
-
-class Hostile:
-    """An object that makes a folder when it is unpickled, as proof that code was run."""
-
-    def __init__(self, proof):
-        self.proof = str(proof)
-
-    def __reduce__(self):
-        return os.mkdir, (self.proof,)
 
 
 def give_to_another(path, patch):
@@ -42,17 +30,9 @@ def give_to_another(path, patch):
     patch(os, 'fstat', seen)
 
 
-def plant(store, proof):
-    """Replace the machine code in a store by a pickle with the right name and checksum."""
-    file, = store.glob('*.code')
-    data = pickle.dumps(Hostile(proof))
-    file.write_bytes(hashlib.sha256(data).digest() + data)
-    return file
-
-
 def link(path):
-    """Put a symbolic link in the place of a folder."""
-    path.symlink_to(path.rename(path.with_name('planted')))
+    """Put a symbolic link in the place of a file or folder."""
+    path.symlink_to(path.rename(path.with_name(f'planted-{path.name}')))
 
 
 def link_to_root(leaf):

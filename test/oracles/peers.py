@@ -10,12 +10,14 @@
 
 import bisect
 import math
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from timo_sim.model.functions import observe, rate
+from timo_sim.compiled.functions import Array, Constants, entry_point
+from timo_sim.model.functions import observe, rate_once
 from timo_sim.model.layout import ACCELERATION, ANGLE, LOADS, SPEED
 from timo_sim.scene.loads import CHANNELS, Harmonic, Piecewise
 from timo_sim.steps.steps import Steps
@@ -24,58 +26,88 @@ TOLERANCE, ITERATIONS = 1e-12, 50  # of the implicit methods, relative
 SPECTRAL_RADIUS = 0.9              # of generalized-alpha
 
 
+@entry_point(tables=Constants(), state=Array(('state',)), load=Array((LOADS,)),
+             out=Array(('motion',)))
+def observe_once(tables, state, load, out):
+    """Call `observe` from Python."""
+    observe(tables, state, load, out)
+
+
+class System(NamedTuple):
+    """A model as numba's functions see it: machine code, which takes addresses of arrays."""
+
+    rate: Any     # ctypes function
+    observe: Any  # ctypes function
+    tables: int   # address of the constants of both
+    linear: np.ndarray
+
+
+def system_of(model):
+    """Return the System of a formulation; its tables live as long as the formulation."""
+    return System(rate_once.of(model.packed)._code, observe_once.of(model.packed)._code,
+                  model.packed.memory.ctypes.data, model.linear)
+
+
+# Arrays whose addresses are taken are arguments, which live until the function returns.
+
 @numba.njit
-def _full(tables, linear, state, load, out):
-    rate(tables, state, load, out)
-    out += linear @ state
+def _nonlinear(system, state, load, out):
+    system.rate(system.tables, state.ctypes.data, load.ctypes.data, out.ctypes.data)
 
 
 @numba.njit
-def _record(tables, state, load, k, every, samples):
+def _full(system, state, load, out):
+    _nonlinear(system, state, load, out)
+    out += system.linear @ state
+
+
+@numba.njit
+def _record(system, state, load, k, every, samples):
     """Sample the motion after step k where that is due; return whether the state is finite."""
     if not np.all(np.isfinite(state)):
         return False
     if (k + 1) % every == 0:
-        observe(tables, state, load, samples[(k + 1) // every - 1])
+        system.observe(system.tables, state.ctypes.data, load.ctypes.data,
+                       samples[(k + 1) // every - 1].ctypes.data)
     return True
 
 
 @numba.njit
-def rk4(tables, linear, state, loads, step, every, samples):
+def rk4(system, state, loads, step, every, samples):
     """Integrate by the classical Runge-Kutta method; return the steps done."""
     k1, k2, k3, k4 = np.zeros((4, len(state)))
     for k in range(len(loads)):
-        _full(tables, linear, state, loads[k, 0], k1)
-        _full(tables, linear, state + 0.5 * step * k1, loads[k, 1], k2)
-        _full(tables, linear, state + 0.5 * step * k2, loads[k, 1], k3)
-        _full(tables, linear, state + step * k3, loads[k, 2], k4)
+        _full(system, state, loads[k, 0], k1)
+        _full(system, state + 0.5 * step * k1, loads[k, 1], k2)
+        _full(system, state + 0.5 * step * k2, loads[k, 1], k3)
+        _full(system, state + step * k3, loads[k, 2], k4)
         state += step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        if not _record(tables, state, loads[k, 2], k, every, samples):
+        if not _record(system, state, loads[k, 2], k, every, samples):
             return k
     return len(loads)
 
 
 @numba.njit
-def implicit_midpoint(tables, linear, state, loads, step, every, samples):
+def implicit_midpoint(system, state, loads, step, every, samples):
     """Integrate by the implicit midpoint rule, linear part implicit; return the steps done."""
-    inverse = np.linalg.inv(np.eye(len(state)) - 0.5 * step * linear)
+    inverse = np.linalg.inv(np.eye(len(state)) - 0.5 * step * system.linear)
     middle, nonlinear = state.copy(), np.zeros(len(state))
     for k in range(len(loads)):
         for _ in range(ITERATIONS):
-            rate(tables, middle, loads[k, 1], nonlinear)
+            _nonlinear(system, middle, loads[k, 1], nonlinear)
             following = inverse @ (state + 0.5 * step * nonlinear)
             change = np.abs(following - middle).max()
             middle[:] = following
             if not change > TOLERANCE * np.abs(middle).max():
                 break
         state[:] = 2.0 * middle - state
-        if not _record(tables, state, loads[k, 2], k, every, samples):
+        if not _record(system, state, loads[k, 2], k, every, samples):
             return k
     return len(loads)
 
 
 @numba.njit
-def generalized_alpha(tables, linear, state, loads, step, every, samples):
+def generalized_alpha(system, state, loads, step, every, samples):
     """
     Integrate by generalized-alpha for first-order systems; return the steps done.
 
@@ -84,11 +116,12 @@ def generalized_alpha(tables, linear, state, loads, step, every, samples):
     alpha_m = 0.5 * (3.0 - SPECTRAL_RADIUS) / (1.0 + SPECTRAL_RADIUS)
     alpha_f = 1.0 / (1.0 + SPECTRAL_RADIUS)
     gamma = 0.5 + alpha_m - alpha_f
+    linear = system.linear
     inverse = np.linalg.inv(alpha_m * np.eye(len(state)) - alpha_f * gamma * step * linear)
     old, nonlinear = np.zeros(len(state)), np.zeros(len(state))
     for k in range(len(loads)):
         if k == 0 or np.any(loads[k, 0] != loads[k - 1, 2]):
-            _full(tables, linear, state, loads[k, 0], old)
+            _full(system, state, loads[k, 0], old)
         # The parabola through the three values of the load.
         s = alpha_f
         load = ((1.0 - s) * (1.0 - 2.0 * s) * loads[k, 0] + 4.0 * s * (1.0 - s) * loads[k, 1]
@@ -97,7 +130,7 @@ def generalized_alpha(tables, linear, state, loads, step, every, samples):
         known = (alpha_m - 1.0) * old + linear @ base
         new = old.copy()
         for _ in range(ITERATIONS):
-            rate(tables, base + alpha_f * gamma * step * new, load, nonlinear)
+            _nonlinear(system, base + alpha_f * gamma * step * new, load, nonlinear)
             following = inverse @ (known + nonlinear)
             change = np.abs(following - new).max()
             new = following
@@ -105,7 +138,7 @@ def generalized_alpha(tables, linear, state, loads, step, every, samples):
                 break
         state += step * ((1.0 - gamma) * old + gamma * new)
         old = new
-        if not _record(tables, state, loads[k, 2], k, every, samples):
+        if not _record(system, state, loads[k, 2], k, every, samples):
             return k
     return len(loads)
 
@@ -177,5 +210,5 @@ def fixed_step(method, model, start, loads, step, every):
     """Integrate by one of `FIXED_STEP`; return motions, or None if the state diverges."""
     state = model.state(start)
     samples = np.empty((len(loads) // every, model.size))
-    done = FIXED_STEP[method](model.packed, model.linear, state, loads, step, every, samples)
+    done = FIXED_STEP[method](system_of(model), state, loads, step, every, samples)
     return samples if done == len(loads) else None

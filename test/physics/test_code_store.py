@@ -6,44 +6,50 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The store of machine code loads nothing that other users may have planted."""
+"""The store of compiled code: it does no harm, and reads nothing that others may have planted."""
 
+import functools
 import os
 import pwd
 import stat
 import subprocess
 import sys
 import tempfile
+import threading
+import warnings
 
 import platformdirs
 import pytest
 
-from oracles.hostile_caches import FILES, FOLDERS, plant
-from timo_sim.compiled import cache
-from timo_sim.compiled.cache import compiling, is_compiled, lock, size_mark
-from timo_sim.compiled.functions import entry_point
+from oracles.hostile_caches import FILES, FOLDERS
+from timo_sim.compiled import machine, store
+from timo_sim.compiled.functions import EntryPoint
 
 
-def tripled(number):
-    return 3.0 * number
+def product_by(factor):
+    """
+    Return 1 times a factor by compiled code, made or loaded as a new process would do it.
 
+    The store has the same name for all factors, so the product tells whose code was run.
+    """
+    def product(number):
+        return factor * number
 
-def call():
-    """Compile or load a function as a new process would; return whether it was loaded."""
-    function = entry_point(tripled)
-    assert function(1.5) == 4.5
-    return sum(function._cache_hits.values()) == 1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(machine, '_ADDRESSES', {})
+        patch.setattr(machine, '_engine', functools.cache(machine._Engine))
+        return EntryPoint(product, {'number': int})(1)
 
 
 @pytest.fixture
 def find(tmp_path, monkeypatch):
     """Return a function that looks for the store anew: below `root`, else in `temporary`."""
-    look = cache.store_directory.__wrapped__
+    look = store.store_directory.__wrapped__
 
     def find():
-        store = look()
-        monkeypatch.setattr(cache, 'store_directory', lambda: store)
-        return store
+        folder = look()
+        monkeypatch.setattr(store, 'store_directory', lambda: folder)
+        return folder
 
     (tmp_path / 'temporary').mkdir()
     monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path / 'temporary'))
@@ -51,57 +57,127 @@ def find(tmp_path, monkeypatch):
     return find
 
 
+def code_in(folder):
+    """Return the files of intermediate code and of machine code."""
+    return sorted([*folder.glob('*.bc'), *folder.glob('*.o')])
+
+
+def test_code_is_loaded_from_disk(find):
+    folder = find()
+    assert product_by(3) == 3
+    intermediate, compiled = code_in(folder)
+    assert product_by(2) == 3
+    intermediate.unlink()
+    assert product_by(2) == 3  # intermediate code is not needed
+    compiled.unlink()
+    assert product_by(2) == product_by(3) == 2
+
+
+def test_a_sentence_comes_before_a_compilation_and_only_then(find):
+    folder, told = find(), []
+    for _ in range(2):
+        with machine.telling(lambda text: told.append((text, code_in(folder)))):
+            product_by(2)
+    product_by(2)
+    assert told == [(machine.COMPILING, [])]
+
+
+@pytest.mark.parametrize('damage', [
+    lambda content: b'', lambda content: content[:-100],
+    lambda content: content[:400] + bytes([content[400] ^ 1]) + content[401:]],
+    ids=['empty', 'cut', 'one bit'])
+def test_damaged_code_is_compiled_again(find, damage):
+    folder = find()
+    product_by(3)
+    for file in code_in(folder):
+        file.write_bytes(damage(file.read_bytes()))
+    assert product_by(2) == product_by(3) == 2
+
+
+def test_unreadable_code_is_compiled_and_unwritable_code_gives_a_warning(find):
+    folder = find()
+    product_by(3)
+    for file in code_in(folder):
+        file.unlink()
+        file.mkdir()
+    with pytest.warns(UserWarning, match='machine code is not kept'):
+        assert product_by(2) == 2
+    assert {file.suffix for file in folder.iterdir()} == {'.bc', '.o', '.lock'}
+
+
+@pytest.mark.parametrize('kept', [True, False], ids=['made again', 'a file in its place'])
+def test_a_folder_of_code_that_disappears_does_no_harm(find, kept):
+    folder = find()
+    folder.rmdir()
+    if not kept:
+        folder.touch()
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter('always')
+        assert product_by(2) == 2
+    assert any('machine code is not kept' in str(each.message) for each in told) != kept
+    assert len(code_in(folder)) == 2 * kept
+
+
 @pytest.mark.parametrize('attack', FOLDERS)
 def test_a_folder_that_others_may_write_to_is_not_read(find, tmp_path, monkeypatch, attack):
     """The attack comes while a process runs; then a new search must avoid the folder."""
-    store = find()
-    call()
-    plant(store, tmp_path / 'proof')
-    FOLDERS[attack](store, monkeypatch.setattr)
+    folder = find()
+    product_by(3)
+    FOLDERS[attack](folder, monkeypatch.setattr)
     with pytest.warns(UserWarning, match='machine code is not kept'):
-        assert not call()
+        assert product_by(2) == 2
     assert find().is_relative_to(tmp_path / 'temporary')
-    assert not call()
-    assert call()
-    assert not (tmp_path / 'proof').exists()
+    assert product_by(2) == product_by(3) == 2
 
 
 @pytest.mark.parametrize('attack', FILES)
-def test_a_file_that_others_may_write_to_is_not_unpickled(find, tmp_path, monkeypatch, attack):
-    store = find()
-    call()
-    file = plant(store, tmp_path / 'proof')
+def test_a_file_that_others_may_write_to_is_not_read(find, monkeypatch, attack):
+    folder = find()
+    product_by(3)
+    files = code_in(folder)
     with monkeypatch.context() as patch:
-        FILES[attack](file, patch.setattr)
-        assert not call()
-    assert not (tmp_path / 'proof').exists()
-    assert call() and stat.filemode(file.lstat().st_mode) == '-rw-------'
+        for file in files:
+            FILES[attack](file, patch.setattr)
+        assert product_by(2) == 2
+    assert product_by(3) == 2
+    assert {stat.filemode(file.lstat().st_mode) for file in files} == {'-rw-------'}
 
 
-def test_locks_and_marks_follow_no_links(find, tmp_path):
-    store, target = find(), tmp_path / 'target'
-    for name in ('a.lock', f'{size_mark(1.0)}.lock', size_mark(1.0)):
-        (store / name).symlink_to(target)
-    with lock('a.lock'), compiling(1.0):
+def test_locks_follow_no_links(find, tmp_path):
+    (find() / 'a.lock').symlink_to(tmp_path / 'target')
+    with store.lock('a.lock'):
         pass
-    assert not target.exists()
-    target.touch()
-    assert not is_compiled(1.0)
+    assert not (tmp_path / 'target').exists()
+
+
+def test_one_process_at_a_time_compiles(find):
+    find()
+    entered = threading.Event()
+
+    def enter():
+        with store.lock('a.lock'):
+            entered.set()
+
+    other = threading.Thread(target=enter)
+    with store.lock('a.lock'):
+        other.start()
+        assert not entered.wait(0.2)
+    other.join()
+    assert entered.is_set()
 
 
 @pytest.mark.parametrize('umask', [0, 0o2, 0o277])
 def test_folders_have_mode_0700_whatever_the_umask(find, tmp_path, umask):
     before = os.umask(umask)
     try:
-        store = find()
+        folder = find()
     finally:
         os.umask(before)
-    assert store.parent == tmp_path / 'root'
-    assert [stat.S_IMODE(path.stat().st_mode) for path in (store, store.parent)] == [0o700] * 2
+    assert folder.parent == tmp_path / 'root'
+    assert [stat.S_IMODE(path.stat().st_mode) for path in (folder, folder.parent)] == [0o700] * 2
 
 
-def test_code_is_kept_below_a_folder_of_earlier_versions(
-        find, tmp_path, monkeypatch):
+def test_code_is_kept_below_a_folder_of_earlier_versions(find, tmp_path, monkeypatch):
     monkeypatch.delenv('NUMBA_CACHE_DIR')
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     (tmp_path / 'timo_sim').mkdir()
@@ -115,8 +191,7 @@ def old_platformdirs(name):
 
 @pytest.mark.parametrize('default', [platformdirs.user_cache_dir, old_platformdirs])
 @pytest.mark.parametrize('given', [None, '~/cache'])
-def test_without_a_home_no_folder_named_tilde_is_made(
-        find, tmp_path, monkeypatch, default, given):
+def test_without_a_home_no_folder_named_tilde_is_made(find, tmp_path, monkeypatch, default, given):
     for name in ('HOME', 'XDG_CACHE_HOME', 'NUMBA_CACHE_DIR'):
         monkeypatch.delenv(name, raising=False)
     if given:
@@ -129,15 +204,14 @@ def test_without_a_home_no_folder_named_tilde_is_made(
 
 
 WITHOUT = """
-from timo_sim.compiled.cache import compiling, is_compiled, lock, store_directory
 from timo_sim.compiled.functions import entry_point
-import timo_sim
+from timo_sim.compiled.store import store_directory
 
+@entry_point(number=int)
 def tripled(number):
-    return 3.0 * number
+    return 3 * number
 
-with lock('a.lock'), compiling(1.0):
-    print(entry_point(tripled)(1.5), is_compiled(1.0), store_directory())
+print(tripled(2), store_directory())
 """
 
 
@@ -149,7 +223,7 @@ def test_without_a_safe_folder_the_program_goes_on_with_one_warning(tmp_path):
     done = subprocess.run(
         [sys.executable, '-c', WITHOUT], text=True, capture_output=True, check=True,
         env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'root'), 'TMPDIR': str(tmp_path)})
-    assert done.stdout == '4.5 False None\n'
+    assert done.stdout == '6 None\n'
     assert done.stderr.count('Warning: ') == 1
     assert 'UserWarning: machine code is not kept' in done.stderr
     assert str(fallback) in done.stderr

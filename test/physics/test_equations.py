@@ -255,11 +255,8 @@ def test_formulation_agrees_with_its_equations(formulation, constraints):
 @pytest.mark.parametrize('constraints, modes, axial_modes', [
     ('free', 3, 2), ('x held', 3, 1), ('carrier held', 5, 1),
     ('shaft driven, carrier held', 5, 1)])
-def test_an_arm_that_stretches_agrees_with_its_equations(
-        constraints, modes, axial_modes, request):
+def test_an_arm_that_stretches_agrees_with_its_equations(constraints, modes, axial_modes):
     """Those are Lagrange's; the state of `timo_sim` has momenta and rates of axial coordinates."""
-    if constraints != 'x held':  # of this size there is code, see `test_one_axis_held.py`
-        request.getfixturevalue('any_size')
     scene = scene_of('exact', constraints, **STRETCHING, **{
         'model.modes': modes, 'model.axial_modes': axial_modes,
         'initial.modal_rates': [1.0, 0.3, -0.1] + [0.0] * (modes + axial_modes - 3)})
