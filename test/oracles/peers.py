@@ -16,7 +16,8 @@ import numba
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from timo_sim.compiled.functions import Array, Constants, entry_point
+from timo_sim.compiled.entry import entry_point
+from timo_sim.compiled.functions import Array, Constants
 from timo_sim.model.functions import observe, rate_once
 from timo_sim.model.layout import ACCELERATION, ANGLE, LOADS, SPEED
 from timo_sim.scene.loads import CHANNELS, Harmonic, Piecewise

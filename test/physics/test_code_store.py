@@ -23,7 +23,7 @@ import pytest
 
 from oracles.hostile_caches import FILES, FOLDERS
 from timo_sim.compiled import machine, store
-from timo_sim.compiled.functions import EntryPoint
+from timo_sim.compiled.entry import EntryPoint
 
 
 def product_by(factor):

@@ -20,9 +20,10 @@ import pytest
 import timo_sim
 from timo_sim.compiled import machine, store
 from timo_sim.compiled.constants import pack, pack_lanes
+from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
-    Array, as_vectors, Constants, entry_point, floor, inner, local, magnitude, where)
-from timo_sim.compiled.machine import WIDTH
+    Array, as_vectors, Constants, floor, inner, local, magnitude, where)
+from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.functions import sincos, tanh
 from timo_sim.steps import etdrk4, friction
 from timo_sim.steps.etdrk4 import for_product, propagator

@@ -22,7 +22,7 @@ from typing import Any, get_args, get_type_hints, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.machine import WIDTH
+from timo_sim.compiled.functions import WIDTH
 
 _CACHE_LINE = 64  # alignment of blocks in memory [B]
 _NUMBER = 8       # length of a number [B]
@@ -44,10 +44,32 @@ def fields_of(kind: Any) -> tuple[Field, ...]:
         each for each in get_args(hint)[1:] if each is not int)) for name, hint in hints.items())
 
 
-def _padded(field, value):
-    wanted = [(0, -size % WIDTH if str(dim).startswith('padded') else 0)
-              for dim, size in zip(field.dims, value.shape)]
-    return np.pad(value, wanted) if any(after for _, after in wanted) else value
+class _Layout(NamedTuple):
+    sizes: dict[str, int]
+    shapes: list[tuple[int, ...]]  # of the fields in a block, padded, without lanes
+    offsets: dict[str, int]
+    length: int                    # of a block [B]
+    key: Any                       # machine code is the same for the same key
+
+
+@functools.lru_cache(maxsize=1024)
+def _layout(kind, shapes, lanes, pad, given):
+    """Return the layout of constants of a kind whose fields have these shapes."""
+    sizes, padded, offsets, end = dict(given), [], {}, 0
+    for field, shape in zip(fields_of(kind), shapes):
+        if pad:
+            shape = tuple(size + -size % WIDTH if str(dim).startswith('padded') else size
+                          for dim, size in zip(field.dims, shape))
+        for dim, size in zip(field.dims, shape, strict=True):
+            if sizes.setdefault(dim, size) != size if isinstance(dim, str) else dim != size:
+                raise ValueError(f'{field.name} of {kind.__name__} has shape {shape}, not '
+                                 f'{field.dims} as of {sizes}')
+        padded.append(shape)
+        offsets[field.name] = end
+        length = _NUMBER * math.prod(shape) * (WIDTH if lanes and not field.whole else 1)
+        end += _CACHE_LINE * math.ceil(length / _CACHE_LINE)  # as vectors should begin
+    return _Layout(sizes, padded, offsets, max(end, _CACHE_LINE),
+                   (kind, lanes, tuple(sorted(sizes.items()))))
 
 
 class Packed:
@@ -82,42 +104,32 @@ class Packed:
 
     def __init__(self, fields: Any, lanes: bool, pad: bool, sizes: dict[str, int]) -> None:
         self.kind: Any = type(fields)
-        self.sizes = sizes
         kind: Any = self.kind
         described = fields_of(kind)
-        values = [np.asarray(value, dtype=np.int64 if field.whole else float, order='C')
+        values = [np.asarray(value, dtype=np.int64 if field.whole else float)
                   for field, value in zip(described, fields)]
-        if pad:
-            values = [_padded(field, value) for field, value in zip(described, values)]
+        layout = _layout(kind, tuple(value.shape[lanes:] for value in values), lanes, pad,
+                         tuple(sizes.items()))
+        self.sizes, _, self.offsets, self.length, self.key = layout
         self.groups = len(values[0]) // WIDTH if lanes else 1
-        self.offsets, self.views, end = {}, {}, 0
-        for field, value in zip(described, values):
-            for dim, size in zip(field.dims, value.shape[lanes:], strict=True):
-                if sizes.setdefault(dim, size) != size if isinstance(dim, str) else dim != size:
-                    raise ValueError(f'{field.name} of {self.kind.__name__} has shape '
-                                     f'{value.shape[lanes:]}, not {field.dims} as of {sizes}')
-            count = math.prod(value.shape[lanes:]) * (WIDTH if lanes and not field.whole else 1)
-            self.offsets[field.name] = end
-            # Fields begin at cache lines, as vectors should.
-            end += _CACHE_LINE * math.ceil(count * _NUMBER / _CACHE_LINE)
-        self.length = max(end, _CACHE_LINE)
         memory = np.zeros(self.groups * self.length + _CACHE_LINE, dtype=np.uint8)
         begin = -memory.ctypes.data % _CACHE_LINE
         self.memory = memory[begin:begin + self.groups * self.length]
-        blocks = self.memory.reshape(self.groups, self.length)
-        for field, value in zip(described, values):
+        self.views = {}
+        for field, value, shape in zip(described, values, layout.shapes):
+            vectors = (WIDTH,) if lanes and not field.whole else ()
+            strides = *(_NUMBER * math.prod(shape[axis + 1:]) * math.prod(vectors)
+                        for axis in range(len(shape))), *(_NUMBER for _ in vectors)
+            view = np.ndarray((self.groups, *shape, *vectors), value.dtype, self.memory,
+                              self.offsets[field.name], (self.length, *strides))
             if lanes:
-                value = (value[:self.groups] if field.whole else np.moveaxis(
-                    value.reshape(self.groups, WIDTH, *value.shape[1:]), 1, -1))
-            else:
-                value = value[np.newaxis]
-            offset = self.offsets[field.name]
-            size = math.prod(value.shape[1:]) * _NUMBER
-            view = blocks[:, offset:offset + size].view(value.dtype).reshape(value.shape)
-            view[...] = value
+                view[:] = value[:self.groups] if field.whole else np.moveaxis(
+                    value.reshape(self.groups, WIDTH, *shape), 1, -1)
+            else:  # what is padded stays zero
+                given: Any = (0, *map(slice, value.shape))
+                view[given] = value
             self.views[field.name] = view if lanes else view[0]
         self.place = (ctypes.c_char * 0).from_buffer(self.memory.data)
-        self.key = self.kind, lanes, tuple(sorted(sizes.items()))
 
     def __getattr__(self, name: str) -> np.ndarray:
         """Return a field as an array."""

@@ -31,7 +31,7 @@ from numba.extending import typeof_impl
 
 from timo_sim.compiled import functions
 from timo_sim.compiled.constants import fields_of
-from timo_sim.compiled.functions import Array, Constants, Declaration, EntryPoint, Function
+from timo_sim.compiled.functions import Array, Constants, Declaration, Function
 from timo_sim.compiled.lanes import LANES, MASK, SHARED, spread, VECTOR, WIDTH
 
 # Sums may be reordered and fused, which vectorises the short loops; NaN and Inf keep their
@@ -445,7 +445,7 @@ def _type_of(argument, kind):
 
 
 @global_compiler_lock
-def emit(entry: EntryPoint, kinds: tuple[type, ...]) -> bytes:
+def emit(entry: Any, kinds: tuple[type, ...]) -> bytes:
     """
     Return LLVM's bitcode of an entry point; its function is called `entry`.
 

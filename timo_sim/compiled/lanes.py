@@ -28,7 +28,7 @@ from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, lower_cast
 
-from timo_sim.compiled.machine import WIDTH
+from timo_sim.compiled.functions import WIDTH
 
 VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 _FUSED = f'llvm.fmuladd.v{WIDTH}f64'

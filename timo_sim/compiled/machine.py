@@ -27,8 +27,7 @@ from typing import Any
 import llvmlite.binding as llvm
 
 from timo_sim.compiled import store
-
-WIDTH = 8  # number of lanes in a vector
+from timo_sim.compiled.functions import WIDTH
 
 COMPILING = 'compiling once for a model of this size, this takes some seconds'
 _TELL: ContextVar[Callable[[str], object] | None] = ContextVar('tell', default=None)
@@ -68,7 +67,8 @@ PREBUILT = Path(__file__).with_name('prebuilt')
 def file_name(entry: Any, kinds: tuple[type, ...]) -> str:
     """Return the name of the file with the intermediate code of an entry point for some kinds."""
     names = (f'{kind.__module__.removeprefix("timo_sim.")}.{kind.__name__}' for kind in kinds)
-    return f'{entry.name}-{"-".join(names)}-{store.digest_of_sources()}.bc'
+    digest = store.digest_of_sources(entry.__module__, *(kind.__module__ for kind in kinds))
+    return f'{entry.name}-{"-".join(names)}-{digest}.bc'
 
 
 @functools.cache

@@ -26,6 +26,7 @@ from importlib.metadata import version
 import os
 from pathlib import Path
 import stat
+import sys
 import tempfile
 import uuid
 import warnings
@@ -39,10 +40,13 @@ _SOURCES = [Path(__file__).parents[1] / folder for folder in ('compiled', 'model
 
 
 @functools.cache
-def digest_of_sources() -> str:
-    """Return a checksum of the sources of all compiled functions, which call across files."""
+def digest_of_sources(*modules: str) -> str:
+    """Return a checksum of the sources of compiled functions, and of the files of modules."""
+    paths = {path for folder in _SOURCES for path in folder.rglob('*.py')}
+    files = (getattr(sys.modules[name], '__file__', None) for name in modules)
+    paths |= {Path(file) for file in files if file}
     digest = hashlib.sha256()
-    for source in sorted(path for folder in _SOURCES for path in folder.rglob('*.py')):
+    for source in sorted(paths):  # they call across files
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -131,7 +135,9 @@ def read(name: str) -> bytes | None:
 
 
 def write(name: str, data: bytes) -> None:
-    """Write a file of the store; warn if that fails."""
+    """Write a file of the store; warn if that fails, but for want of a folder, which is told."""
+    if store_directory() is None:
+        return
     unfinished = uuid.uuid4().hex
     try:
         with _file(unfinished, 'xb') as file:

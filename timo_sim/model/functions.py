@@ -15,8 +15,9 @@ constants, for which `@rate.of(Tables)` registers it.
 
 import numpy as np
 
+from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
-    Array, Constants, declare, entry_point, floor, inner, some, strict, where)
+    Array, Constants, declare, floor, inner, some, strict, where)
 from timo_sim.model.layout import LOADS
 
 

@@ -23,7 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.compiled.constants import pack
-from timo_sim.compiled.functions import Array, Constants, entry_point, magnitude, strict
+from timo_sim.compiled.entry import entry_point
+from timo_sim.compiled.functions import Array, Constants, magnitude, strict
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 
 
@@ -132,6 +133,7 @@ class UniformModes(Modes):
             section.shear_stiffness, section.second_moment / section.area,
             section.young_modulus / (section.shear_correction * section.shear_modulus),
             manipulator.end_effector_mass, manipulator.end_effector_inertia))
+        self._compute_fields = fields.of(self._arm)
         self.omega = self._roots(manipulator, count)
         # The shares of the waves in a mode are the null vector of its boundary conditions (T7).
         matrices, scales = np.empty((count, 4, 4)), np.empty((count, 4))
@@ -164,9 +166,9 @@ class UniformModes(Modes):
 
     def _fields(self, xi):
         values = np.empty((len(xi) * len(self), 4))
-        fields(self._arm, self.omega, len(self), self._shape,
-               np.ascontiguousarray(xi, dtype=float), len(xi), values)
-        return np.moveaxis(values.reshape(len(xi), len(self), 4), -1, 0)
+        self._compute_fields(self.omega, len(self), self._shape,
+                             np.ascontiguousarray(xi, dtype=float), len(xi), values)
+        return values.reshape(len(xi), len(self), 4).transpose(2, 0, 1)
 
     def _roots(self, manipulator, count):
         omega = np.zeros(count)

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.machine import WIDTH
+from timo_sim.compiled.functions import WIDTH
 from timo_sim.extras import optional
 from timo_sim.runs.accuracy import measure_error, resolve
 from timo_sim.runs.run import run_scene

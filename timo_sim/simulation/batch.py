@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.compiled.machine import WIDTH
+from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.layout import (
     AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.scene.parameters import Parameter, ParameterError, steps_in

@@ -20,8 +20,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dgebal
 
-from timo_sim.compiled.functions import (
-    Array, as_vectors, Constants, entry_point, inner, local, strict)
+from timo_sim.compiled.entry import entry_point
+from timo_sim.compiled.functions import Array, as_vectors, Constants, inner, local, strict
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import linear_part_is_valid, observe, rate
 from timo_sim.model.layout import (

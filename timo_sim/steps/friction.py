@@ -23,7 +23,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from timo_sim.compiled.constants import pack
-from timo_sim.compiled.functions import Array, Call, Constants, entry_point, inner, local
+from timo_sim.compiled.entry import Call, entry_point
+from timo_sim.compiled.functions import Array, Constants, inner, local
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import linear_part_is_valid, observe
 from timo_sim.model.layout import AFTER, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TORQUE

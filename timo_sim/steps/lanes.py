@@ -20,9 +20,9 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from timo_sim.compiled.constants import pack, pack_lanes
-from timo_sim.compiled.functions import (
-    Array, Constants, entry_point, inner, local, magnitude, where)
-from timo_sim.compiled.machine import WIDTH
+from timo_sim.compiled.entry import entry_point
+from timo_sim.compiled.functions import Array, Constants, inner, local, magnitude, where
+from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import observe, tip
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, STAGES, START, STEP_LOADS

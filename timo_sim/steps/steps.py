@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from timo_sim.compiled.constants import pack, Packed
-from timo_sim.compiled.functions import Call
+from timo_sim.compiled.entry import Call
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, LOADS, STEP_LOADS
 from timo_sim.steps import etdrk4
