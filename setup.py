@@ -17,7 +17,7 @@ class Build(build_py):
         if not self.editable_mode:
             folder = os.path.join(self.build_lib, 'timo_sim', 'compiled', 'prebuilt')
             done = subprocess.run(
-                [sys.executable, '-m', 'timo_sim.prebuilt', os.path.abspath(folder)],
+                [sys.executable, '-m', 'timo_sim.steps.prebuilt', os.path.abspath(folder)],
                 env={**os.environ, 'PYTHONPATH': os.path.abspath(self.build_lib)})
             if done.returncode:
                 print('timo_sim: the first runs will compile for some 10 s', file=sys.stderr)

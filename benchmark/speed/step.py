@@ -25,7 +25,7 @@ import timo_sim
 from timo_sim.compiled.constants import pack
 from timo_sim.model import formulation_class
 from timo_sim.steps import etdrk4
-from timo_sim.steps.etdrk4 import for_product, propagator
+from timo_sim.steps.etdrk4 import propagator, transposed
 
 PAPER = ROOT / 'config' / 'paper.yaml'
 STEPS = 1000  # of 10 ms
@@ -78,7 +78,7 @@ class Prepared:
         self._loads = scene.load.stages(0, steps, scene.step)
         self._remainder = np.empty(len(self._start))
         self._advance = etdrk4.advance.of(
-            self.model.packed, pack(for_product(propagator(self.model.linear, scene.step))))
+            self.model.packed, pack(transposed(propagator(self.model.linear, scene.step))))
 
     def run(self, every=0):
         """Do the steps; return motions at the start and after each `every` of them."""

@@ -204,7 +204,7 @@ def test_without_a_home_no_folder_named_tilde_is_made(find, tmp_path, monkeypatc
 
 
 WITHOUT = """
-from timo_sim.compiled.functions import entry_point
+from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.store import store_directory
 
 @entry_point(number=int)

@@ -26,7 +26,7 @@ from timo_sim.compiled.functions import (
 from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.functions import sincos, tanh
 from timo_sim.steps import etdrk4, friction
-from timo_sim.steps.etdrk4 import for_product, propagator
+from timo_sim.steps.etdrk4 import propagator, transposed
 from timo_sim.steps.friction import FrictionSteps
 
 
@@ -206,12 +206,12 @@ def test_a_step_allocates_nothing(formulation, entry, tmp_path):
     """Its machine code has no calls but those that set and copy memory."""
     scene = timo_sim.load_scene({'model.formulation': formulation})
     model = scene.build()
-    constants = model.packed, pack(for_product(propagator(model.linear, scene.step)))
+    constants = model.packed, pack(transposed(propagator(model.linear, scene.step)))
     if entry is friction.advance:
         constants += FrictionSteps(model, scene.step, np.ones(3))._joints,
     path = tmp_path / 'step.o'
     path.write_bytes(machine.object_code(
-        machine.intermediate_code(entry, constants), machine.symbols_of(constants),
+        machine.intermediate_code(entry, tuple(each.kind for each in constants)), machine.symbols_of(constants),
         machine.host_machine(), 'step'))
     undefined = subprocess.run(['nm', '-u', path], check=True, capture_output=True, text=True)
     assert {*undefined.stdout.split()} <= {'U', 'memcpy', 'memmove', 'memset'}

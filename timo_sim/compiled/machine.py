@@ -60,7 +60,7 @@ def symbols_of(constants: tuple[Any, ...]) -> dict[str, int]:
     return symbols
 
 
-# Intermediate code that was made when the package was built, see `prebuilt.py`.
+# Intermediate code that was made when the package was built, see `steps/prebuilt.py`.
 PREBUILT = Path(__file__).with_name('prebuilt')
 
 
@@ -84,6 +84,13 @@ def intermediate_code(entry: Any, kinds: tuple[type, ...]) -> bytes:
                 code = _emit(entry, kinds)
             store.write(name, code)
     return code
+
+
+def write_intermediate_code(folder: str, entries: list[tuple[Any, tuple[type, ...]]]) -> None:
+    """Write the intermediate code of entry points with their kinds to files of a folder."""
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    for entry, kinds in entries:
+        Path(folder, file_name(entry, kinds)).write_bytes(intermediate_code(entry, kinds))
 
 
 def _emit(entry, kinds):

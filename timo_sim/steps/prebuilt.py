@@ -7,12 +7,11 @@
 # language governing permissions and limitations under the License.
 
 """
-Intermediate code of all entry points, made when the package is built: `write`.
+Intermediate code of all entry points, made when the package is built.
 
 An installation that has it needs numba for nothing: LLVM alone makes machine code for a size.
 """
 
-from pathlib import Path
 import sys
 from typing import Any
 
@@ -36,13 +35,5 @@ def entries() -> list[tuple[Any, tuple[type, ...]]]:
     return found
 
 
-def write(folder: Path) -> None:
-    """Write the intermediate code of all entry points to files of a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for entry, kinds in entries():
-        place = folder / machine.file_name(entry, kinds)
-        place.write_bytes(machine.intermediate_code(entry, kinds))
-
-
 if __name__ == '__main__':
-    write(Path(sys.argv[1]))
+    machine.write_intermediate_code(sys.argv[1], entries())
