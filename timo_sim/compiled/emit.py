@@ -14,6 +14,7 @@ code. numba infers types and writes LLVM's code; it optimises nothing here and m
 """
 
 import operator
+import re
 from typing import Any
 
 from llvmlite import binding as llvm
@@ -463,7 +464,9 @@ def emit(entry: EntryPoint, kinds: tuple[type, ...]) -> bytes:
     library.add_linking_library(result.library)
     library.add_ir_module(_entry_module(result, library))
     library.finalize()
-    module = llvm.parse_assembly(str(library._final_module))
+    # LLVM must not turn loops into calls of the C library.
+    module = llvm.parse_assembly(re.sub(
+        r'^(define .*)\{$', r'\1"no-builtins" {', str(library._final_module), flags=re.MULTILINE))
     for each in [*module.functions, *module.global_variables]:
         if not each.is_declaration and each.name != 'entry':
             each.linkage = 'internal'
