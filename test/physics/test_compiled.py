@@ -210,9 +210,9 @@ def test_a_step_allocates_nothing(formulation, entry, tmp_path):
     if entry is friction.advance:
         constants += FrictionSteps(model, scene.step, np.ones(3))._joints,
     path = tmp_path / 'step.o'
+    code = machine.intermediate_code(entry, tuple(each.kind for each in constants))
     path.write_bytes(machine.object_code(
-        machine.intermediate_code(entry, tuple(each.kind for each in constants)), machine.symbols_of(constants),
-        machine.host_machine(), 'step'))
+        code, machine.symbols_of(constants), machine.host_machine(), 'step'))
     undefined = subprocess.run(['nm', '-u', path], check=True, capture_output=True, text=True)
     assert {*undefined.stdout.split()} <= {'U', 'memcpy', 'memmove', 'memset'}
 

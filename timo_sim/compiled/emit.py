@@ -14,6 +14,7 @@ code. numba infers types and writes this code; it optimises nothing and makes no
 """
 
 import operator
+import re
 from typing import Any
 
 from llvmlite import binding as llvm
@@ -267,6 +268,7 @@ def _define_function(function, name):
 
 _define_function(functions.floor, 'floor')
 _define_function(functions.magnitude, 'fabs')
+_define_function(functions.square_root, 'sqrt')
 
 
 @infer_global(functions.where)
@@ -467,7 +469,9 @@ def emit(entry: Any, kinds: tuple[type, ...]) -> bytes:
     library.add_linking_library(result.library)
     library.add_ir_module(_entry_module(result, library))
     library.finalize()
-    module = llvm.parse_assembly(str(library._final_module))
+    # LLVM must not turn loops into calls of the C library.
+    module = llvm.parse_assembly(re.sub(
+        r'^(define .*)\{$', r'\1"no-builtins" {', str(library._final_module), flags=re.MULTILINE))
     for each in [*module.functions, *module.global_variables]:
         if not each.is_declaration and each.name != 'entry':
             each.linkage = 'internal'

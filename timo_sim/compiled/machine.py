@@ -121,18 +121,36 @@ def _initialise():
     llvm.initialize_native_asmprinter()
 
 
+# Triple and processor of LLVM for each target of an export but the host.
+TARGETS = {'x86-64-v2': ('x86_64-unknown-linux-gnu', 'x86-64-v2'),
+           'x86-64-v3': ('x86_64-unknown-linux-gnu', 'x86-64-v3'),
+           'aarch64': ('aarch64-unknown-linux-gnu', 'generic')}
+
+
 def host_machine() -> Any:
     """Return LLVM's target machine for this computer."""
     _initialise()
-    target = llvm.Target.from_triple(llvm.get_process_triple())
-    return target.create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=3,
-        reloc='pic', codemodel='default')
+    return _machine(llvm.get_process_triple(), llvm.get_host_cpu_name(),
+                    llvm.get_host_cpu_features().flatten())
 
 
-def object_code(code: bytes, symbols: dict[str, int], machine: Any, name: str) -> bytes:
+def target_machine(name: str) -> Any:
+    """Return LLVM's target machine of 'host' or one of TARGETS."""
+    if name == 'host':
+        return host_machine()
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    return _machine(*TARGETS[name], '')
+
+
+def _machine(triple, processor, features):
+    return llvm.Target.from_triple(triple).create_target_machine(
+        cpu=processor, features=features, opt=3, reloc='pic', codemodel='default')
+
+
+def specialise(code: bytes, symbols: dict[str, int], machine: Any, name: str) -> Any:
     """
-    Return an object file of intermediate code for given sizes.
+    Return a module of LLVM, optimised, of intermediate code for given sizes.
 
     Parameters
     ----------
@@ -156,7 +174,12 @@ def object_code(code: bytes, symbols: dict[str, int], machine: Any, name: str) -
     entry = module.get_function(_ENTRY)
     entry.linkage, entry.name = 'external', name
     _optimise(module, machine)
-    return machine.emit_object(module)
+    return module
+
+
+def object_code(code: bytes, symbols: dict[str, int], machine: Any, name: str) -> bytes:
+    """Return an object file of intermediate code for given sizes, see `specialise`."""
+    return machine.emit_object(specialise(code, symbols, machine, name))
 
 
 def _optimise(module, machine):

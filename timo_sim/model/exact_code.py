@@ -23,7 +23,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.functions import as_vectors, inner, local, separate, some, sum_of
+from timo_sim.compiled.functions import as_vectors, floor, inner, local, separate, some, sum_of
 from timo_sim.model import functions
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
@@ -534,8 +534,8 @@ BANDS, BAND = 32, 0.25
 @inner
 def _sector(angle):
     """Return the number of the sector in which a shaft angle lies."""
-    number = math.floor(angle * (SECTORS / math.pi))
-    return number - SECTORS * math.floor(number / SECTORS)
+    number = floor(angle * (SECTORS / math.pi))
+    return number - SECTORS * floor(number / SECTORS)
 
 
 @inner
@@ -545,7 +545,7 @@ def _band(tables, state, load):
         return 0
     driven = len(tables.rotation) > len(tables.straight)
     speed = load[SPEED] if driven else state[_half(tables) + len(tables.axes)]
-    return min(max(math.floor(speed * tables.bands_per_speed), -BANDS), BANDS - 1) + BANDS
+    return min(max(floor(speed * tables.bands_per_speed), -BANDS), BANDS - 1) + BANDS
 
 
 @functions.linear_part_is_valid.of(Tables)

@@ -242,6 +242,15 @@ class Drive(Term):
         return BPoly.from_derivatives(
             self.time, np.column_stack([self.angle, self.speed, self.acceleration]))
 
+    def polynomials(self) -> np.ndarray:
+        """Return coefficients of the angle from each point on, constant first, shape (n, 6)."""
+        from scipy.interpolate import PPoly
+        found = np.zeros((len(self.time), 6))
+        found[-1, :2] = self.angle[-1], self.speed[-1]
+        if len(self.time) > 1:
+            found[:-1] = PPoly.from_bernstein_basis(self._curve).c[::-1].T
+        return found
+
     def _at(self, time):
         # Angle, speed and acceleration, as a new last axis, at times of any shape.
         beyond = time - self.time[-1]
@@ -277,9 +286,13 @@ class Load:
     @functools.cached_property
     def _columns(self) -> list[tuple[Any, tuple]]:
         # The columns of loads that are not zero, with their terms.
-        found = [(CHANNELS[channel], terms) for channel, terms in self.terms.items() if terms]
+        found: list[tuple[Any, tuple]] = [*self.by_column()]
         return found if self.drive is None else [
             *found, (slice(ANGLE, ACCELERATION + 1), (self.drive,))]
+
+    def by_column(self) -> list[tuple[int, tuple[Any, ...]]]:
+        """Return the columns of prescribed loads with their terms, without the drive."""
+        return [(CHANNELS[channel], terms) for channel, terms in self.terms.items() if terms]
 
     @property
     def columns(self) -> list[int]:

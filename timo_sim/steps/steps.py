@@ -120,7 +120,7 @@ class Steps:
         """
         done = 0
         while True:
-            part = self._part(self.model.sector(state, load))
+            part = self.part(self.model.sector(state, load))
             count = self._run(part, state, load, loads[done:], samples, since + done)
             done += count
             if not self.model.sectors or not count or done == len(loads):
@@ -132,7 +132,7 @@ class Steps:
         return part.advance(state, load, loads, len(loads), samples.every, since, samples.motions,
                             self._remainder)
 
-    def _part(self, sector):
+    def part(self, sector: int | None) -> LinearPart:
         """Return the LinearPart of a sector, made at its first use; None: that of the model."""
         if sector not in self._parts:
             model, packed, linear = self.model, self.model.packed, self.model.linear
@@ -145,7 +145,7 @@ class Steps:
 
     def rate(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         """Return the rate of a state under a load that acts, linear part included, shape (m,)."""
-        part = self._part(self.model.sector(state, load))
+        part = self.part(self.model.sector(state, load))
         self._constant[:] = load
         done = part.advance(state.copy(), load, self._constant, 1, 0, 0, self._no_samples.motions,
                             self._remainder)
@@ -178,6 +178,6 @@ class Steps:
     def _observe(self, states, loads):
         # Motions of one state by the code of a step without friction, as those of `rate` are.
         motions = np.empty((1, self.model.size))
-        part = self._part(self.model.sector(states[0], loads[0]))
+        part = self.part(self.model.sector(states[0], loads[0]))
         part.advance(states[0], loads[0], NO_LOADS, 0, 1, 0, motions, self._remainder)
         return motions

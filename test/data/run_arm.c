@@ -1,0 +1,48 @@
+/*
+ * Do what the lines of the standard input say with an exported arm:
+ * i INPUT VALUE, s STEPS, r (reset), g (get the state), p (put the state of the last g back),
+ * o (print all outputs), w (print the state). Numbers are printed exactly, as hexadecimal floats.
+ */
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "arm.h"
+
+int main(void)
+{
+    double *memory = malloc(arm_size()), state[ARM_STATE_SIZE], outputs[ARM_OUTPUTS], value;
+    double shown[ARM_STATE_SIZE];
+    arm *instance = (arm *)memory;
+    int code = arm_create(memory, arm_size()), input;
+    long steps;
+    char what;
+    while (scanf(" %c", &what) == 1) {
+        if (what == 'i' && scanf("%d %lf", &input, &value) == 2)
+            code = arm_set_input(instance, input, value);
+        else if (what == 's' && scanf("%ld", &steps) == 1)
+            code = arm_step(instance, steps);
+        else if (what == 'r')
+            code = arm_reset(instance);
+        else if (what == 'g')
+            code = arm_get_state(instance, state);
+        else if (what == 'p')
+            code = arm_set_state(instance, state);
+        else if (what == 'o') {
+            code = arm_get_outputs(instance, outputs);
+            for (int k = 0; k < ARM_OUTPUTS; ++k)
+                printf("%a ", outputs[k]);
+            printf("\n");
+        } else if (what == 'w') {
+            code = arm_get_state(instance, shown);
+            for (int k = 0; k < ARM_STATE_SIZE; ++k)
+                printf("%a ", shown[k]);
+            printf("\n");
+        }
+        if (code != ARM_OK) {
+            printf("%s\n", arm_error_text(code));
+            code = ARM_OK;
+        }
+    }
+    free(memory);
+    return 0;
+}

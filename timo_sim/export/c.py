@@ -1,0 +1,245 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""Export of a scene as a C library: an object file, its header and a program that runs it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import re
+from string import Template
+
+from timo_sim.compiled.machine import TARGETS
+from timo_sim.export.constants import Interface, interface_of, Quantity, refuse
+from timo_sim.export.library import library, TEXTS
+from timo_sim.scene.files import whole_file
+from timo_sim.scene.parameters import ParameterError, short
+from timo_sim.scene.scene import load_scene, SceneLike
+from timo_sim.simulation.finer import refine
+from timo_sim.simulation.simulator import Simulator
+from timo_sim.steps.instance import Code
+from timo_sim.version import __version__
+
+_HEADER = Template("""\
+/*
+ * A flexible arm, exported by timo_sim $version for $target.
+ *
+ * An instance lives in memory that its caller owns, NAME_SIZE bytes at an address that is a
+ * multiple of 8. Nothing is allocated or printed. Instances are independent; one instance is for
+ * one thread at a time. Functions return NAME_OK or another code of enum name_code; a call that
+ * fails changes nothing, but a step that diverges leaves the steps before it done.
+ */
+#ifndef NAME_H
+#define NAME_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define NAME_STEP $step /* time step [s] */
+#define NAME_SIZE $size /* of an instance [bytes] */
+#define NAME_STATE_SIZE $saved /* count of numbers of a saved state */
+#define NAME_INPUTS $inputs /* count of inputs */
+#define NAME_OUTPUTS $outputs /* count of outputs */
+
+enum name_code {
+$codes
+};
+
+/* Inputs act besides the loads of the scene, from the next step on until they are set again. */
+enum name_input {
+$input_list
+};
+
+enum name_output {
+$output_list
+};
+
+typedef struct name name;
+
+/* Size of an instance in bytes, NAME_SIZE. */
+size_t name_size(void);
+
+/* Make an instance of `size` bytes of memory, at the start of the scene; it is a name * then. */
+int name_create(void *memory, size_t size);
+
+/* Return to the start of the scene, with inputs 0. */
+int name_reset(name *instance);
+
+/* Set or get an input. */
+int name_set_input(name *instance, int input, double value);
+int name_get_input(const name *instance, int input, double *value);
+
+/* Advance by some time steps, under constant inputs. */
+int name_step(name *instance, int64_t steps);
+
+/* Get an output, or all of them, at the end of the last step; the first call computes them. */
+int name_get_output(name *instance, int output, double *value);
+int name_get_outputs(name *instance, double values[NAME_OUTPUTS]);
+
+/* Get or set the state: time, inputs and motion, from which a run goes on to the last bit. */
+int name_get_state(const name *instance, double values[NAME_STATE_SIZE]);
+int name_set_state(name *instance, const double values[NAME_STATE_SIZE]);
+
+/* Texts; "unknown" for a number that is none. */
+const char *name_error_text(int code);
+const char *name_input_name(int input);
+const char *name_input_unit(int input);
+const char *name_output_name(int output);
+const char *name_output_unit(int output);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
+""")
+
+_MAIN = Template("""\
+/* Run it$under and print a table. */
+#include <stdio.h>
+
+#include "name.h"
+
+static double memory[(NAME_SIZE + 7) / 8];
+
+int main(void)
+{
+    static const int shown[] = {
+        NAME_TIME, NAME_SHAFT, NAME_TIP_X, NAME_TIP_Y, NAME_TIP_TRANSVERSE};
+    const int count = sizeof shown / sizeof *shown;
+    name *instance = (name *)memory;
+    int code = name_create(memory, sizeof memory);
+$command
+    for (int k = 0; k < count; ++k)
+        printf("%16s%s", name_output_name(shown[k]), k + 1 < count ? " " : "\\n");
+    for (int row = 0; code == NAME_OK && row <= 20; ++row) {
+        double outputs[NAME_OUTPUTS];
+        name_get_outputs(instance, outputs);
+        for (int k = 0; k < count; ++k)
+            printf("%16.9g%s", outputs[shown[k]], k + 1 < count ? " " : "\\n");
+        code = name_step(instance, $steps);
+    }
+    if (code != NAME_OK)
+        fprintf(stderr, "%s\\n", name_error_text(code));
+    return code;
+}
+""")
+
+_CMAKE = Template("""\
+cmake_minimum_required(VERSION 3.16)
+project(name C)
+
+add_library(name STATIC $${CMAKE_CURRENT_SOURCE_DIR}/name.o)
+set_target_properties(name PROPERTIES LINKER_LANGUAGE C)
+target_include_directories(name INTERFACE $${CMAKE_CURRENT_SOURCE_DIR})
+
+add_executable(main main.c)
+target_link_libraries(main name)
+""")
+
+
+def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimate: bool = False,
+             name: str = 'arm') -> Path:
+    """
+    Write a scene as a C library: NAME.h, NAME.o, main.c and CMakeLists.txt.
+
+    The object file has the machine code of `Simulator`'s step, the constants of the scene, and
+    plain C functions; it needs no other library. No compiler is needed to write it. For the
+    target 'host' a run of it has the same motions as one of `Simulator`, to the last bit.
+
+    Parameters
+    ----------
+    scene : Scene, or what `load_scene` takes
+    folder : Path or str
+        Made if it does not exist; files of these names in it are replaced.
+    target : str
+        'host', this computer's processor; 'x86-64-v2', 'x86-64-v3' or 'aarch64', for Linux.
+    estimate : bool
+        Whether a finer run is advanced beside, to estimate the error of the tip. It takes some
+        twenty times as long as the run alone.
+    name : str
+        First part of all names in C.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    ParameterError
+        If the scene has what an exported arm cannot do, or another argument is wrong.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> timo_sim.export_c('paper', 'paper_in_c').name
+    'paper_in_c'
+
+    """
+    scene, folder = load_scene(scene), Path(folder)
+    if target not in ('host', *TARGETS):
+        raise ParameterError(f'target must be host, {", ".join(TARGETS)}, got {short(target)}')
+    if not re.fullmatch('[a-z][a-z0-9_]*', name):
+        raise ParameterError('name must be lower-case letters, digits and _, got '
+                             f'{short(name)}')
+    refuse(scene, estimate)
+    interface = interface_of(scene, estimate)
+    simulators = [Simulator(scene)]
+    if estimate:
+        simulators.append(Simulator(refine(scene, interface.parts)))
+    made = library(simulators, interface, target, name)
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {f'{name}.h': _header(interface, made, scene.step, target, name),
+             'main.c': _main(interface, scene.step, name),
+             'CMakeLists.txt': _named(_CMAKE.substitute(), name)}
+    contents = {f'{name}.o': made.content,
+                **{file: text.encode() for file, text in texts.items()}}
+    for file, content in contents.items():
+        with whole_file(folder / file) as path:
+            path.write_bytes(content)
+    return folder
+
+
+def _named(text, name):
+    # The templates have `name` and `NAME` as words or first parts of words.
+    return re.sub(r'\b(name|NAME)(?=\b|_)', lambda found: (
+        name if found[0] == 'name' else name.upper()), text)
+
+
+def _enum(name, quantities):
+    return '\n'.join(
+        f'    {name.upper()}_{each.title.upper()} = {number}, '
+        f'/* {each.meaning}{f" [{each.unit}]" if each.unit else ""} */'
+        for number, each in enumerate(quantities))
+
+
+def _header(interface, made, step, target, name):
+    codes = [Quantity(code.name, '', TEXTS[code]) for code in Code]
+    words = {'step': repr(step), 'size': made.size, 'saved': made.saved,
+             'inputs': len(interface.inputs), 'outputs': len(interface.outputs)}
+    lists = {'codes': _enum(name, codes), 'input_list': _enum(name, interface.inputs),
+             'output_list': _enum(name, interface.outputs)}
+    # Lists are put in last, since meanings may have the word "name".
+    text = _named(_HEADER.safe_substitute(version=__version__, target=target, **words), name)
+    return Template(text).substitute(lists)
+
+
+def _main(interface: Interface, step: float, name: str) -> str:
+    # A tenth of a second or at least a step a row; a torque, where it does anything.
+    torque = any(each.title == 'torque' for each in interface.inputs)
+    command = ('    if (code == NAME_OK)\n'
+               '        code = name_set_input(instance, NAME_TORQUE, 1.0);') if torque else ''
+    text = _MAIN.substitute(command=command, steps=max(1, round(0.1 / step)),
+                            under=' under a torque of 1 N m' if torque else '')
+    return _named(text, name)

@@ -1,0 +1,172 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""Constants of an exported arm, from a scene; what cannot be exported is refused here by name."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from timo_sim.compiled.constants import pack, Packed
+from timo_sim.model.layout import ANGLE, INPUTS, STAGES
+from timo_sim.scene.loads import Harmonic, on_boundaries, Piecewise, Table
+from timo_sim.scene.parameters import ParameterError, PARAMETERS
+from timo_sim.scene.scene import Scene
+from timo_sim.simulation.finer import can_refine, choose_parts
+from timo_sim.simulation.loads import Actuators
+from timo_sim.simulation.simulator import MOST_BENT, Simulator
+from timo_sim.steps.instance import Plant, SceneLoads
+
+
+class Quantity(NamedTuple):
+    """An input or an output of the library."""
+
+    title: str
+    unit: str
+    meaning: str
+    column: int = 0  # of a load, for an input
+
+
+class Interface(NamedTuple):
+    """The inputs and outputs of a library, and the steps of its finer run."""
+
+    inputs: list[Quantity]
+    outputs: list[Quantity]
+    parts: int  # of a step of the finer run; 0: there is none
+
+
+def refuse(scene: Scene, estimate: bool) -> None:
+    """Raise ParameterError if a scene has what an exported arm cannot do."""
+    values = scene.values
+
+    def check(refused, name, rule, reason):
+        if refused:
+            raise ParameterError(f'{name} must be {rule} to be exported, got {values[name]}: '
+                                 f'{reason}')
+
+    check(values['model.accuracy'] > 0.0, 'model.accuracy', '0',
+          'state model.modes and integrator.step')
+    for joint, name in enumerate(('carrier', 'carrier', 'motor')):
+        check(scene.friction[joint] > 0.0, f'{name}.coulomb_friction',
+              f'0, or have a {name}.coulomb_speed', 'friction that sticks is not in the C code')
+    check(scene.payloads, 'payload.time', 'empty', 'the load at the tip is constant in the C code')
+    for name, parameter in PARAMETERS.items():
+        if name not in values:
+            continue
+        if name.startswith('sensor.') and name != 'sensor.seed':
+            check(values[name] != parameter.default, name, str(parameter.default),
+                  'outputs of the C code are exact')
+        if name.endswith('_rate_limit'):
+            check(np.isfinite(values[name]), name, '.inf', 'commands act at once in the C code')
+    check(scene.build().sectors and values['model.axial_modes'], 'model.axial_modes',
+          '0 with one axis held and a shaft that turns',
+          'the linear parts would take tens of megabytes')
+    if estimate and scene.build().sectors:
+        raise ParameterError('estimate must be false with one axis of the carrier held and a '
+                             'shaft that turns: linear parts of a finer model with an axial mode '
+                             'would take tens of megabytes')
+    if estimate and not can_refine(scene):
+        raise ParameterError('estimate must be false for a scene with model.static_modes and '
+                             'initial modal coordinates, which has no finer one')
+
+
+def interface_of(scene: Scene, estimate: bool) -> Interface:
+    """Return the inputs and outputs of a scene's library."""
+    inputs = [Quantity(each.name, each.unit, each.meaning, column)
+              for column, each in enumerate(INPUTS)
+              if each.group and not (each.needs and not scene.values[each.needs])]
+    position, speed = 'carrier_x carrier_y shaft'.split(), 'm m rad'.split()
+    modes = range(1, 1 + len(scene.build().modes))
+    outputs = [
+        Quantity('time', 's', 'sim time'),
+        *(Quantity(name, unit, meaning) for name, unit, meaning in zip(position, speed, (
+            'carrier position along world x', 'carrier position along world y',
+            'shaft angle, not wrapped; what an encoder reads'))),
+        *(Quantity(f'{name}_velocity', f'{unit}/s', f'rate of {name}')
+          for name, unit in zip(position, speed)),
+        Quantity('tip_x', 'm', 'tip position along world x'),
+        Quantity('tip_y', 'm', 'tip position along world y'),
+        Quantity('tip_rotation', 'rad', 'rotation of the end effector in the world'),
+        Quantity('tip_axial', 'm', 'deflection of the tip along the arm'),
+        Quantity('tip_transverse', 'm', 'deflection of the tip across the arm'),
+        Quantity('tip_turning', 'rad/s', 'angular velocity of the end effector; a gyro'),
+        *(Quantity(f'mode_{n}', 'm sqrt(kg)', 'modal coordinate') for n in modes),
+        *(Quantity(f'mode_{n}_rate', 'm sqrt(kg)/s', 'its rate') for n in modes)]
+    if estimate:
+        outputs.append(Quantity('estimated_tip_error', 'm', 'largest distance so far from the tip '
+                                'of a finer run; NaN if that diverged'))
+    return Interface(inputs, outputs, choose_parts(scene)[0] if estimate else 0)
+
+
+def plant_of(simulator: Simulator) -> Packed:
+    """Return the constants of a model and its start."""
+    scene, model = simulator.scene, simulator.model
+    return pack(Plant(
+        scene.step, model.manipulator.arm.length, MOST_BENT * model.manipulator.arm.length,
+        model.tip_travel[3:], model.points.rotation[:, -1],
+        model.state(scene.initial_motion(model)), simulator.load))
+
+
+def scene_loads_of(scene: Scene) -> Packed:
+    """Return the constants for the loads of a scene over time and for its actuators."""
+    step, actuators = scene.step, Actuators(scene.values)
+    harmonics, pieces, tables, kinks = [], [], [], []
+    jumps, knots = [np.empty((0, 2))], [np.empty((0, 2))]
+    for column, terms in scene.load.by_column():
+        for term in terms:
+            if isinstance(term, Harmonic):
+                harmonics.append((column, term.amplitude, term.frequency, term.phase))
+            elif isinstance(term, Piecewise):
+                _add(pieces, jumps, column, np.rint(np.array(term.time) / step), term.value)
+            elif isinstance(term, Table):
+                time = np.array(term.time)
+                position = on_boundaries(time / step)
+                time = np.where(position == np.rint(position), position * step, time)
+                _add(tables, knots, column, time, term.value)
+                kinks += _kinks(term, column, term.time, step)
+            else:
+                raise ParameterError(f'a load of {INPUTS[column].name} must be harmonic, '
+                                     f'piecewise or a table, got {term!r}')
+    drive = scene.load.drive
+    time, polynomials = np.empty(0), np.empty((0, 6))
+    if drive:
+        time, polynomials = np.array(drive.time), drive.polynomials()
+        kinks += _kinks(drive, ANGLE, drive.time, step)
+    kinks.sort(key=lambda kink: kink[0])  # of equal steps in the order of terms
+    column, amplitude, frequency, phase = _columns(harmonics, 4)
+    kink_step, kink_column, *change = _columns(kinks, 2 + STAGES)
+    return pack(SceneLoads._make([
+        step, actuators.gain, actuators.limit, column, amplitude, frequency, phase,
+        *_columns(pieces, 3), *np.concatenate(jumps).T, *_columns(tables, 3),
+        *np.concatenate(knots).T, time, polynomials, kink_step, kink_column,
+        np.stack(change, axis=1)]))
+
+
+def _add(parts, rows, column, first, second):
+    begin = sum(map(len, rows))
+    rows.append(np.column_stack([first, second]))
+    parts.append((column, begin, begin + len(first)))
+
+
+def _columns(rows, count):
+    return np.array(rows, dtype=float).reshape(-1, count).T
+
+
+def _kinks(term: Any, column: int, time: tuple, step: float) -> list[tuple]:
+    # What the moments of steps with a break inside change at their stages.
+    found = []
+    for number in np.unique(np.floor(on_boundaries(np.array(time) / step)).astype(int)):
+        if number < 0:
+            continue
+        steps, seen = term.parabolas(number, 1, step)
+        if len(steps):
+            change = seen[0] - term.stages(number, 1, step)[0]
+            found += [(number, column + k, *each)
+                      for k, each in enumerate(change.reshape(STAGES, -1).T)]
+    return found

@@ -1,0 +1,438 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""
+The object file of a scene: machine code of its entry points, constants, and the C interface.
+
+Each entry point is optimised by itself, as for `Simulator`, and only then linked with the others,
+so that the code of a step, and with it every bit of a run, is the same.
+"""
+
+from typing import Any, NamedTuple
+
+from llvmlite import binding as llvm
+from llvmlite import ir
+import numpy as np
+
+from timo_sim.compiled import machine
+from timo_sim.compiled.constants import pack, Packed
+from timo_sim.export.constants import Interface, plant_of, scene_loads_of
+from timo_sim.model.functions import tip_once
+from timo_sim.model.layout import LOADS
+from timo_sim.steps import instance as steps
+from timo_sim.steps.etdrk4 import advance
+from timo_sim.steps.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED
+
+_POINTER, _WORD, _INT, _REAL = ir.PointerType(), ir.IntType(64), ir.IntType(32), ir.DoubleType()
+_ALIGNMENT = 8  # of the memory of an instance [B]
+TEXTS = {
+    Code.OK: 'no error',
+    Code.NULL_POINTER: 'a pointer is null',
+    Code.BAD_MEMORY: 'the memory is too small, or its address is no multiple of 8',
+    Code.NOT_CREATED: 'the memory is no instance: create it first',
+    Code.UNKNOWN_NUMBER: 'there is no input or output of this number',
+    Code.NOT_FINITE: 'a value is not finite',
+    Code.NEGATIVE_STEPS: 'the number of steps is negative',
+    Code.BAD_STATE: 'the values are no saved state',
+    Code.DIVERGED: 'the run diverged: it is at the last good step; take a smaller time step',
+}
+
+
+class _Model:
+    """Constants of a model of the library, and its entry points for their sizes."""
+
+    def __init__(self, simulator, number, target):
+        self.number, self._target = number, target
+        self.modules, self._functions = [], {}
+        scene, model = simulator.scene, simulator.model
+        sectors = range(model.sectors) if model.sectors else [None]
+        parts = [simulator.integration.part(sector).constants for sector in sectors]
+        self.parts = len(parts)
+        self.plant, self.loads = plant_of(simulator), scene_loads_of(scene)
+        outputs = 14 + 2 * len(model.modes)
+        room = Instance._make([
+            np.zeros(5), np.zeros(LOADS), np.zeros(LOADS), np.zeros(1),
+            *3 * [np.zeros(len(model.linear))], np.zeros((4, LOADS)), np.zeros(model.size),
+            np.zeros(3), np.zeros(3), np.zeros(outputs)])
+        self.instance = pack(room)
+        self.tables, self.propagator = (
+            [each[k] for each in parts] for k in range(2))
+
+    @property
+    def saved(self):
+        """Count of numbers of a saved state."""
+        return SAVED + self.instance.sizes['state']
+
+    def specialise(self, entry, *constants):
+        """Return the name of an entry point for constants of these sizes."""
+        name = f'{entry.__name__}.{self.number}'
+        if name not in self._functions:
+            code = machine.intermediate_code(entry, tuple(each.kind for each in constants))
+            self.modules.append(machine.specialise(
+                code, machine.symbols_of(constants), self._target, name))
+            self._functions[name] = entry
+        return name
+
+
+class _Body:
+    """
+    Writes LLVM's code of the library's functions.
+
+    `models` are the scene's own and, if the error is estimated, the finer one; the memory of the
+    second instance follows that of the first.
+    """
+
+    def __init__(self, models: list[_Model], interface: Interface, name: str) -> None:
+        self.module = ir.Module()
+        self.models, self.interface, self.name = models, interface, name
+        self.builder: Any = None
+        self.offsets = [0, models[0].instance.length]
+        self.size = sum(model.instance.length for model in models)
+        self._constants: dict[Any, Any] = {}
+
+    # Pieces of code.
+
+    def word(self, value):
+        return ir.Constant(_WORD, value)
+
+    def data(self, *packed: Packed) -> Any:
+        """Return the place of constants; several of one kind stand one after another."""
+        key = tuple(map(id, packed))
+        if key not in self._constants:
+            content = bytearray(b''.join(bytes(each.memory[:each.length]) for each in packed))
+            kind = ir.ArrayType(ir.IntType(8), len(content))
+            place = ir.GlobalVariable(self.module, kind, f'constants.{len(self._constants)}')
+            place.initializer, place.global_constant = ir.Constant(kind, content), True
+            place.linkage, place.align = 'internal', 64
+            self._constants[key] = place
+        return self._constants[key]
+
+    def text(self, value):
+        """Return the place of a text."""
+        if value not in self._constants:
+            content = bytearray(value.encode() + b'\0')
+            kind = ir.ArrayType(ir.IntType(8), len(content))
+            place = ir.GlobalVariable(self.module, kind, f'text.{len(self._constants)}')
+            place.initializer, place.global_constant = ir.Constant(kind, content), True
+            place.linkage = 'internal'
+            self._constants[value] = place
+        return self._constants[value]
+
+    def at(self, pointer, offset):
+        """Return a pointer moved by some bytes."""
+        offset = self.word(offset) if isinstance(offset, int) else offset
+        return self.builder.gep(pointer, [offset], source_etype=ir.IntType(8))
+
+    def field(self, model, instance, name):
+        return self.at(instance, model.instance.offsets[name])
+
+    def mark(self, instance, number):
+        return self.at(instance, 8 * number + self.models[0].instance.offsets['mark'])
+
+    def read_mark(self, instance, number):
+        return self.builder.load(self.mark(instance, number), typ=_WORD)
+
+    def call(self, model, entry, constants, *arguments):
+        """Call an entry point of a model; `constants` are pairs of constants and their place."""
+        name = model.specialise(entry, *(each for each, _ in constants))
+        values = [*(place for _, place in constants), *arguments]
+        if name not in self.module.globals:
+            ir.Function(self.module, ir.FunctionType(_WORD, [each.type for each in values]), name)
+        return self.builder.call(self.module.globals[name], values)
+
+    def return_if(self, condition, value):
+        with self.builder.if_then(condition):
+            self.builder.ret(value)
+
+    def equal(self, value, other):
+        return self.builder.icmp_signed('==', value, ir.Constant(value.type, other))
+
+    def function(self, name, result, *kinds):
+        """Begin a function and return its arguments."""
+        made = ir.Function(self.module, ir.FunctionType(result, kinds), name)
+        self.builder = ir.IRBuilder(made.append_basic_block())
+        return made.args
+
+    # What each model does.
+
+    def own(self, model, instance):
+        return model.instance, instance
+
+    def constants_of_step(self, model, instance):
+        """Return tables and propagator of the linear part of now, each with its place."""
+        builder, constants = self.builder, [*zip((model.tables, model.propagator), range(2))]
+        places = [self.data(*packed) for packed, _ in constants]
+        if model.parts > 1:
+            part = self.read_mark(instance, PART)
+            first, tries = builder.block, builder.append_basic_block()
+            builder.branch(tries)
+            builder.position_at_end(tries)
+            number, tried = builder.phi(_WORD), builder.phi(_WORD)
+            number.add_incoming(part, first)
+            tried.add_incoming(self.word(1), first)
+            tables = self.at(places[0], builder.mul(number, self.word(model.tables[0].length)))
+            good = self.call(model, steps.is_valid, [
+                (model.tables[0], tables), self.own(model, instance)])
+            following = builder.urem(builder.add(number, self.word(1)), self.word(model.parts))
+            number.add_incoming(following, builder.block)
+            tried.add_incoming(builder.add(tried, self.word(1)), builder.block)
+            found = builder.append_basic_block()
+            more = builder.icmp_signed('<', tried, self.word(model.parts))
+            builder.cbranch(builder.and_(self.equal(good, 0), more), tries, found)
+            builder.position_at_end(found)
+            builder.store(number, self.mark(instance, PART))
+            places = [tables, self.at(places[1], builder.mul(
+                number, self.word(model.propagator[0].length)))]
+        return [(packed[0], place) for (packed, _), place in zip(constants, places)]
+
+    def advance(self, model, instance, count, every):
+        fields = {name: self.field(model, instance, name) for name in (
+            'state', 'load', 'loads', 'motion', 'remainder')}
+        return self.call(
+            model, advance, self.constants_of_step(model, instance), fields['state'],
+            fields['load'], fields['loads'], self.word(count), self.word(every), self.word(0),
+            fields['motion'], fields['remainder'])
+
+    def step_of(self, model):
+        """Define the function that does one step of a model under commands."""
+        instance, inputs = self.function(f'step.{model.number}', _WORD, _POINTER, _POINTER)
+        own = self.own(model, instance)
+        self.call(model, steps.prepare, [(model.loads, self.data(model.loads)), own], inputs)
+        done = self.advance(model, instance, 1, 0)
+        self.builder.ret(self.call(
+            model, steps.finish, [(model.plant, self.data(model.plant)), own], done))
+
+    def observe_of(self, model):
+        """Define the function that writes a model's motion and the place of its tip."""
+        instance, = self.function(f'observe.{model.number}', _WORD, _POINTER)
+        self.advance(model, instance, 0, 1)
+        self.call(model, tip_once, [(model.tables[0], self.data(*model.tables))],
+                  self.field(model, instance, 'motion'), self.field(model, instance, 'tip'))
+        self.builder.ret(self.call(model, steps.set_place, [self.own(model, instance)]))
+
+    def follow(self):
+        """Define the function that advances the finer run and compares the tips."""
+        own, finer = self.models
+        instance, = self.function('follow', _WORD, _POINTER)
+        builder, other = self.builder, self.at(instance, self.offsets[1])
+        self.return_if(builder.not_(self.equal(self.read_mark(instance, LOST), 0)), self.word(0))
+        for _ in range(self.interface.parts):
+            code = builder.call(self.module.globals['step.1'],
+                                [other, self.field(own, instance, 'inputs')])
+            with builder.if_then(builder.not_(self.equal(code, 0))):
+                self.call(own, steps.lose, [self.own(own, instance)])
+                builder.ret(self.word(0))
+        builder.call(self.module.globals['observe.0'], [instance])
+        builder.call(self.module.globals['observe.1'], [other])
+        builder.ret(self.call(own, steps.compare, [self.own(own, instance)],
+                              self.field(finer, other, 'place')))
+
+    def refresh(self):
+        """Define the function that computes the outputs of now, unless they are known."""
+        own = self.models[0]
+        instance, = self.function('refresh', _WORD, _POINTER)
+        self.return_if(self.equal(self.read_mark(instance, KNOWN), 1), self.word(0))
+        self.builder.call(self.module.globals['observe.0'], [instance])
+        self.builder.ret(self.call(own, steps.set_outputs, [
+            (own.plant, self.data(own.plant)), self.own(own, instance)]))
+
+    # The functions of the interface.
+
+    def fail_if(self, condition, code):
+        self.return_if(condition, ir.Constant(_INT, int(code)))
+
+    def is_null(self, pointer):
+        return self.equal(self.builder.ptrtoint(pointer, _WORD), 0)
+
+    def misaligned(self, pointer):
+        address = self.builder.ptrtoint(pointer, _WORD)
+        return self.builder.not_(self.equal(
+            self.builder.and_(address, self.word(_ALIGNMENT - 1)), 0))
+
+    def public(self, name, *kinds):
+        """Begin a function of the interface, which checks its instance and other pointers."""
+        instance, *arguments = self.function(f'{self.name}_{name}', _INT, _POINTER, *kinds)
+        for each in (instance, *arguments):
+            if each.type == _POINTER:
+                self.fail_if(self.is_null(each), Code.NULL_POINTER)
+        self.fail_if(self.misaligned(instance), Code.NOT_CREATED)
+        self.fail_if(self.builder.not_(self.equal(self.read_mark(instance, 0), MAGIC)),
+                     Code.NOT_CREATED)
+        return instance, *arguments
+
+    def finish(self, code=None):
+        self.builder.ret(ir.Constant(_INT, 0) if code is None else
+                         self.builder.trunc(code, _INT))
+
+    def fail_unless_below(self, number, count):
+        bad = self.builder.icmp_unsigned('>=', number, ir.Constant(_INT, count))
+        self.fail_if(bad, Code.UNKNOWN_NUMBER)
+
+    def each(self, instance):
+        """Yield the models with their instances."""
+        for model, offset in zip(self.models, self.offsets):
+            yield model, self.at(instance, offset)
+
+    def reset_all(self, instance):
+        for model, each in self.each(instance):
+            self.call(model, steps.reset, [
+                (model.plant, self.data(model.plant)), self.own(model, each)])
+        self.finish()
+
+    def column_of(self, number):
+        columns = [each.column for each in self.interface.inputs]
+        kind = ir.ArrayType(_WORD, len(columns))
+        if 'columns' not in self.module.globals:
+            made = ir.GlobalVariable(self.module, kind, 'columns')
+            made.initializer = ir.Constant(kind, columns)
+            made.linkage, made.global_constant = 'internal', True
+        place = self.builder.gep(self.module.globals['columns'], [
+            ir.Constant(_INT, 0), self.builder.zext(number, _WORD)])
+        return self.builder.load(place, typ=_WORD)
+
+    def memory(self):
+        self.function(f'{self.name}_size', _WORD)
+        self.builder.ret(self.word(self.size))
+        memory, size = self.function(f'{self.name}_create', _INT, _POINTER, _WORD)
+        self.fail_if(self.is_null(memory), Code.NULL_POINTER)
+        self.fail_if(self.misaligned(memory), Code.BAD_MEMORY)
+        self.fail_if(self.builder.icmp_unsigned('<', size, self.word(self.size)), Code.BAD_MEMORY)
+        self.reset_all(memory)
+        instance, = self.public('reset')
+        self.reset_all(instance)
+
+    def inputs(self):
+        own, count = self.models[0], len(self.interface.inputs)
+        for entry, kind in ((steps.set_input, _REAL), (steps.get_input, _POINTER)):
+            instance, number, value = self.public(entry.__name__, _INT, kind)
+            self.fail_unless_below(number, count)
+            self.finish(self.call(own, entry, [self.own(own, instance)],
+                                  self.column_of(number), value))
+
+    def step(self):
+        own = self.models[0]
+        instance, count = self.public('step', _WORD)
+        builder = self.builder
+        self.fail_if(builder.icmp_signed('<', count, self.word(0)), Code.NEGATIVE_STEPS)
+        before, loop = builder.block, builder.append_basic_block()
+        body, end = builder.append_basic_block(), builder.append_basic_block()
+        builder.branch(loop)
+        builder.position_at_end(loop)
+        number = builder.phi(_WORD)
+        number.add_incoming(self.word(0), before)
+        builder.cbranch(builder.icmp_signed('<', number, count), body, end)
+        builder.position_at_end(body)
+        code = builder.call(self.module.globals['step.0'],
+                            [instance, self.field(own, instance, 'inputs')])
+        with builder.if_then(builder.not_(self.equal(code, 0))):
+            self.finish(code)
+        if len(self.models) > 1:
+            builder.call(self.module.globals['follow'], [instance])
+        number.add_incoming(builder.add(number, self.word(1)), builder.block)
+        builder.branch(loop)
+        builder.position_at_end(end)
+        self.finish()
+
+    def outputs(self):
+        own, count = self.models[0], len(self.interface.outputs)
+        instance, number, value = self.public('get_output', _INT, _POINTER)
+        self.fail_unless_below(number, count)
+        self.builder.call(self.module.globals['refresh'], [instance])
+        self.finish(self.call(own, steps.get_output, [self.own(own, instance)],
+                              self.builder.zext(number, _WORD), value))
+        instance, values = self.public('get_outputs', _POINTER)
+        self.builder.call(self.module.globals['refresh'], [instance])
+        self.finish(self.call(own, steps.get_outputs, [self.own(own, instance)],
+                              self.word(count), values))
+
+    def states(self):
+        instance, values = self.public('get_state', _POINTER)
+        self.for_each_state(instance, values, steps.get_state)
+        self.finish()
+        instance, values = self.public('set_state', _POINTER)
+        self.for_each_state(instance, values, steps.check_state)
+        self.for_each_state(instance, values, steps.set_state)
+        self.finish()
+
+    def for_each_state(self, instance, values, entry):
+        """Call an entry point with the part of a saved state of each model; return its error."""
+        offset = 0
+        for model, each in self.each(instance):
+            code = self.call(model, entry, [self.own(model, each)], self.at(values, offset))
+            with self.builder.if_then(self.builder.not_(self.equal(code, 0))):
+                self.finish(code)
+            offset += 8 * model.saved
+
+    def texts(self):
+        for name, texts in (
+                ('error_text', [TEXTS[code] for code in Code]),
+                ('input_name', [each.title for each in self.interface.inputs]),
+                ('input_unit', [each.unit for each in self.interface.inputs]),
+                ('output_name', [each.title for each in self.interface.outputs]),
+                ('output_unit', [each.unit for each in self.interface.outputs])):
+            number, = self.function(f'{self.name}_{name}', _POINTER, _INT)
+            kind = ir.ArrayType(_POINTER, len(texts))
+            table = ir.GlobalVariable(self.module, kind, f'texts.{name}')
+            table.initializer = ir.Constant(kind, [self.text(each) for each in texts])
+            table.linkage, table.global_constant = 'internal', True
+            self.return_if(self.builder.icmp_unsigned(
+                '>=', number, ir.Constant(_INT, len(texts))), self.text('unknown'))
+            place = self.builder.gep(table, [
+                ir.Constant(_INT, 0), self.builder.zext(number, _WORD)])
+            self.builder.ret(self.builder.load(place, typ=_POINTER))
+
+    def write(self) -> ir.Module:
+        """Return the module with all functions."""
+        for model in self.models:
+            self.step_of(model)
+            self.observe_of(model)
+        if len(self.models) > 1:
+            self.follow()
+        self.refresh()
+        for part in (self.memory, self.inputs, self.step, self.outputs, self.states, self.texts):
+            part()
+        return self.module
+
+
+class Library(NamedTuple):
+    """An object file, and what its header says."""
+
+    content: bytes
+    size: int   # of the memory of an instance [B]
+    saved: int  # count of numbers of a saved state
+
+
+def library(simulators: list[Any], interface: Interface, target: str, name: str) -> Library:
+    """
+    Return the object file of a model or, with its finer one, of two.
+
+    Parameters
+    ----------
+    simulators : list of Simulator
+        At their start.
+    interface : Interface
+    target : str
+        See `compiled.machine.target_machine`.
+    name : str
+        First part of the names of its functions.
+
+    """
+    target_machine = machine.target_machine(target)
+    models = [_Model(each, number, target_machine) for number, each in enumerate(simulators)]
+    body = _Body(models, interface, name)
+    module = llvm.parse_assembly(str(body.write()))
+    module.triple = str(target_machine.triple)
+    module.data_layout = str(target_machine.target_data)
+    for each in [part for model in models for part in model.modules]:
+        module.link_in(each)
+    for function in module.functions:
+        if not function.is_declaration and not function.name.startswith(f'{name}_'):
+            function.linkage = 'internal'
+    return Library(target_machine.emit_object(module), body.size,
+                   sum(model.saved for model in models))
