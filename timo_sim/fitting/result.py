@@ -21,11 +21,9 @@ import numpy as np
 import yaml
 
 from timo_sim.extras import optional
-from timo_sim.fitting.files import read_log, read_record, SUFFIXES
-from timo_sim.fitting.problem import Problem
-from timo_sim.fitting.record import Record, unit_of
-from timo_sim.fitting.search import (
-    covariance, LOSSES, NORMAL, r_squared, Search, unidentified_combinations, whiteness)
+from timo_sim.fitting.record import read_log, read_record, Record, SUFFIXES, unit_of
+from timo_sim.fitting.problem import (
+    covariance, LOSSES, NORMAL, Problem, r_squared, Search, unidentified_combinations, whiteness)
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import changed, Parameter, ParameterError, short, warn

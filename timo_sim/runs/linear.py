@@ -24,7 +24,7 @@ from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.snapshot import Joints
-from timo_sim.topics.sensors import SENSORS
+from timo_sim.topics.outputs import SENSORS
 
 _PERIOD = Parameter('dt', 1.0, 's', 'period', low=0.0, open_low=True)
 

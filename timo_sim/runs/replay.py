@@ -20,12 +20,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from timo_sim.log.notes import CHANGE, change_note, other_ground, RESET
 from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
-from timo_sim.log.write import NewLog
+from timo_sim.log.write import CHANGE, change_note, NewLog, other_ground, RESET
 from timo_sim.model.layout import LOADS
-from timo_sim.runs.accuracy import resolve
+from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import (

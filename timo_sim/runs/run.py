@@ -239,7 +239,7 @@ class Run(MotionFields):
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return what the node publishes, except sensors, as columns named with units, (n,)."""
-        from timo_sim.log.export import named
+        from timo_sim.log.tables import named
         snapshots, found = list(self._snapshots()), {'time_s': self.t}
         for output in self._outputs():
             values = np.array([output.numbers(snapshot) for snapshot in snapshots])
@@ -270,7 +270,7 @@ class Run(MotionFields):
             The file that was written.
 
         """
-        from timo_sim.log.export import write_table
+        from timo_sim.log.tables import write_table
         from timo_sim.log.write import NewLog
         path = Path(path)
         if path.suffix != '.mcap':

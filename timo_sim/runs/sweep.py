@@ -31,7 +31,7 @@ import numpy as np
 
 from timo_sim.compiled.machine import WIDTH
 from timo_sim.extras import optional
-from timo_sim.runs.accuracy import measure_error, resolve
+from timo_sim.runs.simulate import measure_error, resolve
 from timo_sim.runs.run import run_scene
 from timo_sim.scene.files import flatten
 from timo_sim.scene.parameters import Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in

@@ -27,8 +27,7 @@ import numpy as np
 
 from timo_sim.model import FORMULATIONS
 from timo_sim.model.layout import INPUTS
-from timo_sim.topics.outputs import FRAMES, outputs, TRANSFORMS
-from timo_sim.topics.sensors import SENSORS
+from timo_sim.topics.outputs import FRAMES, outputs, SENSORS, TRANSFORMS
 
 SCENE, NODE = 'scene', 'node'
 LATEST = 2**31 - 1  # [s] largest time that a stamp of ROS can hold, 68 years
