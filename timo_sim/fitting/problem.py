@@ -44,20 +44,10 @@ _MOST_FACTOR = 1e3  # by which a positive parameter may differ from its start
 @dataclass(frozen=True)
 class Free:
     """
-    A free parameter.
+    A free parameter: its name, with [k] for an element of a list, or QUANTITY.gain and such.
 
-    Attributes
-    ----------
-    name : str
-        Of the scene, with [k] for an element of a list, or QUANTITY.gain, .bias, .delay, .lag.
-    start, low, high : float
-        First value and bounds, in the unit of the parameter.
-    scale : float
-        Change that matters, in the same unit; of a logarithm 1.
-    log : bool
-        Whether the fit works with its logarithm, and `scale` is a part of the value.
-    unit : str
-
+    First value `start` and bounds are in the unit of the parameter, as is `scale`, a change that
+    matters. With `log` the fit works with its logarithm, and `scale` is a part of the value.
     """
 
     name: str
@@ -81,22 +71,9 @@ class Free:
 def free_parameters(names: Sequence[str], bounds: Mapping[str, Sequence[float]], scene: Scene,
                     record: Record) -> list[Free]:
     """
-    Return the Free parameters of a fit.
+    Return the Free parameters of a fit, with bounds (low, high) by name.
 
-    Parameters
-    ----------
-    names : sequence of str
-        See `fit`.
-    bounds : dict
-        (low, high) by name.
-    scene : Scene
-    record : Record
-
-    Raises
-    ------
-    ParameterError
-        If a name is unknown or given twice, or a start is outside of its bounds.
-
+    Raises ParameterError if a name is unknown or given twice, or a start is outside of its bounds.
     """
     wanted = [each for name in names for each in (
         initial_names(scene) if name == INITIAL else [name])]
@@ -201,19 +178,11 @@ _DEGREE = 5  # of the spline through a driven angle, whose acceleration is smoot
 
 class Sampled(Term):
     """
-    A load given by samples.
+    A load given by samples of a Channel: `gain u(t - delay) + bias`, with the delay in [s].
 
     A step sees the mean of values that hold, so that the impulse is right if they change inside
-    it. Values that are joined by straight lines act as the table of a scene.
-
-    Parameters
-    ----------
-    channel : Channel
-    gain, bias, delay : float
-        The load is `gain u(t - delay) + bias`; the delay is in [s].
-    shift : float
-        Time in the record at which the scene's begins [s].
-
+    it. Values that are joined by straight lines act as the table of a scene. `shift` is the time
+    in the record at which the scene's begins [s].
     """
 
     def __init__(self, channel: Channel, gain: float = 1.0, bias: float = 0.0,
@@ -244,11 +213,7 @@ class Sampled(Term):
 
 
 class Driven(Term):
-    """
-    The angle of a driven shaft, a spline through samples; before and after them it stays.
-
-    Parameters are as for `Sampled`.
-    """
+    """A driven shaft's angle, a spline through samples, constant outside; see `Sampled`."""
 
     def __init__(self, channel: Channel, gain: float = 1.0, bias: float = 0.0,
                  delay: float = 0.0, shift: float = 0.0) -> None:
@@ -272,15 +237,8 @@ def loads_of(record: Record, scene: Scene, sensors: Callable[[str, str], float],
     """
     Return the Load of a scene under its own loads and the inputs of a record.
 
-    Parameters
-    ----------
-    record : Record
-    scene : Scene
-    sensors : function(str, str) -> float
-        The gain, bias or delay of a quantity, by its name.
-    shift : float
-        Time in the record at which the scene's begins [s].
-
+    `sensors` returns the gain, bias or delay of a quantity, by its name. `shift` is the time in
+    the record at which the scene's begins [s].
     """
     terms: dict[str, list[Term]] = {name: [*own] for name, own in scene.load.terms.items()}
     drive: Any = scene.load.drive
@@ -369,22 +327,9 @@ class Problem:
     """
     A record, the scene that shall predict it, and the parameters that are free.
 
-    Parameters
-    ----------
-    scene : Scene
-    record : Record
-    names : sequence of str
-    bounds : dict
-    until : float
-        End of the part to which the parameters are fitted [s].
-    window : float, optional
-        Length of windows that are predicted from initial states of their own [s].
-
-    Attributes
-    ----------
-    free : list of Free
-    windows : list of Window
-
+    They are fitted to the part before `until` [s], in windows of the length `window` [s], if
+    given, each predicted from an initial state of its own. `free` is a list of Free, `windows` of
+    Window.
     """
 
     def __init__(self, scene: Scene, record: Record, names: Sequence[str],
@@ -448,26 +393,11 @@ class Problem:
     def run(self, values: Mapping[str, float], begin: float = 0.0, end: float | None = None,
             initial: Mapping[str, float] | None = None, scene: Scene | None = None) -> Run:
         """
-        Return the Run that predicts a part of the record.
+        Return the Run that predicts a part of the record, with free values by name.
 
-        Parameters
-        ----------
-        values : dict
-            Free values by name.
-        begin, end : float
-            In the record [s]; by default all of it.
-        initial : dict, optional
-            Values of the initial state, by name.
-        scene : Scene, optional
-            By default `scene_of(values, initial)`.
-
-        Raises
-        ------
-        DivergenceError
-            If the run diverges.
-        ParameterError
-            If the values do not fit together.
-
+        `begin` and `end` are times in the record [s], by default all of it; `initial` has values
+        of the initial state by name; `scene` is by default `scene_of(values, initial)`. Raises
+        DivergenceError if the run diverges, ParameterError if the values do not fit together.
         """
         scene = scene or self.scene_of(values, initial)
         scene = scene.with_load(loads_of(self.record, scene, self.sensor(values), begin))
@@ -557,15 +487,7 @@ _PART, _SMALL = 0.25, 0.02
 
 
 def whiteness(residuals: np.ndarray) -> float:
-    """
-    Return the probability that white residuals are as correlated as these, by Ljung and Box.
-
-    Parameters
-    ----------
-    residuals : ndarray, shape (n,)
-        Ascending in time.
-
-    """
+    """Return the probability that white residuals, (n,), are as correlated, by Ljung and Box."""
     from scipy.stats import chi2
     r = residuals - residuals.mean()
     n, lags = len(r), min(_LAGS, len(r) // 4)
@@ -580,25 +502,14 @@ def whiteness(residuals: np.ndarray) -> float:
 def covariance(jacobians: Sequence[np.ndarray],
                residuals: Sequence[np.ndarray]) -> tuple[np.ndarray, bool]:
     """
-    Return the covariance of parameters estimated by least squares.
+    Return the covariance, (p, p), of least-squares estimates, and whether residuals are white.
 
     If the residuals of all outputs are white it is that of independent noise. Otherwise what the
     model lacks is in them, too, and each series counts as an autoregressive process, whose order
     minimises Schwarz's criterion (BIC). No combination of parameters is then taken to be more
-    certain than with independent noise.
-
-    Parameters
-    ----------
-    jacobians : list of ndarray, shape (n_i, p)
-        Of the residuals of each series (an output in a window) by the parameters.
-    residuals : list of ndarray, shape (n_i,)
-        In standard deviations.
-
-    Returns
-    -------
-    covariance : ndarray, shape (p, p)
-    white : bool
-
+    certain than with independent noise. The arguments are lists with an element for each series
+    (an output in a window): derivatives, (n_i, p), of the residuals, (n_i,), in standard
+    deviations.
     """
     whole = np.concatenate(jacobians)
     norms = np.maximum(np.linalg.norm(whole, axis=0), _NOTHING)
@@ -644,21 +555,10 @@ def unidentified_combinations(jacobian: np.ndarray, names: Sequence[str],
     """
     Return the combinations of parameters on which the residuals hardly depend.
 
-    Parameters
-    ----------
-    jacobian : ndarray, shape (n, p)
-        Of all residuals in standard deviations, by coordinates of the fit.
-    names : list of str, length p
-    doubtful : set of str
-        Those that are not identified; a combination has one of them.
-    most : float
-        Half of the 95 % interval of a combination from which on it counts as unknown.
-
-    Returns
-    -------
-    list of dict
-        For each such combination the part of each parameter that matters in it, by name.
-
+    Each is a dictionary of the part of each parameter that matters in it, by name. `jacobian`,
+    shape (n, p), is that of all residuals in standard deviations by coordinates of the fit;
+    `doubtful` names those that are not identified, of which a combination has one; `most` is half
+    of the 95 % interval of a combination from which on it counts as unknown.
     """
     _, s, vt = np.linalg.svd(jacobian, full_matrices=False)
     found = []
@@ -847,19 +747,13 @@ class Search:
     def derivatives(self) -> tuple[list[np.ndarray], list[np.ndarray], list[str],
                                    dict[str, tuple[float, float]]]:
         """
-        Return the derivatives at the end.
+        Return the derivatives at the end: jacobians, residuals, jumps, friction.
 
-        Returns
-        -------
-        jacobians, residuals : list of ndarray, shapes (n_i, p + k), (n_i,)
-            Of each output in each window, and of the prior of k initial states of windows. With a
-            loss other than `linear` they have its weights.
-        jumps : list of str
-            Names of parameters on which runs depend in jumps.
-        friction : dict
-            By name of a parameter of dry friction that the scene has not got, the part of the
-            squares of the residuals that it would explain, and its value.
-
+        The first two are lists of ndarray, (n_i, p + k) and (n_i,), of each output in each window,
+        and of the prior of k initial states of windows; with a loss other than `linear` they have
+        its weights. `jumps` names parameters on which runs depend in jumps. `friction` has, by
+        name of a parameter of dry friction that the scene has not got, the part of the squares of
+        the residuals that it would explain, and its value.
         """
         jacobian, residuals = self._jacobian(self.x, _CENTRAL, True), self._residuals(self.x)
         wide, count = self._jacobian(self.x, _WIDE, True), len(self.problem.free)

@@ -154,10 +154,8 @@ class Channel(NamedTuple):
 
     Attributes
     ----------
-    t : ndarray, shape (n,)
-        Times, ascending [s]; they may be uneven.
-    values : ndarray, shape (n,)
-        In the unit of the quantity, see `UNITS`.
+    t, values : ndarray, shape (n,)
+        Times, ascending [s], which may be uneven; values in the unit of the quantity, see `UNITS`.
     noise : float or None
         Standard deviation of the noise of a sensor, if it is known.
     hold : str
@@ -335,17 +333,7 @@ _MISSING = '', 'na', 'n/a', '#n/a', 'null', 'none'
 
 
 class Table:
-    """
-    The columns of a file.
-
-    Parameters
-    ----------
-    columns : list of tuple
-        The names and the values, shape (n,) or (n, m), of each column.
-    hint : str
-        For errors: why columns have no names.
-
-    """
+    """The columns of a file: names and values, (n,) or (n, m), of each."""
 
     def __init__(self, columns: list[tuple[list[str], np.ndarray]], hint: str = '') -> None:
         self._columns, self._hint = columns, hint
@@ -359,12 +347,8 @@ class Table:
         """
         Return the values of a column, shape (n,), as they are in the file.
 
-        Parameters
-        ----------
-        key : str or int
-            A name, a number from 0, or NAME:NUMBER for a column of a matrix, or for a row if it
-            has more columns than rows.
-
+        `key` is a name, a number from 0, or NAME:NUMBER for a column of a matrix, or for a row if
+        it has more columns than rows.
         """
         places = [k for k, (names, _) in enumerate(self._columns) if str(key) in names]
         if not places and type(key) is int and 0 <= key < len(self._columns):
@@ -554,21 +538,9 @@ def read_log(path: str | Path, scene: Scene | None = None,
     """
     Return `scene`, by default that of a log, and the log's Record after its last reset.
 
-    Parameters
-    ----------
-    path : str or Path
-    scene : Scene, optional
-        Needed for a plain bag.
-    node : str, optional
-        See `Recording`.
-
-    Raises
-    ------
-    LogError
-        If the file is not a log, or has nothing to replay.
-    ParameterError
-        If the log has what a record cannot: settings, or forces in the axes of the arm.
-
+    A plain bag needs `scene`; for `node` see `Recording`. Raises LogError if the file is not a
+    log, or has nothing to replay; ParameterError if it has what a record cannot: settings, or
+    forces in the axes of the arm.
     """
     recording = Recording(path, node)
     own = recording.scene or scene

@@ -41,21 +41,10 @@ _RUN_HEAD = 'rms error and R^2 of one run from the beginning of the record, with
 @dataclass(frozen=True)
 class Estimate:
     """
-    A fitted parameter.
+    A fitted parameter with its 95 % interval, `low` to `high`; NaN if it is not identified.
 
-    Attributes
-    ----------
-    value, low, high : float
-        And its 95 % interval; NaN if the record does not identify it.
-    deviation : float
-        Standard deviation; of a positive parameter that of its logarithm times its value.
-    start : float
-        First guess.
-    unit : str
-    identified : bool
-    bound : str
-        'low' or 'high' if it is at this bound, else ''.
-
+    `deviation` is the standard deviation; of a positive parameter that of its logarithm times its
+    value. `start` is the first guess; `bound` is 'low' or 'high' if it is at this bound, else ''.
     """
 
     value: float
@@ -103,14 +92,12 @@ class Fit:
         The whole record, predicted by one run from its beginning; None if that diverges.
     predicted : dict of ndarray, shape (n,)
         By output, what this run shows at the record's samples.
-    until : float
-        Time from which on the record was held out [s].
+    until, seconds : float
+        Time from which on the record was held out; wall time of the fit [s].
     white : bool
         Whether the residuals of the fit are white; if not, the model lacks something, and the
         intervals allow for that.
     warnings : list of str
-    seconds : float
-        Wall time of the fit.
 
     """
 
@@ -365,23 +352,11 @@ def result_of(problem: Problem, x: np.ndarray, initial: Mapping[str, float],
               deviations: Mapping[str, float], derivatives: tuple, against: Mapping[str, float],
               seconds: float) -> Fit:
     """
-    Return the Fit for coordinates of the free parameters.
+    Return the Fit for coordinates of the free parameters, `x`, shape (p,).
 
-    Parameters
-    ----------
-    problem : Problem
-    x : ndarray, shape (p,)
-    initial : dict
-        The initial state of the first window, if windows have their own.
-    deviations : dict of float
-        Standard deviations of the sensors, by output.
-    derivatives : tuple
-        See `Search.derivatives`.
-    against : dict of float
-        By output, its least correlation with a run of the first guess.
-    seconds : float
-        Wall time of the search [s].
-
+    `initial` is the initial state of the first window, if windows have their own; `deviations` are
+    those of the sensors by output; for `derivatives` see `Search.derivatives`; `against` has the
+    least correlation of each output with a run of the first guess; `seconds` is the wall time [s].
     """
     names, count = [free.name for free in problem.free], len(problem.free)
     jacobians, residuals, jumps, friction = derivatives

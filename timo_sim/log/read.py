@@ -202,17 +202,12 @@ class LogFile:
     """
     The summary of a log, and its metadata and chunks, read when they are asked for.
 
-    The file is open only while it is read.
-
-    Parameters
-    ----------
-    path : str or Path
-        A file, or a bag's folder with one.
+    The file, or that in a bag's folder, is open only while it is read. LogError is raised if it is
+    not a log, or has no summary: the text says what to do.
 
     Attributes
     ----------
     path : Path
-        Of the file.
     name : str
         The path as text that can be printed.
     schemas, channels : dict
@@ -220,11 +215,6 @@ class LogFile:
     statistics : Statistics
     chunks : list of ChunkIndex
         In the order of the file.
-
-    Raises
-    ------
-    LogError
-        If the file is not a log, or has no summary: the text says what to do.
 
     """
 
@@ -347,29 +337,12 @@ class LogFile:
 
 class _Reader:
     """
-    Reads a log record by record until it breaks; damaged records before that are left out.
+    Reads a log, behind its magic, record by record until it breaks, without damaged records.
 
-    Parameters
-    ----------
-    stream : binary file
-        Behind the magic at its beginning.
-
-    Attributes
-    ----------
-    size, place : int
-        Of the file, and of the present record [B].
-    profile : str
-    count : int
-        Number of messages.
-    earliest, latest : int
-        Log times of the first and the last message [ns]; inf and 0 without any.
-    damage : str or None
-        The first damage, and its place. None after the last record: the file is complete.
-    faults, lost : int
-        How many damages were found, and bytes of the file that could not be read.
-    left_out : Counter
-        Attachments and private records, which are not copied.
-
+    `count` messages are from `earliest` to `latest` [ns]; `damage` is the first damage and its
+    place, None after the last record of a complete file; `faults` counts damages, `lost` bytes
+    that could not be read; `left_out` counts attachments and private records, which are not
+    copied.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -382,10 +355,9 @@ class _Reader:
 
     def records(self) -> Iterator[Schema | Channel | Metadata | Chunk]:
         """
-        Yield each Schema, Channel and Metadata of mcap, and Chunks of messages, in their order.
+        Yield Schemas, Channels, Metadata (not rosbag2's) and Chunks of messages, in their order.
 
-        Each schema and channel comes once, before records that refer to it. Metadata of rosbag2
-        are left out, because `Writer.finish` makes them again.
+        Each schema and channel comes once, before records that refer to it.
         """
         chunk = Chunk()
         known: set[tuple[type, int]] = {(Schema, 0)}
@@ -479,26 +451,11 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
     """
     Write what is intact in a damaged or incomplete log to a new one, with index and summary.
 
-    Parameters
-    ----------
-    file : str or Path
-        A file, or a bag's folder with one. It is only read.
-    output : str or Path, optional
-        A file that does not exist; by default beside `file`, with `_recovered` after its stem,
-        and a number if that exists.
-
-    Returns
-    -------
-    str
-        What was found, what was lost, and what was written: nothing if the log is complete.
-
-    Raises
-    ------
-    LogError
-        If the file is not a log or nothing in it is intact, or if `output` exists.
-    OSError
-        If the new file cannot be written.
-
+    `file`, or the only one in a bag's folder, is not changed. `output` must not exist; by default
+    it is beside `file`, with `_recovered` after its stem, and a number if that exists. Returns
+    what was found, lost and written: nothing if the log is complete. Raises LogError if the file
+    is not a log or nothing in it is intact, or if `output` exists; OSError if the new file cannot
+    be written.
     """
     path = file_of(file)
     with _open(path) as stream:

@@ -46,20 +46,17 @@ _TYPES = {**{output.name: output.type_name for output in outputs(1)},
 @dataclass(frozen=True)
 class Series:
     """
-    The messages of a topic.
+    The n messages of a topic.
 
     Attributes
     ----------
     topic : str
     columns : tuple of str
         Names of k quantities, with units.
-    step : ndarray of int64, shape (n,)
-        Time steps; -1 in a plain bag, which has none.
-    ns : ndarray of int64, shape (n,)
-        Sim time [ns]. In a plain bag it is the stamp of the header. Stamps of commands mean
-        nothing there: it is the sim time at their log time or, if that is not known, log time.
-    log_ns : ndarray of int64, shape (n,)
-        Time at which a message was logged [ns].
+    step, ns, log_ns : ndarray of int64, shape (n,)
+        Time steps (-1 in a plain bag), sim time and time at which it was logged [ns]. In a plain
+        bag, sim time is the stamp of the header, but for commands, whose stamps mean nothing
+        there, the sim time at their log time or, if that is not known, log time.
     values : ndarray, shape (n, k)
         NaN for what a command does not set.
     refused : int
@@ -84,9 +81,7 @@ class Series:
 
 class Recording:
     """
-    A log of this package, or a bag with the topics of a node.
-
-    Series are read when they are asked for, chunk by chunk.
+    A log of this package, or a bag with the topics of a node; series are read when asked for.
 
     Parameters
     ----------
@@ -98,17 +93,13 @@ class Recording:
     Attributes
     ----------
     path : Path
-    title : str
-        Name of the file, or of the folder of a bag that was split.
-    name : str
-        The node's fully qualified name, such as '/timo_sim'.
+    title, name : str
+        Of the file, or of the folder of a split bag; the node's fully qualified name.
     scene : Scene or None
         None for a plain bag.
-    facts : dict
-        What the node noted at its start: 'parameters', 'timo_sim', 'numpy', ...; empty for a plain
-        bag.
-    summary : dict
-        What the node noted at its end; empty if it noted nothing.
+    facts, summary : dict
+        What the node noted at its start ('parameters', 'numpy', ...) and its end; empty if
+        nothing.
     resets : ndarray of int
         Steps at which the motion was reset.
     changes : list of tuple
@@ -195,19 +186,10 @@ class Recording:
 
     def read(self, *names: str, most_chunks: int | None = None) -> dict[str, Series]:
         """
-        Read some series, in one pass.
+        Return some series, by default all, by short name, read in one pass.
 
-        Parameters
-        ----------
-        *names : str
-            Short names; by default all. Those that the file does not have are left out.
-        most_chunks : int, optional
-            Read at most so many chunks, spread over the file.
-
-        Returns
-        -------
-        dict of Series
-
+        Those that the file does not have are left out. At most `most_chunks` chunks are read,
+        spread over the file.
         """
         found = {number: about for number, about in self._wanted.items()
                  if not names or about[0] in names}
@@ -232,18 +214,9 @@ class Recording:
         """
         Return the motion at the samples of joint_states that have a modal_state.
 
-        Parameters
-        ----------
-        series : dict of Series, optional
-            What `read` returned for these, if they have been read already.
-
-        Returns
-        -------
-        step, ns : ndarray of int64, shape (n,)
-            Time step and sim time [ns]. The step of a reset may occur twice: before and after it.
-        motion : ndarray, shape (n, 2 (3 + N))
-            See `model.layout`.
-
+        `series` is what `read` returned for these, if they have been read already. The results are
+        time step and sim time [ns], int64, shape (n,), and the motion, shape (n, 2 (3 + N)), see
+        `model.layout`. The step of a reset may occur twice: before and after it.
         """
         found = self.read('joint_states', '~/modal_state') if series is None else series
         if 'joint_states' not in found:
@@ -487,12 +460,7 @@ class _Collector:
                             heads['sequence'].astype(np.int64), log_ns, ns, values, messages))
 
     def arrays(self):
-        """
-        Return arrays of n messages in the order of the file.
-
-        They are: place, sequence number, log time [ns] and stamp [ns], int64; values, shape
-        (n, k); bytes of commands. The stamp of a command is its log time.
-        """
+        """Return place, sequence, log time, stamp, values and bytes in the order of the file."""
         none = np.zeros(0, dtype=np.int64)
         place, offset, *others = map(np.concatenate, zip(*self._parts or [
             (*[none] * 5, np.zeros((0, len(self.columns))), np.zeros(0, object))]))
@@ -519,32 +487,13 @@ _ROWS = 10000  # rows of a CSV file that are converted to text at a time
 def export(file: Path | str, output: Path | str, topic: str | None = None,
            node: str | None = None) -> str:
     """
-    Write a log as a table.
+    Write a log as a table to `output`, a new *.parquet or *.csv; return what was written.
 
-    There is one row for each message of joint_states, or of `topic`. It also has the messages of
-    the other topics with the same stamp; NaN stands for missing ones. At a reset two rows have the
-    same time, before and after it.
-
-    Parameters
-    ----------
-    file : str or Path
-    output : str or Path
-        A file that does not exist, *.parquet or *.csv.
-    topic : str, optional
-        Short name of a topic, such as '~/motor_torque', to be written alone.
-    node : str, optional
-        See `Recording`.
-
-    Returns
-    -------
-    str
-        What was written.
-
-    Raises
-    ------
-    LogError
-        If the file is not a log or lacks the topic, or `output` exists or has another suffix.
-
+    There is one row for each message of joint_states, or of `topic`, a short name such as
+    '~/motor_torque'. It also has the messages of the other topics with the same stamp; NaN stands
+    for missing ones. At a reset two rows have the same time, before and after it. Raises LogError
+    if the file is not a log or lacks the topic, or `output` exists or has another suffix. `node`:
+    see `Recording`.
     """
     path = _new_table(Path(output))
     recording = Recording(file, node)

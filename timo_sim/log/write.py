@@ -155,14 +155,10 @@ def printable(path: Path | str) -> str:
 
 class Chunk:
     """
-    Messages that are compressed together.
+    Messages that are compressed together: their bytes, `data`.
 
-    Attributes
-    ----------
-    data : bytearray
-    index : dict
-        For each channel a flat list of times [ns] and positions of its messages, alternating.
-
+    `index` has for each channel a flat list of times [ns] and positions of its messages,
+    alternating.
     """
 
     def __init__(self) -> None:
@@ -180,20 +176,7 @@ class Chunk:
 
 
 class Writer:
-    """
-    Writes a stream from its first byte to its last.
-
-    Parameters
-    ----------
-    stream : binary file
-    profile : str
-
-    Attributes
-    ----------
-    size : int
-        Number of bytes written so far.
-
-    """
+    """Writes a stream from its first byte to its last, of a profile; `size` is what it has [B]."""
 
     def __init__(self, stream: BinaryIO, profile: str) -> None:
         self._stream, self._profile = stream, profile
@@ -381,16 +364,9 @@ class Recorder:
     Attributes
     ----------
     path : Path
-        The file that is written.
-    error : str or None
-        Why the log has ended early.
-    warning : str or None
-        That the file has been moved or the disk is slow; the log goes on.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be made.
+        The file that is written; making it may raise OSError.
+    error, warning : str or None
+        Why the log has ended early; that the file has been moved or the disk is slow.
 
     """
 
@@ -522,17 +498,8 @@ class NewLog(Recorder):
     """
     A log of a run made without a node: the same topics and bytes as the node writes.
 
-    Parameters
-    ----------
-    path : str or Path
-    scene : Scene
-    values : dict
-        Parameters of the node, the scene's among them.
-    node : str, optional
-        Fully qualified name of the node that topics are named after.
-    **notes : str
-        Further metadata for the start of the run.
-
+    `values` are parameters of the node, the scene's among them; `node` is its fully qualified
+    name, `notes` are further metadata for the start of the run.
     """
 
     def __init__(self, path: Path | str, scene: Scene, values: dict[str, Any],

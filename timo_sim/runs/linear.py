@@ -77,11 +77,7 @@ class LinearModel:
         """
         Return the model with some inputs and outputs, in the order given.
 
-        Raises
-        ------
-        ParameterError
-            If a name is none of the model's.
-
+        Raises ParameterError if a name is none of the model's.
         """
         u = _places(self.inputs, inputs, 'input')
         y = _places(self.outputs, outputs, 'output')
@@ -106,13 +102,8 @@ class LinearModel:
         """
         Return the model at the instants of a controller that holds its commands for dt [s].
 
-        It is exact: `x` after a period is `A x + B u`.
-
-        Raises
-        ------
-        ParameterError
-            If the period is not > 0, or the model is of discrete time already.
-
+        It is exact: `x` after a period is `A x + B u`. Raises ParameterError if the period is not
+        > 0, or the model is of discrete time already.
         """
         from scipy.signal import cont2discrete
         if self.dt is not None:

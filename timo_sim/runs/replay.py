@@ -97,10 +97,8 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
         after `file` with `_replay` appended.
     scene_file : str or Path, optional
         Parameter file instead of the scene in the log; needed for a plain bag.
-    start, duration : float, optional
-        See `segments_of`.
-    node : str, optional
-        See `Recording`.
+    start, duration, node
+        See `segments_of` and `Recording`.
     show : function(str)
         Called with each line of the report.
 
@@ -112,10 +110,9 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
 
     Raises
     ------
-    LogError
-        If the file is not a log, is damaged, or has nothing to replay.
-    ParameterError
-        If a value breaks its rule, a plain bag has no scene, or steps do not fit the log.
+    LogError, ParameterError
+        If the file is not a log, is damaged, or has nothing to replay; if a value breaks its rule,
+        a plain bag has no scene, or steps do not fit the log.
 
     """
     recording = Recording(file, node)
@@ -201,30 +198,23 @@ class Segment:
 def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], start: float = 0.0,
                 duration: float | None = None) -> list[Segment]:
     """
-    Return the segments of a recording, counted in steps of a scene.
+    Return the Segments of a recording, counted in steps of a scene.
 
     Parameters
     ----------
-    recording : Recording
-    scene : Scene
-        It may have another time step: a command acts from the next whole step on.
+    recording, scene : Recording, Scene
+        The scene may have another time step: a command acts from the next whole step on.
     values : dict
         The node's parameters, for the rates of topics that are not in the recording.
-    start : float, optional
-        Sim time of the first message of a bag that has no sim time [s].
-    duration : float, optional
-        Sim time of the end [s]; by default that of the last message.
-
-    Returns
-    -------
-    list of Segment
+    start, duration : float, optional
+        Sim time of the first message of a bag that has no sim time, and of the end, by default
+        that of the last message [s].
 
     Raises
     ------
-    LogError
-        If there is nothing to replay.
-    ParameterError
-        If logged messages are not at whole time steps, or the log is shorter than the duration.
+    LogError, ParameterError
+        If there is nothing to replay; if logged messages are not at whole time steps, or the log
+        is shorter than the duration.
 
     """
     found = recording.topics
@@ -368,12 +358,7 @@ class Replay:
     """
     Runs segments in a scene and fills in `replayed` and `done` of each; logs all to a NewLog.
 
-    Attributes
-    ----------
-    simulator : Simulator
-    diverged : str or None
-        Why the replay ended early.
-
+    `diverged` says why the replay ended early, or is None.
     """
 
     def __init__(self, scene: Scene, segments: list[Segment],

@@ -118,11 +118,8 @@ class Run(MotionFields):
         """
         Return positions of points of the centre line in world axes, (n, 2) or (n, p, 2) [m].
 
-        Parameters
-        ----------
-        xi : float or array_like, shape (p,)
-            Distance from the root along the undeformed arm, 0 to its length [m]; ValueError else.
-
+        `xi`, a float or of shape (p,), is the distance from the root along the undeformed arm [m];
+        outside of 0 to its length it is a ValueError.
         """
         return self._pick(xi, self.model.world(self.motion, self._at(xi)))
 
@@ -197,14 +194,9 @@ class Run(MotionFields):
         """
         Return the bending moment in the arm at its root, shape (n,) [N m].
 
-        It follows from the torque balance of the shaft (T43), which converges much faster with
-        the number of modes than the curvature.
-
-        Raises
-        ------
-        ValueError
-            For a log, which does not contain all loads.
-
+        It follows from the torque balance of the shaft (T43), which converges much faster with the
+        number of modes than the curvature. A log, which does not contain all loads, is a
+        ValueError.
         """
         return self._of_joints('root_moment')
 
@@ -255,20 +247,11 @@ class Run(MotionFields):
 
     def save(self, path: str | Path) -> Path:
         """
-        Write the run to a file.
+        Write the run to a file; return the Path that was written.
 
-        Parameters
-        ----------
-        path : str or Path
-            `*.mcap`: a log, as the node writes it, which `timo_sim.open_log` reads; `*.parquet` or
-            `*.csv`: a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
-            existing table is a LogError.
-
-        Returns
-        -------
-        Path
-            The file that was written.
-
+        `*.mcap` is a log, as the node writes it, which `timo_sim.open_log` reads; `*.parquet` or
+        `*.csv` is a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
+        existing table is a LogError.
         """
         from timo_sim.log.tables import write_table
         from timo_sim.log.write import NewLog

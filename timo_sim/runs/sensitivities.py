@@ -40,10 +40,8 @@ class Sensitivities:
     Attributes
     ----------
     inputs : tuple of str
-    t : ndarray, shape (samples,)
-        Times of the output [s].
-    values : ndarray, shape (samples, ...)
-        The output.
+    t, values : ndarray, shapes (samples,), (samples, ...)
+        Times of the output [s], and the output.
     jacobian, error : ndarray, shape (samples, ..., p)
         Its derivatives, and an estimate of their error.
 
@@ -246,17 +244,10 @@ def _outputs(runs, output, steps, edges, sampled):
 
 def _derivative(base, above, below, steps):
     """
-    Return a derivative and its estimated error, both of the shape of the output.
+    Return a derivative and its estimated error, both of the shape of the output, `base`.
 
-    Parameters
-    ----------
-    base : ndarray
-        Output without a change.
-    above, below : ndarray, shape (levels, ...)
-        Output with changes of these steps and of their opposites.
-    steps : ndarray, shape (levels,)
-        Each is a _RATIO-th of the one before.
-
+    `above` and `below`, shape (levels, ...), are outputs with changes of `steps`, shape (levels,),
+    and of their opposites; each is a _RATIO-th of the one before.
     """
     steps = steps.reshape(-1, *np.ones(base.ndim, dtype=int))
     round_off = _ROUND_OFF * (np.abs(above) + np.abs(below)) / steps

@@ -36,23 +36,11 @@ _STILL = 1e-13         # travel of a tip that only round-off moves [arm lengths]
 
 def measure_error(run: Run, find_remedy: bool = True) -> Run:
     """
-    Return a run with its measured error, and the warning that this calls for.
+    Return a run of `run_scene` with its measured error, and the warning that this calls for.
 
-    If a finer run diverges, one with shorter steps is tried.
-
-    Parameters
-    ----------
-    run : Run
-        Of `run_scene`.
-    find_remedy : bool
-        Whether the warning of a large error names what moves the tip most, by up to three more
-        runs, or all remedies.
-
-    Returns
-    -------
-    Run
-        With `estimated_tip_error_m` in `stats`, unless the scene has no finer one or all diverge.
-
+    If a finer run diverges, one with shorter steps is tried. `estimated_tip_error_m` is in its
+    `stats` unless the scene has no finer run or all diverge. With `find_remedy` the warning of a
+    large error names what moves the tip most, by up to three more runs, otherwise all remedies.
     """
     scene = run.scene
     if not can_refine(scene) or len(run.t) < 2:
@@ -89,9 +77,9 @@ def _remedy(run, parts, error):
     """
     Return a change of the scene that mends most of its error.
 
-    Of steps, modes and equations, in this order, it is the first one that moves the tip by half of
-    the error, else the one that moves it most. Axial modes come last because they move the tip,
-    too, if the steps do not resolve them.
+    Of steps, modes and equations, it is the first one that moves the tip by half of the error,
+    else the one that moves it most. Axial modes move it, too, if the steps do not resolve them:
+    they are last.
     """
     changes = {'a smaller integrator.step': (parts, 0, 0, True),
                'more model.modes': (1, None, 0, True)}
@@ -112,18 +100,9 @@ class Resolution(NamedTuple):
     """
     A scene with its modes and step chosen.
 
-    Attributes
-    ----------
-    scene : Scene
-    estimate : float
-        Estimated tip error until `looked_at` [m].
-    looked_at : float
-        Sim time that was compared [s].
-    until : float
-        Sim time at which the error reaches the stated one, if it grows linearly [s].
-    warning : str or None
-        Warning of an error that modes and steps do not reduce.
-
+    `estimate` is the tip error [m] until the sim time `looked_at` [s]; it reaches the stated one
+    at `until` [s], if it grows linearly. `warning` is that of an error that modes and steps do not
+    reduce, or None.
     """
 
     scene: Scene
@@ -251,13 +230,8 @@ def resolve(scene: Scene, duration: float,
     Return the scene, with modes and step chosen if it states an error, and its number of steps.
 
     `tell` is called with the choice; without it a ModelWarning is given if the choice has a
-    warning.
-
-    Raises
-    ------
-    ParameterError
-        If the duration does not fit the step, or no choice is accurate enough.
-
+    warning. Raises ParameterError if the duration does not fit the step, or no choice is accurate
+    enough.
     """
     goal = scene.values['model.accuracy']
     if goal:

@@ -188,14 +188,10 @@ def jobs_of(scene: Scene, duration: float, count: int, variations: Iterable[Mapp
 
 def run_job(job: Job) -> dict[str, np.ndarray]:
     """
-    Do the runs of a job.
+    Do the runs of a job; return the columns of a row for each run, by name.
 
-    Returns
-    -------
-    dict of ndarray
-        A row for each run: `run`, its number; the varied parameters; the numbers of `SUMMARY`,
-        NaN for a run that failed; `warning` and `reason`, texts or ''.
-
+    They are `run`, its number; the varied parameters; the numbers of `SUMMARY`, NaN for a run that
+    failed; `warning` and `reason`, texts or ''.
     """
     numbers = np.full((len(job.variations), len(SUMMARY)), np.nan)
     table = {'run': job.first + np.arange(len(job.variations))}
@@ -321,27 +317,12 @@ def lane_kind(scene: Scene, steps: int) -> LaneKind | None:
 
 class LaneRuns:
     """
-    Runs that are done together, as lanes of vectors.
+    Runs of one LaneKind that are done together, as lanes of vectors.
 
-    Parameters
-    ----------
-    scenes : list of Scene
-    kind : LaneKind
-        Of all of them.
-
-    Attributes
-    ----------
-    motion : ndarray, shape (n, 2 (3 + N))
-        At the end.
-    peak, peak_time, rotation, squares : ndarray, shape (n,)
-        Largest |w(l)| [m] and its time [s], largest |phi(l)| [rad], sum of w(l)^2 over the start
-        and the ends of steps [m2].
-    deflection : ndarray, shape (n,)
-        w(l) at the end [m].
-    warnings : list of (str or None)
-    reasons : list of str
-        Why a run failed, or ''.
-
+    Arrays of shape (n,): `peak`, the largest |w(l)| [m], its time `peak_time` [s], `rotation`, the
+    largest |phi(l)| [rad], `squares`, the sum of w(l)^2 over the start and the ends of steps [m2],
+    and `deflection`, w(l) at the end [m]. `motion` is that of the end, (n, 2 (3 + N)); `warnings`
+    are texts or None, `reasons` say why a run failed, or ''.
     """
 
     def __init__(self, scenes: list[Scene], kind: LaneKind) -> None:
@@ -406,21 +387,10 @@ _STARTING = threading.Lock()
 def executor_of(workers: int | None = None,
                 scheduler: str | None = None) -> Iterator[tuple[Executor, int]]:
     """
-    Yield an executor and how many calls it does at a time.
+    Yield an executor and how many calls it does at a time; see `simulate_many`.
 
-    Parameters
-    ----------
-    workers : int, optional
-        Number of processes; by default the number of cores that this process may use.
-    scheduler : str, optional
-        Address of a Dask scheduler, such as `tcp://host:8786`, whose workers are used instead.
-
-    Raises
-    ------
-    ConnectionError
-        If a worker process ends early, the scheduler cannot be reached, or a worker of Dask has
-        another version of this package.
-
+    Raises ConnectionError if a worker process ends early, the scheduler cannot be reached, or a
+    worker of Dask has another version of this package.
     """
     if scheduler is not None:
         with _client(scheduler) as client:

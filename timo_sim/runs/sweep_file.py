@@ -84,13 +84,7 @@ def read_plan(path: Path | str) -> Plan:
     """
     Read and check the file of a sweep, see config/sweep.yaml.
 
-    Raises
-    ------
-    ParameterError
-        The text names file, entry and rule.
-    OSError
-        If a file cannot be read.
-
+    Raises OSError, or ParameterError, whose text names file, entry and rule.
     """
     content = read_yaml(path)
     try:
@@ -178,25 +172,12 @@ _TYPES = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(),
 def run_sweep(file: Path | str, output: Path | str | None = None, workers: int | None = None,
               scheduler: str | None = None) -> None:
     """
-    Do the sweep of a file, or those jobs of it that are missing.
+    Do the sweep of a file, see config/sweep.yaml, or those jobs of it that are missing.
 
-    Parameters
-    ----------
-    file : str
-        See config/sweep.yaml.
-    output : str, optional
-        Parquet folder; by default named after `file`, in the working directory.
-    workers, scheduler
-        As for `simulate_many`.
-
-    Raises
-    ------
-    ParameterError, OSError
-        As `read_plan`, or if the output exists, or its parts belong to another sweep or are in
-        use by a running one.
-    ConnectionError
-        As `simulate_many`.
-
+    `output` is a Parquet folder, by default named after `file`, in the working directory;
+    `workers` and `scheduler` are as for `simulate_many`, with its ConnectionError. Raises
+    ParameterError or OSError as `read_plan`, or if the output exists, or its parts belong to
+    another sweep or are in use by a running one.
     """
     plan = read_plan(file)
     output = Path(output or Path(file).with_suffix('.parquet').name)

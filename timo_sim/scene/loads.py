@@ -62,10 +62,8 @@ def parabolas(function: Callable[[np.ndarray], np.ndarray], breaks: np.ndarray, 
         Values at positions counted in steps, shape (n,) to (n, ...).
     breaks : ndarray, shape (k,)
         Where pieces meet, counted in steps; whole numbers are the boundaries of steps.
-    degree : int
-        Degree of the pieces.
-    first, count : int
-        First step, and number of steps.
+    degree, first, count : int
+        Degree of the pieces; first step, and number of steps.
 
     Returns
     -------
@@ -306,18 +304,9 @@ class Load:
 
     def fill(self, loads: np.ndarray, places: Any, first: int, count: int, step: float) -> None:
         """
-        Write the columns of loads that are not zero.
+        Write the columns of loads that are not zero into `loads`, (count, 4, c), see `stages`.
 
-        Parameters
-        ----------
-        loads : ndarray, shape (count, 4, c)
-            Receives them.
-        places : sequence of int
-            Where the column k of `model.layout` stands in it: `places[k]`; those of a drive
-            stand together.
-        first, count, step
-            See `stages`.
-
+        Column k of `model.layout` stands at `places[k]` in it; those of a drive stand together.
         """
         for columns, terms in self._columns:
             place = places[columns]

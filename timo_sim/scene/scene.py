@@ -95,13 +95,8 @@ class Scene:
         """
         Return the scene's Formulation of the equations of motion; it is made once and kept.
 
-        Parameters
-        ----------
-        basis : Manipulator, optional
-            The same arm with another end effector, whose modes are assumed.
-        tip : tuple of float, optional
-            Mass [kg] and inertia [kg m2] at the tip, if not those of the end effector.
-
+        `basis` is the same arm with another end effector, whose modes are assumed; `tip` are mass
+        [kg] and inertia [kg m2] at the tip, if not those of the end effector.
         """
         body = self.manipulator if tip is None else replace(
             self.manipulator, end_effector_mass=tip[0], end_effector_inertia=tip[1])
@@ -654,20 +649,8 @@ def number_of(name: str, scene: Scene, others: str = '',
     """
     Return the Parameter of a name, and its value in a scene.
 
-    Parameters
-    ----------
-    name : str
-    scene : Scene
-    others : str
-        What else the caller knows, for the text of an error.
-    names : iterable of str
-        Names of these, of which one may be meant.
-
-    Raises
-    ------
-    ParameterError
-        If the name is unknown or ambiguous, or it is no number of the physics.
-
+    `others` says for an error what else the caller knows, and `names` names it. Raises
+    ParameterError if the name is unknown or ambiguous, or it is no number of the physics.
     """
     base, place = _base(name)
     parameter = PARAMETERS.get(base)

@@ -170,11 +170,7 @@ def layout(type_name: str, data: bytes | memoryview) -> Layout:
     """
     Return the Layout of a serialised message of one of TYPES.
 
-    Raises
-    ------
-    CdrError
-        If the message is too short, or not in little-endian plain CDR.
-
+    Raises CdrError if the message is too short, or not in little-endian plain CDR.
     """
     walk = _Walk(data)
     walk.value(type_name)
@@ -183,27 +179,15 @@ def layout(type_name: str, data: bytes | memoryview) -> Layout:
 
 def pack(type_name: str, values: Mapping[str, Any]) -> bytes:
     """
-    Return a serialised message, little-endian CDR with zeros as padding.
+    Return a serialised message of one of TYPES, little-endian CDR with zeros as padding.
 
-    Parameters
-    ----------
-    type_name : str
-        One of TYPES.
-    values : dict
-        Values by name of field: numbers, str, dict for messages, lists for arrays. A field that
-        is missing has its default, which is zero or empty unless the definition says otherwise
-        (w of a quaternion is 1).
+    `values` has by name of field numbers, str, dict for messages, lists for arrays. A field that
+    is missing has its default, which is zero or empty unless the definition says otherwise (w of a
+    quaternion is 1). Raises CdrError if a field is unknown, or an array of fixed length is given
+    with another length.
 
-    Raises
-    ------
-    CdrError
-        If a field is unknown, or an array of fixed length is given with another length.
-
-    Examples
-    --------
     >>> pack('std_msgs/msg/Float64', {'data': 1.0}).hex()
     '00010000000000000000f03f'
-
     """
     data = bytearray(_LITTLE_ENDIAN + bytes(_START - len(_LITTLE_ENDIAN)))
     _append(data, type_name, values)
@@ -306,12 +290,9 @@ class Number(NamedTuple):
     order of the template, whatever the order of the message, those without a name last; these
     describe the others, as variances do, and are no columns.
 
-    Examples
-    --------
     >>> template = {'name': ['shaft'], 'position': [Number('shaft_rad')]}
     >>> serialize = Serializer('sensor_msgs/msg/JointState', template)
     >>> message = serialize((1, 500000000), [0.25])  # at 1.5 s
-
     """
 
     column: str = ''  # its name with unit, as in 'shaft_rad'

@@ -90,30 +90,12 @@ def write(tracks: Sequence[Track], path: Path | str, fps: float = 30.0,
           report: Callable[[float], object] = lambda done: None,
           at: float | None = None) -> np.ndarray:
     """
-    Write tracks to a rerun file, laid over each other.
+    Write tracks of different names to a rerun file, laid over each other.
 
-    Parameters
-    ----------
-    tracks : list of Track
-        Of different names.
-    path : str or Path
-    fps : float
-        Most frames of the plane per second of sim time; curves have all samples.
-    report : function(float)
-        Called with the share of the work that was done since the last call; the sum is 1.
-    at : float, optional
-        Sim time that gets a frame, too [s].
-
-    Returns
-    -------
-    ndarray, shape (2, 2)
-        Corners of the plane that is shown, lower left and upper right [m].
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-
+    The plane has at most `fps` frames per second of sim time, and one at the sim time `at` [s];
+    curves have all samples. `report` is called with the share of the work done since its last
+    call. Returns the corners of the plane that is shown, lower left and upper right, shape (2, 2)
+    [m]. Raises OSError if the file cannot be written.
     """
     stream = rr.RecordingStream('timo_sim')
     with whole_file(path) as part:
@@ -201,18 +183,10 @@ def _about(tracks, largest, fps):
 
 class Entities:
     """
-    What a stream has of one run: its bodies in the plane, and its curves.
+    What a stream has of one run, number `run` of `runs`: its bodies in the plane, and its curves.
 
-    Parameters
-    ----------
-    stream : RecordingStream
-    track : Track
-        Of which only name, body and floor are used.
-    run, runs : int
-        The number of the run, from 0, and how many runs the stream has.
-    bounds : ndarray, shape (2, 2)
-        Corners of the plane that is shown [m].
-
+    Of `track` only name, body and floor are used; `bounds` are the corners of the plane, (2, 2)
+    [m].
     """
 
     def __init__(self, stream: rr.RecordingStream, track: Track, run: int, runs: int,
@@ -414,25 +388,11 @@ def show_tracks(makers: Sequence[Callable[[], Track]], save: str | None = None,
     """
     Convert tracks, and show them unless only a file or a picture is wanted.
 
-    Parameters
-    ----------
-    makers : list of function() -> Track
-    save, png : str, optional
-        Paths of a rerun file (*.rrd) and of a picture to write.
-    at : float, optional
-        Sim time of the picture [s]; by default the end.
-    web : bool
-        Whether to show them in the browser.
-    fps : float
-        See `write`.
-
-    Raises
-    ------
-    ParameterError
-        If a path or number breaks its rule, or the time is not in the runs.
-    ViewerError
-        If the viewer does not start or does not answer.
-
+    `makers` are functions that return a Track. `save` and `png` are paths of a rerun file (*.rrd)
+    and of a picture, which is of the sim time `at` [s], by default the end. With `web` they are
+    shown in the browser; for `fps` see `write`. Raises ParameterError if a path or number breaks
+    its rule, or the time is not in the runs; ViewerError if the viewer does not start or does not
+    answer.
     """
     at, fps = at if at is None else _AT.check(at), FPS.check(fps)
     if save and not str(save).endswith('.rrd'):

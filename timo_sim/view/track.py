@@ -181,14 +181,9 @@ def track_of_motion(
 
     Parameters
     ----------
-    name : str
-    scene : Scene
-    ns : ndarray, shape (n,)
-        Sim time [ns].
-    motion : ndarray, shape (n, 2 (3 + N))
-        See `model.layout`.
-    effort : ndarray, shape (n, 3)
-        Force on the carrier, world x and y [N], torque on the shaft [N m].
+    name, scene : str, Scene
+    ns, motion, effort : ndarray, shapes (n,), (n, 2 (3 + N)), (n, 3)
+        Sim time [ns]; see `model.layout`; force on the carrier, world x and y [N], torque [N m].
     resets : array_like of int
         First samples after resets, which do not follow from the one before.
     balanced : bool
@@ -200,10 +195,6 @@ def track_of_motion(
         See `Run`; a balance is not computed then.
     commands : array_like of int
         Steps at which forces and torques jump besides those of the scene's loads.
-
-    Returns
-    -------
-    Track
 
     """
     formulation, half = scene.build(), motion.shape[1] // 2
