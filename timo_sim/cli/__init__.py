@@ -89,15 +89,16 @@ def main() -> None:
 
 
 main.command_class = _Command
+_settings = click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
+                         help='A parameter that differs from the scene; several may follow.')
+_node = click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
 
 
 @main.command()
 @click.argument('scene')
-@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
-              help='A parameter that differs from the scene; several may follow.')
+@_settings
 @click.option('--input', 'cause', default='torque_N_m', show_default=True, metavar='NAME',
-              help='Input of the model: force_x_N, force_y_N, torque_N_m, tip_force_x_N, '
-                   'tip_force_y_N, tip_torque_N_m, push_x_N or push_y_N.')
+              help='Input of the model, such as tip_force_x_N; an error lists all of them.')
 @click.option('--response', 'effects', multiple=True, metavar='NAME', show_default=True,
               default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
               help='Output of the model, such as tip_acceleration_m_per_s2; once for each curve.')
@@ -128,7 +129,7 @@ def bode(scene: str, settings: tuple[str, ...], cause: str, effects: tuple[str, 
     "Write this topic alone, such as '~/motor_torque' (~ is the node's name) or joint_states."))
 @click.option('--bag', is_flag=True, help=(
     'Make the folder that rosbag2 writes: FILE as OUTPUT_0.mcap, with metadata.yaml beside it.'))
-@click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
+@_node
 def export(file: str, output: str, topic: str | None, bag: bool, node: str | None) -> None:
     r"""
     Write FILE, a log or a bag, as a table with units in the names of columns.
@@ -182,8 +183,7 @@ def recover(file: str, output: str | None) -> None:
 
 @main.command()
 @click.argument('file', type=click.Path())
-@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
-              help='A parameter that differs from the recorded scene; several may follow.')
+@_settings
 @click.option('--formulation', metavar='NAME', help='Short for --set model.formulation=NAME.')
 @click.option('--scene', type=click.Path(),
               help='Parameter file to use instead of the recorded scene; a plain bag needs it.')
@@ -194,7 +194,7 @@ def recover(file: str, output: str | None) -> None:
               help='Sim time of the first command of a bag without sim time [s].')
 @click.option('--duration', type=float,
               help='Sim time of the end [s]; by default that of the last message.')
-@click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
+@_node
 def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene: str | None,
            output: str | None, start: float, duration: float | None, node: str | None) -> None:
     r"""
@@ -229,8 +229,7 @@ def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene:
 @main.command()
 @click.argument('scene')
 @click.option('--duration', type=float, default=10.0, show_default=True, help='Sim time [s].')
-@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
-              help='A parameter that differs from the scene; several may follow.')
+@_settings
 @click.option('--output', '-o', type=click.Path(dir_okay=False), help=(
     'File of the run: *.mcap (a log), *.parquet or *.csv. An existing log is never overwritten; '
     '_1, _2, ... is appended.'))
@@ -252,8 +251,7 @@ def simulate(scene: str, duration: float, settings: tuple[str, ...], output: str
 
     Exit codes: 0 good; 1 the run diverges (samples up to there are written); 2 bad input.
     """
-    from timo_sim.runs.simulate import resolve
-    from timo_sim.runs.simulate import simulate
+    from timo_sim.runs.simulate import resolve, simulate
     from timo_sim.scene.parameters import ModelWarning, whole_ratio
     from timo_sim.scene.scene import load_scene
     from timo_sim.simulation.warnings import DivergenceError
@@ -319,8 +317,7 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
     'Parameters to be fitted: of the scene; QUANTITY.gain, .bias or .delay of an input or output, '
     '.lag of an output; or initial for the whole initial state.'))
 @click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH', help='Bounds of one of them.')
-@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
-              help='A parameter that differs from the scene; several are allowed.')
+@_settings
 @click.option('--mapping', type=click.Path(dir_okay=False), metavar='FILE',
               help='YAML file that says which column of a table is which quantity.')
 @click.option('--outputs', metavar='NAME,NAME', help='Outputs to be fitted; by default all.')
@@ -426,7 +423,7 @@ def urdf(scene: str, settings: tuple[str, ...]) -> None:
 @click.option('--fps', type=click.FloatRange(min=0.0, min_open=True), default=30.0,
               show_default=True, help='Frames per second of the arm, in an animation at most 20; '
               'curves have all samples.')
-@click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
+@_node
 def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | None,
          at: float | None, web: bool, fps: float, node: str | None) -> None:
     r"""

@@ -382,13 +382,10 @@ class Problem:
     def scene_of(self, values: Mapping[str, float],
                  initial: Mapping[str, float] | None = None) -> Scene:
         """Return the scene with free values, and an initial state, without the record's loads."""
-        own = {name: value for name, value in values.items() if not self._is_sensor(name)}
+        sensors = {f'{quantity}.{kind}' for kind in SENSOR
+                   for quantity in (*self.record.inputs, *self.record.outputs)}
+        own = {name: value for name, value in values.items() if name not in sensors}
         return self.scene.vary(overrides_of({**own, **(initial or {})}, self.scene))
-
-    def _is_sensor(self, name):
-        quantity, _, kind = name.rpartition('.')
-        return kind in SENSOR and (quantity in self.record.inputs
-                                   or quantity in self.record.outputs)
 
     def run(self, values: Mapping[str, float], begin: float = 0.0, end: float | None = None,
             initial: Mapping[str, float] | None = None, scene: Scene | None = None) -> Run:
@@ -401,13 +398,11 @@ class Problem:
         """
         scene = scene or self.scene_of(values, initial)
         scene = scene.with_load(loads_of(self.record, scene, self.sensor(values), begin))
-        duration = (self.record.duration if end is None else end) - begin + self._latest(values)
+        duration = (self.record.duration if end is None else end) - begin + max(
+            0.0, *(-values.get(f'{name}.delay', 0.0) for name in self.record.outputs))
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)
             return run_scene(scene, max(1, math.ceil(duration / scene.step - _AT_STEP)))
-
-    def _latest(self, values):
-        return max(0.0, *(-values.get(f'{name}.delay', 0.0) for name in self.record.outputs))
 
     @staticmethod
     def sensor(values: Mapping[str, float]) -> Callable[[str, str], float]:
@@ -623,7 +618,13 @@ class Search:
             self._solve(_LOOSE)
             self._windows = whole
             self._solve(_LOOSE)
-        self._begin_windows()
+        else:
+            self._states = initial_states(self.problem, self.problem.values(self.x))
+            every = [each for states in self._states for each in states]
+            start = np.array([each.coordinate(each.start) for each in every])
+            self.x, self._prior = np.concatenate([self.x, start]), start
+            self._low = np.concatenate([self._low, np.full(len(every), -np.inf)])
+            self._high = np.concatenate([self._high, np.full(len(every), np.inf)])
         for _ in range(_ROUNDS):
             self._solve(_LOOSE)
             if self._estimate_deviations() < _SETTLED:
@@ -643,17 +644,6 @@ class Search:
                 raise ParameterError('the record cannot be predicted with the first guess: '
                                      f'{error}') from None
 
-    def _begin_windows(self):
-        problem = self.problem
-        if not problem.windows[0].names:
-            return
-        self._states = initial_states(problem, problem.values(self.x))
-        every = [each for states in self._states for each in states]
-        start = np.array([each.coordinate(each.start) for each in every])
-        self.x, self._prior = np.concatenate([self.x, start]), start
-        self._low = np.concatenate([self._low, np.full(len(every), -np.inf)])
-        self._high = np.concatenate([self._high, np.full(len(every), np.inf)])
-
     def _solve(self, tolerance):
         found = least_squares(self._residuals, np.clip(self.x, self._low, self._high),
                               self._jacobian, (self._low, self._high), x_scale='jac',
@@ -661,7 +651,7 @@ class Search:
                               max_nfev=60)
         self.x = found.x
 
-    def _split(self, x):
+    def split(self, x: np.ndarray) -> tuple[dict[str, float], list[dict[str, float]]]:
         """Return the values of free parameters and those of the initial state of each window."""
         first, states = len(self.problem.free), []
         for every in self._states or [[]] * len(self._windows):
@@ -670,23 +660,16 @@ class Search:
             first += len(every)
         return self.problem.values(x), states
 
-    def first_state(self) -> dict[str, float]:
-        """Return the initial state of the first window by name, if windows have their own."""
-        return self._split(self.x)[1][0]
-
     def _residuals(self, x, more=None):
-        values, states = self._split(x)
+        values, states = self.split(x)
         parts = [self.problem.residuals({**values, **(more or {})}, self.deviations, window, state)
                  for window, state in zip(self._windows, states)]
-        return np.concatenate([*parts, self._prior_residuals(x)])
-
-    def _prior_residuals(self, x):
-        return (x[len(self.problem.free):] - self._prior) / _PRIOR
+        return np.concatenate([*parts, (x[len(self.problem.free):] - self._prior) / _PRIOR])
 
     def _jacobian(self, x, step=_FORWARD, central=False):
         """Return the derivatives of the residuals by x, from differences of runs."""
         problem = self.problem
-        count, states = len(problem.free), self._split(x)[1]
+        count, states = len(problem.free), self.split(x)[1]
         here = self._residuals(x)
         sizes = [sum(map(len, problem.measurements(window).values())) for window in self._windows]
         edges = np.concatenate([[0], np.cumsum(sizes)])
@@ -707,7 +690,7 @@ class Search:
                 rows = slice(edges[w], edges[w + 1])
                 values = []
                 for at, _ in ends:
-                    free, own = self._split(at)
+                    free, own = self.split(at)
                     values.append(problem.residuals(free, self.deviations, self._windows[w],
                                                     own[w]))
                 values.append(here[rows])
@@ -725,7 +708,7 @@ class Search:
 
     def _estimate_deviations(self):
         """Estimate the standard deviations of the sensors; return the largest relative change."""
-        values, states = self._split(self.x)
+        values, states = self.split(self.x)
         apart = {name: [] for name in self.deviations}
         for window, state in zip(self._windows, states):
             residuals, first = self.problem.residuals(values, self.deviations, window, state), 0
@@ -781,7 +764,7 @@ class Search:
     def _friction(self, jacobian, residuals, root):
         """Return what dry friction would explain beside all that is free, see `derivatives`."""
         problem, found = self.problem, {}
-        values, states = self._split(self.x)
+        values, states = self.split(self.x)
         scene = problem.scene_of(values, states[0])
         try:
             run = problem.run(values, 0.0, problem.until, states[0])

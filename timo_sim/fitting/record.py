@@ -53,11 +53,6 @@ def _tip(run, axis):
     return run.deflection(run.scene.manipulator.arm.length)[:, axis]
 
 
-def _tip_angle(run):
-    length = run.scene.manipulator.arm.length
-    return np.arctan2(_tip(run, 1), length + _tip(run, 0))
-
-
 def _place(run, axis):
     return run.position(run.scene.manipulator.arm.length)[:, axis]
 
@@ -104,12 +99,11 @@ def _cross(first, second):
 INPUT_UNITS = {**{each.name: each.unit for each in INPUTS if each.argument}, DRIVE: 'rad'}
 
 
-def _of_motion(sensor):
-    return Output(sensor.unit, sensor.meaning, lambda run: sensor.of_motion(run.model, run.motion))
-
-
 OUTPUTS = {
-    **{sensor.measured: _of_motion(sensor) for sensor in SENSORS if sensor.of_motion},
+    **{sensor.measured: Output(
+        sensor.unit, sensor.meaning,
+        lambda run, read=sensor.of_motion: read(run.model, run.motion))
+        for sensor in SENSORS if sensor.of_motion},
     'shaft_velocity': Output('rad/s', 'speed of the shaft', lambda run: run.shaft_velocity),
     'carrier_x': Output('m', 'position of the carrier', lambda run: run.carrier[:, 0]),
     'carrier_y': Output('m', 'position of the carrier', lambda run: run.carrier[:, 1]),
@@ -118,7 +112,9 @@ OUTPUTS = {
     'tip_transverse': Output('m', 'deflection of the tip across the arm',
                              lambda run: _tip(run, 1)),
     'tip_angle': Output('rad', 'direction of the tip as seen from the root, straight arm: 0',
-                        _tip_angle),
+                        lambda run: np.arctan2(
+                            _tip(run, 1),
+                            run.scene.manipulator.arm.length + _tip(run, 0))),
     'tip_rotation': Output('rad', 'rotation of the end effector relative to the shaft',
                            lambda run: run.rotation(run.scene.manipulator.arm.length)),
     'root_strain': Output('', 'strain of the outer fibre at the root',

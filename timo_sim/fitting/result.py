@@ -135,7 +135,8 @@ class Fit:
             lines.append(f'{name:<{width}}  {shown}  {each.start:>11.5g}  {each.unit}{bound}'
                          .rstrip())
         lines += ['', 'correlation above 0.95: ' + (', '.join(self._close()) or 'none')]
-        lines += [f'not identified: {_shown(parts)}' for parts in self.unidentified]
+        lines += ['not identified: ' + ' '.join(
+            f'{part:+.2f} {name}' for name, part in parts.items()) for parts in self.unidentified]
         if self.scene.load and self.record.inputs:
             lines += ['the loads of the scene act beside the inputs of the record']
         lines += ['', _RUN_HEAD, self._table()]
@@ -166,7 +167,44 @@ class Fit:
 
     def plot(self) -> Figure:
         """Draw measured and predicted outputs, and their difference; needs matplotlib."""
-        return _draw(self)
+        with optional():
+            from matplotlib.figure import Figure
+
+            from timo_sim.view.plot import COLOURS
+        record = self.record
+        rows = [*record.inputs, *record.outputs]
+        figure = Figure(figsize=(12, 1.0 + 2.2 * len(rows)), layout='constrained')
+        heights = [0.6 if name in record.inputs else 1.0 for name in rows]
+        all_axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False,
+                                   height_ratios=heights)[:, 0]
+        for axes, name in zip(all_axes, rows):
+            unit = unit_of(name)
+            axes.set(ylabel=f'{_LABELS.get(name, name.replace("_", " "))}' + (
+                f' [{unit}]' if unit else ''), xlim=(0.0, record.duration))
+            axes.grid(alpha=0.3)
+            if self.until < record.duration:
+                axes.axvspan(self.until, record.duration, color='0.93', zorder=0)
+            if name in record.inputs:
+                channel = record.inputs[name]
+                axes.plot(channel.t, channel.values, color='0.4', linewidth=1.0,
+                          drawstyle='steps-post' if channel.hold == 'zero' else 'default')
+                continue
+            channel = record.outputs[name]
+            axes.plot(channel.t, channel.values, color=COLOURS[0], label='measured', linewidth=2.0)
+            if name in self.predicted:
+                axes.plot(channel.t, self.predicted[name], color=COLOURS[1], linewidth=1.2,
+                          label='predicted')
+                axes.plot(channel.t, channel.values - self.predicted[name], color=COLOURS[2],
+                          linewidth=0.8, label='difference')
+            each = self.errors[name]
+            text = f'R² = {each.r_squared:.3f} fitted'
+            if np.isfinite(each.hold_out_r_squared):
+                text += f', {each.hold_out_r_squared:.3f} held out'
+            axes.legend(fontsize='small', ncols=3, frameon=False, loc='lower right',
+                        bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
+            axes.set_title(text, loc='left', fontsize='small')
+        all_axes[-1].set(xlabel='time [s]')
+        return figure
 
     def save(self, path: str | Path) -> Path:
         """Write the fitted scene as a parameter file for `sim_node`; an existing one is kept."""
@@ -189,52 +227,6 @@ class Fit:
 
 _LABELS = {'tip_transverse': 'tip deflection', 'tip_angle': 'tip angle',
            'tip_acceleration': 'tip acceleration'}
-
-
-def _draw(fit):
-    """Return a Figure of a Fit; the part of the record that was held out is shaded."""
-    with optional():
-        from matplotlib.figure import Figure
-
-        from timo_sim.view.plot import COLOURS
-    record = fit.record
-    rows = [*record.inputs, *record.outputs]
-    figure = Figure(figsize=(12, 1.0 + 2.2 * len(rows)), layout='constrained')
-    heights = [0.6 if name in record.inputs else 1.0 for name in rows]
-    all_axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False,
-                               height_ratios=heights)[:, 0]
-    for axes, name in zip(all_axes, rows):
-        unit = unit_of(name)
-        axes.set(ylabel=f'{_LABELS.get(name, name.replace("_", " "))}' + (
-            f' [{unit}]' if unit else ''), xlim=(0.0, record.duration))
-        axes.grid(alpha=0.3)
-        if fit.until < record.duration:
-            axes.axvspan(fit.until, record.duration, color='0.93', zorder=0)
-        if name in record.inputs:
-            channel = record.inputs[name]
-            axes.plot(channel.t, channel.values, color='0.4', linewidth=1.0,
-                      drawstyle='steps-post' if channel.hold == 'zero' else 'default')
-            continue
-        channel = record.outputs[name]
-        axes.plot(channel.t, channel.values, color=COLOURS[0], label='measured', linewidth=2.0)
-        if name in fit.predicted:
-            axes.plot(channel.t, fit.predicted[name], color=COLOURS[1], linewidth=1.2,
-                      label='predicted')
-            axes.plot(channel.t, channel.values - fit.predicted[name], color=COLOURS[2],
-                      linewidth=0.8, label='difference')
-        each = fit.errors[name]
-        text = f'R² = {each.r_squared:.3f} fitted'
-        if np.isfinite(each.hold_out_r_squared):
-            text += f', {each.hold_out_r_squared:.3f} held out'
-        axes.legend(fontsize='small', ncols=3, frameon=False, loc='lower right',
-                    bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-        axes.set_title(text, loc='left', fontsize='small')
-    all_axes[-1].set(xlabel='time [s]')
-    return figure
-
-
-def _shown(parts):
-    return ' '.join(f'{part:+.2f} {name}' for name, part in parts.items())
 
 
 _HOLD_OUT = Parameter('hold_out', 0.0, '', '', low=0.0, high=0.95)
@@ -314,11 +306,53 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     problem = Problem(start, measured, list(free), dict(bounds or {}), until, window)
     search = Search(problem, loss)
     search.run()
-    found = result_of(problem, search.x[:len(problem.free)], search.first_state(),
-                      search.deviations, search.derivatives(), search.against,
-                      time.monotonic() - begun)
-    if found.warnings:
-        warn('; '.join(found.warnings))
+    names, count = [free.name for free in problem.free], len(problem.free)
+    jacobians, residuals, jumps, friction = search.derivatives()
+    seconds = time.monotonic() - begun
+    x, initial = search.x[:count], search.split(search.x)[1][0]
+    spread, white = covariance(jacobians, residuals)
+    spread = spread[:count, :count]
+    sigma = np.sqrt(np.diag(spread))
+    estimates = {}
+    for each, at, deviation in zip(problem.free, x, sigma):
+        value, half = each.value(at), NORMAL * deviation
+        identified = bool(half < (1.0 if each.log else max(1.0, abs(at))))
+        edges = each.coordinate(each.low), each.coordinate(each.high)
+        bound = next((name for name, edge in zip(('low', 'high'), edges)
+                      if abs(at - edge) < _AT_BOUND), '')
+        low, high = ((each.value(at - half), each.value(at + half)) if identified
+                     else (math.nan, math.nan))
+        estimates[each.name] = Estimate(
+            value if identified else math.nan, low, high,
+            deviation * (value if each.log else each.scale) if identified else math.nan,
+            each.start, each.unit, identified, bound)
+    values = problem.values(x)
+    fitted, doubts = problem.scene_of(values, initial), []
+    if jumps:
+        cause = ', as with dry friction' if problem.scene.friction.any() else ''
+        doubts.append(f'the run depends on {", ".join(jumps)} in jumps{cause}, so the intervals '
+                      'may be too small: try a shorter window, or friction with a coulomb_speed')
+    run, predicted = None, {}
+    try:
+        run = problem.run(values, scene=fitted)
+        predicted = {name: found for name, (_, found) in
+                     problem.predictions(run, values).items()}
+    except DivergenceError as error:
+        doubts.append(f'one run of the whole record diverges: {error}')
+    errors = _errors(problem, predicted, residuals, search.deviations)
+    doubts += _suspects(errors, search.against, {} if white else friction)
+    doubts += _doubts(problem, fitted, estimates, errors, values, run, predicted)
+    # The derivatives by the parameters that initial states of windows cannot make up for.
+    whole = np.concatenate(jacobians)
+    q, _ = np.linalg.qr(whole[:, count:])
+    parts = unidentified_combinations(
+        whole[:, :count] - q @ (q.T @ whole[:, :count]), names,
+        {name for name, each in estimates.items() if not each.identified})
+    correlation = np.clip(spread / np.outer(sigma, sigma), -1.0, 1.0)  # but for round-off
+    found = Fit(fitted, problem.record, estimates, correlation, parts, errors, run, predicted,
+                problem.until, white, doubts, seconds)
+    if doubts:
+        warn('; '.join(doubts))
     return found
 
 
@@ -348,60 +382,6 @@ _NOISY = 2.0         # ratio of a residual to the known noise, above which there
 _MOST_NUMERICAL = 0.2    # part of a residual that may be numerical error
 
 
-def result_of(problem: Problem, x: np.ndarray, initial: Mapping[str, float],
-              deviations: Mapping[str, float], derivatives: tuple, against: Mapping[str, float],
-              seconds: float) -> Fit:
-    """
-    Return the Fit for coordinates of the free parameters, `x`, shape (p,).
-
-    `initial` is the initial state of the first window, if windows have their own; `deviations` are
-    those of the sensors by output; for `derivatives` see `Search.derivatives`; `against` has the
-    least correlation of each output with a run of the first guess; `seconds` is the wall time [s].
-    """
-    names, count = [free.name for free in problem.free], len(problem.free)
-    jacobians, residuals, jumps, friction = derivatives
-    spread, white = covariance(jacobians, residuals)
-    spread = spread[:count, :count]
-    sigma = np.sqrt(np.diag(spread))
-    estimates = {}
-    for free, at, deviation in zip(problem.free, x, sigma):
-        value, half = free.value(at), NORMAL * deviation
-        identified = bool(half < (1.0 if free.log else max(1.0, abs(at))))
-        edges = free.coordinate(free.low), free.coordinate(free.high)
-        bound = next((name for name, edge in zip(('low', 'high'), edges)
-                      if abs(at - edge) < _AT_BOUND), '')
-        low, high = ((free.value(at - half), free.value(at + half)) if identified
-                     else (math.nan, math.nan))
-        estimates[free.name] = Estimate(
-            value if identified else math.nan, low, high,
-            deviation * (value if free.log else free.scale) if identified else math.nan,
-            free.start, free.unit, identified, bound)
-    values = problem.values(x)
-    scene, doubts = problem.scene_of(values, initial), _doubts_about_jumps(jumps, problem.scene)
-    run, predicted = None, {}
-    try:
-        run = problem.run(values, scene=scene)
-        predicted = {name: found for name, (_, found) in
-                     problem.predictions(run, values).items()}
-    except DivergenceError as error:
-        doubts.append(f'one run of the whole record diverges: {error}')
-    errors = _errors(problem, predicted, residuals, deviations)
-    doubts += _suspects(errors, against, {} if white else friction)
-    doubts += _doubts(problem, scene, estimates, errors, values, run, predicted)
-    parts = unidentified_combinations(_without_others(np.concatenate(jacobians), count), names, {
-        name for name, each in estimates.items() if not each.identified})
-    correlation = np.clip(spread / np.outer(sigma, sigma), -1.0, 1.0)  # but for round-off
-    return Fit(scene, problem.record, estimates, correlation, parts, errors, run, predicted,
-               problem.until, white, doubts, seconds)
-
-
-def _doubts_about_jumps(names, scene):
-    cause = ', as with dry friction' if scene.friction.any() else ''
-    return [f'the run depends on {", ".join(names)} in jumps{cause}, so the intervals '
-            'may be too small: try a shorter window, or friction with a coulomb_speed'
-            ] if names else []
-
-
 def _suspects(errors, against, friction):
     """Yield what may be wrong with a record or a scene that do not agree."""
     if not all(each.r_squared > _POOR for each in errors.values()):
@@ -415,15 +395,6 @@ def _suspects(errors, against, friction):
             yield (f'dry friction, which the scene has not got, would explain {100.0 * share:.0f} '
                    f'% of the squares of the residuals: set {name} to about {value:.2g}, and free '
                    'it')
-
-
-def _without_others(jacobian, count):
-    """Return the derivatives by the first columns that the others cannot make up for."""
-    own, others = jacobian[:, :count], jacobian[:, count:]
-    if not others.shape[1]:
-        return own
-    q, _ = np.linalg.qr(others)
-    return own - q @ (q.T @ own)
 
 
 def _errors(problem, predicted, residuals, deviations):

@@ -42,8 +42,8 @@ import numpy as np
 import zstandard
 
 from timo_sim.log.write import (
-    CHANGE, Chunk, CHUNK_SIZE, create, HEAD, made_with, printable, RESET, START, step_of, SUMMARY,
-    sync, values_of, Writer)
+    CHANGE, Chunk, CHUNK_SIZE, create, ENVIRONMENT, HEAD, printable, RESET, START, SUMMARY, sync,
+    Writer)
 
 _LARGEST_CHUNK = 64 * 1024 * 1024      # [B] uncompressed
 _LARGEST_RECORD = _LARGEST_CHUNK + 1024 * 1024
@@ -249,10 +249,13 @@ class LogFile:
                     starts.append(note)
                 elif entry.name == SUMMARY:
                     summary = note
+                elif not note['step'].isdecimal() or len(note['step']) > 18:
+                    raise ValueError
                 elif entry.name == RESET:
-                    resets.append((step_of(note), entry.offset))
+                    resets.append((int(note['step']), entry.offset))
                 else:
-                    changes.append((step_of(note), entry.offset, values_of(note)))
+                    changes.append((int(note['step']), entry.offset,
+                                    dict(json.loads(note['values']))))
             except (KeyError, TypeError, ValueError, RecursionError):
                 raise LogError(f'{self.name} has a malformed metadata record {entry.name}: '
                                f'{str(note)[:80]!r}') from None
@@ -530,7 +533,8 @@ def info(file: Path | str) -> list[str]:
 def _about_run(log, notes):
     facts, summary, resets, changes = notes
     yield from _entry('changed', _changed(facts) or ['nothing: the arm of the paper at rest'])
-    yield from _entry('made with', [made_with(facts)])
+    yield from _entry('made with', [', '.join(
+        f'{name} {facts[name][:40]}' for name in ENVIRONMENT if name in facts)])
     end = log.statistics.message_end_time / _NANOSECONDS
     yield from _entry('sim time', [f'0 to {end:.9g} s'])
     steps = ', '.join(str(step) for step, _ in resets[:8]) + (', ...' if len(resets) > 8 else '')

@@ -420,19 +420,16 @@ class _Collector:
                 return known
         found = layout(self.type_name, data)
         self._layouts.append((found, len(data), bytes(data[place] for place in found.fixed)))
-        if len(self._layouts) > 1 and not self.command:  # names of frames differ in length
+        if self.command:
+            return found
+        if len(self._layouts) > 1:  # names of frames differ in length
             raise CdrError('its texts or lists are not those of the messages before it')
-        if not self.command:
-            self._name_columns(found)
-        return found
-
-    def _name_columns(self, found):
         texts = found.texts[1:]  # after the frame
-        by_name = {output.name: output for output in outputs(max(1, len(texts)))}
-        output = by_name[self.name]
+        output = {each.name: each for each in outputs(max(1, len(texts)))}[self.name]
         self.columns, self._places = output.columns, output.places
         if texts != output.texts[1:] or len(found.doubles) <= max(self._places, default=-1):
             raise CdrError(f'{", ".join(texts)[:80]} are not the joints of this node')
+        return found
 
     def _keep(self, place, offsets, heads, found, rows):
         """Keep messages of one layout, for `arrays`."""
@@ -495,7 +492,8 @@ def export(file: Path | str, output: Path | str, topic: str | None = None,
     if the file is not a log or lacks the topic, or `output` exists or has another suffix. `node`:
     see `Recording`.
     """
-    path = _new_table(Path(output))
+    path = Path(output)
+    _check_table(path)
     recording = Recording(file, node)
     columns, left = table(recording, topic)
     write_table(columns, path)
@@ -507,21 +505,35 @@ def export(file: Path | str, output: Path | str, topic: str | None = None,
 
 def write_table(columns: dict[str, np.ndarray], path: Path) -> None:
     """Write columns by name to a path; raise LogError unless it is new, and *.parquet or *.csv."""
-    write = _parquet if _new_table(path).suffix == '.parquet' else _csv
+    _check_table(path)
     with whole_file(path, new=True) as part:
-        write(columns, part)
+        if path.suffix == '.parquet':
+            with optional():
+                import pyarrow
+                import pyarrow.parquet
+            pyarrow.parquet.write_table(pyarrow.table({
+                name: pyarrow.array(np.ascontiguousarray(values), from_pandas=True)
+                for name, values in columns.items()}), part)
+            return
+        with open(part, 'w', newline='') as stream:
+            writer = csv.writer(stream)
+            writer.writerow(columns)
+            for first in range(0, len(columns['time_s']), _ROWS):
+                writer.writerows(zip(*(
+                    ['' if value != value else value
+                     for value in values[first:first + _ROWS].tolist()]
+                    for values in columns.values())))
 
 
-def _new_table(path):
+def _check_table(path):
     if path.suffix not in ('.parquet', '.csv'):
         raise LogError(f'{printable(path)} must end with .parquet or .csv')
-    return _new(path)
+    _check_new(path)
 
 
-def _new(path):
+def _check_new(path):
     if path.exists():
         raise LogError(f'{printable(path)} exists: remove it or choose another name')
-    return path
 
 
 def named(topic: str, columns: Iterable[str]) -> list[str]:
@@ -556,32 +568,13 @@ def table(recording: Recording, topic: str | None = None) -> tuple[
     return columns, left
 
 
-def _parquet(columns, path):
-    with optional():
-        import pyarrow
-        import pyarrow.parquet
-    arrays = {name: pyarrow.array(np.ascontiguousarray(values), from_pandas=True)
-              for name, values in columns.items()}
-    with open(path, 'wb') as stream:
-        pyarrow.parquet.write_table(pyarrow.table(arrays), stream)
-
-
-def _csv(columns, path):
-    with open(path, 'w', newline='') as stream:
-        writer = csv.writer(stream)
-        writer.writerow(columns)
-        for first in range(0, len(columns['time_s']), _ROWS):
-            part = [['' if value != value else value for value in
-                     values[first:first + _ROWS].tolist()] for values in columns.values()]
-            writer.writerows(zip(*part))
-
-
 def export_bag(file: Path | str, output: Path | str) -> str:
     """Make a new folder as rosbag2 writes it; return a text that says what was done."""
     folder, log = Path(output), LogFile(file)
     name = f'{folder.name}_0.mcap'  # `ros2 bag reindex` takes no other name
     content = information(log.schemas.values(), log.channels.values(), log.statistics, name)
-    _new(folder).parent.mkdir(parents=True, exist_ok=True)
+    _check_new(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(folder, new=True) as part:
         part.mkdir()
         try:

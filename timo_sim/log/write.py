@@ -53,7 +53,7 @@ if TYPE_CHECKING:  # the import of its module takes longer than `timo_sim info`
 START, RESET, SUMMARY = 'timo_sim', 'timo_sim.reset', 'timo_sim.summary'
 CHANGE = 'timo_sim.change'
 # Versions and hardware that the last bits of a run depend on.
-_ENVIRONMENT = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processor')
+ENVIRONMENT = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processor')
 
 
 def start_note(node: str, values: dict, changed: dict, scene: Scene) -> dict[str, str]:
@@ -79,18 +79,6 @@ def _json(values):
                        for name, value in values.items()})
 
 
-def step_of(note: dict[str, str]) -> int:
-    """Return the step of a reset or change; raise ValueError or KeyError if it has none."""
-    if not note['step'].isdecimal() or len(note['step']) > 18:
-        raise ValueError('it is not a number of steps')
-    return int(note['step'])
-
-
-def values_of(note: dict[str, str]) -> dict[str, Any]:
-    """Return the values of a change by name; raise an error if they cannot be read."""
-    return dict(json.loads(note['values']))
-
-
 def original_names(facts: dict[str, str]) -> dict[str, str]:
     """Return the names of topics before they were remapped, by topic; {} if a log has none."""
     try:
@@ -105,14 +93,9 @@ def other_ground(facts: dict[str, str]) -> str:
                      for name, value in _environment().items() if facts.get(name, value) != value)
 
 
-def made_with(facts: dict[str, str]) -> str:
-    """Return in words the versions and hardware that a log was made with."""
-    return ', '.join(f'{name} {facts[name][:40]}' for name in _ENVIRONMENT if name in facts)
-
-
 def _environment():
     from llvmlite.binding import get_host_cpu_name  # steps are compiled for this processor
-    return dict(zip(_ENVIRONMENT, (
+    return dict(zip(ENVIRONMENT, (
         __version__, platform.python_version(),
         *(version(package) for package in ('numpy', 'scipy', 'numba')),
         platform.machine(), get_host_cpu_name())))
@@ -285,17 +268,6 @@ def yaml_text(value: Any) -> str:
     return yaml.dump(value, Dumper=_Dumper, sort_keys=False)
 
 
-def _qos(depth, reliability):
-    return [{**_QOS, 'depth': depth, 'reliability': reliability}]
-
-
-def channel_metadata(type_hash: str, depth: int = DEPTH,
-                     reliability: str = 'reliable') -> dict[str, str]:
-    """Return the metadata of a channel: the QoS of its topic, and the hash of its type."""
-    return {'offered_qos_profiles': yaml_text(_qos(depth, reliability)),
-            'topic_type_hash': type_hash}
-
-
 def _qos_of(channel):
     """Return the QoS in the metadata of a channel; none of a text that expands or is no YAML."""
     text = channel.metadata.get('offered_qos_profiles', '')
@@ -386,8 +358,11 @@ class Recorder:
         records += [
             ChannelRecord(id=number, topic=channel.topic, message_encoding='cdr',
                           schema_id=types.index(channel.type_name) + 1,
-                          metadata=channel_metadata(TYPE_HASHES[channel.type_name], channel.depth,
-                                                    channel.reliability))
+                          metadata={
+                              'offered_qos_profiles': yaml_text([{
+                                  **_QOS, 'depth': channel.depth,
+                                  'reliability': channel.reliability}]),
+                              'topic_type_hash': TYPE_HASHES[channel.type_name]})
             for number, channel in enumerate(channels, start=1)]
         self.path, self._file = create(Path(path))
         try:

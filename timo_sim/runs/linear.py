@@ -199,7 +199,13 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     load = scene.load_at_start() if scene.values['initial.equilibrium'] else np.zeros(LOADS)
     load[ANGLE] = at[2]
     state = formulation.state(at)
-    _check(formulation, at, state, load)
+    moving, rate = at[half:], np.abs(formulation.rate(state, load))
+    round_off = _STILL * (1.0 + np.abs(formulation.linear) @ np.abs(state))
+    if moving.any() or not (rate <= round_off).all():
+        raise ParameterError(
+            'a scene is linearised about an equilibrium, where nothing moves; got speeds of up to '
+            f'{np.abs(moving).max():.3g} and rates of the state of up to {rate.max():.3g}: set '
+            'initial.equilibrium, or give another motion as `at`')
     free = np.array([*axes, *range(2 + driven, half)], dtype=int)
     free, half = np.concatenate([free, half + free]), len(free)
     length = formulation.manipulator.arm.length
@@ -244,16 +250,6 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     d = np.vstack([d, across @ b[half:]])
     return LinearModel(a, b, c, d, _state_names(axes, driven, len(formulation.modes)),
                        tuple(inputs), (*outputs.names, 'tip_acceleration_m_per_s2'))
-
-
-def _check(formulation, at, state, load):
-    moving, rate = at[len(at) // 2:], np.abs(formulation.rate(state, load))
-    round_off = _STILL * (1.0 + np.abs(formulation.linear) @ np.abs(state))
-    if moving.any() or not (rate <= round_off).all():
-        raise ParameterError(
-            'a scene is linearised about an equilibrium, where nothing moves; got speeds of up to '
-            f'{np.abs(moving).max():.3g} and rates of the state of up to {rate.max():.3g}: set '
-            'initial.equilibrium, or give another motion as `at`')
 
 
 def _jacobian(function, at, steps, columns):

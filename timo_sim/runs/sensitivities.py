@@ -144,31 +144,12 @@ def sensitivities(scene: SceneLike, duration: float,
     return result
 
 
-class _Number(NamedTuple):
-    """A number of the scene as an input."""
+class _Varied(NamedTuple):
+    """A number of the scene or of a command as an input."""
 
     name: str
     scale: float
-    value: float
-
-    def changed(self, scene, commanded, change):
-        """Return the scene and commands with this input changed."""
-        return scene.vary(overrides_of({self.name: self.value + change}, scene)), commanded
-
-
-class _Command(NamedTuple):
-    """A number of a command as an input."""
-
-    name: str
-    scale: float
-    command: str
-    place: tuple
-
-    def changed(self, scene, commanded, change):
-        """Return the scene and commands with this input changed."""
-        values = commanded[self.command].copy()
-        values[self.place] += change
-        return scene, {**commanded, self.command: values}
+    changed: Callable  # (scene, commands, change) -> scene, commands
 
 
 def _checked(commands):
@@ -206,7 +187,8 @@ def _of_scene(scene, parameters):
             if not scale:
                 raise ParameterError(f'{each} is 0: give the size of a change that matters, as '
                                      f'parameters={{{each!r}: size}}')
-            yield _Number(each, scale, value)
+            yield _Varied(each, scale, lambda scene, commands, change, name=each, value=value: (
+                scene.vary(overrides_of({name: value + change}, scene)), commands))
 
 
 def _of_commands(scene, commanded, duration):
@@ -219,7 +201,16 @@ def _of_commands(scene, commanded, duration):
     scales = {each.argument: of_unit[each.unit] for each in INPUTS if each.argument}
     for name, values in commanded.items():
         for place in np.ndindex(values.shape):
-            yield _Command(name + ''.join(f'[{k}]' for k in place), scales[name], name, place)
+            yield _Varied(
+                name + ''.join(f'[{k}]' for k in place), scales[name],
+                lambda scene, commands, change, name=name, place=place: (
+                    scene, {**commands, name: _added(commands[name], place, change)}))
+
+
+def _added(values, place, change):
+    values = values.copy()
+    values[place] += change
+    return values
 
 
 def _outputs(runs, output, steps, edges, sampled):

@@ -311,7 +311,9 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
               leave=False) as bar:
         try:
-            run = run_scene(scene, steps, sample_every // parts, bar.update, _print)
+            run = run_scene(
+                scene, steps, sample_every // parts, bar.update,
+                lambda text: print(f'timo_sim: {text}', file=sys.stderr, flush=True))
         except DivergenceError as error:
             error.run = _thin(error.run, parts)
             raise
@@ -334,7 +336,3 @@ def _parts_of_samples(steps, sample_every):
 def _thin(run, every):
     return replace(run, t=run.t[::every], values=run.values[::every],
                    friction_heat=run.friction_heat[::every])
-
-
-def _print(text):
-    print(f'timo_sim: {text}', file=sys.stderr, flush=True)

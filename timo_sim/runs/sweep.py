@@ -218,7 +218,10 @@ def run_job(job: Job) -> dict[str, np.ndarray]:
         for (kind, _), runs in found.items():
             for row, scene in runs:
                 if (job.first + row) % _MEASURED_EVERY == 0 and not table['reason'][row]:
-                    _measure(table, numbers, row, scene, job.duration)
+                    run = measure_error(run_scene(scene, steps_in(job.duration, scene.step)),
+                                        find_remedy=False)
+                    numbers[row, -1] = run.stats['estimated_tip_error_m']
+                    table['warning'][row] = run.warning or ''
         failed = table['reason'] != ''
         numbers[failed], table['warning'][failed] = np.nan, ''
     return table
@@ -236,13 +239,6 @@ def _fill(table, numbers, kind, runs, duration):
         run = run_scene(scenes[0], steps_in(duration, scenes[0].step))
         table['warning'][rows] = run.warning or ''
         numbers[rows] = _summary(run)
-
-
-def _measure(table, numbers, row, scene, duration):
-    """Measure the error of a run, and fill it in with the warning that it calls for."""
-    run = measure_error(run_scene(scene, steps_in(duration, scene.step)), find_remedy=False)
-    numbers[row, -1] = run.stats['estimated_tip_error_m']
-    table['warning'][row] = run.warning or ''
 
 
 @contextmanager

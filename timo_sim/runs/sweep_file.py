@@ -165,6 +165,7 @@ def _check(entry, values):
             raise ParameterError(f'{name} is a parameter of the node, not of the scene ({entry})')
 
 
+_PART = '{:012d}.parquet'  # of the first run of a job
 _TYPES = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(),
           str: pyarrow.string(), tuple: pyarrow.list_(pyarrow.float64())}
 
@@ -194,7 +195,8 @@ def run_sweep(file: Path | str, output: Path | str | None = None, workers: int |
                         yield job
 
             for job, table in run_jobs(executor, width, missing()):
-                add_part(parts, job, table, schema)
+                with whole_file(parts / _PART.format(job.first)) as path:
+                    parquet.write_table(pyarrow.table(table, schema), path)
                 bar.update(len(job.variations))
         for unfinished in parts.glob('.*'):  # a part that a killed process was writing
             shutil.rmtree(unfinished)
@@ -209,7 +211,12 @@ def run_sweep(file: Path | str, output: Path | str | None = None, workers: int |
 def parts_of(output: Path) -> Iterator[Path]:
     """Yield the folder of the parts of an output, which no other process has meanwhile."""
     parts = output.with_name(output.name + '.parts')
-    _refuse(output)
+
+    def refuse():
+        if output.exists():
+            raise ParameterError(f'{output} exists: remove it or choose another --output')
+
+    refuse()
     parts.mkdir(parents=True, exist_ok=True)
     lock = os.open(parts, os.O_RDONLY)
     try:
@@ -220,38 +227,22 @@ def parts_of(output: Path) -> Iterator[Path]:
                                  'choose another --output') from None
         except OSError:  # a file system without locks
             pass
-        _refuse(output)  # a sweep that has just ended may have made it
+        refuse()  # a sweep that has just ended may have made it
         yield parts
     finally:
         os.close(lock)
 
 
-def _refuse(output):
-    if output.exists():
-        raise ParameterError(f'{output} exists: remove it or choose another --output')
-
-
 def has_part(parts: Path, job: Job, schema: pyarrow.Schema) -> bool:
     """Return whether the part of a job exists; raise ParameterError if it is of another sweep."""
     try:
-        found = parquet.read_schema(_path(parts, job))
+        found = parquet.read_schema(parts / _PART.format(job.first))
     except (OSError, pyarrow.ArrowException):  # missing, or damaged: done again
         return False
     if found.metadata != schema.metadata:
         raise ParameterError(f'{parts} belongs to another sweep: remove it or choose another '
                              '--output')
     return True
-
-
-def add_part(parts: Path, job: Job, table: dict[str, np.ndarray],
-             schema: pyarrow.Schema) -> None:
-    """Write the table of a job."""
-    with whole_file(_path(parts, job)) as path:
-        parquet.write_table(pyarrow.table(table, schema), path)
-
-
-def _path(parts, job):
-    return parts / f'{job.first:012d}.parquet'
 
 
 def schema_of(plan: Plan) -> pyarrow.Schema:

@@ -178,7 +178,25 @@ class Scene:
         >>> further = timo_sim.simulate(scene.at(run, 1.0), 1.0)
 
         """
-        return self.vary(state_of(self, run, t))
+        sample = int(np.argmin(np.abs(run.t - t)))
+        if not abs(run.t[sample] - t) <= 1e-9 * max(1.0, abs(t)):
+            raise ParameterError(f't = {t:g} s must be the time of a sample, the nearest is '
+                                 f'{run.t[sample]:.12g} s')
+        if run.q.shape[1] != self.modal_count:
+            raise ParameterError(f'the run must have {self.modal_count} modal coordinates, as '
+                                 f'many as the scene, got {run.q.shape[1]}')
+        if self.values['motor.shaft'] == 'driven':
+            raise ParameterError('motor.shaft = driven starts at the beginning of motor.drive, '
+                                 'not at the state of a run')
+        changed = [step for step, *_ in run.payloads if step < round(run.t[sample] / run.scene.step)]
+        if changed:
+            raise ParameterError(
+                f't = {t:g} s must not be after a change of the load at the tip, since the modes are '
+                f'those of the first end effector; it changes at {changed[0] * run.scene.step:g} s')
+        position, velocity = run.motion[sample].reshape(2, -1).tolist()
+        return self.vary({**dict(zip(_POSITION, position)), **dict(zip(_VELOCITY, velocity)),
+                'initial.modal_coordinates': position[3:], 'initial.modal_rates': velocity[3:],
+                'initial.equilibrium': False})
 
     def __getstate__(self):
         # The formulation is left out: the other process builds it again.
@@ -271,7 +289,8 @@ def scene_from(values: Mapping[str, Any]) -> Scene:
     step = values['integrator.step']
     for name in DELAYS:
         whole_ratio(name, values[name], 'integrator.step', step)
-    scene = Scene(manipulator_of(values), constraints_of(values), load_of(values), step, values)
+    load = Load(_terms_of(tuple((name, values[name]) for name in _OF_TERMS)), _drive(values))
+    scene = Scene(manipulator_of(values), constraints_of(values), load, step, values)
     check_finite(scene)
     check_slope(scene)
     return scene
@@ -329,18 +348,9 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
         values['end_effector.mass'], values['end_effector.inertia'],
         values['carrier.viscous_friction'],
         values['motor.viscous_friction'] + motor_constants(values)[1],
-        tuple(_smooth_coulomb(values, body) for body in ('carrier', 'motor')))
-
-
-def _smooth_coulomb(values, body):
-    # Coulomb friction without a speed is dry: joints stick, and the bodies do not know it.
-    speed = values[f'{body}.coulomb_speed']
-    return (values[f'{body}.coulomb_friction'], speed) if speed else (0.0, 1.0)
-
-
-def load_of(values: Mapping[str, Any]) -> Load:
-    """Return the Load that the values describe, with the drive of the shaft."""
-    return Load(_terms_of(tuple((name, values[name]) for name in _OF_TERMS)), _drive(values))
+        # Coulomb friction without a speed is dry: joints stick, and the bodies do not know it.
+        tuple((values[f'{body}.coulomb_friction'], speed) if speed else (0.0, 1.0)
+              for body in ('carrier', 'motor') for speed in [values[f'{body}.coulomb_speed']]))
 
 
 @lru_cache(maxsize=4)
@@ -613,29 +623,6 @@ def initial_motion(scene: Scene, model: Formulation) -> np.ndarray:
         return equilibrium(model, motion, scene.load_at_start())
     except ValueError as error:
         raise ParameterError(f'initial.equilibrium = true: {error}') from None
-
-
-def state_of(scene: Scene, run: Any, t: float) -> dict[str, Any]:
-    """Return the parameters of a scene that begins with the state of a run, see `Scene.at`."""
-    sample = int(np.argmin(np.abs(run.t - t)))
-    if not abs(run.t[sample] - t) <= 1e-9 * max(1.0, abs(t)):
-        raise ParameterError(f't = {t:g} s must be the time of a sample, the nearest is '
-                             f'{run.t[sample]:.12g} s')
-    if run.q.shape[1] != scene.modal_count:
-        raise ParameterError(f'the run must have {scene.modal_count} modal coordinates, as '
-                             f'many as the scene, got {run.q.shape[1]}')
-    if scene.values['motor.shaft'] == 'driven':
-        raise ParameterError('motor.shaft = driven starts at the beginning of motor.drive, '
-                             'not at the state of a run')
-    changed = [step for step, *_ in run.payloads if step < round(run.t[sample] / run.scene.step)]
-    if changed:
-        raise ParameterError(
-            f't = {t:g} s must not be after a change of the load at the tip, since the modes are '
-            f'those of the first end effector; it changes at {changed[0] * run.scene.step:g} s')
-    position, velocity = run.motion[sample].reshape(2, -1).tolist()
-    return {**dict(zip(_POSITION, position)), **dict(zip(_VELOCITY, velocity)),
-            'initial.modal_coordinates': position[3:], 'initial.modal_rates': velocity[3:],
-            'initial.equilibrium': False}
 
 
 INITIAL = 'initial'  # stands for the whole initial state

@@ -194,12 +194,7 @@ class Entities:
         self._stream, self._name, self._run, self._runs = stream, track.name, run, runs
         self._body, self._path = track.body, f'{_PLANE}/{track.name}'
         self._trail: np.ndarray | None = None
-        self._log_styles()
-        if track.floor is not None:
-            self._log_floor(track.floor, bounds)
-
-    def _log_styles(self):
-        body, points = self._body, rr.Radius.ui_points
+        body, points = track.body, rr.Radius.ui_points
         own, line = self._colour(), 0.5 * body.thickness
         grey, tip = (_TICKS, _COLOURS[5]) if self._runs == 1 else (own, own)
         styles: list[tuple] = [
@@ -214,14 +209,13 @@ class Entities:
         for order, (name, kind, colors, radii, more) in enumerate(styles):
             self._stream.log(f'{self._path}/{name}', kind.from_fields(
                 colors=colors, radii=radii, draw_order=float(order), **more), static=True)
-
-    def _log_floor(self, floor, bounds):
-        self._stream.log(f'{self._path}/floor', rr.LineStrips2D(
-            [floor.line(bounds)], colors=_TICKS, radii=rr.Radius.ui_points(1.0),
-            draw_order=-5.0), static=True)
-        self._stream.log(f'{self._path}/gravity', rr.Arrows2D(
-            origins=floor.arrow[:1], vectors=np.diff(floor.arrow, axis=0), colors=_TICKS,
-            radii=rr.Radius.ui_points(1.5), draw_order=-5.0), static=True)
+        if (floor := track.floor) is not None:
+            stream.log(f'{self._path}/floor', rr.LineStrips2D(
+                [floor.line(bounds)], colors=_TICKS, radii=points(1.0), draw_order=-5.0),
+                static=True)
+            stream.log(f'{self._path}/gravity', rr.Arrows2D(
+                origins=floor.arrow[:1], vectors=np.diff(floor.arrow, axis=0), colors=_TICKS,
+                radii=points(1.5), draw_order=-5.0), static=True)
 
     def _colour(self, curve=0):
         """Return the RGB colour of a curve: a shade for its run if there are several."""
@@ -278,7 +272,10 @@ def _log_plane(stream, bounds):
     # Rerun's plane has y downward: the plane is mirrored, its content is not.
     stream.log(_PLANE, rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
     low, high = bounds
-    spacing, low = _spacing(np.max(high - low)), low + 0.05 * np.max(high - low)
+    extent = np.max(high - low)
+    decade = 10.0**np.floor(np.log10(extent / 3.0))
+    spacing = decade * max(n for n in (1, 2, 5) if n * decade <= extent / 3.0)
+    low = low + 0.05 * extent
     lines, labels, places = [], [], []
     for axis, name in enumerate('xy'):
         for k in range(int(np.ceil(low[axis] / spacing)), int(high[axis] / spacing) + 1):
@@ -291,11 +288,6 @@ def _log_plane(stream, bounds):
         lines, colors=_GRID, radii=rr.Radius.ui_points(0.5), draw_order=-10.0), static=True)
     stream.log(f'{_PLANE}/grid/ticks', rr.Points2D(
         places, labels=labels, show_labels=True, colors=_TICKS, radii=0.0), static=True)
-
-
-def _spacing(extent):
-    decade = 10.0**np.floor(np.log10(extent / 3.0))
-    return decade * max(n for n in (1, 2, 5) if n * decade <= extent / 3.0)
 
 
 def _time(ns):
@@ -522,7 +514,11 @@ def _until(condition, process):
     deadline = time.monotonic() + _LOADING
     while time.monotonic() < deadline:
         if process.poll() is not None:
-            raise ViewerError(_reason(process.stderr.read()))
+            text = process.stderr.read()
+            raise ViewerError(
+                'pictures need a driver for graphics: apt-get install mesa-vulkan-drivers '
+                'libvulkan1' if 'adapter' in text or 'render context' in text else
+                'the viewer of rerun ended: ' + ' '.join(text.split())[-300:])
         try:
             found = condition()
         except (RuntimeError, OSError):
@@ -531,13 +527,6 @@ def _until(condition, process):
             return found
         time.sleep(0.05)
     raise ViewerError(f'the viewer of rerun did not answer within {_LOADING:g} s')
-
-
-def _reason(text):
-    if 'adapter' in text or 'render context' in text:
-        return ('pictures need a driver for graphics: apt-get install mesa-vulkan-drivers '
-                'libvulkan1')
-    return 'the viewer of rerun ended: ' + ' '.join(text.split())[-300:]
 
 
 class Stream:
