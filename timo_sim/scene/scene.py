@@ -150,33 +150,15 @@ class Scene:
 
     def at(self, run: Any, t: float) -> Scene:
         """
-        Return the scene with the state of a run as its initial state.
+        Return the scene that begins with the state of a run of the same bodies at a sample, t [s].
 
-        The scene's own loads start again from t = 0.
+        The scene's own loads start again from t = 0. Raises ParameterError if the run has no
+        sample then or other modes, or the scene has a driven shaft.
 
-        Parameters
-        ----------
-        run : Run
-            A run of the same bodies with as many modes.
-        t : float
-            Sim time of one of its samples [s].
-
-        Returns
-        -------
-        Scene
-
-        Raises
-        ------
-        ParameterError
-            If the run has no sample at t or other modes, or the scene has a driven shaft.
-
-        Examples
-        --------
         >>> import timo_sim
         >>> scene = timo_sim.load_scene('paper')
         >>> run = timo_sim.simulate(scene, 1.0)
         >>> further = timo_sim.simulate(scene.at(run, 1.0), 1.0)
-
         """
         sample = int(np.argmin(np.abs(run.t - t)))
         if not abs(run.t[sample] - t) <= 1e-9 * max(1.0, abs(t)):
@@ -188,15 +170,18 @@ class Scene:
         if self.values['motor.shaft'] == 'driven':
             raise ParameterError('motor.shaft = driven starts at the beginning of motor.drive, '
                                  'not at the state of a run')
-        changed = [step for step, *_ in run.payloads if step < round(run.t[sample] / run.scene.step)]
+        before = round(run.t[sample] / run.scene.step)
+        changed = [step for step, *_ in run.payloads if step < before]
         if changed:
             raise ParameterError(
-                f't = {t:g} s must not be after a change of the load at the tip, since the modes are '
-                f'those of the first end effector; it changes at {changed[0] * run.scene.step:g} s')
+                f't = {t:g} s must not be after a change of the load at the tip, since the modes '
+                'are those of the first end effector; it changes at '
+                f'{changed[0] * run.scene.step:g} s')
         position, velocity = run.motion[sample].reshape(2, -1).tolist()
-        return self.vary({**dict(zip(_POSITION, position)), **dict(zip(_VELOCITY, velocity)),
-                'initial.modal_coordinates': position[3:], 'initial.modal_rates': velocity[3:],
-                'initial.equilibrium': False})
+        return self.vary({
+            **dict(zip(_POSITION, position)), **dict(zip(_VELOCITY, velocity)),
+            'initial.modal_coordinates': position[3:], 'initial.modal_rates': velocity[3:],
+            'initial.equilibrium': False})
 
     def __getstate__(self):
         # The formulation is left out: the other process builds it again.
