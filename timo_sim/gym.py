@@ -68,10 +68,9 @@ class ReachVectorEnv(VectorEnv):
         Its loads act as well, from the beginning of each episode.
     variations : sequence of dict, optional
         Overrides of the scene in each environment, such as another mass at the tip.
-    period : float
-        Time from one action to the next, a whole multiple of the time step [s].
-    duration : float
-        Of an episode, a whole multiple of the period [s].
+    period, duration : float
+        Time from one action to the next, a whole multiple of the time step, and of an episode, a
+        whole multiple of the period [s].
     farthest_goal : float
         Largest angle from the initial direction of the shaft to a goal; uniformly random [rad].
     force : float
@@ -94,10 +93,8 @@ class ReachVectorEnv(VectorEnv):
     >>> from timo_sim.gym import ReachVectorEnv
     >>> envs = ReachVectorEnv(num_envs=8)
     >>> observations, infos = envs.reset(seed=1)
-    >>> observations, rewards, terminations, truncations, infos = envs.step(
-    ...     envs.action_space.sample())
-    >>> observations.shape, rewards.shape
-    ((8, 4), (8,))
+    >>> envs.step(envs.action_space.sample())[0].shape
+    (8, 4)
 
     """
 

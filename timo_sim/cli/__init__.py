@@ -82,6 +82,17 @@ class _Command(click.Command):
         sys.exit(code)
 
 
+class _InputOption(click.Option):
+    """An option whose help, when it is shown, lists the inputs of linear models."""
+
+    def get_help_record(self, context):
+        """Return the option and its help."""
+        from timo_sim.model.layout import INPUTS
+        names = ', '.join(each.column for each in INPUTS if each.prescribed)
+        self.help = f'Input of the model: {names}.'
+        return super().get_help_record(context)
+
+
 @click.group()
 @click.version_option(__version__, prog_name='timo_sim')
 def main() -> None:
@@ -98,7 +109,7 @@ _node = click.option('--node', metavar='NAME', help='Full name of the node, if a
 @click.argument('scene')
 @_settings
 @click.option('--input', 'cause', default='torque_N_m', show_default=True, metavar='NAME',
-              help='Input of the model, such as tip_force_x_N; an error lists all of them.')
+              cls=_InputOption)
 @click.option('--response', 'effects', multiple=True, metavar='NAME', show_default=True,
               default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
               help='Output of the model, such as tip_acceleration_m_per_s2; once for each curve.')

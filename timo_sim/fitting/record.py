@@ -201,21 +201,10 @@ class Record:
         """
         Return a checked Record of arrays.
 
-        Parameters
-        ----------
-        inputs, outputs : dict
-            By quantity its times and values, two arrays of shape (n,), or a Channel. Samples
-            that are not finite are left out.
-        noise : dict, optional
-            Standard deviations of the noise of sensors, by quantity; by default fitted, too.
-        source : str
-            For messages.
-
-        Raises
-        ------
-        ParameterError
-            If a quantity is unknown, has too few samples, or times do not ascend.
-
+        `inputs` and `outputs` have by quantity its times and values, two arrays of shape (n,), or
+        a Channel; samples that are not finite are left out. `noise` has standard deviations of
+        sensors, by quantity; by default they are fitted, too. `source` is for messages. Raises
+        ParameterError if a quantity is unknown, has too few samples, or times do not ascend.
         """
         ins: dict[str, Channel] = {}
         outs: dict[str, Channel] = {}
@@ -628,12 +617,8 @@ def read_record(path: str | Path,
 
     Raises
     ------
-    ParameterError
-        If something in table or mapping is not understood; the text says what.
-    LogError
-        If the file is not a log.
-    OSError
-        If a file cannot be read.
+    ParameterError, LogError, OSError
+        If something in table or mapping is not understood; the file is no log; it cannot be read.
 
     Examples
     --------

@@ -250,7 +250,6 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
         Its values of the free parameters are first guesses. None: the scene of a log of the node.
     record : Record, str or Path
         A Record; a log or bag of the node; or a table: CSV or other text, Parquet, MAT.
-        A text whose name ends otherwise needs a mapping.
     free : sequence of str
         Names of parameters of the scene that are numbers, with [k] for an element of a list;
         QUANTITY.gain, .bias or .delay of an input or output of the record, such as shaft.bias, and
@@ -267,10 +266,6 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
         `linear`, or `soft_l1`, `huber` or `cauchy`, with which outliers weigh less.
     mapping : str, Path or dict, optional
         Which column of a table is which quantity, see doc/fit.md.
-
-    Returns
-    -------
-    Fit
 
     Raises
     ------

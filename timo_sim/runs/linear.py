@@ -160,7 +160,12 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     """
     Return the linear model of a scene about a state of rest, without its dry friction.
 
-    Friction that builds up over a speed is viscous about rest: its limit over that speed.
+    Friction that builds up over a speed is viscous about rest: its limit over that speed. States
+    are free coordinates, then their rates. Inputs are forces on carrier and tip in world axes,
+    torques on shaft and tip; without those that have no effect. Outputs are carrier and shaft, tip
+    in world axes, deflection and rotation of the tip, strain at the root, rates of carrier and
+    shaft, acceleration of the tip across the arm, which is that also in gravity, while the sensor
+    of that name measures specific force.
 
     Parameters
     ----------
@@ -169,15 +174,6 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
         A motion, see `model.layout`; by default the scene's initial one. A shaft that is
         driven or locked stays where it is. The scene's loads of t = 0 act with
         `initial.equilibrium`, otherwise none.
-
-    Returns
-    -------
-    LinearModel
-        States: free coordinates, then their rates. Inputs: forces on carrier and tip in world
-        axes, torques on shaft and tip; without those that have no effect. Outputs: carrier and
-        shaft, tip in world axes, deflection and rotation of the tip, strain at the root, rates of
-        carrier and shaft, acceleration of the tip across the arm. It is the acceleration also in
-        gravity, while the sensor of that name measures specific force.
 
     Raises
     ------

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import math
 from pathlib import Path
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -45,16 +45,8 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
     """
     Open a log of the node, or of `Run.save`, as a run.
 
-    Parameters
-    ----------
-    path : str or Path
-    node : str, optional
-        Fully qualified name of the node; needed if the file has several.
-
-    Returns
-    -------
-    Run
-        Its samples are the messages of joint_states; `run.recording.topics` has all topics.
+    Its samples are the messages of joint_states; `run.recording.topics` has all topics. `node` is
+    the fully qualified name of the node, needed if the file has several.
 
     Raises
     ------
@@ -151,7 +143,7 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
         if not same and (scene.values['model.formulation']
                          != recording.scene.values['model.formulation']):
             # Formulations have different modes, so that modal coordinates cannot be compared.
-            found = [row for row in found if not row.name.startswith('modal_state')]
+            found = [row for row in found if not row[0].startswith('modal_state')]
         _show_table(show, found)
     ground = other_ground(recording.facts)
     if ground:
@@ -231,7 +223,8 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
             raise LogError(f'{recording.title} is in another order than it was logged in: '
                            f'whether {topic[:80]} at the step of a reset was before or after it '
                            'is not known')
-    shift = _shift(recording, [series for _, series in commands], motions, start)
+    shift = 0 if recording.facts or motions else round(1e9 * _START.check(start)) - min(
+        int(series.ns[0]) for _, series in commands if len(series.ns))  # of stamps [ns]
 
     def steps(series, must_fit):
         if recording.facts:
@@ -317,14 +310,6 @@ def _delays_in_steps(known, scene, step):
     """Return how many whole steps the messages of each topic come after their measurement."""
     return {name: math.floor(scene.values[output.delay] / step + 1e-6) if output.delay else 0
             for name, output in known.items()}
-
-
-def _shift(recording, commands, motions, start):
-    """Return the difference of sim time from the stamps of a bag [ns]."""
-    if recording.facts or motions:
-        return 0
-    return round(1e9 * _START.check(start)) - min(
-        int(series.ns[0]) for series in commands if len(series.ns))
 
 
 def _to_steps(exact, must_fit, step, topic):
@@ -425,17 +410,12 @@ class Replay:
             report(following - step)
 
 
-class _Difference(NamedTuple):
-    """The difference of a replayed quantity from the logged one."""
-
-    name: str       # topic and column
-    largest: float  # in the unit that the column names
-    rms: float
-    time: float     # when it is largest [s]
-
-
 def _compare(segments, scene, topics):
-    """Return how many numbers were compared, how many of them differ, and by how much."""
+    """
+    Return how many numbers were compared, how many of them differ, and by how much.
+
+    For each column that is: its name, largest and rms difference, time of the largest [s].
+    """
     count, differing, result = 0, 0, []
     for output in outputs(scene.modal_count):
         topic = output.name
@@ -450,9 +430,15 @@ def _compare(segments, scene, topics):
         differing += (int(np.count_nonzero(logged.view('i8') != replayed.view('i8')))
                       if logged.shape == replayed.shape else logged.size)
         if len(time):
-            result += _differences(topic, scene.step * time,
-                                   with_angles(topics[topic].columns, logged),
-                                   with_angles(output.columns, replayed))
+            (names, logged), (others, replayed) = (
+                with_angles(topics[topic].columns, logged), with_angles(output.columns, replayed))
+            for column in [name for name in names if name in others]:
+                distance = np.abs(replayed[:, others.index(column)]
+                                  - logged[:, names.index(column)])
+                place = int(np.argmax(distance))
+                result.append((f'{title(topic)} {column}', float(distance[place]),
+                               float(np.sqrt(np.mean(distance**2))),
+                               float(scene.step * time[place])))
     return count, differing, result
 
 
@@ -467,15 +453,6 @@ def _count_logged(segments, scene, recording):
                             recording.scene, recording.scene.step)
     return sum(found.values[found.step + late[name] <= end].size
                for name, (_, found) in series.items())
-
-
-def _differences(topic, time, logged, replayed):
-    for column in [name for name in logged[0] if name in replayed[0]]:
-        before, now = (values[:, columns.index(column)] for columns, values in (logged, replayed))
-        distance = np.abs(now - before)
-        place = int(np.argmax(distance))
-        yield _Difference(f'{title(topic)} {column}', float(distance[place]),
-                          float(np.sqrt(np.mean(distance**2))), float(time[place]))
 
 
 def _report(show, recording, segments, again, seconds):
@@ -493,10 +470,10 @@ def _report(show, recording, segments, again, seconds):
 
 
 def _show_table(show, found):
-    different = [row for row in found if row.largest or row.largest != row.largest]
-    width = max([len(row.name) for row in different], default=10)
+    different = [row for row in found if row[1] or row[1] != row[1]]
+    width = max([len(name) for name, *_ in different], default=10)
     show(f'{"difference":<{width}}  {"largest":>9}  {"at":>10}  {"rms":>9}')
-    for row in different:
-        show(f'{row.name:<{width}}  {row.largest:9.2e}  {row.time:8.4g} s  {row.rms:9.2e}')
+    for name, largest, rms, at in different:
+        show(f'{name:<{width}}  {largest:9.2e}  {at:8.4g} s  {rms:9.2e}')
     if len(different) < len(found):
         show(f'{len(found) - len(different)} other quantities are the same')

@@ -89,12 +89,7 @@ def sensitivities(scene: SceneLike, duration: float,
         By name of a parameter of `Batch.step`, such as `torque`: values that act one after
         another, each as long, shape (k,), or (k, 2) for forces. Each number is an input.
     samples : int
-        Number of times at which the output is taken, as far apart from each other, the last at
-        the end.
-
-    Returns
-    -------
-    Sensitivities
+        Number of times at which the output is taken, evenly spaced, the last at the end.
 
     Raises
     ------

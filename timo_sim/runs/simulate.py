@@ -136,20 +136,14 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
     ----------
     scene : Scene, or what `load_scene` takes
     duration : float
-        Sim time of the run, which is compared to its end, but for 200 000 steps at most; 0: 10 s
-        are compared [s].
+        Sim time of the run, of which 200 000 steps at most are compared; 0: 10 s [s].
     fits : function(float) -> bool
         Returns whether a step [s] suits the caller.
-
-    Returns
-    -------
-    Resolution
 
     Raises
     ------
     ParameterError
-        If the scene states no error, is at rest, or no choice is accurate enough; the text says
-        why.
+        If the scene states no error, is at rest, or no choice is accurate enough.
 
     Examples
     --------
@@ -260,8 +254,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     """
     Simulate a scene under its own loads.
 
-    On a terminal, a progress bar appears when the run takes more than a second. The error of the
-    tip is measured by a finer run, which takes some twenty times as long, see `Run.stats`.
+    On a terminal, a progress bar appears when the run takes more than a second.
 
     Parameters
     ----------
@@ -272,11 +265,8 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     sample_every : int
         Steps between samples; divides the number of steps.
     estimate : bool
-        Whether the error is measured.
-
-    Returns
-    -------
-    Run
+        Whether the error of the tip is measured by a finer run, see `Run.stats`, which takes some
+        twenty times as long.
 
     Raises
     ------

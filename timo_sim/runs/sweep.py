@@ -82,9 +82,8 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     together, as lanes of a vector (see `Batch`), several times faster. Their numbers are those of
     `simulate` for that variation to about 1e-11; those of other runs, and of a shorter sweep, to
     the last bit, on the same kind of processor and with one BLAS thread. No bit of a row depends
-    on the other runs or on the number of workers. The error of the first of each 256 runs is
-    measured by a finer run. A run that fails has a row with a reason. The first run with a new
-    number of modes compiles for some seconds; the machine code is kept.
+    on the other runs or on the number of workers. The error of the first of each 4096 runs is
+    measured by a finer run. The first run with a new number of modes compiles for some seconds.
 
     Parameters
     ----------
@@ -96,17 +95,15 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     workers : int, optional
         Number of processes; by default the number of cores that this process may use.
     scheduler : str, optional
-        Address of a Dask scheduler, to use its workers instead of processes of this machine.
+        Address of a Dask scheduler, such as `tcp://host:8786`, whose workers are used instead.
 
     Returns
     -------
     dict of ndarray, shape (n,)
-        Columns by name, one row for each run: `run`, its number from 0; each varied parameter
-        (NaN or None for a value that breaks its rule); `peak_deflection`, `peak_time`,
-        `rms_deflection`, `final_deflection`, `peak_rotation`, `final_carrier_x`,
-        `final_carrier_y`, `final_shaft`, `tip_error`, see `timo_sim.runs.sweep.SUMMARY` (NaN for
-        a run that failed); `warning`, as `Run.warning`, or ''; `reason`, why the run failed, or
-        ''.
+        Columns by name, one row for each run: `run`, its number from 0; each varied parameter (NaN
+        or None for a value that breaks its rule); the numbers of `timo_sim.runs.sweep.SUMMARY`
+        (NaN for a run that failed), such as `peak_deflection`; `warning`, as `Run.warning`, or '';
+        `reason`, why the run failed, or ''.
 
     Raises
     ------

@@ -16,7 +16,7 @@ the boundary of two steps, each step sees its own side; a jump inside a step is 
 has a kink inside a step, the step sees the parabola with the same moments, see below.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import functools
 from functools import cache
@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.model.bodies import Constraints
 from timo_sim.model.layout import (
     ACCELERATION, AFTER, ANGLE, INPUTS, LOADS, STAGES, STEP_LOADS)
 from timo_sim.scene.parameters import ParameterError
@@ -324,14 +323,6 @@ class Load:
 # A step is stable up to 2.785 over the rate at which friction brakes joints, as is measured for 0
 # to 5 modes; the mobility of joints may grow a little in a run.
 _STABLE = 2.5
-
-
-def largest(values: Mapping[str, Any], constraints: Constraints) -> np.ndarray:
-    """Return the largest dry friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,)."""
-    axis, shaft = (0.0 if values[f'{body}.coulomb_speed'] else values[f'{body}.coulomb_friction']
-                   for body in ('carrier', 'motor'))
-    held = [position is not None for position in constraints.carrier]
-    return np.where([*held, constraints.driven], 0.0, [axis, axis, shaft])
 
 
 def check_slope(scene: Any) -> None:

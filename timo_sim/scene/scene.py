@@ -29,7 +29,7 @@ from timo_sim.model.layout import INPUTS, START
 from timo_sim.model.statics import equilibrium
 from timo_sim.scene.files import flatten, html_table, read_parameter_file
 from timo_sim.scene.loads import (
-    CHANNELS, check_slope, Drive, Harmonic, largest, Load, Piecewise, Table)
+    CHANNELS, check_slope, Drive, Harmonic, Load, Piecewise, Table)
 from timo_sim.scene.parameters import (
     changed, check, DELAYS, did_you_mean, Parameter, ParameterError, PARAMETERS, SCENE, short,
     warn, whole_ratio)
@@ -134,7 +134,10 @@ class Scene:
     @property
     def friction(self) -> np.ndarray:
         """Largest dry friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,)."""
-        return largest(self.values, self.constraints)
+        axis, shaft = (0.0 if self.values[f'{body}.coulomb_speed'] else
+                       self.values[f'{body}.coulomb_friction'] for body in ('carrier', 'motor'))
+        held = [position is not None for position in self.constraints.carrier]
+        return np.where([*held, self.constraints.driven], 0.0, [axis, axis, shaft])
 
     def vary(self, overrides: Mapping[str, Any]) -> Scene:
         """
@@ -224,16 +227,10 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
     overrides : dict, optional
         Values by name that replace those of the source.
 
-    Returns
-    -------
-    Scene
-
     Raises
     ------
-    ParameterError
-        If a name is unknown or a value breaks its rule; the text says which.
-    OSError
-        If the file cannot be read.
+    ParameterError, OSError
+        If a name is unknown or a value breaks its rule; if the file cannot be read.
 
     Warns
     -----
@@ -286,21 +283,16 @@ def project_on_modes(scene: Scene, deflection: Callable[[np.ndarray], Any],
     """
     Project a deflection field, or a velocity field, on the modes of a scene.
 
-    The result is exact to first order in the field. It is a value for the parameters
-    `initial.modal_coordinates` or `initial.modal_rates`.
+    The result, a tuple of N modal coordinates [m sqrt(kg)] or rates [m sqrt(kg)/s], is exact to
+    first order in the field, and is a value for the parameters `initial.modal_coordinates` or
+    `initial.modal_rates`. Source: paper eqs. (21), (23).
 
     Parameters
     ----------
     scene : Scene
-    deflection : function(ndarray) -> array_like
-        Deflection w(xi) in the arm frame [m], or its rate [m/s], for xi of shape (p,) [m].
-    rotation : function(ndarray) -> array_like
-        Rotation phi(xi) [rad], or its rate [rad/s].
-
-    Returns
-    -------
-    tuple of float, length N
-        Modal coordinates [m sqrt(kg)] or rates [m sqrt(kg)/s]. Source: paper eqs. (21), (23).
+    deflection, rotation : function(ndarray) -> array_like
+        Deflection w(xi) in the arm frame [m] and rotation phi(xi) [rad], or their rates, for xi of
+        shape (p,) [m].
 
     Examples
     --------

@@ -44,10 +44,9 @@ class Sensor(NamedTuple):
     of_motion : function(Formulation, ndarray (n, 2 (3 + N))) -> ndarray (n,), or None
         In place of `read`, for a sensor of one axis that the motion alone determines. Such a
         sensor is also a quantity of fits and an output of linear models.
-    quantity : str
-        Of fits, which its last axis shows; by default its own name with `of_motion`, else none.
-    joint : str
-        Name in a `JointState`; by default that of the sensor.
+    quantity, joint : str
+        Of fits, which its last axis shows, by default its own name with `of_motion`, else none;
+        name in a `JointState`, by default its own.
 
     """
 
@@ -139,10 +138,8 @@ class Output(NamedTuple):
 
     Attributes
     ----------
-    name : str
-        As in rclpy: '~/encoder' is below the node's own name, '/clock' is not.
-    type_name : str
-        Of its messages.
+    name, type_name : str
+        As in rclpy: '~/encoder' is below the node's own name, '/clock' is not; of its messages.
     numbers : function(simulation.snapshot.Snapshot) -> tuple of float
         Returns the numbers of a message, in the order of `columns`.
     template : dict
