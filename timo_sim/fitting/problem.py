@@ -139,8 +139,7 @@ def initial_states(problem: Problem, values: Mapping[str, float]) -> list[list[F
     """
     Return the Free parameters of the initial state of each window.
 
-    Their first values are the motion of one run of the whole record; those of the shaft are
-    measured ones, if the record has its angle.
+    They begin with the motion of one run of the whole record, or the measured angle of the shaft.
     """
     try:
         run = problem.run(values, 0.0, problem.until)
@@ -235,10 +234,9 @@ class Driven(Term):
 def loads_of(record: Record, scene: Scene, sensors: Callable[[str, str], float],
              shift: float = 0.0) -> Load:
     """
-    Return the Load of a scene under its own loads and the inputs of a record.
+    Return the Load of a scene and of a record's inputs, with `sensors(quantity, kind)`.
 
-    `sensors` returns the gain, bias or delay of a quantity, by its name. `shift` is the time in
-    the record at which the scene's begins [s].
+    `shift` is the time in the record at which the scene's begins [s].
     """
     terms: dict[str, list[Term]] = {name: [*own] for name, own in scene.load.terms.items()}
     drive: Any = scene.load.drive
@@ -422,11 +420,7 @@ class Problem:
 
     def residuals(self, values: Mapping[str, float], deviations: Mapping[str, float],
                   window: Window, initial: Mapping[str, float] | None = None) -> np.ndarray:
-        """
-        Return the residuals of a window, in standard deviations, one output after another.
-
-        Those of a run that diverges are all large.
-        """
+        """Return the residuals of a window in standard deviations; large if it diverges."""
         measured = self.measurements(window)
         try:
             run = self.run(values, window.begin, window.end, initial)

@@ -329,12 +329,7 @@ class Table:
         return [name for names, _ in self._columns for name in names]
 
     def column(self, key: str | int) -> np.ndarray:
-        """
-        Return the values of a column, shape (n,), as they are in the file.
-
-        `key` is a name, a number from 0, or NAME:NUMBER for a column of a matrix, or for a row if
-        it has more columns than rows.
-        """
+        """Return the column, (n,), of a name, a number from 0, or NAME:NUMBER in a matrix."""
         places = [k for k, (names, _) in enumerate(self._columns) if str(key) in names]
         if not places and type(key) is int and 0 <= key < len(self._columns):
             places = [key]

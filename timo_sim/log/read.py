@@ -266,11 +266,7 @@ class LogFile:
 
     def blocks(self, most: int | None = None) -> Iterator[
             tuple[int, np.ndarray, dict[int, np.ndarray]]]:
-        """
-        Yield blocks of messages in the order of the file, at most `most` of them, evenly spread.
-
-        Each is its place in the file, its bytes, and by channel the offsets of message records.
-        """
+        """Yield place, bytes, and message offsets by channel of at most `most` blocks, spread."""
         # A record of a message index has 15 bytes, and 16 more for each message.
         indexed = sum((chunk.message_index_length - 15 * len(chunk.message_index_offsets)) // 16
                       for chunk in self.chunks)
@@ -340,12 +336,10 @@ class LogFile:
 
 class _Reader:
     """
-    Reads a log, behind its magic, record by record until it breaks, without damaged records.
+    Reads a log, behind its magic, record by record until it breaks; damaged records are left out.
 
-    `count` messages are from `earliest` to `latest` [ns]; `damage` is the first damage and its
-    place, None after the last record of a complete file; `faults` counts damages, `lost` bytes
-    that could not be read; `left_out` counts attachments and private records, which are not
-    copied.
+    `damage` is the first damage and its place, None for a complete file; `lost` are bytes that
+    could not be read, `left_out` attachments and private records, which are not copied.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -357,11 +351,7 @@ class _Reader:
         self.left_out: Counter = Counter()
 
     def records(self) -> Iterator[Schema | Channel | Metadata | Chunk]:
-        """
-        Yield Schemas, Channels, Metadata (not rosbag2's) and Chunks of messages, in their order.
-
-        Each schema and channel comes once, before records that refer to it.
-        """
+        """Yield each Schema and Channel once, Metadata (not rosbag2's) and Chunks of messages."""
         chunk = Chunk()
         known: set[tuple[type, int]] = {(Schema, 0)}
         for record in self._intact():

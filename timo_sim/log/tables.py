@@ -185,12 +185,7 @@ class Recording:
         return self.read()
 
     def read(self, *names: str, most_chunks: int | None = None) -> dict[str, Series]:
-        """
-        Return some series, by default all, by short name, read in one pass.
-
-        Those that the file does not have are left out. At most `most_chunks` chunks are read,
-        spread over the file.
-        """
+        """Return series by short name, by default all; read at most `most_chunks` chunks."""
         found = {number: about for number, about in self._wanted.items()
                  if not names or about[0] in names}
         twice = Counter((part, about[0]) for (part, _), about in found.items()).most_common(1)
@@ -262,8 +257,8 @@ class Recording:
         """
         Return how many resets were before messages of these steps, at these places in the file.
 
-        At the step of a reset the place decides; -1 is returned if places contradict steps, as in
-        a file that another tool has written again.
+        It is -1 if places, which decide at the step of a reset, contradict steps: the file was
+        rewritten.
         """
         first, last = (np.searchsorted(self.resets, step, side) for side in ('left', 'right'))
         found = np.searchsorted(np.sort(self.reset_places), place)

@@ -137,12 +137,7 @@ def printable(path: Path | str) -> str:
 
 
 class Chunk:
-    """
-    Messages that are compressed together: their bytes, `data`.
-
-    `index` has for each channel a flat list of times [ns] and positions of its messages,
-    alternating.
-    """
+    """Messages to be compressed together; by channel flat lists of times [ns] and positions."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -381,12 +376,7 @@ class Recorder:
         self._thread.start()
 
     def write(self, index: int, step: int, stamp: int, data: bytes) -> None:
-        """
-        Log a message, CDR, of the channel with this index.
-
-        The time step becomes its sequence number; the stamp, sim time [ns], becomes its log and
-        publish time.
-        """
+        """Log a message, CDR, of a channel at a step and its stamp, sim time [ns]."""
         if self.error is not None:
             return
         with self._lock:
@@ -470,12 +460,7 @@ class Recorder:
 
 
 class NewLog(Recorder):
-    """
-    A log of a run made without a node: the same topics and bytes as the node writes.
-
-    `values` are parameters of the node, the scene's among them; `node` is its fully qualified
-    name, `notes` are further metadata for the start of the run.
-    """
+    """A log of a run without a node: the same topics, and the bytes that the node writes."""
 
     def __init__(self, path: Path | str, scene: Scene, values: dict[str, Any],
                  node: str = '/timo_sim', **notes: str) -> None:

@@ -302,10 +302,9 @@ class _Outputs:
 
     def residual(self, at):
         """
-        Return the static response of what the modes leave out, per load, (outputs, LOADS).
+        Return the static response, (outputs, LOADS), of what modes leave out of the tip.
 
-        It is that of the straight arm in axes of the tip, see doc/theory.md, section 2; other
-        outputs than the tip's and other loads than those on the tip have none.
+        It is that of the straight arm in axes of the tip, see doc/theory.md, section 2.
         """
         body, modes = self._formulation.manipulator, self._formulation.modes
         found = np.zeros((len(self.names), LOADS))

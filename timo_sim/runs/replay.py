@@ -340,11 +340,7 @@ def _last_step(commanding, published, motions, shift, scene, duration):
 
 
 class Replay:
-    """
-    Runs segments in a scene and fills in `replayed` and `done` of each; logs all to a NewLog.
-
-    `diverged` says why the replay ended early, or is None.
-    """
+    """Runs segments and fills in `replayed` and `done`; `diverged` says why it ended early."""
 
     def __init__(self, scene: Scene, segments: list[Segment],
                  log: NewLog | None = None) -> None:
@@ -411,11 +407,7 @@ class Replay:
 
 
 def _compare(segments, scene, topics):
-    """
-    Return how many numbers were compared, how many of them differ, and by how much.
-
-    For each column that is: its name, largest and rms difference, time of the largest [s].
-    """
+    """Return counts of compared and differing numbers; name, largest, rms, time by column."""
     count, differing, result = 0, 0, []
     for output in outputs(scene.modal_count):
         topic = output.name

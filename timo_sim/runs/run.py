@@ -124,21 +124,13 @@ class Run(MotionFields):
         return self._pick(xi, self.model.world(self.motion, self._at(xi)))
 
     def deflection(self, xi: ArrayLike) -> np.ndarray:
-        """
-        Return the axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m].
-
-        `xi` is as for `position`.
-        """
+        """Return axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m]."""
         points = self._at(xi)
         straight = np.column_stack([points.xi, np.zeros_like(points.xi)])
         return self._pick(xi, self.model.centre_line(self.q, points) - straight)
 
     def rotation(self, xi: ArrayLike) -> np.ndarray:
-        """
-        Return the rotation of sections relative to the shaft, (n,) or (n, p) [rad].
-
-        `xi` is as for `position`.
-        """
+        """Return the rotation of sections relative to the shaft, (n,) or (n, p) [rad]."""
         return self._pick(xi, self.model.section_rotation(self.q, self._at(xi)))
 
     def energy(self) -> np.ndarray:
@@ -313,12 +305,7 @@ class Run(MotionFields):
 def run_scene(scene: Scene, steps: int, sample_every: int = 1,
               report: Callable[[int], object] = lambda count: None,
               tell: Callable[[str], object] | None = None) -> Run:
-    """
-    Return the Run of a resolved scene; without the progress bar and ModelWarning of `simulate`.
-
-    `report(count)` is called after each `count` further steps. `tell` goes to
-    `Simulator.warm_up`.
-    """
+    """Return the Run of a resolved scene, quietly; `report(count)` follows each `count` steps."""
     simulator = Simulator(scene)
     simulator.warm_up(tell)
     motion = np.empty((steps // sample_every + 1, simulator.model.size))

@@ -229,12 +229,7 @@ def _outputs(runs, output, steps, edges, sampled):
 
 
 def _derivative(base, above, below, steps):
-    """
-    Return a derivative and its estimated error, both of the shape of the output, `base`.
-
-    `above` and `below`, shape (levels, ...), are outputs with changes of `steps`, shape (levels,),
-    and of their opposites; each is a _RATIO-th of the one before.
-    """
+    """Return a derivative and its estimated error, both of the shape of the output, `base`."""
     steps = steps.reshape(-1, *np.ones(base.ndim, dtype=int))
     round_off = _ROUND_OFF * (np.abs(above) + np.abs(below)) / steps
     central = (above - below) / (2.0 * steps)

@@ -143,12 +143,7 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
 
 def run_jobs(executor: Executor, width: int,
              jobs: Iterable[Job]) -> Iterator[tuple[Job, dict[str, np.ndarray]]]:
-    """
-    Yield each job with its table, in order.
-
-    About three jobs for each of `width` workers are pending: all are busy, and memory stays
-    bounded.
-    """
+    """Yield each job with its table, in order; three for each of `width` workers are pending."""
     pending = deque()
     for job in jobs:
         pending.append((job, executor.submit(run_job, job)))
@@ -184,12 +179,7 @@ def jobs_of(scene: Scene, duration: float, count: int, variations: Iterable[Mapp
 
 
 def run_job(job: Job) -> dict[str, np.ndarray]:
-    """
-    Do the runs of a job; return the columns of a row for each run, by name.
-
-    They are `run`, its number; the varied parameters; the numbers of `SUMMARY`, NaN for a run that
-    failed; `warning` and `reason`, texts or ''.
-    """
+    """Return the columns of a row for each run of a job, by name, see `simulate_many`."""
     numbers = np.full((len(job.variations), len(SUMMARY)), np.nan)
     table = {'run': job.first + np.arange(len(job.variations))}
     flat = [flatten(variation) for variation in job.variations]
@@ -294,11 +284,7 @@ class LaneKind(NamedTuple):
 
 
 def lane_kind(scene: Scene, steps: int) -> LaneKind | None:
-    """
-    Return the LaneKind of a run, or None if it cannot be a lane.
-
-    It depends on the run alone, so that its numbers do not depend on what else a sweep has.
-    """
+    """Return the LaneKind of a run, which depends on it alone, or None if it cannot be a lane."""
     values = scene.values
     if values['model.formulation'] != 'exact' or not scene.modal_count or refusal(scene):
         return None
@@ -332,18 +318,15 @@ class LaneRuns:
         self.peak_time = np.zeros(len(scenes))
         self._summarise(0, self._tips(self._lanes.tip[:, np.newaxis]))
         for first in range(0, kind.steps, CHUNK):
-            self._advance(first, min(CHUNK, kind.steps - first))
+            count = min(CHUNK, kind.steps - first)
+            tips = self._lanes.room(count, 3)
+            self._lanes.advance(self._loads.columns,
+                                self._loads.varying(first, count, self._origin), tips=tips)
+            self._summarise(first + 1, self._tips(np.concatenate(
+                [tips[:, 1:], self._lanes.tip[:, np.newaxis]], axis=1)))
         self.motion = from_lanes(self._lanes.motion, len(scenes))
         self.deflection = from_lanes(self._lanes.tip, len(scenes))[:, 1]
         self.reasons = [self._reason(number) for number in range(len(scenes))]
-
-    def _advance(self, first, count):
-        lanes = self._lanes
-        tips = lanes.room(count, 3)
-        lanes.advance(self._loads.columns, self._loads.varying(first, count, self._origin),
-                      tips=tips)
-        self._summarise(first + 1, self._tips(np.concatenate(
-            [tips[:, 1:], lanes.tip[:, np.newaxis]], axis=1)))
 
     def _tips(self, places):
         # The order in memory is always the same, because the last bits of sums depend on it.

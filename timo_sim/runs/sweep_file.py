@@ -81,11 +81,7 @@ class Plan:
 
 
 def read_plan(path: Path | str) -> Plan:
-    """
-    Read and check the file of a sweep, see config/sweep.yaml.
-
-    Raises OSError, or ParameterError, whose text names file, entry and rule.
-    """
+    """Read and check the file of a sweep; raise OSError or ParameterError."""
     content = read_yaml(path)
     try:
         return _plan(content, Path(path).parent)

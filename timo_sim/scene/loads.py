@@ -164,18 +164,13 @@ class Piecewise(Term):
     def _points(self):
         return np.array(self.time), np.append(0.0, self.value)
 
-    def _jumps(self, first, count, step):
-        # Index of the first jump in or around these steps, and positions of all [steps].
-        time = self._points[0]
+    def stages(self, first: int, count: int, step: float) -> np.ndarray:
+        time, value = self._points
         begin = np.searchsorted(time, (first - 1) * step)
         end = np.searchsorted(time, (first + count + 1) * step, side='right')
-        return begin, np.rint(time[begin:end] / step)
-
-    def stages(self, first: int, count: int, step: float) -> np.ndarray:
-        begin, jumps = self._jumps(first, count, step)
+        jumps = np.rint(time[begin:end] / step)  # in or around these steps
         edges = np.concatenate([[first], jumps, [first + count]]).clip(first, first + count)
-        values = self._points[1][begin:begin + len(jumps) + 1]
-        return np.repeat(values, np.diff(edges).astype(int))[:, np.newaxis]
+        return np.repeat(value[begin:end + 1], np.diff(edges).astype(int))[:, np.newaxis]
 
 
 @dataclass(frozen=True)

@@ -150,11 +150,7 @@ def did_you_mean(name: Any, names: Iterable[str]) -> str:
 
 
 def whole_ratio(name: str, value: float, unit_name: str, unit: float) -> int:
-    """
-    Return how many times `unit` fits into `value`, or raise ParameterError if it is not whole.
-
-    The ratio may differ from a whole number by 1e-6, or by 1e-15 of itself for round-off.
-    """
+    """Return value / unit, whole to 1e-6 or round-off, or raise ParameterError."""
     ratio = value / unit
     count = round(ratio) if math.isfinite(ratio) else 0
     near = abs(ratio - count) <= max(1e-6, 1e-15 * ratio) and (count or not value)
@@ -385,12 +381,7 @@ SPLIT = 'integrator.tolerance'  # 0.2.0 split steps by it; its logs are read wit
 
 
 def check(values: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """
-    Return values by dotted name, converted to the types of their parameters.
-
-    Raises ParameterError, which names the source (a text), if a name is unknown or a value breaks
-    its rule.
-    """
+    """Return values by name as their types; raise ParameterError that names the text `source`."""
     checked = {}
     for name, value in values.items():
         if name == SPLIT:

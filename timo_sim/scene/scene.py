@@ -140,11 +140,7 @@ class Scene:
         return np.where([*held, self.constraints.driven], 0.0, [axis, axis, shaft])
 
     def vary(self, overrides: Mapping[str, Any]) -> Scene:
-        """
-        Return the scene with other values of some parameters, by (nested or dotted) name.
-
-        Raises ParameterError if a name is unknown or a value breaks its rule, as `load_scene`.
-        """
+        """Return the scene with other values by name, nested or dotted; else ParameterError."""
         return scene_from({**self.values, **check(flatten(overrides), 'override')})
 
     def with_load(self, load: Load) -> Scene:
@@ -538,11 +534,7 @@ def check_finite(scene: Scene) -> None:
 
 
 def find_implausible(values: Mapping[str, Any]) -> str | None:
-    """
-    Return the text of a warning about values that are allowed but implausible, or None.
-
-    It marks values that are the defaults, which nobody may have meant together with the others.
-    """
+    """Return a warning about implausible values, which marks those that are defaults, or None."""
     def each(name):
         return values.get(f'arm.profile.{name}') or (values[f'arm.{name}'],)
 
@@ -611,10 +603,9 @@ _INDEXED = re.compile(r'(.+)\[(\d+)\]')
 def number_of(name: str, scene: Scene, others: str = '',
               names: Iterable[str] = ()) -> tuple[Parameter, float]:
     """
-    Return the Parameter of a name, and its value in a scene.
+    Return the Parameter of a name, and its value in a scene, or raise ParameterError.
 
-    `others` says for an error what else the caller knows, and `names` names it. Raises
-    ParameterError if the name is unknown or ambiguous, or it is no number of the physics.
+    `others` says for an error what else the caller knows, and `names` names it.
     """
     base, place = _base(name)
     parameter = PARAMETERS.get(base)

@@ -167,11 +167,7 @@ class Layout(NamedTuple):
 
 
 def layout(type_name: str, data: bytes | memoryview) -> Layout:
-    """
-    Return the Layout of a serialised message of one of TYPES.
-
-    Raises CdrError if the message is too short, or not in little-endian plain CDR.
-    """
+    """Return the Layout of a message of TYPES; CdrError unless it is little-endian CDR."""
     walk = _Walk(data)
     walk.value(type_name)
     return walk.found._replace(size=walk.place)
@@ -340,10 +336,9 @@ def _filled(template, value):
 
 class Serializer:
     """
-    Writes time and numbers straight into a serialised message.
+    Writes time and numbers straight into a serialised message, a copy of the first of its topic.
 
-    Everything else is the same in all messages of a topic, so each is a copy of the first with
-    other numbers. All times in a message are the same. A type without a time is a ValueError.
+    All times in a message are the same. A type without a time is a ValueError.
     """
 
     def __init__(self, type_name, template):

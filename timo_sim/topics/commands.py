@@ -125,11 +125,7 @@ class Command(NamedTuple):
 
     def row(self, texts: Sequence[str], lists: Sequence[Sequence[float]],
             frames: Mapping[str, str] = PLAIN) -> np.ndarray:
-        """
-        Return values for its columns [N, N m, V], NaN where it sets none, or raise Refused.
-
-        `texts` and `lists` are those of the message; `frames` names each of `outputs.FRAMES`.
-        """
+        """Return values for its columns [N, N m, V], NaN where it sets none, or raise Refused."""
         found = self.load(texts, lists, frames)
         return np.concatenate([found.get(group, [math.nan] * len(GROUPS[group]))
                                for group in self.groups])

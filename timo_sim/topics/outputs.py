@@ -290,11 +290,7 @@ def in_frames(template: Any, names: Mapping[str, str]) -> Any:
 
 def with_angles(columns: tuple[str, ...],
                 values: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
-    """
-    Return columns, a tuple of str, and values (n, k) with an angle in place of an orientation.
-
-    The column `rotation_rad`, not wrapped, replaces `orientation_z` and `orientation_w`.
-    """
+    """Return columns and values, (n, k), with `rotation_rad`, unwrapped, for an orientation."""
     if 'orientation_z' not in columns:
         return columns, values
     z, w = (values[:, columns.index(name)] for name in ('orientation_z', 'orientation_w'))

@@ -72,11 +72,7 @@ class Feed:
 
     def offer(self, now: float, simulator: Simulator,
               effort: Callable[[], tuple[float, float, float]]) -> None:
-        """
-        Take a sample if one is due by the steady wall time `now` [s]; return at once.
-
-        `effort` returns force x, y [N] and torque [N m] as applied.
-        """
+        """Take a sample if one is due at the wall time `now` [s]; return at once."""
         if now < self._due:
             return
         self._due = now + _PERIOD

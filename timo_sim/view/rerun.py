@@ -225,11 +225,7 @@ class Entities:
         return tuple((base + (255 - base) * (1 - 0.6**curve)).astype(int).tolist())
 
     def send_poses(self, ns: np.ndarray, poses: Poses, largest: Sequence[float]) -> None:
-        """
-        Send Poses at sim times, shape (m,) [ns], after all that were sent before.
-
-        `largest` is the force [N] and the torque [N m] that are drawn in full size.
-        """
+        """Send Poses at times (m,) [ns]; the `largest` force and torque are drawn in full size."""
         body, root, tip = self._body, poses.line[:, 0], poses.line[:, -1]
         straight = root + body.length * np.column_stack([np.cos(poses.shaft), np.sin(poses.shaft)])
         before = np.repeat(tip[:1], _TRAIL - 1, axis=0) if self._trail is None else self._trail
@@ -460,7 +456,14 @@ def picture(path: Path | str, png: Path | str, at: float | None = None,
     try:
         client = _until(
             lambda: ViewerClient.connect(f'rerun+http://{_LOOPBACK}:{port}/proxy'), process)
-        state = _until(lambda: _loaded(client), process)
+
+        def load():
+            state = client.get_state()
+            ready = not state.loading and state.views and state.recordings and any(
+                line.name == _TIMELINE for line in state.recordings[0].timelines)
+            return state if ready else None
+
+        state = _until(load, process)
         end = max(line.end for line in state.recordings[0].timelines if line.name == _TIMELINE)
         client.set_time(_TIMELINE, duration=end * 1e-9 if at is None else at,
                         play_state='paused')
@@ -500,13 +503,6 @@ def _free_port():
     with closing(socket.socket()) as sock:
         sock.bind((_LOOPBACK, 0))
         return sock.getsockname()[1]
-
-
-def _loaded(client):
-    state = client.get_state()
-    ready = not state.loading and state.views and state.recordings and any(
-        line.name == _TIMELINE for line in state.recordings[0].timelines)
-    return state if ready else None
 
 
 def _until(condition, process):

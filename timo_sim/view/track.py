@@ -113,11 +113,7 @@ class Track:
         return next((trace for trace in self.traces if trace.panel == panel), None)
 
     def frames(self, rate: float, at: float | None = None) -> np.ndarray:
-        """
-        Return ascending indices of samples for at most `rate` frames per second.
-
-        Where a sim time `at` [s] is given, the last sample until then is one of them.
-        """
+        """Return ascending samples, at most `rate` per second, and the last until `at` [s]."""
         span = self.ns[-1] - self.ns[0]
         wanted = self.ns[0] + np.round(np.arange(int(span * 1e-9 * rate) + 1) * (1e9 / rate))
         places = [*np.searchsorted(self.ns, wanted), len(self.ns) - 1]
