@@ -314,7 +314,7 @@ def sweep(file: str, output: str | None, workers: int | None, scheduler: str | N
 
     If a sweep was stopped, the same command continues it.
     """
-    from timo_sim.runs.sweep_file import run_sweep
+    from timo_sim.runs.sweep import run_sweep
     run_sweep(file, output, workers, scheduler)
 
 
