@@ -572,17 +572,14 @@ def _outputs(segment, recording, scene):
                 continue
             values = series.values[series.resets == series.resets.max(), :]
             ns = series.ns[series.resets == series.resets.max()]
-            found[name] = Channel(1e-9 * ns, values[:, series.columns.index(column)],
-                                  _noise(recording.scene, _SENSORS.get(topic)))
+            noise = None
+            if recording.scene is not None and topic in _SENSORS:
+                # The standard deviation of the noise and rounding.
+                deviation, step = (recording.scene.values[f'sensor.{_SENSORS[topic]}.{kind}']
+                                   for kind in ('noise', 'resolution'))
+                noise = math.hypot(deviation, step / math.sqrt(12.0)) or None
+            found[name] = Channel(1e-9 * ns, values[:, series.columns.index(column)], noise)
     return found
-
-
-def _noise(scene, sensor):
-    """Return the standard deviation of a sensor's noise and rounding in a scene, or None."""
-    if scene is None or sensor is None:
-        return None
-    noise, step = (scene.values[f'sensor.{sensor}.{kind}'] for kind in ('noise', 'resolution'))
-    return math.hypot(noise, step / math.sqrt(12.0)) or None
 
 
 _ENTRIES = 'time', 'columns', 'start', 'end'

@@ -202,20 +202,10 @@ class LogFile:
     """
     The summary of a log, and its metadata and chunks, read when they are asked for.
 
-    The file, or that in a bag's folder, is open only while it is read. LogError is raised if it is
-    not a log, or has no summary: the text says what to do.
-
-    Attributes
-    ----------
-    path : Path
-    name : str
-        The path as text that can be printed.
-    schemas, channels : dict
-        Records by number.
-    statistics : Statistics
-    chunks : list of ChunkIndex
-        In the order of the file.
-
+    The file, or that in a bag's folder, is open only while it is read. `name` is its path as text
+    that can be printed; `schemas` and `channels` are records by number, `statistics` is one, and
+    `chunks` is a list of ChunkIndex in the order of the file. LogError is raised if it is not a
+    log, or has no summary: the text says what to do.
     """
 
     def __init__(self, path: Path | str) -> None:

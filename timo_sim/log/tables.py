@@ -46,13 +46,10 @@ _TYPES = {**{output.name: output.type_name for output in outputs(1)},
 @dataclass(frozen=True)
 class Series:
     """
-    The n messages of a topic.
+    The n messages of a topic, with `columns`, the names of k quantities with units.
 
     Attributes
     ----------
-    topic : str
-    columns : tuple of str
-        Names of k quantities, with units.
     step, ns, log_ns : ndarray of int64, shape (n,)
         Time steps (-1 in a plain bag), sim time and time at which it was logged [ns]. In a plain
         bag, sim time is the stamp of the header, but for commands, whose stamps mean nothing
@@ -83,16 +80,12 @@ class Recording:
     """
     A log of this package, or a bag with the topics of a node; series are read when asked for.
 
-    Parameters
-    ----------
-    path : str or Path
-        A file, or a bag's folder with one, or with the files of a plain bag that was split.
-    node : str, optional
-        Fully qualified name of the node; needed if a bag has several.
+    `path` may be a bag's folder, also with the files of a plain bag that was split; `node` is the
+    fully qualified name of the node, needed if a bag has several. LogError is raised if the file
+    is not a log, or damaged, or incomplete: the text says what to do.
 
     Attributes
     ----------
-    path : Path
     title, name : str
         Of the file, or of the folder of a split bag; the node's fully qualified name.
     scene : Scene or None
@@ -106,12 +99,6 @@ class Recording:
         (step, place in the file, values by name) of each setting of the scene's parameters.
     unread : dict of str
         By topic of the node, why its messages are not read.
-    parts : list of LogFile
-
-    Raises
-    ------
-    LogError
-        If the file is not a log, or damaged, or incomplete: the text says what to do.
 
     """
 

@@ -313,28 +313,14 @@ class Channel(NamedTuple):
 
 class Recorder:
     """
-    Write serialised messages and metadata to a new MCAP file.
+    Write serialised messages and metadata, `notes`, to a new MCAP file.
 
     `write` only appends to a chunk; a thread compresses chunks, for the most part without holding
     up other threads, and gives them to the operating system at least every `FLUSH_PERIOD`. If that
     fails or takes longer than `PATIENCE`, or another program deletes, cuts or writes to the file,
-    `error` says so, what was written is kept, and later messages are dropped.
-
-    Parameters
-    ----------
-    path : str or Path
-        A file of this name is never overwritten: `_1`, `_2`, ... is appended to the stem.
-    channels : list of Channel
-    notes : dict of dict
-        Metadata records by name, values of str.
-
-    Attributes
-    ----------
-    path : Path
-        The file that is written; making it may raise OSError.
-    error, warning : str or None
-        Why the log has ended early; that the file has been moved or the disk is slow.
-
+    `error` says so, what was written is kept, and later messages are dropped; `warning` says that
+    the file has been moved or the disk is slow. A file is never overwritten: `_1`, `_2`, ... is
+    appended to the stem of `path`. Raises OSError if the file cannot be made.
     """
 
     def __init__(self, path: Path | str, channels: list[Channel],

@@ -79,33 +79,14 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
     """
     Replay a log or a bag, compare what it publishes with what was logged, and report.
 
-    Parameters
-    ----------
-    file : str or Path
-    changes : dict, optional
-        Values by dotted name that differ from those of the recorded scene.
-    output : str or Path, optional
-        New log; by default none for an unchanged scene, else one in the working directory, named
-        after `file` with `_replay` appended.
-    scene_file : str or Path, optional
-        Parameter file instead of the scene in the log; needed for a plain bag.
-    start, duration, node
-        See `segments_of` and `Recording`.
-    show : function(str)
-        Called with each line of the report.
-
-    Returns
-    -------
-    bool
-        Whether the run did not diverge and, if nothing was changed, all logged numbers are the
-        same to the last bit.
-
-    Raises
-    ------
-    LogError, ParameterError
-        If the file is not a log, is damaged, or has nothing to replay; if a value breaks its rule,
-        a plain bag has no scene, or steps do not fit the log.
-
+    `changes` are values by dotted name that differ from those of the recorded scene, `scene_file`
+    is a parameter file instead of it, which a plain bag needs; for `start`, `duration` and `node`
+    see `segments_of` and `Recording`. `output` is a new log; by default there is none for an
+    unchanged scene, else one in the working directory, named after `file` with `_replay` appended.
+    `show` is called with each line of the report. Returns whether the run did not diverge and, if
+    nothing was changed, all logged numbers are the same to the last bit. Raises LogError if the
+    file is not a log, is damaged, or has nothing to replay; ParameterError if a value breaks its
+    rule, a plain bag has no scene, or steps do not fit the log.
     """
     recording = Recording(file, node)
     values = _values(recording, scene_file, changes or {})
@@ -192,22 +173,11 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
     """
     Return the Segments of a recording, counted in steps of a scene.
 
-    Parameters
-    ----------
-    recording, scene : Recording, Scene
-        The scene may have another time step: a command acts from the next whole step on.
-    values : dict
-        The node's parameters, for the rates of topics that are not in the recording.
-    start, duration : float, optional
-        Sim time of the first message of a bag that has no sim time, and of the end, by default
-        that of the last message [s].
-
-    Raises
-    ------
-    LogError, ParameterError
-        If there is nothing to replay; if logged messages are not at whole time steps, or the log
-        is shorter than the duration.
-
+    A scene may have another time step: a command acts from the next whole step on. `values` are
+    the node's parameters, for the rates of topics that are not in the recording; `start` is the
+    sim time of the first message of a bag that has no sim time, `duration` that of the end, by
+    default of the last message [s]. Raises LogError if there is nothing to replay; ParameterError
+    if logged messages are not at whole time steps, or the log is shorter than the duration.
     """
     found = recording.topics
     known = {output.name: output for output in outputs(scene.modal_count)}

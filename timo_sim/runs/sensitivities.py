@@ -133,10 +133,15 @@ def sensitivities(scene: SceneLike, duration: float,
     found = [_derivative(seen[:, 0], above[k], below[k], each.scale * changes)
              for k, each in enumerate(inputs)]
     jacobian, error = (np.stack(parts, axis=-1) for parts in zip(*found))
-    result = Sensitivities(tuple(each.name for each in inputs), scene.step * np.array(sampled),
-                           seen[:, 0], jacobian, error)
-    _warn_of_errors(result)
-    return result
+    names, outputs = tuple(each.name for each in inputs), tuple(range(jacobian.ndim - 1))
+    most, largest = error.max(axis=outputs), np.abs(jacobian).max(axis=outputs)
+    doubtful = np.flatnonzero(~(most <= _DOUBT * largest) & ~(largest == 0.0))
+    if len(doubtful):
+        worst = doubtful[np.argmax(most[doubtful] / largest[doubtful])]
+        warn(f'derivatives by {len(doubtful)} of {len(names)} inputs have an estimated error '
+             f'above {_DOUBT:g} of the largest: {most[worst]:.1g} of {largest[worst]:.3g} by '
+             f'{names[worst]}')
+    return Sensitivities(names, scene.step * np.array(sampled), seen[:, 0], jacobian, error)
 
 
 class _Varied(NamedTuple):
@@ -250,14 +255,3 @@ def _derivative(base, above, below, steps):
             bent = np.where(better, np.abs(kink[level]), bent)
         earlier = row
     return found, error + bent
-
-
-def _warn_of_errors(found):
-    outputs = tuple(range(found.jacobian.ndim - 1))
-    error, largest = found.error.max(axis=outputs), np.abs(found.jacobian).max(axis=outputs)
-    doubtful = np.flatnonzero(~(error <= _DOUBT * largest) & ~(largest == 0.0))
-    if len(doubtful):
-        worst = doubtful[np.argmax(error[doubtful] / largest[doubtful])]
-        warn(f'derivatives by {len(doubtful)} of {len(found.inputs)} inputs have an estimated '
-             f'error above {_DOUBT:g} of the largest: {error[worst]:.1g} of '
-             f'{largest[worst]:.3g} by {found.inputs[worst]}')

@@ -55,22 +55,10 @@ def parabolas(function: Callable[[np.ndarray], np.ndarray], breaks: np.ndarray, 
     """
     Return the parabolas that replace a piecewise polynomial in steps with a break inside.
 
-    Parameters
-    ----------
-    function : function(ndarray) -> ndarray
-        Values at positions counted in steps, shape (n,) to (n, ...).
-    breaks : ndarray, shape (k,)
-        Where pieces meet, counted in steps; whole numbers are the boundaries of steps.
-    degree, first, count : int
-        Degree of the pieces; first step, and number of steps.
-
-    Returns
-    -------
-    steps : ndarray of int, shape (m,)
-        Those with a break inside, counted from `first`.
-    values : ndarray, shape (m, 3, ...)
-        The parabolas at the start, middle and end of these steps.
-
+    `function` returns values, (n, ...), at positions, (n,), counted in steps, as are `breaks`,
+    where pieces of this degree meet; whole numbers are the boundaries of the `count` steps from
+    `first` on. The result is the m steps with a break inside, counted from `first`, and the
+    parabolas at their start, middle and end, shape (m, 3, ...).
     """
     inside = breaks[(first < breaks) & (breaks < first + count) & (breaks != np.floor(breaks))]
     if not len(inside):

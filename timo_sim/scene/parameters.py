@@ -174,25 +174,19 @@ def _limit(name, unit, meaning):
 
 
 def _load(channel, unit, meaning):
-    prefix = f'load.{channel}'
-    return [
-        Parameter(f'{prefix}.harmonic.amplitude', (), unit,
-                  f'{meaning}: amplitudes of harmonic terms, '
-                  'amplitude sin(2 pi frequency t + phase)', runtime=True),
-        Parameter(f'{prefix}.harmonic.frequency', (), 'Hz', 'frequencies of these terms',
-                  low=0.0, runtime=True),
-        Parameter(f'{prefix}.harmonic.phase', (), 'rad', 'phases of these terms; empty: all 0',
-                  runtime=True),
-        Parameter(f'{prefix}.piecewise.time', (), 's',
-                  f'{meaning}: times at which it jumps to a new constant value', low=0.0,
-                  runtime=True),
-        Parameter(f'{prefix}.piecewise.value', (), unit, 'values from these times on',
-                  runtime=True),
-        Parameter(f'{prefix}.table.time', (), 's',
-                  f'{meaning}: times of points, linear in between; a repeated time is a jump',
-                  low=0.0, runtime=True),
-        Parameter(f'{prefix}.table.value', (), unit, 'values at these points', runtime=True),
-    ]
+    rows = (
+        ('harmonic.amplitude', unit, f'{meaning}: amplitudes of harmonic terms, '
+         'amplitude sin(2 pi frequency t + phase)', -math.inf),
+        ('harmonic.frequency', 'Hz', 'frequencies of these terms', 0.0),
+        ('harmonic.phase', 'rad', 'phases of these terms; empty: all 0', -math.inf),
+        ('piecewise.time', 's', f'{meaning}: times at which it jumps to a new constant value',
+         0.0),
+        ('piecewise.value', unit, 'values from these times on', -math.inf),
+        ('table.time', 's', f'{meaning}: times of points, linear in between; a repeated time is '
+         'a jump', 0.0),
+        ('table.value', unit, 'values at these points', -math.inf))
+    return [Parameter(f'load.{channel}.{name}', (), of, text, low=low, runtime=True)
+            for name, of, text, low in rows]
 
 
 def _profile(name, unit):
@@ -214,11 +208,6 @@ def _sensor(name, unit, meaning):
                   low=-_MAX_SENSOR_ERROR, high=_MAX_SENSOR_ERROR, runtime=True),
         _not_negative(f'{prefix}.resolution', 0.0, unit, f'{meaning} is rounded to multiples of '
                       'this; 0: not rounded', high=_MAX_SENSOR_ERROR, runtime=True)]
-
-
-def _delay(name, topic):
-    return _not_negative(name, 0.0, 's', f'sim time from a measurement to its message on {topic}, '
-                         'a whole multiple of integrator.step', high=1000.0)
 
 
 _MAX_SENSOR_ERROR = 1e9  # keeps sensor arithmetic finite
@@ -327,7 +316,9 @@ _ALL = [
     Parameter('sensor.seed', 0, '', 'seed of the noise of all sensors', low=0, high=1000000000),
     *[parameter for sensor in SENSORS
       for parameter in _sensor(sensor.name, sensor.unit, sensor.meaning)],
-    *[_delay(output.delay, output.name) for output in _OUTPUTS if output.delay],
+    *[_not_negative(output.delay, 0.0, 's', 'sim time from a measurement to its message on '
+                    f'{output.name}, a whole multiple of integrator.step', high=1000.0)
+      for output in _OUTPUTS if output.delay],
     _not_negative('real_time_factor', 1.0, '', 'sim time per wall time; 0: as fast as possible',
                   high=1e6, scope=NODE, runtime=True),
     _not_negative('catch_up_limit', 0.1, 's', 'most wall time that is caught up after a delay; '

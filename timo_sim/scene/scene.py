@@ -330,15 +330,9 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
 def _terms_of(items):
     # Equal terms are one object, so that scenes under the same load can share what follows of it.
     values = dict(items)
-    return {channel: _channel(f'load.{channel}', values['integrator.step'],
-                              tuple((name, values[name]) for name in names))
-            if any(values[name] for name in names) else () for channel, names in
-            _OF_CHANNELS.items()}
-
-
-@lru_cache(maxsize=32)
-def _channel(prefix, step, items):
-    return tuple(_terms(prefix, dict(items), step))
+    return {channel: tuple(_terms(f'load.{channel}', values, values['integrator.step']))
+            if any(values[name] for name in names) else ()
+            for channel, names in _OF_CHANNELS.items()}
 
 
 def motor_constants(values: Mapping[str, Any]) -> tuple[float, float]:

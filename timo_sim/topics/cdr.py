@@ -94,24 +94,18 @@ class Field(NamedTuple):
 @cache
 def fields(type_name: str) -> tuple[Field, ...]:
     """Return the fields of a message type of DEFINITIONS in order, a tuple of Field."""
-    # A line with '=' defines a constant, which is in no message.
-    return tuple(_field(type_name.split('/')[0], line) for line in DEFINITIONS[type_name]
-                 if '=' not in line)
-
-
-def _field(package, line):
-    kind, array, name, default = _FIELD.findall(line)[0]
-    value: Any
-    if kind[0].isupper():
-        kind = f'{package}/{kind}'  # of the same package
-    if '/' in kind:
-        kind, value = kind.replace('/', '/msg/'), {}
-    else:
-        value = '' if kind == 'string' else int(default or 0)
-    if not array:
-        return Field(name, kind, None, value)
-    length = int(array[1:-1] or 0)
-    return Field(name, kind, length, length * (value,))
+    found = []
+    for line in DEFINITIONS[type_name]:
+        if '=' in line:  # defines a constant, which is in no message
+            continue
+        kind, array, name, default = _FIELD.findall(line)[0]
+        if kind[0].isupper():
+            kind = f'{type_name.split("/")[0]}/{kind}'  # of the same package
+        value: Any = {} if '/' in kind else '' if kind == 'string' else int(default or 0)
+        length = int(array[1:-1] or 0) if array else None
+        found.append(Field(name, kind.replace('/', '/msg/'), length,
+                           value if length is None else length * (value,)))
+    return tuple(found)
 
 
 @cache

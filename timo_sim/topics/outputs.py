@@ -114,10 +114,6 @@ def _tip_pose(snapshot):
     return *place(x, y, theta, along, across), math.sin(half), math.cos(half)
 
 
-def _readings(*sensors):
-    return lambda snapshot: [axis for name in sensors for axis in snapshot.sensor(name)]
-
-
 def _imu_unlogged(snapshot):
     # Along z, what the gravity in the plane of motion leaves of the Earth's; variances.
     lean = min(snapshot.gravity / _GRAVITY, 1.0)
@@ -134,12 +130,10 @@ def _transforms(snapshot):
 
 class Output(NamedTuple):
     """
-    A topic that carries the motion.
+    A topic that carries the motion; '~/encoder' is below the node's own name, '/clock' is not.
 
     Attributes
     ----------
-    name, type_name : str
-        As in rclpy: '~/encoder' is below the node's own name, '/clock' is not; of its messages.
     numbers : function(simulation.snapshot.Snapshot) -> tuple of float
         Returns the numbers of a message, in the order of `columns`.
     template : dict
@@ -229,7 +223,11 @@ def _sensor_outputs():
         topics.setdefault(sensor.topic, []).append(sensor)
     for topic, sensors in topics.items():
         columns = [column for sensor in sensors for column in sensor.columns]
-        delay, read = f'sensor.{title(topic)}.delay', _readings(*(each.name for each in sensors))
+        delay = f'sensor.{title(topic)}.delay'
+
+        def read(snapshot, names=tuple(each.name for each in sensors)):
+            return [axis for name in names for axis in snapshot.sensor(name)]
+
         if topic == IMU:
             yield Output(topic, 'sensor_msgs/msg/Imu', read, _imu(*columns), delay, _imu_unlogged)
         else:

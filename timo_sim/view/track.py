@@ -84,20 +84,9 @@ class Track:
     """
     A run in the form that views take.
 
-    Attributes
-    ----------
-    name : str
-    ns : ndarray, shape (n,)
-        Sim times of the samples [ns], not descending.
-    poses : function(ndarray of int or slice) -> Poses
-        Returns the Poses at some samples.
-    traces : list of Trace
-    body : Body
-    note : str
-        Settings of the run and how its shape is known, Markdown.
-    floor : Floor, optional
-        None without gravity, and where the scene is not known.
-
+    `ns` are the sim times of n samples, not descending [ns]; `poses` returns the Poses at some of
+    them; `note` says in Markdown how its shape is known. `floor` is None without gravity, and
+    where the scene is not known.
     """
 
     name: str
@@ -173,25 +162,14 @@ def track_of_motion(
         resets: ArrayLike = (), balanced: bool = True, heat: np.ndarray | None = None,
         payloads: Sequence[tuple[int, float, float]] = (), commands: ArrayLike = ()) -> Track:
     """
-    Return the track of a known motion.
+    Return the track of a known motion, shape (n, 2 (3 + N)), at the sim times `ns`, (n,) [ns].
 
-    Parameters
-    ----------
-    name, scene : str, Scene
-    ns, motion, effort : ndarray, shapes (n,), (n, 2 (3 + N)), (n, 3)
-        Sim time [ns]; see `model.layout`; force on the carrier, world x and y [N], torque [N m].
-    resets : array_like of int
-        First samples after resets, which do not follow from the one before.
-    balanced : bool
-        Whether to compute the balance of energy, work and losses. It is not known if a command
-        acted on the tip, or parameters such as friction were set during the run.
-    heat : ndarray, shape (n,), optional
-        What dry friction has dissipated so far [J]; where it acts, the balance needs it.
-    payloads : sequence of (int, float, float)
-        See `Run`; a balance is not computed then.
-    commands : array_like of int
-        Steps at which forces and torques jump besides those of the scene's loads.
-
+    `effort` is force on the carrier, world x and y [N], and torque [N m], (n, 3). `resets` are
+    first samples after resets, which do not follow from the one before. `balanced`: whether to
+    compute the balance of energy, work and losses, which is not known if a command acted on the
+    tip, or parameters such as friction were set during the run, or with `payloads` (see `Run`).
+    Where dry friction acts it needs its `heat` so far, (n,) [J]. `commands` are steps at which
+    forces and torques jump besides those of the scene's loads.
     """
     formulation, half = scene.build(), motion.shape[1] // 2
     length, modal = scene.manipulator.arm.length, motion[:, 3:half]
