@@ -36,7 +36,8 @@ import yaml
 import timo_sim
 from timo_sim.cli import main
 from timo_sim.log import read
-from timo_sim.log.read import info, LogError, LogFile, recover
+from timo_sim.log.info import info
+from timo_sim.log.read import LogError, LogFile, recover
 from timo_sim.log.tables import common, Recording, table
 from timo_sim.log.write import Channel, Recorder, START
 from timo_sim.topics.cdr import Serializer
@@ -500,7 +501,7 @@ def test_a_gigabyte_takes_no_longer_than_its_index(tmp_path, monkeypatch):
 
 
 def test_info_imports_no_physics(log):
-    code = ('import sys; from timo_sim.log.read import info; info(sys.argv[1]); '
+    code = ('import sys; from timo_sim.log.info import info; info(sys.argv[1]); '
             'assert not {"numba", "scipy", "rclpy"} & set(sys.modules)')
     subprocess.run([sys.executable, '-c', code, log], check=True)
 

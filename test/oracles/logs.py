@@ -15,7 +15,8 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from timo_sim.log.read import info, LogError, recover
+from timo_sim.log.info import info
+from timo_sim.log.read import LogError, recover
 from timo_sim.log.tables import Recording
 from timo_sim.log.write import Channel, Recorder
 

@@ -33,7 +33,7 @@ from std_srvs.srv import SetBool, Trigger
 import yaml
 
 import timo_sim
-from timo_sim.log.read import info
+from timo_sim.log.info import info
 from timo_sim.log.tables import Recording
 from timo_sim.scene.files import flatten, read_parameter_file, read_sections
 from timo_sim.scene.parameters import check, PARAMETERS

@@ -28,7 +28,8 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 import timo_sim
-from timo_sim.log.read import info, recover
+from timo_sim.log.info import info
+from timo_sim.log.read import recover
 from timo_sim.log.tables import export, Recording
 from timo_sim.log.write import Channel, Recorder
 from timo_sim.runs.replay import Replay, replay, segments_of

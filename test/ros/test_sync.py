@@ -31,7 +31,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 
 import timo_sim
-from timo_sim.log.read import info
+from timo_sim.log.info import info
 from timo_sim.log.tables import Recording
 
 EXAMPLE = Path(__file__).resolve().parents[2] / 'example'

@@ -170,7 +170,7 @@ def info(file: str) -> None:
     \b
         timo_sim info run.mcap
     """
-    from timo_sim.log.read import info
+    from timo_sim.log.info import info
     click.echo('\n'.join(info(file)))
 
 

@@ -151,25 +151,19 @@ def initial_states(problem: Problem, values: Mapping[str, float]) -> list[list[F
         half = len(motion) // 2
         guess = dict(zip(('initial.carrier_x', 'initial.carrier_y', 'initial.shaft'), motion))
         guess |= dict(zip((f'{name}_velocity' for name in [*guess]), motion[half:half + 3]))
-        guess |= _measured_shaft(problem, window.begin, values)
+        if (channel := problem.record.outputs.get('shaft')) is not None:
+            sensor = problem.sensor(values)
+            t = channel.t - window.begin - sensor('shaft', 'delay')
+            place = np.searchsorted(t, 0.0)
+            near = slice(max(0, place - _NEAREST), place + _NEAREST + 1)
+            speed, angle = np.polyfit(t[near], (channel.values[near] - sensor('shaft', 'bias'))
+                                      / sensor('shaft', 'gain'), 1)
+            guess |= {'initial.shaft': angle, 'initial.shaft_velocity': speed}
         scene = problem.scene.vary({
             **{name: float(value) for name, value in guess.items() if name in window.names},
             'initial.modal_coordinates': motion[3:half], 'initial.modal_rates': motion[half + 3:]})
         found.append(free_parameters(window.names, {}, scene, problem.record))
     return found
-
-
-def _measured_shaft(problem, begin, values):
-    channel = problem.record.outputs.get('shaft')
-    if channel is None:
-        return {}
-    sensor = problem.sensor(values)
-    t = channel.t - begin - sensor('shaft', 'delay')
-    place = np.searchsorted(t, 0.0)
-    near = slice(max(0, place - _NEAREST), place + _NEAREST + 1)
-    speed, angle = np.polyfit(t[near], (channel.values[near] - sensor('shaft', 'bias'))
-                              / sensor('shaft', 'gain'), 1)
-    return {'initial.shaft': angle, 'initial.shaft_velocity': speed}
 
 
 _DEGREE = 5  # of the spline through a driven angle, whose acceleration is smooth
@@ -631,8 +625,14 @@ class Search:
         values = problem.values(self.x)
         try:
             run = problem.run(values, 0.0, problem.until)
-            self.against = _correlations(
-                problem, problem.predictions(run, values, 0.0, problem.until))
+            predicted = problem.predictions(run, values, 0.0, problem.until)
+            every = problem.measurements(Window(0.0, problem.until, ()))
+            # The least correlation of all samples and of those of the first part.
+            for name, (t, seen) in predicted.items():
+                for part in (t <= problem.until, t <= _FIRST * problem.until):
+                    if part.sum() > 2 and np.ptp(seen[part]) and np.ptp(every[name][part]):
+                        each = float(np.corrcoef(seen[part], every[name][part])[0, 1])
+                        self.against[name] = min(each, self.against.get(name, 0.0))
         except (DivergenceError, ParameterError) as error:
             if isinstance(error, ParameterError) or not problem.windows[0].names:
                 raise ParameterError('the record cannot be predicted with the first guess: '
@@ -785,15 +785,3 @@ class Search:
                 if fall > 0.0 and fall**2 > found.get(name, (0.0, 0.0))[0] * power * (left @ left):
                     found[name] = fall**2 / (power * (left @ left)), fall / power * each * size
         return found
-
-
-def _correlations(problem, predicted):
-    """Return the correlations of outputs with a run, the least of all and of the first part."""
-    found = {}
-    for name, (t, values) in predicted.items():
-        measured = problem.measurements(Window(0.0, problem.until, ()))[name]
-        for part in (t <= problem.until, t <= _FIRST * problem.until):
-            if part.sum() > 2 and np.ptp(values[part]) and np.ptp(measured[part]):
-                each = float(np.corrcoef(values[part], measured[part])[0, 1])
-                found[name] = min(each, found.get(name, 0.0))
-    return found

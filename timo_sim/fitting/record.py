@@ -344,14 +344,13 @@ class Table:
                 series = _series(values)
                 if int(number) < len(series):
                     return series[int(number)]
-        raise ParameterError(f'{short(key, str)} is no column of the table; it has '
-                             f'{", ".join(self._shown())[:300]}{self._hint}')
-
-    def _shown(self):
+        shown = []
         for place, (names, values) in enumerate(self._columns):
             name = ' '.join(names) or str(place)
-            yield (name if values.ndim == 1 else
-                   f'{name}:0 to {name}:{len(_series(values)) - 1}')
+            shown.append(name if values.ndim == 1 else
+                         f'{name}:0 to {name}:{len(_series(values)) - 1}')
+        raise ParameterError(f'{short(key, str)} is no column of the table; it has '
+                             f'{", ".join(shown)[:300]}{self._hint}')
 
 
 def read_table(path: Path) -> Table:

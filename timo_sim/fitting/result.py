@@ -134,7 +134,12 @@ class Fit:
             bound = f'  at its {each.bound} bound' if each.bound else ''
             lines.append(f'{name:<{width}}  {shown}  {each.start:>11.5g}  {each.unit}{bound}'
                          .rstrip())
-        lines += ['', 'correlation above 0.95: ' + (', '.join(self._close()) or 'none')]
+        pairs = [f'{first} and {second} ({self.correlation[i, j]:.3f})'
+                 for j, second in enumerate(self.estimates)
+                 for i, first in enumerate([*self.estimates][:j])
+                 if first in self.values and second in self.values
+                 and abs(self.correlation[i, j]) > _CLOSE]
+        lines += ['', 'correlation above 0.95: ' + (', '.join(pairs) or 'none')]
         lines += ['not identified: ' + ' '.join(
             f'{part:+.2f} {name}' for name, part in parts.items()) for parts in self.unidentified]
         if self.scene.load and self.record.inputs:
@@ -156,14 +161,6 @@ class Fit:
                 row += f' {each.hold_out_rms:>9.3g} {each.hold_out_r_squared:>7.4f}'
             rows.append(row)
         return '\n'.join(rows)
-
-    def _close(self):
-        names = [*self.estimates]
-        for j, second in enumerate(names):
-            for i, first in enumerate(names[:j]):
-                both = self.estimates[first].identified and self.estimates[second].identified
-                if both and abs(self.correlation[i, j]) > _CLOSE:
-                    yield f'{first} and {second} ({self.correlation[i, j]:.3f})'
 
     def plot(self) -> Figure:
         """Draw measured and predicted outputs, and their difference; needs matplotlib."""

@@ -306,23 +306,21 @@ class Recording:
         elif collector.command:
             ns = self._sim_time(log_ns)
         else:
-            self._refuse_restart(collector.topic, log_ns, ns)
+            order = np.argsort(log_ns, kind='stable')
+            falls = np.flatnonzero(np.diff(ns[order]) < -_RESTART)
+            if len(falls):
+                before, after = order[falls[0]:falls[0] + 2]
+                raise LogError(
+                    f'{self.title}: stamps of {collector.topic[:80]} fall from '
+                    f'{1e-9 * ns[before]:.6g} to {1e-9 * ns[after]:.6g} s at log time '
+                    f'{log_ns[after]} ns, where a simulator was started again: cut the bag '
+                    'there, so that each part has one run')
         # The network, or a tool that has written the file again, may have changed the order.
         order = np.argsort(ns, kind='stable')
         resets, step, log_ns, ns, values, messages = (
             array[order] for array in (resets, step, log_ns, ns, values, messages))
         return Series(collector.topic, collector.columns, step, ns, log_ns, values,
                       collector.refused, resets, messages.tolist() if collector.command else [])
-
-    def _refuse_restart(self, topic, log_ns, ns):
-        order = np.argsort(log_ns, kind='stable')
-        falls = np.flatnonzero(np.diff(ns[order]) < -_RESTART)
-        if len(falls):
-            before, after = order[falls[0]:falls[0] + 2]
-            raise LogError(
-                f'{self.title}: stamps of {topic[:80]} fall from {1e-9 * ns[before]:.6g} to '
-                f'{1e-9 * ns[after]:.6g} s at log time {log_ns[after]} ns, where a simulator was '
-                'started again: cut the bag there, so that each part has one run')
 
     def _sim_time(self, log_ns):
         if self._clock is None or not len(log_ns):

@@ -297,7 +297,11 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     if steps % sample_every:
         raise ParameterError(
             f'sample_every = {sample_every} must divide the number of steps, {steps}')
-    parts = _parts_of_samples(steps, sample_every) if estimate else 1
+    parts = 1
+    if estimate:  # samples of a short run are closer, so that enough are compared
+        least = -(-_LEAST_COMPARED * sample_every // max(1, steps))
+        parts = next(k for k in range(min(least, sample_every), sample_every + 1)
+                     if sample_every % k == 0)
     with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
               leave=False) as bar:
         try:
@@ -314,13 +318,6 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     if run.warning:
         warn(run.warning)
     return run
-
-
-def _parts_of_samples(steps, sample_every):
-    """Return by how much samples are closer in a short run, so that enough are compared."""
-    parts = -(-_LEAST_COMPARED * sample_every // max(1, steps))
-    return next(k for k in range(min(parts, sample_every), sample_every + 1)
-                if sample_every % k == 0)
 
 
 def _thin(run, every):

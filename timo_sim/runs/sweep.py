@@ -233,7 +233,9 @@ def _fill(table, numbers, kind, runs, duration):
         done = LaneRuns(scenes, kind)
         table['reason'][rows] = done.reasons
         table['warning'][rows] = [text or '' for text in done.warnings]
-        numbers[rows] = _summaries(done, kind.steps)
+        numbers[rows, :-1] = np.column_stack([
+            done.peak, done.peak_time, np.sqrt(done.squares / (kind.steps + 1)),
+            done.deflection, done.rotation, done.motion[:, :3]])
     else:
         run = run_scene(scenes[0], steps_in(duration, scenes[0].step))
         table['warning'][rows] = run.warning or ''
@@ -277,13 +279,6 @@ def _summary(run):
     return (size[peak], run.t[peak], np.sqrt(np.mean(deflection**2)), deflection[-1],
             np.abs(rotation).max(), *run.carrier[-1], run.shaft[-1],
             run.stats['estimated_tip_error_m'])
-
-
-def _summaries(runs, steps):
-    """Return the numbers of `SUMMARY` for each of some LaneRuns, shape (n, columns)."""
-    return np.column_stack([
-        runs.peak, runs.peak_time, np.sqrt(runs.squares / (steps + 1)),
-        runs.deflection, runs.rotation, runs.motion[:, :3], np.full(len(runs.peak), np.nan)])
 
 
 class LaneKind(NamedTuple):
