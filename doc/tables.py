@@ -25,14 +25,6 @@ from timo_sim.topics.outputs import outputs, TRANSFORMS
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'doc').rglob('*.md'))]
 _TABLE = re.compile(r'(<!-- table: (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
-_COMMANDS = {
-    '~/carrier_wrench': 'force x, y on the carrier',
-    '~/motor_torque': 'torque on the shaft',
-    '~/tip_wrench': 'force x, y and torque z on the end effector',
-    '~/joint_command': 'efforts of `carrier_x`, `carrier_y`, `shaft`, by name; others are ignored',
-    '~/commands': 'the same three, as an array',
-    '~/motor_voltage': 'voltage at a DC motor, with `motor.dc`',
-}
 
 
 def _table(*rows):
@@ -47,7 +39,7 @@ def _short(type_name):
 def commands():
     """Return the table of the topics that the node subscribes to."""
     return _table(('topic', 'type', 'sets'), *(
-        (f'`{each.name}`', _short(each.type_name), _COMMANDS[each.name]) for each in COMMANDS))
+        (f'`{each.name}`', _short(each.type_name), each.meaning) for each in COMMANDS))
 
 
 def published():

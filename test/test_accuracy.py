@@ -18,7 +18,7 @@ import pytest
 from oracles import spectral_elements
 from oracles.references import read, spin_up as shaft_of_spin_up, TORQUE, world
 import timo_sim
-from timo_sim.runs.accuracy import choose_resolution
+from timo_sim.runs.simulate import choose_resolution
 
 SCENES = {'paper': 10.0, 'torque': 5.0, 'spin_up': 20.0}  # name, duration [s]
 PERIOD = 0.02  # [s]

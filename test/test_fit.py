@@ -17,9 +17,9 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 import timo_sim
-from timo_sim.fitting.problem import loads_of, Problem
 from timo_sim.fitting.record import Channel, OUTPUTS
-from timo_sim.fitting.search import covariance, unidentified_combinations, whiteness
+from timo_sim.fitting.problem import (
+    covariance, loads_of, Problem, unidentified_combinations, whiteness)
 
 ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.height': 0.001, 'arm.width': 0.02,
        'arm.density': 7800.0, 'arm.young_modulus': 2e11, 'arm.shear_modulus': 7.7e10,

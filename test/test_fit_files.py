@@ -16,7 +16,7 @@ import yaml
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.fitting.files import read_log
+from timo_sim.fitting.record import read_log
 
 T = 0.01 * np.arange(200)
 ANGLE, TORQUE = np.sin(T), np.cos(3.0 * T)

@@ -182,7 +182,7 @@ def test_a_bag_needs_a_scene_and_a_log_does_not(bag):
 
 def log_of(path, scene, torques, last):
     """Write a log as the node would, joint states of `simulate` every 10 ms; return its path."""
-    from timo_sim.log.notes import START, start_note
+    from timo_sim.log.write import START, start_note
     from timo_sim.scene.parameters import PARAMETERS
     from timo_sim.topics.cdr import Serializer
     from timo_sim.topics.outputs import outputs

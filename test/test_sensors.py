@@ -16,8 +16,7 @@ from timo_sim.model import FORMULATIONS
 from timo_sim.scene.parameters import PARAMETERS
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import reading
-from timo_sim.topics.outputs import outputs
-from timo_sim.topics.sensors import SENSORS
+from timo_sim.topics.outputs import outputs, SENSORS
 
 MOVING = {'initial.shaft_velocity': 2.0, 'initial.modal_rates': [2.0, 0.5, 0.1]}
 PERFECT = {name: parameter.default for name, parameter in PARAMETERS.items()}

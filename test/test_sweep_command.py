@@ -24,8 +24,7 @@ import yaml
 
 import timo_sim
 from timo_sim.cli import main
-from timo_sim.runs.sweep import executor_of
-from timo_sim.runs.sweep_file import read_plan
+from timo_sim.runs.sweep import executor_of, read_plan
 
 # With -P as the installed command: neither has the working directory among its paths.
 COMMAND = [sys.executable, '-P', '-c', 'from timo_sim.cli import main; main(prog_name="timo_sim")']

@@ -15,15 +15,13 @@ from timo_sim.version import __version__
 
 if TYPE_CHECKING:
     from timo_sim.export.c import export_c
-    from timo_sim.fitting.files import read_record
-    from timo_sim.fitting.record import Record
+    from timo_sim.fitting.record import read_record, Record
     from timo_sim.fitting.result import fit, Fit
-    from timo_sim.runs.accuracy import choose_resolution
     from timo_sim.runs.linear import linearize, LinearModel
     from timo_sim.runs.replay import open_log
     from timo_sim.runs.run import Run
     from timo_sim.runs.sensitivities import sensitivities, Sensitivities
-    from timo_sim.runs.simulate import simulate
+    from timo_sim.runs.simulate import choose_resolution, simulate
     from timo_sim.runs.sweep import simulate_many
     from timo_sim.scene.parameters import ModelWarning, ParameterError
     from timo_sim.scene.scene import load_scene, project_on_modes, Scene
@@ -45,14 +43,14 @@ _MODULES = {
     'Scene': 'scene.scene',
     'Sensitivities': 'runs.sensitivities',
     'Simulator': 'simulation.simulator',
-    'choose_resolution': 'runs.accuracy',
+    'choose_resolution': 'runs.simulate',
     'export_c': 'export.c',
     'fit': 'fitting.result',
     'linearize': 'runs.linear',
     'load_scene': 'scene.scene',
     'open_log': 'runs.replay',
     'project_on_modes': 'scene.scene',
-    'read_record': 'fitting.files',
+    'read_record': 'fitting.record',
     'sensitivities': 'runs.sensitivities',
     'simulate': 'runs.simulate',
     'simulate_many': 'runs.sweep',

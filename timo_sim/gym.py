@@ -68,10 +68,9 @@ class ReachVectorEnv(VectorEnv):
         Its loads act as well, from the beginning of each episode.
     variations : sequence of dict, optional
         Overrides of the scene in each environment, such as another mass at the tip.
-    period : float
-        Time from one action to the next, a whole multiple of the time step [s].
-    duration : float
-        Of an episode, a whole multiple of the period [s].
+    period, duration : float
+        Time from one action to the next, a whole multiple of the time step, and of an episode, a
+        whole multiple of the period [s].
     farthest_goal : float
         Largest angle from the initial direction of the shaft to a goal; uniformly random [rad].
     force : float
@@ -94,10 +93,8 @@ class ReachVectorEnv(VectorEnv):
     >>> from timo_sim.gym import ReachVectorEnv
     >>> envs = ReachVectorEnv(num_envs=8)
     >>> observations, infos = envs.reset(seed=1)
-    >>> observations, rewards, terminations, truncations, infos = envs.step(
-    ...     envs.action_space.sample())
-    >>> observations.shape, rewards.shape
-    ((8, 4), (8,))
+    >>> envs.step(envs.action_space.sample())[0].shape
+    (8, 4)
 
     """
 
@@ -142,22 +139,11 @@ class ReachVectorEnv(VectorEnv):
     def reset(self, *, seed: int | Sequence[int | None] | None = None,
               options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
         """
-        Begin new episodes.
+        Begin new episodes; return observations, (num_envs, 4 or 6), and an empty dictionary.
 
-        Parameters
-        ----------
-        seed : int or sequence of int, optional
-            An int is the seed of the first environment; those of the others follow it.
-        options : dict, optional
-            `goal`, a float or array of shape (num_envs,): goals instead of random ones [rad];
-            `reset_mask`, ndarray of bool, shape (num_envs,): which begin anew, by default all.
-
-        Returns
-        -------
-        observations : ndarray, shape (num_envs, 4 or 6)
-        infos : dict
-            Empty.
-
+        An int as `seed` is that of the first environment; those of the others follow it. Of
+        `options`, `goal` is a float or of shape (num_envs,), goals instead of random ones [rad],
+        and `reset_mask`, bool, (num_envs,), says which begin anew, by default all.
         """
         options = options or {}
         seeds = [None if seed is None else seed + k for k in range(self.num_envs)] if (
@@ -187,26 +173,12 @@ class ReachVectorEnv(VectorEnv):
     def step(self, actions: np.ndarray) -> tuple[
             np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """
-        Let actions act for a period.
+        Let actions, (num_envs, 1 or 3), act for a period.
 
-        Parameters
-        ----------
-        actions : array_like, shape (num_envs, 1 or 3)
-
-        Returns
-        -------
-        observations : ndarray, shape (num_envs, 4 or 6)
-        rewards : ndarray, shape (num_envs,)
-        terminations, truncations : ndarray of bool, shape (num_envs,)
-        infos : dict
-            With `AutoresetMode.SAME_STEP`, `final_obs` of the environments that have been reset.
-
-        Raises
-        ------
-        ParameterError
-            If an action is not finite or the actions have another shape, or an episode is over
-            that has not been reset, with `AutoresetMode.DISABLED`.
-
+        Returns observations, (num_envs, 4 or 6); rewards, terminations and truncations,
+        (num_envs,); and with `AutoresetMode.SAME_STEP` `final_obs` of the environments that have
+        been reset. Raises ParameterError if an action is not finite or the actions have another
+        shape, or an episode is over that has not been reset, with `AutoresetMode.DISABLED`.
         """
         actions = np.asarray(actions, dtype=float)
         if actions.shape != self.action_space.shape or not np.isfinite(actions).all():
@@ -258,11 +230,7 @@ class ReachEnv(gymnasium.Env):
     """
     A `ReachVectorEnv` of one manipulator; many are much faster as one `ReachVectorEnv`.
 
-    Parameters
-    ----------
-    **parameters : Any
-        `scene`, `period`, `duration`, `farthest_goal`, `force`: see `ReachVectorEnv`.
-
+    It takes `scene`, `period`, `duration`, `farthest_goal` and `force`.
     """
 
     metadata: dict[str, Any] = {'render_modes': []}

@@ -28,7 +28,7 @@ from scipy.optimize import least_squares
 from benchmark import ROOT
 from benchmark.report import make_page, table
 import timo_sim
-from timo_sim.fitting.search import r_squared
+from timo_sim.fitting.problem import r_squared
 
 FILES = ROOT / 'example' / 'real_arm'
 DATA = Path(os.environ.get('DATA', 'data'))

@@ -34,7 +34,7 @@ import numpy as np
 
 from oracles import spectral_elements
 import timo_sim
-from timo_sim.runs.accuracy import measure_error
+from timo_sim.runs.simulate import measure_error
 from timo_sim.runs.run import run_scene
 
 ACCURATE, SEEN = 1e-3, 1e-6  # [lengths]

@@ -28,10 +28,9 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 import timo_sim
-from timo_sim.log.export import export
 from timo_sim.log.info import info
 from timo_sim.log.read import recover
-from timo_sim.log.tables import Recording
+from timo_sim.log.tables import export, Recording
 from timo_sim.log.write import Channel, Recorder
 from timo_sim.runs.replay import Replay, replay, segments_of
 from timo_sim.topics.commands import COMMANDS

@@ -19,8 +19,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
 
 import timo_sim
-from timo_sim.log.export import table
-from timo_sim.log.tables import Recording
+from timo_sim.log.tables import Recording, table
 from timo_sim.runs.replay import replay
 from timo_sim.simulation.snapshot import reading
 

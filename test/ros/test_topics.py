@@ -26,7 +26,7 @@ from std_msgs.msg import Float64, Header
 import yaml
 
 import timo_sim
-from timo_sim.log.export import export_bag
+from timo_sim.log.tables import export_bag
 from timo_sim.ros.parameters import ParameterNode
 from timo_sim.ros.topics import message_class
 from timo_sim.scene.parameters import ParameterError

@@ -31,8 +31,7 @@ from rosbags.typesys import get_typestore, Stores
 
 from ros_process import Process
 import timo_sim
-from timo_sim.cli import main
-from timo_sim.cli.commands import unique_names
+from timo_sim.cli import main, unique_names
 from timo_sim.log.tables import Recording
 from timo_sim.simulation.energy import work
 from timo_sim.view import plot, plot as animation, rerun

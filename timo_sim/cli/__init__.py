@@ -7,11 +7,601 @@
 # language governing permissions and limitations under the License.
 
 """
-The commands `timo_sim` (with its subcommands) and `sim_node`.
+The command `timo_sim` with its subcommands; `sim_node` is a module of its own.
 
-It may import everything; nothing imports it.
+Each subcommand imports what it needs when it runs, for a quick start. This package may import
+everything; nothing imports it.
 """
 
-from timo_sim.cli.commands import main
+from collections.abc import Iterable
+from functools import partial
+import itertools
+import os
+import re
+import signal
+import sys
+from typing import Any
+import warnings
 
-__all__ = ['main']
+import click
+
+from timo_sim.extras import optional
+from timo_sim.version import __version__
+
+# Errors by name, because most of their modules are not imported here.
+_WRONG_INPUT = 'FileNotFoundError', 'LogError', 'ParameterError', 'TrackError'
+_ALUMINIUM = 2710.0  # [kg/m3]; bodies are drawn with the volume of their mass in aluminium
+
+
+def _show_warning(message, category, filename, lineno, file=None, line=None):
+    """Print a warning; a ModelWarning is one line, without a place in this package or click."""
+    text = warnings.formatwarning(message, category, filename, lineno, line).rstrip()
+    if category.__name__ == 'ModelWarning':
+        text = 'timo_sim: ' + ' '.join(str(message).split())
+    click.echo(text, err=True)
+
+
+class _Command(click.Command):
+    """A subcommand that reports an error as one line and an exit code."""
+
+    def __init__(self, name, **options):
+        # In a raw docstring, click's mark of a preformatted paragraph is two characters.
+        # There is none with `python -OO`.
+        options['help'] = (options['help'] or '').replace('\\b', '\b')
+        super().__init__(name, **options)
+
+    def parse_args(self, context, args):
+        """Read the command line; several values may follow one `--set`."""
+        given, follows = [], False
+        for argument in args:
+            value = re.match(r'[\w.]+=', argument)
+            if follows and value and given[-1] != '--set':
+                given.append('--set')
+            follows = argument.startswith('--set') or follows and bool(value)
+            given.append(argument)
+        return super().parse_args(context, given)
+
+    def invoke(self, context):
+        """Run it; exit with 2 for wrong input, 1 for a failed import, MemoryError or OSError."""
+        try:
+            with warnings.catch_warnings(), optional():
+                warnings.showwarning = _show_warning
+                super().invoke(context)
+            sys.stdout.flush()
+            return
+        except BrokenPipeError:  # the reader of the output, such as head, has left
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what is still in the buffer
+            sys.exit(128 + signal.SIGPIPE)
+        except Exception as error:
+            code, text = 1, str(error)
+            if type(error).__name__ in _WRONG_INPUT:
+                code = 2
+            elif not isinstance(error, (ImportError, MemoryError, OSError)):
+                raise
+        click.echo('timo_sim: ' + ' '.join(text.split()), err=True)
+        sys.exit(code)
+
+
+class _InputOption(click.Option):
+    """An option whose help, when it is shown, lists the inputs of linear models."""
+
+    def get_help_record(self, context):
+        """Return the option and its help."""
+        from timo_sim.model.layout import INPUTS
+        names = ', '.join(each.column for each in INPUTS if each.prescribed)
+        self.help = f'Input of the model: {names}.'
+        return super().get_help_record(context)
+
+
+@click.group()
+@click.version_option(__version__, prog_name='timo_sim')
+def main() -> None:
+    """Simulate a mobile manipulator with a flexible arm."""
+
+
+main.command_class = _Command
+_settings = click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
+                         help='A parameter that differs from the scene; several may follow.')
+_node = click.option('--node', metavar='NAME', help='Full name of the node, if a bag has several.')
+
+
+@main.command()
+@click.argument('scene')
+@_settings
+@click.option('--input', 'cause', default='torque_N_m', show_default=True, metavar='NAME',
+              cls=_InputOption)
+@click.option('--response', 'effects', multiple=True, metavar='NAME', show_default=True,
+              default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
+              help='Output of the model, such as tip_acceleration_m_per_s2; once for each curve.')
+@click.option('--output', '-o', 'picture', type=click.Path(dir_okay=False), default='bode.png',
+              show_default=True, help='Picture to write: PNG, PDF or SVG.')
+def bode(scene: str, settings: tuple[str, ...], cause: str, effects: tuple[str, ...],
+         picture: str) -> None:
+    r"""
+    Draw the Bode diagram of SCENE, a file or a name, about its initial state, and print its poles.
+
+    \b
+        timo_sim bode paper --set arm.damping_ratio=0.01 -o bode.png
+    """
+    from timo_sim.runs.linear import linearize
+    from timo_sim.scene.scene import load_scene
+    from timo_sim.view import plot
+    model = linearize(load_scene(scene, parse_settings(settings))).select([cause], effects)
+    plot.write(plot.bode(model), picture)
+    click.echo(f'poles [Hz]: {", ".join(f"{each:.3g}" for each in model.frequencies())}')
+    click.echo(f'{picture} is drawn')
+
+
+@main.command()
+@click.argument('file', type=click.Path())
+@click.option('--output', '-o', type=click.Path(), required=True, help=(
+    'New file, *.parquet or *.csv; with --bag a new folder.'))
+@click.option('--topic', metavar='NAME', help=(
+    "Write this topic alone, such as '~/motor_torque' (~ is the node's name) or joint_states."))
+@click.option('--bag', is_flag=True, help=(
+    'Make the folder that rosbag2 writes: FILE as OUTPUT_0.mcap, with metadata.yaml beside it.'))
+@_node
+def export(file: str, output: str, topic: str | None, bag: bool, node: str | None) -> None:
+    r"""
+    Write FILE, a log or a bag, as a table with units in the names of columns.
+
+    \b
+        timo_sim export run.mcap -o run.parquet
+        timo_sim export run.mcap -o torque.csv --topic '~/motor_torque'
+        timo_sim export run.mcap -o my_bag --bag
+
+    There is one row for each message of joint_states. It also has the messages of the other topics
+    with the same stamp, and nothing (NaN) if there is none. At a reset two rows have the same
+    time, before and after it.
+    """
+    from timo_sim.log.read import LogError
+    from timo_sim.log.tables import export, export_bag
+    if bag and (topic or node):
+        raise LogError(f'--bag takes the whole file: leave out {"--topic" if topic else "--node"}')
+    click.echo(export_bag(file, output) if bag else export(file, output, topic, node))
+
+
+@main.command()
+@click.argument('scene')
+@_settings
+@click.option('--output', '-o', type=click.Path(file_okay=False), required=True,
+              metavar='FOLDER', help='Folder to write to.')
+@click.option('--target', default='host', show_default=True,
+              help='Processor: host, x86-64-v2, x86-64-v3 or aarch64.')
+@click.option('--estimate', is_flag=True,
+              help='Advance a finer run beside, which measures the error of the tip.')
+@click.option('--name', default='arm', show_default=True, help='First part of all names in C.')
+def export_c(scene: str, settings: tuple[str, ...], output: str, target: str, estimate: bool,
+             name: str) -> None:
+    r"""
+    Write SCENE, a parameter file or the name of an installed scene, as a C library.
+
+    \b
+        timo_sim export-c paper -o paper_in_c
+        cmake -S paper_in_c -B paper_in_c/build && cmake --build paper_in_c/build
+        paper_in_c/build/main
+
+    The folder gets arm.h, arm.o, main.c and CMakeLists.txt. The object file needs no Python and no
+    other library.
+    """
+    from timo_sim.export.c import export_c
+    from timo_sim.scene.scene import load_scene
+    folder = export_c(load_scene(scene, parse_settings(settings)), output, target, estimate, name)
+    click.echo(f'{folder} is written: {name}.h, {name}.o, main.c, CMakeLists.txt')
+
+
+@main.command()
+@click.argument('file', type=click.Path())
+def info(file: str) -> None:
+    r"""
+    Describe FILE, a log or a bag's folder: scene, duration, topics with rates and gaps, peak.
+
+    \b
+        timo_sim info run.mcap
+    """
+    from timo_sim.log.info import info
+    click.echo('\n'.join(info(file)))
+
+
+@main.command()
+@click.argument('file', type=click.Path())
+@click.option('--output', '-o', type=click.Path(),
+              help="New log; by default beside FILE, a log or a bag's folder, with _recovered "
+                   'after its name.')
+def recover(file: str, output: str | None) -> None:
+    r"""
+    Write what is intact in FILE, a log that ends early or is damaged, to a new log.
+
+    \b
+        timo_sim recover run.mcap
+
+    FILE is not changed. If it is complete, nothing is written.
+    """
+    from timo_sim.log.read import recover
+    click.echo(recover(file, output))
+
+
+@main.command()
+@click.argument('file', type=click.Path())
+@_settings
+@click.option('--formulation', metavar='NAME', help='Short for --set model.formulation=NAME.')
+@click.option('--scene', type=click.Path(),
+              help='Parameter file to use instead of the recorded scene; a plain bag needs it.')
+@click.option('--output', '-o', type=click.Path(), help=(
+    'New log; by default FILE with _replay after its name in the working directory if anything '
+    'is changed, else none. Never overwrites: _1, _2, ... is appended.'))
+@click.option('--start', type=float, default=0.0, show_default=True,
+              help='Sim time of the first command of a bag without sim time [s].')
+@click.option('--duration', type=float,
+              help='Sim time of the end [s]; by default that of the last message.')
+@_node
+def replay(file: str, settings: tuple[str, ...], formulation: str | None, scene: str | None,
+           output: str | None, start: float, duration: float | None, node: str | None) -> None:
+    r"""
+    Run the commands and resets of FILE again, at full speed, and compare.
+
+    With the recorded scene, a log of this package gives the same numbers to the last bit. With a
+    changed scene the same commands are run, a new log is written and the differences are shown:
+    largest, its time, rms.
+
+    \b
+        timo_sim replay run.mcap
+        timo_sim replay run.mcap --set model.modes=5 --formulation newton
+
+    A plain bag of commands needs the scene. Its commands act from the first time step at or after
+    their stamp. Stamps are sim time if the bag has one of the node's topics with sim time in its
+    headers, else log time, counted from the first command, which acts at --start:
+
+    \b
+        timo_sim replay bag --scene my_scene.yaml --duration 20
+
+    Exit codes: 0 good; 1 the unchanged scene does not give the same bits, or not all are compared,
+    or the run diverges; 2 bad input.
+    """
+    from timo_sim.runs.replay import replay
+    changes = parse_settings(settings)
+    if formulation:
+        changes['model.formulation'] = formulation
+    if not replay(file, changes, output, scene, start, duration, node, click.echo):
+        sys.exit(1)
+
+
+@main.command()
+@click.argument('scene')
+@click.option('--duration', type=float, default=10.0, show_default=True, help='Sim time [s].')
+@_settings
+@click.option('--output', '-o', type=click.Path(dir_okay=False), help=(
+    'File of the run: *.mcap (a log), *.parquet or *.csv. An existing log is never overwritten; '
+    '_1, _2, ... is appended.'))
+@click.option('--rate', type=float, metavar='HZ', help=(
+    'Samples per second of sim time; by default about 100, or one each step if these do not fit.'))
+@click.option('--estimate/--no-estimate', default=True, show_default=True,
+              help='Measure the error by a finer run.')
+@click.option('--view', is_flag=True, help='Show the run in rerun.')
+@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+              help='Picture to write: curves over time, and the arm in the plane.')
+def simulate(scene: str, duration: float, settings: tuple[str, ...], output: str | None,
+             rate: float | None, estimate: bool, view: bool, png: str | None) -> None:
+    r"""
+    Simulate SCENE, a parameter file or the name of an installed scene, without ROS.
+
+    \b
+        timo_sim simulate paper --png paper.png
+        timo_sim simulate my_scene.yaml --duration 20 --set model.modes=5 -o run.mcap
+
+    Exit codes: 0 good; 1 the run diverges (samples up to there are written); 2 bad input.
+    """
+    from timo_sim.runs.simulate import resolve, simulate
+    from timo_sim.scene.parameters import ModelWarning, whole_ratio
+    from timo_sim.scene.scene import load_scene
+    from timo_sim.simulation.warnings import DivergenceError
+    # If these are missing, fail before minutes are spent on the run.
+    if png:
+        from timo_sim.view import plot
+    if view:
+        import rerun  # noqa: F401
+    if output and output.endswith('.parquet'):
+        import pyarrow  # noqa: F401
+    built, steps = resolve(load_scene(scene, parse_settings(settings)), duration, click.echo)
+    if rate:
+        every = whole_ratio('1/integrator.step', 1.0 / built.step, '--rate', rate)
+    else:
+        every = max(1, round(0.01 / built.step))
+        every = every if steps % every == 0 else 1
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', ModelWarning)  # `run.message` has its text
+            run, diverged = simulate(built, duration, every, estimate), None
+    except DivergenceError as error:
+        run, diverged = error.run, error
+    click.echo(run.message)
+    if output:
+        click.echo(f'{run.save(output)} is written')
+    if png:
+        plot.write(run.plot(), png)
+        click.echo(f'{png} is drawn')
+    if view:
+        run.view()
+    if diverged:
+        click.echo(f'timo_sim: {diverged}', err=True)
+        sys.exit(1)
+
+
+@main.command()
+@click.argument('file', type=click.Path(exists=True, dir_okay=False))
+@click.option('--output', '-o', type=click.Path(),
+              help='Parquet folder; by default named after FILE, in the working directory.')
+@click.option('--workers', type=click.IntRange(min=1), help='Processes; by default one a core.')
+@click.option('--scheduler', metavar='ADDRESS',
+              help='Use workers of this Dask scheduler instead of processes of this machine.')
+def sweep(file: str, output: str | None, workers: int | None, scheduler: str | None) -> None:
+    r"""
+    Do the runs of FILE and write a table of their results.
+
+    \b
+        timo_sim sweep config/sweep.yaml
+
+    If a sweep was stopped, the same command continues it.
+    """
+    from timo_sim.runs.sweep import run_sweep
+    run_sweep(file, output, workers, scheduler)
+
+
+@main.command()
+@click.argument('record', type=click.Path())
+@click.argument('more', nargs=-1, metavar='[NAME]...')
+@click.option('--scene', type=click.Path(), help=(
+    'Parameter file or name of an installed scene, whose values are first guesses; by default '
+    'that of RECORD, if it is a log of the node.'))
+@click.option('--free', multiple=True, required=True, metavar='NAME [NAME]...', help=(
+    'Parameters to be fitted: of the scene; QUANTITY.gain, .bias or .delay of an input or output, '
+    '.lag of an output; or initial for the whole initial state.'))
+@click.option('--bounds', multiple=True, metavar='NAME=LOW:HIGH', help='Bounds of one of them.')
+@_settings
+@click.option('--mapping', type=click.Path(dir_okay=False), metavar='FILE',
+              help='YAML file that says which column of a table is which quantity.')
+@click.option('--outputs', metavar='NAME,NAME', help='Outputs to be fitted; by default all.')
+@click.option('--hold-out', type=float, default=0.0, show_default=True,
+              help='Part of RECORD, at its end, that is predicted and not fitted.')
+@click.option('--window', type=float, metavar='SECONDS', help=(
+    'Fit windows of about this length, each with an initial state of its own.'))
+@click.option('--loss', default='linear', show_default=True,
+              help='Or soft_l1, huber or cauchy, with which outliers weigh less.')
+@click.option('--output', '-o', type=click.Path(dir_okay=False), metavar='FITTED.yaml',
+              help='Parameter file to write: the fitted scene.')
+@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+              help='Picture to write: measured and predicted outputs.')
+def fit(record: str, more: tuple[str, ...], scene: str | None, free: tuple[str, ...],
+        bounds: tuple[str, ...], settings: tuple[str, ...], mapping: str | None,
+        outputs: str | None, hold_out: float, window: float | None, loss: str,
+        output: str | None, png: str | None) -> None:
+    r"""
+    Fit parameters of a scene to RECORD, a log, a bag or a table, and predict the rest of it.
+
+    \b
+        timo_sim fit run.mcap --free motor.viscous_friction arm.young_modulus
+        timo_sim fit arm.csv --mapping columns.yaml --scene arm.yaml --hold-out 0.5 \
+            --free motor.shaft_inertia shaft.bias -o fitted.yaml --png fit.png
+
+    Exit codes: 0 good; 2 bad input.
+    """
+    from timo_sim.fitting.result import fit, read_scene_and_record
+    from timo_sim.scene.parameters import ModelWarning
+    from timo_sim.scene.scene import load_scene
+    if png:
+        from timo_sim.view.plot import write
+    changes, ends = parse_settings(settings), _parse_bounds(bounds)
+    guess, measured = read_scene_and_record(scene, record, mapping)
+    if outputs:
+        measured = measured.select(*outputs.split(','))
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', ModelWarning)  # the report has its text
+        found = fit(load_scene(guess, changes), measured, [*free, *more], ends, hold_out, window,
+                    loss)
+    click.echo(found.report())
+    if output:
+        click.echo(f'{found.save(output)} is written')
+    if png:
+        write(found.plot(), png)
+        click.echo(f'{png} is drawn')
+
+
+@main.command()
+@click.option('--node', default='/timo_sim', show_default=True, help='Full name of the node.')
+@click.option('--force', type=float, default=5.0, show_default=True,
+              help='Force on the carrier, along the axes of the world [N].')
+@click.option('--torque', type=float, default=5.0, show_default=True,
+              help='Torque on the shaft [N m].')
+def teleop(node: str, force: float, torque: float) -> None:
+    r"""
+    Push carrier and shaft of a live node by keys, in a terminal.
+
+    \b
+        timo_sim teleop --torque 2
+
+    Arrows push the carrier, a and d turn the shaft, as long as they are held; space pauses or goes
+    on, r resets, q or Ctrl-C quits. The latest command acts, whether from here or from others.
+    """
+    from timo_sim.ros.teleop import teleop
+    teleop(node, force, torque)
+
+
+@main.command()
+@click.argument('scene')
+@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
+              help='A parameter that differs from the scene, such as frame_prefix=left/.')
+def urdf(scene: str, settings: tuple[str, ...]) -> None:
+    r"""
+    Print the URDF of SCENE, a parameter file or the name of an installed scene.
+
+    \b
+        timo_sim urdf my_scene.yaml > my_scene.urdf
+
+    Lengths, masses, centres of mass and moments of inertia are those of the scene with a straight
+    arm; the link arm includes the inertia of the shaft. Links have the names of the frames.
+    """
+    from timo_sim.scene.files import read_parameter_file
+    from timo_sim.scene.parameters import frame_names
+    from timo_sim.scene.scene import load_scene
+    changes = parse_settings(settings)
+    body = load_scene(scene, changes).manipulator
+    click.echo(_urdf_of(body, frame_names({**read_parameter_file(scene), **changes})))
+
+
+@main.command()
+@click.argument('files', nargs=-1, required=True, type=click.Path(exists=True))
+@click.option('--save', type=click.Path(dir_okay=False), metavar='OUT.rrd',
+              help='Write a file for rerun instead of opening it.')
+@click.option('--png', type=click.Path(dir_okay=False), metavar='OUT.png',
+              help='Draw a picture instead, without a screen.')
+@click.option('--gif', type=click.Path(dir_okay=False), metavar='OUT.gif',
+              help='Draw an animation instead, without rerun.')
+@click.option('--at', type=float, metavar='SECONDS',
+              help='Sim time of the picture of --png, and of a frame in the file of --save [s]; '
+                   'by default the end.')
+@click.option('--web', is_flag=True, help='Open the browser instead of a window.')
+@click.option('--fps', type=click.FloatRange(min=0.0, min_open=True), default=30.0,
+              show_default=True, help='Frames per second of the arm, in an animation at most 20; '
+              'curves have all samples.')
+@_node
+def view(files: tuple[str, ...], save: str | None, png: str | None, gif: str | None,
+         at: float | None, web: bool, fps: float, node: str | None) -> None:
+    r"""
+    Show recorded runs, laid over each other, in rerun or as an animation.
+
+    FILES are logs of the node, or bags of its topics. Everything stays on this machine.
+
+    \b
+        timo_sim view run.mcap
+        timo_sim view before.mcap after.mcap --png compared.png --at 1.81
+        timo_sim view run.mcap --gif run.gif
+    """
+    wanted = save or png or web or not gif
+    if at is not None and not (png or save):
+        from timo_sim.scene.parameters import ParameterError
+        raise ParameterError('--at is the time of a picture: it needs --png or --save')
+    if wanted:
+        import rerun  # noqa: F401  # if it is missing, fail before minutes are spent on reading
+    if gif:
+        from timo_sim.view.plot import animate
+    from timo_sim.log.tables import Recording
+    from timo_sim.view.track import track_of_recording
+    recordings = [Recording(path, node) for path in files]
+    names = unique_names([recording.path.stem for recording in recordings])
+    makers = [partial(track_of_recording, *pair) for pair in zip(recordings, names)]
+    if gif:
+        animate([maker() for maker in makers], gif, fps)
+    if wanted:
+        from timo_sim.view.rerun import show_tracks
+        show_tracks(makers, save, png, at, web, fps)
+    for path in filter(None, (save, png, gif)):
+        click.echo(f'{path} is written')
+
+
+def parse_settings(settings: Iterable[str]) -> dict[str, Any]:
+    """Return values by name from texts such as 'model.modes=5', with values in YAML."""
+    from timo_sim.scene.files import parse_yaml
+    from timo_sim.scene.parameters import ParameterError
+    values = {}
+    for text in settings:
+        name, equals, value = text.partition('=')
+        try:
+            values[name.strip()] = parse_yaml(value, name)
+        except ParameterError:
+            equals = ''
+        if not equals:
+            raise ParameterError(f'--set takes NAME=VALUE, such as model.modes=5; got {text!r}')
+    return values
+
+
+def _parse_bounds(texts):
+    from timo_sim.scene.parameters import ParameterError
+    found = {}
+    for text in texts:
+        name, _, ends = text.partition('=')
+        low, colon, high = ends.partition(':')
+        try:
+            if not colon:
+                raise ValueError
+            found[name.strip()] = float(low or '-inf'), float(high or 'inf')
+        except ValueError:
+            raise ParameterError(f'--bounds takes NAME=LOW:HIGH, such as '
+                                 f'motor.shaft_inertia=1e-4:0.1; got {text!r}') from None
+    return found
+
+
+def unique_names(names: list[str]) -> list[str]:
+    """Return names with a suffix _N after repeated ones, such that all differ."""
+    found: list[str] = []
+    for place, name in enumerate(names):
+        numbered = (f'{name}_{number}' for number in itertools.count(place))
+        found.append(name if name not in found else next(
+            each for each in numbered if each not in {*names, *found}))
+    return found
+
+
+def _urdf_of(body, frames):
+    """Return the URDF of a Manipulator with these names of frames."""
+    from xml.etree import ElementTree
+    from timo_sim.scene.files import shared_file
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    robot = ElementTree.parse(shared_file('urdf/timo_sim.urdf'), parser).getroot()
+    for path, values in _urdf_numbers(body).items():
+        next(robot.iterfind(path)).attrib.update({
+            name: ' '.join(f'{number:.9g}' for number in numbers)
+            for name, numbers in values.items()})
+    names = {**frames, 'carrier_rail': frames['carrier'] + '_rail'}
+    for key, elements in (('name', robot.findall('link')), ('link', robot.iter('parent')),
+                          ('link', robot.iter('child'))):
+        for element in elements:
+            element.set(key, names[element.get(key)])
+    text = ElementTree.tostring(robot, 'unicode')
+    return '<?xml version="1.0"?>\n' + text.replace(' />', '/>')
+
+
+def _urdf_numbers(body):
+    """Return the numbers of a Manipulator by element of the URDF and attribute."""
+    import numpy as np
+    from timo_sim.model.bodies import Quadrature
+    arm, base, tip = body.arm, body.base_mass, body.end_effector_mass
+    nodes = Quadrature(arm.breaks, 4)  # exact for sections that vary linearly
+    section = arm.at(nodes.nodes)
+    lump = nodes.weights * section.mass_per_length
+    mass = lump.sum()
+    centre = lump @ nodes.nodes / mass
+    apart = lump @ (nodes.nodes - centre)**2
+    # Parts of the moments of inertia that are due to the section's height and width.
+    bending, sideways = (lump @ (np.ones_like(lump) * size**2) / 12.0
+                         for size in (section.height, section.width))
+    spin = body.shaft_inertia
+    carrier = np.cbrt(body.carrier_mass / _ALUMINIUM)
+    motor = np.cbrt(body.motor_mass / _ALUMINIUM / (2.0 * np.pi))  # as high as it is wide
+    ball = np.cbrt(tip / _ALUMINIUM / (4.0 / 3.0 * np.pi))
+
+    def inertia(xx, yy, zz):
+        return {'ixx': [xx], 'iyy': [yy], 'izz': [zz]}
+
+    def inertial(link, mass, x, *moments):
+        path = f"link[@name='{link}']/inertial/"
+        return {f'{path}mass': {'value': [mass]}, f'{path}origin': {'xyz': [x, 0.0, 0.0]},
+                f'{path}inertia': inertia(*moments)}
+
+    def visual(link, shape, number=1):
+        return f"link[@name='{link}']/visual[{number}]/{shape}"
+
+    return {
+        # The carrier does not turn: any moments of inertia will do that a body can have.
+        **inertial('carrier', base, 0.0, *3 * [base * carrier**2 / 6.0]),
+        # The shaft turns about z alone: its moments about x and y are made up, as of a ball.
+        **inertial('arm', mass, centre, spin + bending + sideways, spin + apart + sideways,
+                   spin + apart + bending),
+        **inertial('tip', tip, 0.0, *3 * [body.end_effector_inertia]),
+        "joint[@name='tip']/origin": {'xyz': [arm.length, 0.0, 0.0]},
+        visual('carrier', 'origin'): {'xyz': [0.0, 0.0, -motor - 0.5 * carrier]},
+        visual('carrier', 'geometry/box'): {'size': 3 * [carrier]},
+        visual('carrier', 'geometry/cylinder', 2): {'radius': [motor], 'length': [2.0 * motor]},
+        visual('arm', 'origin'): {'xyz': [0.5 * arm.length, 0.0, 0.0]},
+        visual('arm', 'geometry/box'): {
+            'size': [arm.length, np.max(arm.section.height), np.max(arm.section.width)]},
+        visual('tip', 'geometry/sphere'): {'radius': [ball]},
+    }

@@ -71,19 +71,10 @@ def _ignore_exit(unraisable):
 
 def main(args: list[str] | None = None) -> int:
     """
-    Run the node until a signal of `StopRequest` or the end of its duration.
+    Run the node until a signal of `StopRequest` or the end of its duration; return the exit code.
 
-    Parameters
-    ----------
-    args : list of str, optional
-        Command line; by default that of the process.
-
-    Returns
-    -------
-    int
-        Exit code: 0 for a good end, 1 if ROS is missing or the middleware fails, 2 for a parameter
-        or an argument that breaks its rule.
-
+    It is 0 for a good end, 1 if ROS is missing or the middleware fails, 2 for a parameter or an
+    argument, by default those of the process, that breaks its rule.
     """
     _open_streams()
     stop = StopRequest()

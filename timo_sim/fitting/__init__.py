@@ -9,6 +9,6 @@
 """
 Fit a scene to a measured record: parameters of the arm, with intervals, and what they predict.
 
-`record` and `files` hold and read what was measured, `problem` compares it with runs, `search`
-finds the parameters, `result` says how certain they are, `picture` shows it.
+`record` holds and reads what was measured, `problem` compares it with runs and finds the
+parameters, `result` says how certain they are.
 """

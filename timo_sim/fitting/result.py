@@ -21,11 +21,9 @@ import numpy as np
 import yaml
 
 from timo_sim.extras import optional
-from timo_sim.fitting.files import read_log, read_record, SUFFIXES
-from timo_sim.fitting.problem import Problem
-from timo_sim.fitting.record import Record, unit_of
-from timo_sim.fitting.search import (
-    covariance, LOSSES, NORMAL, r_squared, Search, unidentified_combinations, whiteness)
+from timo_sim.fitting.record import read_log, read_record, Record, SUFFIXES, unit_of
+from timo_sim.fitting.problem import (
+    covariance, LOSSES, NORMAL, Problem, r_squared, Search, unidentified_combinations, whiteness)
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import changed, Parameter, ParameterError, short, warn
@@ -43,21 +41,10 @@ _RUN_HEAD = 'rms error and R^2 of one run from the beginning of the record, with
 @dataclass(frozen=True)
 class Estimate:
     """
-    A fitted parameter.
+    A fitted parameter with its 95 % interval, `low` to `high`; NaN if it is not identified.
 
-    Attributes
-    ----------
-    value, low, high : float
-        And its 95 % interval; NaN if the record does not identify it.
-    deviation : float
-        Standard deviation; of a positive parameter that of its logarithm times its value.
-    start : float
-        First guess.
-    unit : str
-    identified : bool
-    bound : str
-        'low' or 'high' if it is at this bound, else ''.
-
+    `deviation` is the standard deviation; of a positive parameter that of its logarithm times its
+    value. `start` is the first guess; `bound` is 'low' or 'high' if it is at this bound, else ''.
     """
 
     value: float
@@ -105,14 +92,12 @@ class Fit:
         The whole record, predicted by one run from its beginning; None if that diverges.
     predicted : dict of ndarray, shape (n,)
         By output, what this run shows at the record's samples.
-    until : float
-        Time from which on the record was held out [s].
+    until, seconds : float
+        Time from which on the record was held out; wall time of the fit [s].
     white : bool
         Whether the residuals of the fit are white; if not, the model lacks something, and the
         intervals allow for that.
     warnings : list of str
-    seconds : float
-        Wall time of the fit.
 
     """
 
@@ -149,8 +134,14 @@ class Fit:
             bound = f'  at its {each.bound} bound' if each.bound else ''
             lines.append(f'{name:<{width}}  {shown}  {each.start:>11.5g}  {each.unit}{bound}'
                          .rstrip())
-        lines += ['', 'correlation above 0.95: ' + (', '.join(self._close()) or 'none')]
-        lines += [f'not identified: {_shown(parts)}' for parts in self.unidentified]
+        pairs = [f'{first} and {second} ({self.correlation[i, j]:.3f})'
+                 for j, second in enumerate(self.estimates)
+                 for i, first in enumerate([*self.estimates][:j])
+                 if first in self.values and second in self.values
+                 and abs(self.correlation[i, j]) > _CLOSE]
+        lines += ['', 'correlation above 0.95: ' + (', '.join(pairs) or 'none')]
+        lines += ['not identified: ' + ' '.join(
+            f'{part:+.2f} {name}' for name, part in parts.items()) for parts in self.unidentified]
         if self.scene.load and self.record.inputs:
             lines += ['the loads of the scene act beside the inputs of the record']
         lines += ['', _RUN_HEAD, self._table()]
@@ -171,17 +162,46 @@ class Fit:
             rows.append(row)
         return '\n'.join(rows)
 
-    def _close(self):
-        names = [*self.estimates]
-        for j, second in enumerate(names):
-            for i, first in enumerate(names[:j]):
-                both = self.estimates[first].identified and self.estimates[second].identified
-                if both and abs(self.correlation[i, j]) > _CLOSE:
-                    yield f'{first} and {second} ({self.correlation[i, j]:.3f})'
-
     def plot(self) -> Figure:
         """Draw measured and predicted outputs, and their difference; needs matplotlib."""
-        return _draw(self)
+        with optional():
+            from matplotlib.figure import Figure
+
+            from timo_sim.view.plot import COLOURS
+        record = self.record
+        rows = [*record.inputs, *record.outputs]
+        figure = Figure(figsize=(12, 1.0 + 2.2 * len(rows)), layout='constrained')
+        heights = [0.6 if name in record.inputs else 1.0 for name in rows]
+        all_axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False,
+                                   height_ratios=heights)[:, 0]
+        for axes, name in zip(all_axes, rows):
+            unit = unit_of(name)
+            axes.set(ylabel=f'{_LABELS.get(name, name.replace("_", " "))}' + (
+                f' [{unit}]' if unit else ''), xlim=(0.0, record.duration))
+            axes.grid(alpha=0.3)
+            if self.until < record.duration:
+                axes.axvspan(self.until, record.duration, color='0.93', zorder=0)
+            if name in record.inputs:
+                channel = record.inputs[name]
+                axes.plot(channel.t, channel.values, color='0.4', linewidth=1.0,
+                          drawstyle='steps-post' if channel.hold == 'zero' else 'default')
+                continue
+            channel = record.outputs[name]
+            axes.plot(channel.t, channel.values, color=COLOURS[0], label='measured', linewidth=2.0)
+            if name in self.predicted:
+                axes.plot(channel.t, self.predicted[name], color=COLOURS[1], linewidth=1.2,
+                          label='predicted')
+                axes.plot(channel.t, channel.values - self.predicted[name], color=COLOURS[2],
+                          linewidth=0.8, label='difference')
+            each = self.errors[name]
+            text = f'R² = {each.r_squared:.3f} fitted'
+            if np.isfinite(each.hold_out_r_squared):
+                text += f', {each.hold_out_r_squared:.3f} held out'
+            axes.legend(fontsize='small', ncols=3, frameon=False, loc='lower right',
+                        bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
+            axes.set_title(text, loc='left', fontsize='small')
+        all_axes[-1].set(xlabel='time [s]')
+        return figure
 
     def save(self, path: str | Path) -> Path:
         """Write the fitted scene as a parameter file for `sim_node`; an existing one is kept."""
@@ -206,52 +226,6 @@ _LABELS = {'tip_transverse': 'tip deflection', 'tip_angle': 'tip angle',
            'tip_acceleration': 'tip acceleration'}
 
 
-def _draw(fit):
-    """Return a Figure of a Fit; the part of the record that was held out is shaded."""
-    with optional():
-        from matplotlib.figure import Figure
-
-        from timo_sim.view.plot import COLOURS
-    record = fit.record
-    rows = [*record.inputs, *record.outputs]
-    figure = Figure(figsize=(12, 1.0 + 2.2 * len(rows)), layout='constrained')
-    heights = [0.6 if name in record.inputs else 1.0 for name in rows]
-    all_axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False,
-                               height_ratios=heights)[:, 0]
-    for axes, name in zip(all_axes, rows):
-        unit = unit_of(name)
-        axes.set(ylabel=f'{_LABELS.get(name, name.replace("_", " "))}' + (
-            f' [{unit}]' if unit else ''), xlim=(0.0, record.duration))
-        axes.grid(alpha=0.3)
-        if fit.until < record.duration:
-            axes.axvspan(fit.until, record.duration, color='0.93', zorder=0)
-        if name in record.inputs:
-            channel = record.inputs[name]
-            axes.plot(channel.t, channel.values, color='0.4', linewidth=1.0,
-                      drawstyle='steps-post' if channel.hold == 'zero' else 'default')
-            continue
-        channel = record.outputs[name]
-        axes.plot(channel.t, channel.values, color=COLOURS[0], label='measured', linewidth=2.0)
-        if name in fit.predicted:
-            axes.plot(channel.t, fit.predicted[name], color=COLOURS[1], linewidth=1.2,
-                      label='predicted')
-            axes.plot(channel.t, channel.values - fit.predicted[name], color=COLOURS[2],
-                      linewidth=0.8, label='difference')
-        each = fit.errors[name]
-        text = f'R² = {each.r_squared:.3f} fitted'
-        if np.isfinite(each.hold_out_r_squared):
-            text += f', {each.hold_out_r_squared:.3f} held out'
-        axes.legend(fontsize='small', ncols=3, frameon=False, loc='lower right',
-                    bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-        axes.set_title(text, loc='left', fontsize='small')
-    all_axes[-1].set(xlabel='time [s]')
-    return figure
-
-
-def _shown(parts):
-    return ' '.join(f'{part:+.2f} {name}' for name, part in parts.items())
-
-
 _HOLD_OUT = Parameter('hold_out', 0.0, '', '', low=0.0, high=0.95)
 _WINDOW = Parameter('window', 1.0, 's', '', low=0.0, open_low=True)
 
@@ -273,7 +247,6 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
         Its values of the free parameters are first guesses. None: the scene of a log of the node.
     record : Record, str or Path
         A Record; a log or bag of the node; or a table: CSV or other text, Parquet, MAT.
-        A text whose name ends otherwise needs a mapping.
     free : sequence of str
         Names of parameters of the scene that are numbers, with [k] for an element of a list;
         QUANTITY.gain, .bias or .delay of an input or output of the record, such as shaft.bias, and
@@ -290,10 +263,6 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
         `linear`, or `soft_l1`, `huber` or `cauchy`, with which outliers weigh less.
     mapping : str, Path or dict, optional
         Which column of a table is which quantity, see doc/fit.md.
-
-    Returns
-    -------
-    Fit
 
     Raises
     ------
@@ -329,11 +298,53 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     problem = Problem(start, measured, list(free), dict(bounds or {}), until, window)
     search = Search(problem, loss)
     search.run()
-    found = result_of(problem, search.x[:len(problem.free)], search.first_state(),
-                      search.deviations, search.derivatives(), search.against,
-                      time.monotonic() - begun)
-    if found.warnings:
-        warn('; '.join(found.warnings))
+    names, count = [free.name for free in problem.free], len(problem.free)
+    jacobians, residuals, jumps, friction = search.derivatives()
+    seconds = time.monotonic() - begun
+    x, initial = search.x[:count], search.split(search.x)[1][0]
+    spread, white = covariance(jacobians, residuals)
+    spread = spread[:count, :count]
+    sigma = np.sqrt(np.diag(spread))
+    estimates = {}
+    for each, at, deviation in zip(problem.free, x, sigma):
+        value, half = each.value(at), NORMAL * deviation
+        identified = bool(half < (1.0 if each.log else max(1.0, abs(at))))
+        edges = each.coordinate(each.low), each.coordinate(each.high)
+        bound = next((name for name, edge in zip(('low', 'high'), edges)
+                      if abs(at - edge) < _AT_BOUND), '')
+        low, high = ((each.value(at - half), each.value(at + half)) if identified
+                     else (math.nan, math.nan))
+        estimates[each.name] = Estimate(
+            value if identified else math.nan, low, high,
+            deviation * (value if each.log else each.scale) if identified else math.nan,
+            each.start, each.unit, identified, bound)
+    values = problem.values(x)
+    fitted, doubts = problem.scene_of(values, initial), []
+    if jumps:
+        cause = ', as with dry friction' if problem.scene.friction.any() else ''
+        doubts.append(f'the run depends on {", ".join(jumps)} in jumps{cause}, so the intervals '
+                      'may be too small: try a shorter window, or friction with a coulomb_speed')
+    run, predicted = None, {}
+    try:
+        run = problem.run(values, scene=fitted)
+        predicted = {name: found for name, (_, found) in
+                     problem.predictions(run, values).items()}
+    except DivergenceError as error:
+        doubts.append(f'one run of the whole record diverges: {error}')
+    errors = _errors(problem, predicted, residuals, search.deviations)
+    doubts += _suspects(errors, search.against, {} if white else friction)
+    doubts += _doubts(problem, fitted, estimates, errors, values, run, predicted)
+    # The derivatives by the parameters that initial states of windows cannot make up for.
+    whole = np.concatenate(jacobians)
+    q, _ = np.linalg.qr(whole[:, count:])
+    parts = unidentified_combinations(
+        whole[:, :count] - q @ (q.T @ whole[:, :count]), names,
+        {name for name, each in estimates.items() if not each.identified})
+    correlation = np.clip(spread / np.outer(sigma, sigma), -1.0, 1.0)  # but for round-off
+    found = Fit(fitted, problem.record, estimates, correlation, parts, errors, run, predicted,
+                problem.until, white, doubts, seconds)
+    if doubts:
+        warn('; '.join(doubts))
     return found
 
 
@@ -363,72 +374,6 @@ _NOISY = 2.0         # ratio of a residual to the known noise, above which there
 _MOST_NUMERICAL = 0.2    # part of a residual that may be numerical error
 
 
-def result_of(problem: Problem, x: np.ndarray, initial: Mapping[str, float],
-              deviations: Mapping[str, float], derivatives: tuple, against: Mapping[str, float],
-              seconds: float) -> Fit:
-    """
-    Return the Fit for coordinates of the free parameters.
-
-    Parameters
-    ----------
-    problem : Problem
-    x : ndarray, shape (p,)
-    initial : dict
-        The initial state of the first window, if windows have their own.
-    deviations : dict of float
-        Standard deviations of the sensors, by output.
-    derivatives : tuple
-        See `Search.derivatives`.
-    against : dict of float
-        By output, its least correlation with a run of the first guess.
-    seconds : float
-        Wall time of the search [s].
-
-    """
-    names, count = [free.name for free in problem.free], len(problem.free)
-    jacobians, residuals, jumps, friction = derivatives
-    spread, white = covariance(jacobians, residuals)
-    spread = spread[:count, :count]
-    sigma = np.sqrt(np.diag(spread))
-    estimates = {}
-    for free, at, deviation in zip(problem.free, x, sigma):
-        value, half = free.value(at), NORMAL * deviation
-        identified = bool(half < (1.0 if free.log else max(1.0, abs(at))))
-        edges = free.coordinate(free.low), free.coordinate(free.high)
-        bound = next((name for name, edge in zip(('low', 'high'), edges)
-                      if abs(at - edge) < _AT_BOUND), '')
-        low, high = ((free.value(at - half), free.value(at + half)) if identified
-                     else (math.nan, math.nan))
-        estimates[free.name] = Estimate(
-            value if identified else math.nan, low, high,
-            deviation * (value if free.log else free.scale) if identified else math.nan,
-            free.start, free.unit, identified, bound)
-    values = problem.values(x)
-    scene, doubts = problem.scene_of(values, initial), _doubts_about_jumps(jumps, problem.scene)
-    run, predicted = None, {}
-    try:
-        run = problem.run(values, scene=scene)
-        predicted = {name: found for name, (_, found) in
-                     problem.predictions(run, values).items()}
-    except DivergenceError as error:
-        doubts.append(f'one run of the whole record diverges: {error}')
-    errors = _errors(problem, predicted, residuals, deviations)
-    doubts += _suspects(errors, against, {} if white else friction)
-    doubts += _doubts(problem, scene, estimates, errors, values, run, predicted)
-    parts = unidentified_combinations(_without_others(np.concatenate(jacobians), count), names, {
-        name for name, each in estimates.items() if not each.identified})
-    correlation = np.clip(spread / np.outer(sigma, sigma), -1.0, 1.0)  # but for round-off
-    return Fit(scene, problem.record, estimates, correlation, parts, errors, run, predicted,
-               problem.until, white, doubts, seconds)
-
-
-def _doubts_about_jumps(names, scene):
-    cause = ', as with dry friction' if scene.friction.any() else ''
-    return [f'the run depends on {", ".join(names)} in jumps{cause}, so the intervals '
-            'may be too small: try a shorter window, or friction with a coulomb_speed'
-            ] if names else []
-
-
 def _suspects(errors, against, friction):
     """Yield what may be wrong with a record or a scene that do not agree."""
     if not all(each.r_squared > _POOR for each in errors.values()):
@@ -442,15 +387,6 @@ def _suspects(errors, against, friction):
             yield (f'dry friction, which the scene has not got, would explain {100.0 * share:.0f} '
                    f'% of the squares of the residuals: set {name} to about {value:.2g}, and free '
                    'it')
-
-
-def _without_others(jacobian, count):
-    """Return the derivatives by the first columns that the others cannot make up for."""
-    own, others = jacobian[:, :count], jacobian[:, count:]
-    if not others.shape[1]:
-        return own
-    q, _ = np.linalg.qr(others)
-    return own - q @ (q.T @ own)
 
 
 def _errors(problem, predicted, residuals, deviations):

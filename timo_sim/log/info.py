@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from timo_sim.log.notes import made_with
 from timo_sim.log.read import LogFile
+from timo_sim.log.write import ENVIRONMENT
 
 _NANOSECONDS = 1000000000
 _MOST_CHUNKS = 40      # chunks that are read for the peak if the node has not noted it
@@ -39,7 +39,8 @@ def info(file: Path | str) -> list[str]:
 def _about_run(log, notes):
     facts, summary, resets, changes = notes
     yield from _entry('changed', _changed(facts) or ['nothing: the arm of the paper at rest'])
-    yield from _entry('made with', [made_with(facts)])
+    yield from _entry('made with', [', '.join(
+        f'{name} {facts[name][:40]}' for name in ENVIRONMENT if name in facts)])
     end = log.statistics.message_end_time / _NANOSECONDS
     yield from _entry('sim time', [f'0 to {end:.9g} s'])
     steps = ', '.join(str(step) for step, _ in resets[:8]) + (', ...' if len(resets) > 8 else '')

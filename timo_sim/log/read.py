@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 import fcntl
 from io import BytesIO
+import json
 import math
 import os
 from pathlib import Path
@@ -39,8 +40,8 @@ from mcap.writer import MCAP0_MAGIC
 import numpy as np
 import zstandard
 
-from timo_sim.log.notes import CHANGE, RESET, START, step_of, SUMMARY, values_of
-from timo_sim.log.write import Chunk, CHUNK_SIZE, create, HEAD, printable, sync, Writer
+from timo_sim.log.write import (
+    CHANGE, Chunk, CHUNK_SIZE, create, HEAD, printable, RESET, START, SUMMARY, sync, Writer)
 
 _LARGEST_CHUNK = 64 * 1024 * 1024      # [B] uncompressed
 _LARGEST_RECORD = _LARGEST_CHUNK + 1024 * 1024
@@ -199,30 +200,10 @@ class LogFile:
     """
     The summary of a log, and its metadata and chunks, read when they are asked for.
 
-    The file is open only while it is read.
-
-    Parameters
-    ----------
-    path : str or Path
-        A file, or a bag's folder with one.
-
-    Attributes
-    ----------
-    path : Path
-        Of the file.
-    name : str
-        The path as text that can be printed.
-    schemas, channels : dict
-        Records by number.
-    statistics : Statistics
-    chunks : list of ChunkIndex
-        In the order of the file.
-
-    Raises
-    ------
-    LogError
-        If the file is not a log, or has no summary: the text says what to do.
-
+    The file, or that in a bag's folder, is open only while it is read. `name` is its path as text
+    that can be printed; `schemas` and `channels` are records by number, `statistics` is one, and
+    `chunks` is a list of ChunkIndex in the order of the file. LogError is raised if it is not a
+    log, or has no summary: the text says what to do.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -256,10 +237,13 @@ class LogFile:
                     starts.append(note)
                 elif entry.name == SUMMARY:
                     summary = note
+                elif not note['step'].isdecimal() or len(note['step']) > 18:
+                    raise ValueError
                 elif entry.name == RESET:
-                    resets.append((step_of(note), entry.offset))
+                    resets.append((int(note['step']), entry.offset))
                 else:
-                    changes.append((step_of(note), entry.offset, values_of(note)))
+                    changes.append((int(note['step']), entry.offset,
+                                    dict(json.loads(note['values']))))
             except (KeyError, TypeError, ValueError, RecursionError):
                 raise LogError(f'{self.name} has a malformed metadata record {entry.name}: '
                                f'{str(note)[:80]!r}') from None
@@ -270,11 +254,7 @@ class LogFile:
 
     def blocks(self, most: int | None = None) -> Iterator[
             tuple[int, np.ndarray, dict[int, np.ndarray]]]:
-        """
-        Yield blocks of messages in the order of the file, at most `most` of them, evenly spread.
-
-        Each is its place in the file, its bytes, and by channel the offsets of message records.
-        """
+        """Yield place, bytes, and message offsets by channel of at most `most` blocks, spread."""
         # A record of a message index has 15 bytes, and 16 more for each message.
         indexed = sum((chunk.message_index_length - 15 * len(chunk.message_index_offsets)) // 16
                       for chunk in self.chunks)
@@ -344,29 +324,10 @@ class LogFile:
 
 class _Reader:
     """
-    Reads a log record by record until it breaks; damaged records before that are left out.
+    Reads a log, behind its magic, record by record until it breaks; damaged records are left out.
 
-    Parameters
-    ----------
-    stream : binary file
-        Behind the magic at its beginning.
-
-    Attributes
-    ----------
-    size, place : int
-        Of the file, and of the present record [B].
-    profile : str
-    count : int
-        Number of messages.
-    earliest, latest : int
-        Log times of the first and the last message [ns]; inf and 0 without any.
-    damage : str or None
-        The first damage, and its place. None after the last record: the file is complete.
-    faults, lost : int
-        How many damages were found, and bytes of the file that could not be read.
-    left_out : Counter
-        Attachments and private records, which are not copied.
-
+    `damage` is the first damage and its place, None for a complete file; `lost` are bytes that
+    could not be read, `left_out` attachments and private records, which are not copied.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -378,12 +339,7 @@ class _Reader:
         self.left_out: Counter = Counter()
 
     def records(self) -> Iterator[Schema | Channel | Metadata | Chunk]:
-        """
-        Yield each Schema, Channel and Metadata of mcap, and Chunks of messages, in their order.
-
-        Each schema and channel comes once, before records that refer to it. Metadata of rosbag2
-        are left out, because `Writer.finish` makes them again.
-        """
+        """Yield each Schema and Channel once, Metadata (not rosbag2's) and Chunks of messages."""
         chunk = Chunk()
         known: set[tuple[type, int]] = {(Schema, 0)}
         for record in self._intact():
@@ -476,26 +432,11 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
     """
     Write what is intact in a damaged or incomplete log to a new one, with index and summary.
 
-    Parameters
-    ----------
-    file : str or Path
-        A file, or a bag's folder with one. It is only read.
-    output : str or Path, optional
-        A file that does not exist; by default beside `file`, with `_recovered` after its stem,
-        and a number if that exists.
-
-    Returns
-    -------
-    str
-        What was found, what was lost, and what was written: nothing if the log is complete.
-
-    Raises
-    ------
-    LogError
-        If the file is not a log or nothing in it is intact, or if `output` exists.
-    OSError
-        If the new file cannot be written.
-
+    `file`, or the only one in a bag's folder, is not changed. `output` must not exist; by default
+    it is beside `file`, with `_recovered` after its stem, and a number if that exists. Returns
+    what was found, lost and written: nothing if the log is complete. Raises LogError if the file
+    is not a log or nothing in it is intact, or if `output` exists; OSError if the new file cannot
+    be written.
     """
     path = file_of(file)
     with _open(path) as stream:

@@ -6,26 +6,31 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Read a log as arrays: what the node published, and the commands that it obeyed."""
+"""Read a log as arrays: what was published and commanded; export it as a table or a folder."""
 
 from collections import Counter
+from collections.abc import Iterable
+import csv
 from dataclasses import dataclass
 from functools import cached_property
 import json
+import os
 from pathlib import Path
+import shutil
 from typing import Any
 
 from mcap.opcode import Opcode
 import numpy as np
 
-from timo_sim.log.notes import original_names
+from timo_sim.extras import optional
 from timo_sim.log.read import files_of, LogError, LogFile
-from timo_sim.log.write import HEAD, printable
+from timo_sim.log.write import HEAD, information, original_names, printable, yaml_text
+from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import frame_names, ParameterError, SPLIT
 from timo_sim.scene.scene import load_scene
 from timo_sim.topics.cdr import CdrError, layout
 from timo_sim.topics.commands import COMMANDS, LARGEST, Refused
-from timo_sim.topics.outputs import NANOSECONDS, outputs
+from timo_sim.topics.outputs import NANOSECONDS, outputs, title, with_angles
 
 _HEAD = 31              # [B] of a message's record before its content, see `_HEAD_TYPE`
 _HEAD_TYPE = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
@@ -41,20 +46,14 @@ _TYPES = {**{output.name: output.type_name for output in outputs(1)},
 @dataclass(frozen=True)
 class Series:
     """
-    The messages of a topic.
+    The n messages of a topic, with `columns`, the names of k quantities with units.
 
     Attributes
     ----------
-    topic : str
-    columns : tuple of str
-        Names of k quantities, with units.
-    step : ndarray of int64, shape (n,)
-        Time steps; -1 in a plain bag, which has none.
-    ns : ndarray of int64, shape (n,)
-        Sim time [ns]. In a plain bag it is the stamp of the header. Stamps of commands mean
-        nothing there: it is the sim time at their log time or, if that is not known, log time.
-    log_ns : ndarray of int64, shape (n,)
-        Time at which a message was logged [ns].
+    step, ns, log_ns : ndarray of int64, shape (n,)
+        Time steps (-1 in a plain bag), sim time and time at which it was logged [ns]. In a plain
+        bag, sim time is the stamp of the header, but for commands, whose stamps mean nothing
+        there, the sim time at their log time or, if that is not known, log time.
     values : ndarray, shape (n, k)
         NaN for what a command does not set.
     refused : int
@@ -79,43 +78,27 @@ class Series:
 
 class Recording:
     """
-    A log of this package, or a bag with the topics of a node.
+    A log of this package, or a bag with the topics of a node; series are read when asked for.
 
-    Series are read when they are asked for, chunk by chunk.
-
-    Parameters
-    ----------
-    path : str or Path
-        A file, or a bag's folder with one, or with the files of a plain bag that was split.
-    node : str, optional
-        Fully qualified name of the node; needed if a bag has several.
+    `path` may be a bag's folder, also with the files of a plain bag that was split; `node` is the
+    fully qualified name of the node, needed if a bag has several. LogError is raised if the file
+    is not a log, or damaged, or incomplete: the text says what to do.
 
     Attributes
     ----------
-    path : Path
-    title : str
-        Name of the file, or of the folder of a bag that was split.
-    name : str
-        The node's fully qualified name, such as '/timo_sim'.
+    title, name : str
+        Of the file, or of the folder of a split bag; the node's fully qualified name.
     scene : Scene or None
         None for a plain bag.
-    facts : dict
-        What the node noted at its start: 'parameters', 'timo_sim', 'numpy', ...; empty for a plain
-        bag.
-    summary : dict
-        What the node noted at its end; empty if it noted nothing.
+    facts, summary : dict
+        What the node noted at its start ('parameters', 'numpy', ...) and its end; empty if
+        nothing.
     resets : ndarray of int
         Steps at which the motion was reset.
     changes : list of tuple
         (step, place in the file, values by name) of each setting of the scene's parameters.
     unread : dict of str
         By topic of the node, why its messages are not read.
-    parts : list of LogFile
-
-    Raises
-    ------
-    LogError
-        If the file is not a log, or damaged, or incomplete: the text says what to do.
 
     """
 
@@ -189,21 +172,7 @@ class Recording:
         return self.read()
 
     def read(self, *names: str, most_chunks: int | None = None) -> dict[str, Series]:
-        """
-        Read some series, in one pass.
-
-        Parameters
-        ----------
-        *names : str
-            Short names; by default all. Those that the file does not have are left out.
-        most_chunks : int, optional
-            Read at most so many chunks, spread over the file.
-
-        Returns
-        -------
-        dict of Series
-
-        """
+        """Return series by short name, by default all; read at most `most_chunks` chunks."""
         found = {number: about for number, about in self._wanted.items()
                  if not names or about[0] in names}
         twice = Counter((part, about[0]) for (part, _), about in found.items()).most_common(1)
@@ -227,18 +196,9 @@ class Recording:
         """
         Return the motion at the samples of joint_states that have a modal_state.
 
-        Parameters
-        ----------
-        series : dict of Series, optional
-            What `read` returned for these, if they have been read already.
-
-        Returns
-        -------
-        step, ns : ndarray of int64, shape (n,)
-            Time step and sim time [ns]. The step of a reset may occur twice: before and after it.
-        motion : ndarray, shape (n, 2 (3 + N))
-            See `model.layout`.
-
+        `series` is what `read` returned for these, if they have been read already. The results are
+        time step and sim time [ns], int64, shape (n,), and the motion, shape (n, 2 (3 + N)), see
+        `model.layout`. The step of a reset may occur twice: before and after it.
         """
         found = self.read('joint_states', '~/modal_state') if series is None else series
         if 'joint_states' not in found:
@@ -284,8 +244,8 @@ class Recording:
         """
         Return how many resets were before messages of these steps, at these places in the file.
 
-        At the step of a reset the place decides; -1 is returned if places contradict steps, as in
-        a file that another tool has written again.
+        It is -1 if places, which decide at the step of a reset, contradict steps: the file was
+        rewritten.
         """
         first, last = (np.searchsorted(self.resets, step, side) for side in ('left', 'right'))
         found = np.searchsorted(np.sort(self.reset_places), place)
@@ -346,23 +306,21 @@ class Recording:
         elif collector.command:
             ns = self._sim_time(log_ns)
         else:
-            self._refuse_restart(collector.topic, log_ns, ns)
+            order = np.argsort(log_ns, kind='stable')
+            falls = np.flatnonzero(np.diff(ns[order]) < -_RESTART)
+            if len(falls):
+                before, after = order[falls[0]:falls[0] + 2]
+                raise LogError(
+                    f'{self.title}: stamps of {collector.topic[:80]} fall from '
+                    f'{1e-9 * ns[before]:.6g} to {1e-9 * ns[after]:.6g} s at log time '
+                    f'{log_ns[after]} ns, where a simulator was started again: cut the bag '
+                    'there, so that each part has one run')
         # The network, or a tool that has written the file again, may have changed the order.
         order = np.argsort(ns, kind='stable')
         resets, step, log_ns, ns, values, messages = (
             array[order] for array in (resets, step, log_ns, ns, values, messages))
         return Series(collector.topic, collector.columns, step, ns, log_ns, values,
                       collector.refused, resets, messages.tolist() if collector.command else [])
-
-    def _refuse_restart(self, topic, log_ns, ns):
-        order = np.argsort(log_ns, kind='stable')
-        falls = np.flatnonzero(np.diff(ns[order]) < -_RESTART)
-        if len(falls):
-            before, after = order[falls[0]:falls[0] + 2]
-            raise LogError(
-                f'{self.title}: stamps of {topic[:80]} fall from {1e-9 * ns[before]:.6g} to '
-                f'{1e-9 * ns[after]:.6g} s at log time {log_ns[after]} ns, where a simulator was '
-                'started again: cut the bag there, so that each part has one run')
 
     def _sim_time(self, log_ns):
         if self._clock is None or not len(log_ns):
@@ -442,19 +400,16 @@ class _Collector:
                 return known
         found = layout(self.type_name, data)
         self._layouts.append((found, len(data), bytes(data[place] for place in found.fixed)))
-        if len(self._layouts) > 1 and not self.command:  # names of frames differ in length
+        if self.command:
+            return found
+        if len(self._layouts) > 1:  # names of frames differ in length
             raise CdrError('its texts or lists are not those of the messages before it')
-        if not self.command:
-            self._name_columns(found)
-        return found
-
-    def _name_columns(self, found):
         texts = found.texts[1:]  # after the frame
-        by_name = {output.name: output for output in outputs(max(1, len(texts)))}
-        output = by_name[self.name]
+        output = {each.name: each for each in outputs(max(1, len(texts)))}[self.name]
         self.columns, self._places = output.columns, output.places
         if texts != output.texts[1:] or len(found.doubles) <= max(self._places, default=-1):
             raise CdrError(f'{", ".join(texts)[:80]} are not the joints of this node')
+        return found
 
     def _keep(self, place, offsets, heads, found, rows):
         """Keep messages of one layout, for `arrays`."""
@@ -482,12 +437,7 @@ class _Collector:
                             heads['sequence'].astype(np.int64), log_ns, ns, values, messages))
 
     def arrays(self):
-        """
-        Return arrays of n messages in the order of the file.
-
-        They are: place, sequence number, log time [ns] and stamp [ns], int64; values, shape
-        (n, k); bytes of commands. The stamp of a command is its log time.
-        """
+        """Return place, sequence, log time, stamp, values and bytes in the order of the file."""
         none = np.zeros(0, dtype=np.int64)
         place, offset, *others = map(np.concatenate, zip(*self._parts or [
             (*[none] * 5, np.zeros((0, len(self.columns))), np.zeros(0, object))]))
@@ -506,3 +456,110 @@ def _gather(data, offsets, kind):
 def _doubles(rows, places):
     columns = [place + byte for place in places for byte in range(8)]
     return np.ascontiguousarray(rows[:, columns]).view('<f8').reshape(len(rows), len(places))
+
+
+_ROWS = 10000  # rows of a CSV file that are converted to text at a time
+
+
+def export(file: Path | str, output: Path | str, topic: str | None = None,
+           node: str | None = None) -> str:
+    """
+    Write a log as a table to `output`, a new *.parquet or *.csv; return what was written.
+
+    There is one row for each message of joint_states, or of `topic`, a short name such as
+    '~/motor_torque'. It also has the messages of the other topics with the same stamp; NaN stands
+    for missing ones. At a reset two rows have the same time, before and after it. Raises LogError
+    if the file is not a log or lacks the topic, or `output` exists or has another suffix. `node`:
+    see `Recording`.
+    """
+    path = Path(output)
+    _check_table(path)
+    recording = Recording(file, node)
+    columns, left = table(recording, topic)
+    write_table(columns, path)
+    text = f'{printable(path)}: {len(columns["time_s"])} rows, {len(columns)} columns'
+    if left:
+        text += '; messages at other times are left out, --topic writes them: ' + ', '.join(left)
+    return '; '.join([text, *recording.unread.values()])
+
+
+def write_table(columns: dict[str, np.ndarray], path: Path) -> None:
+    """Write columns by name to a path; raise LogError unless it is new, and *.parquet or *.csv."""
+    _check_table(path)
+    with whole_file(path, new=True) as part:
+        if path.suffix == '.parquet':
+            with optional():
+                import pyarrow
+                import pyarrow.parquet
+            pyarrow.parquet.write_table(pyarrow.table({
+                name: pyarrow.array(np.ascontiguousarray(values), from_pandas=True)
+                for name, values in columns.items()}), part)
+            return
+        with open(part, 'w', newline='') as stream:
+            writer = csv.writer(stream)
+            writer.writerow(columns)
+            for first in range(0, len(columns['time_s']), _ROWS):
+                writer.writerows(zip(*(
+                    ['' if value != value else value
+                     for value in values[first:first + _ROWS].tolist()]
+                    for values in columns.values())))
+
+
+def _check_table(path):
+    if path.suffix not in ('.parquet', '.csv'):
+        raise LogError(f'{printable(path)} must end with .parquet or .csv')
+    _check_new(path)
+
+
+def _check_new(path):
+    if path.exists():
+        raise LogError(f'{printable(path)} exists: remove it or choose another name')
+
+
+def named(topic: str, columns: Iterable[str]) -> list[str]:
+    """Return the names that columns of a topic have in a table of several topics."""
+    if topic == 'joint_states':
+        return list(columns)
+    prefix = title(topic) + '_'
+    return [column if column.startswith('mode_') else prefix + column for column in columns]
+
+
+def table(recording: Recording, topic: str | None = None) -> tuple[
+        dict[str, np.ndarray], list[str]]:
+    """Return columns by name, (n,) each, and the topics whose messages are in part left out."""
+    found = recording.read(*([topic] if topic else [output.name for output in outputs(1)]))
+    base = found.pop(topic or 'joint_states', None)
+    if base is None:
+        topics = ', '.join(sorted(recording.read())) or 'none'
+        raise recording.lacks(f'{topic or "joint_states"}; it has {topics}')
+    columns, left = {'time_s': 1e-9 * base.ns}, []
+    if recording.facts:
+        columns['step'] = base.step
+    names, values = with_angles(base.columns, base.values)
+    columns.update(zip(names, values.T))
+    for name, series in found.items():
+        names, values = with_angles(series.columns, series.values)
+        here, there = common(base.ns, series.ns)
+        whole = np.full((len(base.ns), len(names)), np.nan)
+        whole[here] = values[there]
+        columns.update(zip(named(name, names), whole.T))
+        if names and len(series.ns[there]) < len(series.ns):
+            left.append(name)
+    return columns, left
+
+
+def export_bag(file: Path | str, output: Path | str) -> str:
+    """Make a new folder as rosbag2 writes it; return a text that says what was done."""
+    folder, log = Path(output), LogFile(file)
+    name = f'{folder.name}_0.mcap'  # `ros2 bag reindex` takes no other name
+    content = information(log.schemas.values(), log.channels.values(), log.statistics, name)
+    _check_new(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(folder, new=True) as part:
+        part.mkdir()
+        try:
+            os.link(log.path.resolve(), part / name)  # no time nor space for a gigabyte
+        except OSError:
+            shutil.copyfile(log.path, part / name)
+        (part / 'metadata.yaml').write_text(yaml_text({'rosbag2_bagfile_information': content}))
+    return f'{printable(folder)}: {printable(name)} and metadata.yaml'

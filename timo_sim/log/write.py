@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Write MCAP files chunk by chunk, in a thread of their own.
+Write MCAP files chunk by chunk, in a thread of their own; the metadata records of a run's log.
 
 Besides messages, a file has what rosbag2 writes: the QoS of topics, and its own metadata record.
 """
@@ -19,8 +19,12 @@ from collections.abc import Iterable
 from contextlib import suppress
 import errno
 import fcntl
+from importlib.metadata import version
+import json
+import math
 import os
 from pathlib import Path
+import platform
 import struct
 import threading
 import time
@@ -37,14 +41,82 @@ from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 import numpy as np
 import yaml
 
-from timo_sim.log.notes import Peak, START, start_note, SUMMARY
 from timo_sim.scene.parameters import changed, frame_names
 from timo_sim.topics.cdr import schema_text, Serializer, TYPE_HASHES
 from timo_sim.topics.commands import COMMANDS
 from timo_sim.topics.outputs import in_frames, outputs
+from timo_sim.version import __version__
 
 if TYPE_CHECKING:  # the import of its module takes longer than `timo_sim info`
     from timo_sim.scene.scene import Scene
+
+START, RESET, SUMMARY = 'timo_sim', 'timo_sim.reset', 'timo_sim.summary'
+CHANGE = 'timo_sim.change'
+# Versions and hardware that the last bits of a run depend on.
+ENVIRONMENT = ('timo_sim', 'python', 'numpy', 'scipy', 'numba', 'machine', 'processor')
+
+
+def start_note(node: str, values: dict, changed: dict, scene: Scene) -> dict[str, str]:
+    """Return the metadata for the start of a run; `changed` are values other than defaults."""
+    return {
+        'node': node, 'parameters': _json(values), 'changed': _json(changed),
+        'initial_motion': json.dumps(scene.initial_motion().tolist()), **_environment()}
+
+
+def change_note(step: int, values: dict) -> dict[str, str]:
+    """Return the metadata for parameters of the scene that were set while the node runs."""
+    return {'step': str(step), 'values': _json(values)}
+
+
+def names_note(channels: list) -> dict[str, str]:
+    """Return the metadata for the names of topics before they were remapped."""
+    return {'topics': _json({channel.topic: channel.name for channel in channels})}
+
+
+def _json(values):
+    # A limit may be infinite, and JSON has no infinity; the text is read as a number again.
+    return json.dumps({name: str(value) if value in (math.inf, -math.inf) else value
+                       for name, value in values.items()})
+
+
+def original_names(facts: dict[str, str]) -> dict[str, str]:
+    """Return the names of topics before they were remapped, by topic; {} if a log has none."""
+    try:
+        return {topic: str(name) for topic, name in json.loads(facts['topics']).items()}
+    except (KeyError, AttributeError, ValueError, RecursionError):
+        return {}
+
+
+def other_ground(facts: dict[str, str]) -> str:
+    """Return in words which versions and hardware differ from those of a log, or ''."""
+    return ', '.join(f'{name} {facts[name][:40]} (here {value})'
+                     for name, value in _environment().items() if facts.get(name, value) != value)
+
+
+def _environment():
+    from llvmlite.binding import get_host_cpu_name  # steps are compiled for this processor
+    return dict(zip(ENVIRONMENT, (
+        __version__, platform.python_version(),
+        *(version(package) for package in ('numpy', 'scipy', 'numba')),
+        platform.machine(), get_host_cpu_name())))
+
+
+class Peak:
+    """The largest transverse deflection of the tip that was published."""
+
+    def __init__(self) -> None:
+        self._found = 0.0, 0.0
+
+    def see(self, numbers: np.ndarray, nanoseconds: int) -> None:
+        """Take account of a tip deflection, axial and transverse [m], at a time [ns]."""
+        if not abs(numbers[1]) <= self._found[0]:
+            self._found = abs(numbers[1]), 1e-9 * nanoseconds
+
+    def note(self) -> dict[str, str]:
+        """Return the metadata for it."""
+        return {'peak_tip_deflection_m': str(self._found[0]),
+                'peak_tip_deflection_at_s': f'{self._found[1]:.9f}'}
+
 
 HEAD = struct.Struct('<BQ')  # of a record: opcode, and length of the content
 # Head of a message's record; channel, sequence number, log time and publish time.
@@ -65,16 +137,7 @@ def printable(path: Path | str) -> str:
 
 
 class Chunk:
-    """
-    Messages that are compressed together.
-
-    Attributes
-    ----------
-    data : bytearray
-    index : dict
-        For each channel a flat list of times [ns] and positions of its messages, alternating.
-
-    """
+    """Messages to be compressed together; by channel flat lists of times [ns] and positions."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -91,20 +154,7 @@ class Chunk:
 
 
 class Writer:
-    """
-    Writes a stream from its first byte to its last.
-
-    Parameters
-    ----------
-    stream : binary file
-    profile : str
-
-    Attributes
-    ----------
-    size : int
-        Number of bytes written so far.
-
-    """
+    """Writes a stream from its first byte to its last, of a profile; `size` is what it has [B]."""
 
     def __init__(self, stream: BinaryIO, profile: str) -> None:
         self._stream, self._profile = stream, profile
@@ -213,17 +263,6 @@ def yaml_text(value: Any) -> str:
     return yaml.dump(value, Dumper=_Dumper, sort_keys=False)
 
 
-def _qos(depth, reliability):
-    return [{**_QOS, 'depth': depth, 'reliability': reliability}]
-
-
-def channel_metadata(type_hash: str, depth: int = DEPTH,
-                     reliability: str = 'reliable') -> dict[str, str]:
-    """Return the metadata of a channel: the QoS of its topic, and the hash of its type."""
-    return {'offered_qos_profiles': yaml_text(_qos(depth, reliability)),
-            'topic_type_hash': type_hash}
-
-
 def _qos_of(channel):
     """Return the QoS in the metadata of a channel; none of a text that expands or is no YAML."""
     text = channel.metadata.get('offered_qos_profiles', '')
@@ -274,35 +313,14 @@ class Channel(NamedTuple):
 
 class Recorder:
     """
-    Write serialised messages and metadata to a new MCAP file.
+    Write serialised messages and metadata, `notes`, to a new MCAP file.
 
     `write` only appends to a chunk; a thread compresses chunks, for the most part without holding
     up other threads, and gives them to the operating system at least every `FLUSH_PERIOD`. If that
     fails or takes longer than `PATIENCE`, or another program deletes, cuts or writes to the file,
-    `error` says so, what was written is kept, and later messages are dropped.
-
-    Parameters
-    ----------
-    path : str or Path
-        A file of this name is never overwritten: `_1`, `_2`, ... is appended to the stem.
-    channels : list of Channel
-    notes : dict of dict
-        Metadata records by name, values of str.
-
-    Attributes
-    ----------
-    path : Path
-        The file that is written.
-    error : str or None
-        Why the log has ended early.
-    warning : str or None
-        That the file has been moved or the disk is slow; the log goes on.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be made.
-
+    `error` says so, what was written is kept, and later messages are dropped; `warning` says that
+    the file has been moved or the disk is slow. A file is never overwritten: `_1`, `_2`, ... is
+    appended to the stem of `path`. Raises OSError if the file cannot be made.
     """
 
     def __init__(self, path: Path | str, channels: list[Channel],
@@ -321,8 +339,11 @@ class Recorder:
         records += [
             ChannelRecord(id=number, topic=channel.topic, message_encoding='cdr',
                           schema_id=types.index(channel.type_name) + 1,
-                          metadata=channel_metadata(TYPE_HASHES[channel.type_name], channel.depth,
-                                                    channel.reliability))
+                          metadata={
+                              'offered_qos_profiles': yaml_text([{
+                                  **_QOS, 'depth': channel.depth,
+                                  'reliability': channel.reliability}]),
+                              'topic_type_hash': TYPE_HASHES[channel.type_name]})
             for number, channel in enumerate(channels, start=1)]
         self.path, self._file = create(Path(path))
         try:
@@ -341,12 +362,7 @@ class Recorder:
         self._thread.start()
 
     def write(self, index: int, step: int, stamp: int, data: bytes) -> None:
-        """
-        Log a message, CDR, of the channel with this index.
-
-        The time step becomes its sequence number; the stamp, sim time [ns], becomes its log and
-        publish time.
-        """
+        """Log a message, CDR, of a channel at a step and its stamp, sim time [ns]."""
         if self.error is not None:
             return
         with self._lock:
@@ -430,21 +446,7 @@ class Recorder:
 
 
 class NewLog(Recorder):
-    """
-    A log of a run made without a node: the same topics and bytes as the node writes.
-
-    Parameters
-    ----------
-    path : str or Path
-    scene : Scene
-    values : dict
-        Parameters of the node, the scene's among them.
-    node : str, optional
-        Fully qualified name of the node that topics are named after.
-    **notes : str
-        Further metadata for the start of the run.
-
-    """
+    """A log of a run without a node: the same topics, and the bytes that the node writes."""
 
     def __init__(self, path: Path | str, scene: Scene, values: dict[str, Any],
                  node: str = '/timo_sim', **notes: str) -> None:

@@ -22,7 +22,7 @@ from rclpy.context import Context
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
 
-from timo_sim.log.notes import CHANGE, change_note, Peak, RESET, start_note
+from timo_sim.log.write import CHANGE, change_note, Peak, RESET, start_note
 from timo_sim.ros.diagnostics import Health
 from timo_sim.ros.loop import Loop, StateError
 from timo_sim.ros.parameters import ParameterNode, resolve_accuracy, steps_between_messages

@@ -26,7 +26,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 
-from timo_sim.runs.accuracy import choose_resolution
+from timo_sim.runs.simulate import choose_resolution
 from timo_sim.scene.files import is_of_rclpy, QOS
 from timo_sim.scene.parameters import (
     check, did_you_mean, Parameter as Rule, ParameterError, PARAMETERS, RATES, short, whole_ratio)

@@ -22,8 +22,7 @@ from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.subscription import Subscription
 
-from timo_sim.log.notes import names_note, START, SUMMARY
-from timo_sim.log.write import Channel, Recorder
+from timo_sim.log.write import Channel, names_note, Recorder, START, SUMMARY
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.topics.cdr import Serializer
 from timo_sim.topics.commands import COMMANDS, GROUPS, JOINTS, LARGEST, Refused

@@ -24,7 +24,7 @@ from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError
 from timo_sim.scene.scene import load_scene, SceneLike
 from timo_sim.simulation.snapshot import Joints
-from timo_sim.topics.sensors import SENSORS
+from timo_sim.topics.outputs import SENSORS
 
 _PERIOD = Parameter('dt', 1.0, 's', 'period', low=0.0, open_low=True)
 
@@ -77,11 +77,7 @@ class LinearModel:
         """
         Return the model with some inputs and outputs, in the order given.
 
-        Raises
-        ------
-        ParameterError
-            If a name is none of the model's.
-
+        Raises ParameterError if a name is none of the model's.
         """
         u = _places(self.inputs, inputs, 'input')
         y = _places(self.outputs, outputs, 'output')
@@ -106,13 +102,8 @@ class LinearModel:
         """
         Return the model at the instants of a controller that holds its commands for dt [s].
 
-        It is exact: `x` after a period is `A x + B u`.
-
-        Raises
-        ------
-        ParameterError
-            If the period is not > 0, or the model is of discrete time already.
-
+        It is exact: `x` after a period is `A x + B u`. Raises ParameterError if the period is not
+        > 0, or the model is of discrete time already.
         """
         from scipy.signal import cont2discrete
         if self.dt is not None:
@@ -169,7 +160,12 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     """
     Return the linear model of a scene about a state of rest, without its dry friction.
 
-    Friction that builds up over a speed is viscous about rest: its limit over that speed.
+    Friction that builds up over a speed is viscous about rest: its limit over that speed. States
+    are free coordinates, then their rates. Inputs are forces on carrier and tip in world axes,
+    torques on shaft and tip; without those that have no effect. Outputs are carrier and shaft, tip
+    in world axes, deflection and rotation of the tip, strain at the root, rates of carrier and
+    shaft, acceleration of the tip across the arm, which is that also in gravity, while the sensor
+    of that name measures specific force.
 
     Parameters
     ----------
@@ -178,15 +174,6 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
         A motion, see `model.layout`; by default the scene's initial one. A shaft that is
         driven or locked stays where it is. The scene's loads of t = 0 act with
         `initial.equilibrium`, otherwise none.
-
-    Returns
-    -------
-    LinearModel
-        States: free coordinates, then their rates. Inputs: forces on carrier and tip in world
-        axes, torques on shaft and tip; without those that have no effect. Outputs: carrier and
-        shaft, tip in world axes, deflection and rotation of the tip, strain at the root, rates of
-        carrier and shaft, acceleration of the tip across the arm. It is the acceleration also in
-        gravity, while the sensor of that name measures specific force.
 
     Raises
     ------
@@ -208,7 +195,13 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     load = scene.load_at_start() if scene.values['initial.equilibrium'] else np.zeros(LOADS)
     load[ANGLE] = at[2]
     state = formulation.state(at)
-    _check(formulation, at, state, load)
+    moving, rate = at[half:], np.abs(formulation.rate(state, load))
+    round_off = _STILL * (1.0 + np.abs(formulation.linear) @ np.abs(state))
+    if moving.any() or not (rate <= round_off).all():
+        raise ParameterError(
+            'a scene is linearised about an equilibrium, where nothing moves; got speeds of up to '
+            f'{np.abs(moving).max():.3g} and rates of the state of up to {rate.max():.3g}: set '
+            'initial.equilibrium, or give another motion as `at`')
     free = np.array([*axes, *range(2 + driven, half)], dtype=int)
     free, half = np.concatenate([free, half + free]), len(free)
     length = formulation.manipulator.arm.length
@@ -253,16 +246,6 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     d = np.vstack([d, across @ b[half:]])
     return LinearModel(a, b, c, d, _state_names(axes, driven, len(formulation.modes)),
                        tuple(inputs), (*outputs.names, 'tip_acceleration_m_per_s2'))
-
-
-def _check(formulation, at, state, load):
-    moving, rate = at[len(at) // 2:], np.abs(formulation.rate(state, load))
-    round_off = _STILL * (1.0 + np.abs(formulation.linear) @ np.abs(state))
-    if moving.any() or not (rate <= round_off).all():
-        raise ParameterError(
-            'a scene is linearised about an equilibrium, where nothing moves; got speeds of up to '
-            f'{np.abs(moving).max():.3g} and rates of the state of up to {rate.max():.3g}: set '
-            'initial.equilibrium, or give another motion as `at`')
 
 
 def _jacobian(function, at, steps, columns):
@@ -319,10 +302,9 @@ class _Outputs:
 
     def residual(self, at):
         """
-        Return the static response of what the modes leave out, per load, (outputs, LOADS).
+        Return the static response, (outputs, LOADS), of what modes leave out of the tip.
 
-        It is that of the straight arm in axes of the tip, see doc/theory.md, section 2; other
-        outputs than the tip's and other loads than those on the tip have none.
+        It is that of the straight arm in axes of the tip, see doc/theory.md, section 2.
         """
         body, modes = self._formulation.manipulator, self._formulation.modes
         found = np.zeros((len(self.names), LOADS))

@@ -15,17 +15,16 @@ from dataclasses import dataclass, field
 import math
 from pathlib import Path
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from timo_sim.log.notes import CHANGE, change_note, other_ground, RESET
 from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
-from timo_sim.log.write import NewLog
+from timo_sim.log.write import CHANGE, change_note, NewLog, other_ground, RESET
 from timo_sim.model.layout import LOADS
-from timo_sim.runs.accuracy import resolve
+from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
 from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import (
@@ -46,16 +45,8 @@ def open_log(path: str | Path, node: str | None = None) -> Run:
     """
     Open a log of the node, or of `Run.save`, as a run.
 
-    Parameters
-    ----------
-    path : str or Path
-    node : str, optional
-        Fully qualified name of the node; needed if the file has several.
-
-    Returns
-    -------
-    Run
-        Its samples are the messages of joint_states; `run.recording.topics` has all topics.
+    Its samples are the messages of joint_states; `run.recording.topics` has all topics. `node` is
+    the fully qualified name of the node, needed if the file has several.
 
     Raises
     ------
@@ -88,36 +79,14 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
     """
     Replay a log or a bag, compare what it publishes with what was logged, and report.
 
-    Parameters
-    ----------
-    file : str or Path
-    changes : dict, optional
-        Values by dotted name that differ from those of the recorded scene.
-    output : str or Path, optional
-        New log; by default none for an unchanged scene, else one in the working directory, named
-        after `file` with `_replay` appended.
-    scene_file : str or Path, optional
-        Parameter file instead of the scene in the log; needed for a plain bag.
-    start, duration : float, optional
-        See `segments_of`.
-    node : str, optional
-        See `Recording`.
-    show : function(str)
-        Called with each line of the report.
-
-    Returns
-    -------
-    bool
-        Whether the run did not diverge and, if nothing was changed, all logged numbers are the
-        same to the last bit.
-
-    Raises
-    ------
-    LogError
-        If the file is not a log, is damaged, or has nothing to replay.
-    ParameterError
-        If a value breaks its rule, a plain bag has no scene, or steps do not fit the log.
-
+    `changes` are values by dotted name that differ from those of the recorded scene, `scene_file`
+    is a parameter file instead of it, which a plain bag needs; for `start`, `duration` and `node`
+    see `segments_of` and `Recording`. `output` is a new log; by default there is none for an
+    unchanged scene, else one in the working directory, named after `file` with `_replay` appended.
+    `show` is called with each line of the report. Returns whether the run did not diverge and, if
+    nothing was changed, all logged numbers are the same to the last bit. Raises LogError if the
+    file is not a log, is damaged, or has nothing to replay; ParameterError if a value breaks its
+    rule, a plain bag has no scene, or steps do not fit the log.
     """
     recording = Recording(file, node)
     values = _values(recording, scene_file, changes or {})
@@ -155,7 +124,7 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
         if not same and (scene.values['model.formulation']
                          != recording.scene.values['model.formulation']):
             # Formulations have different modes, so that modal coordinates cannot be compared.
-            found = [row for row in found if not row.name.startswith('modal_state')]
+            found = [row for row in found if not row[0].startswith('modal_state')]
         _show_table(show, found)
     ground = other_ground(recording.facts)
     if ground:
@@ -202,31 +171,13 @@ class Segment:
 def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], start: float = 0.0,
                 duration: float | None = None) -> list[Segment]:
     """
-    Return the segments of a recording, counted in steps of a scene.
+    Return the Segments of a recording, counted in steps of a scene.
 
-    Parameters
-    ----------
-    recording : Recording
-    scene : Scene
-        It may have another time step: a command acts from the next whole step on.
-    values : dict
-        The node's parameters, for the rates of topics that are not in the recording.
-    start : float, optional
-        Sim time of the first message of a bag that has no sim time [s].
-    duration : float, optional
-        Sim time of the end [s]; by default that of the last message.
-
-    Returns
-    -------
-    list of Segment
-
-    Raises
-    ------
-    LogError
-        If there is nothing to replay.
-    ParameterError
-        If logged messages are not at whole time steps, or the log is shorter than the duration.
-
+    A scene may have another time step: a command acts from the next whole step on. `values` are
+    the node's parameters, for the rates of topics that are not in the recording; `start` is the
+    sim time of the first message of a bag that has no sim time, `duration` that of the end, by
+    default of the last message [s]. Raises LogError if there is nothing to replay; ParameterError
+    if logged messages are not at whole time steps, or the log is shorter than the duration.
     """
     found = recording.topics
     known = {output.name: output for output in outputs(scene.modal_count)}
@@ -242,7 +193,8 @@ def segments_of(recording: Recording, scene: Scene, values: Mapping[str, Any], s
             raise LogError(f'{recording.title} is in another order than it was logged in: '
                            f'whether {topic[:80]} at the step of a reset was before or after it '
                            'is not known')
-    shift = _shift(recording, [series for _, series in commands], motions, start)
+    shift = 0 if recording.facts or motions else round(1e9 * _START.check(start)) - min(
+        int(series.ns[0]) for _, series in commands if len(series.ns))  # of stamps [ns]
 
     def steps(series, must_fit):
         if recording.facts:
@@ -330,14 +282,6 @@ def _delays_in_steps(known, scene, step):
             for name, output in known.items()}
 
 
-def _shift(recording, commands, motions, start):
-    """Return the difference of sim time from the stamps of a bag [ns]."""
-    if recording.facts or motions:
-        return 0
-    return round(1e9 * _START.check(start)) - min(
-        int(series.ns[0]) for series in commands if len(series.ns))
-
-
 def _to_steps(exact, must_fit, step, topic):
     """Return times in steps, rounded up; raise ParameterError if they must fit and do not."""
     whole = np.ceil(exact - _ROUNDING * np.maximum(1.0, np.abs(exact))).astype(np.int64)
@@ -366,16 +310,7 @@ def _last_step(commanding, published, motions, shift, scene, duration):
 
 
 class Replay:
-    """
-    Runs segments in a scene and fills in `replayed` and `done` of each; logs all to a NewLog.
-
-    Attributes
-    ----------
-    simulator : Simulator
-    diverged : str or None
-        Why the replay ended early.
-
-    """
+    """Runs segments and fills in `replayed` and `done`; `diverged` says why it ended early."""
 
     def __init__(self, scene: Scene, segments: list[Segment],
                  log: NewLog | None = None) -> None:
@@ -441,17 +376,8 @@ class Replay:
             report(following - step)
 
 
-class _Difference(NamedTuple):
-    """The difference of a replayed quantity from the logged one."""
-
-    name: str       # topic and column
-    largest: float  # in the unit that the column names
-    rms: float
-    time: float     # when it is largest [s]
-
-
 def _compare(segments, scene, topics):
-    """Return how many numbers were compared, how many of them differ, and by how much."""
+    """Return counts of compared and differing numbers; name, largest, rms, time by column."""
     count, differing, result = 0, 0, []
     for output in outputs(scene.modal_count):
         topic = output.name
@@ -466,9 +392,15 @@ def _compare(segments, scene, topics):
         differing += (int(np.count_nonzero(logged.view('i8') != replayed.view('i8')))
                       if logged.shape == replayed.shape else logged.size)
         if len(time):
-            result += _differences(topic, scene.step * time,
-                                   with_angles(topics[topic].columns, logged),
-                                   with_angles(output.columns, replayed))
+            (names, logged), (others, replayed) = (
+                with_angles(topics[topic].columns, logged), with_angles(output.columns, replayed))
+            for column in [name for name in names if name in others]:
+                distance = np.abs(replayed[:, others.index(column)]
+                                  - logged[:, names.index(column)])
+                place = int(np.argmax(distance))
+                result.append((f'{title(topic)} {column}', float(distance[place]),
+                               float(np.sqrt(np.mean(distance**2))),
+                               float(scene.step * time[place])))
     return count, differing, result
 
 
@@ -483,15 +415,6 @@ def _count_logged(segments, scene, recording):
                             recording.scene, recording.scene.step)
     return sum(found.values[found.step + late[name] <= end].size
                for name, (_, found) in series.items())
-
-
-def _differences(topic, time, logged, replayed):
-    for column in [name for name in logged[0] if name in replayed[0]]:
-        before, now = (values[:, columns.index(column)] for columns, values in (logged, replayed))
-        distance = np.abs(now - before)
-        place = int(np.argmax(distance))
-        yield _Difference(f'{title(topic)} {column}', float(distance[place]),
-                          float(np.sqrt(np.mean(distance**2))), float(time[place]))
 
 
 def _report(show, recording, segments, again, seconds):
@@ -509,10 +432,10 @@ def _report(show, recording, segments, again, seconds):
 
 
 def _show_table(show, found):
-    different = [row for row in found if row.largest or row.largest != row.largest]
-    width = max([len(row.name) for row in different], default=10)
+    different = [row for row in found if row[1] or row[1] != row[1]]
+    width = max([len(name) for name, *_ in different], default=10)
     show(f'{"difference":<{width}}  {"largest":>9}  {"at":>10}  {"rms":>9}')
-    for row in different:
-        show(f'{row.name:<{width}}  {row.largest:9.2e}  {row.time:8.4g} s  {row.rms:9.2e}')
+    for name, largest, rms, at in different:
+        show(f'{name:<{width}}  {largest:9.2e}  {at:8.4g} s  {rms:9.2e}')
     if len(different) < len(found):
         show(f'{len(found) - len(different)} other quantities are the same')

@@ -118,30 +118,19 @@ class Run(MotionFields):
         """
         Return positions of points of the centre line in world axes, (n, 2) or (n, p, 2) [m].
 
-        Parameters
-        ----------
-        xi : float or array_like, shape (p,)
-            Distance from the root along the undeformed arm, 0 to its length [m]; ValueError else.
-
+        `xi`, a float or of shape (p,), is the distance from the root along the undeformed arm [m];
+        outside of 0 to its length it is a ValueError.
         """
         return self._pick(xi, self.model.world(self.motion, self._at(xi)))
 
     def deflection(self, xi: ArrayLike) -> np.ndarray:
-        """
-        Return the axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m].
-
-        `xi` is as for `position`.
-        """
+        """Return axial and transverse deflection in the arm frame, (n, 2) or (n, p, 2) [m]."""
         points = self._at(xi)
         straight = np.column_stack([points.xi, np.zeros_like(points.xi)])
         return self._pick(xi, self.model.centre_line(self.q, points) - straight)
 
     def rotation(self, xi: ArrayLike) -> np.ndarray:
-        """
-        Return the rotation of sections relative to the shaft, (n,) or (n, p) [rad].
-
-        `xi` is as for `position`.
-        """
+        """Return the rotation of sections relative to the shaft, (n,) or (n, p) [rad]."""
         return self._pick(xi, self.model.section_rotation(self.q, self._at(xi)))
 
     def energy(self) -> np.ndarray:
@@ -197,14 +186,9 @@ class Run(MotionFields):
         """
         Return the bending moment in the arm at its root, shape (n,) [N m].
 
-        It follows from the torque balance of the shaft (T43), which converges much faster with
-        the number of modes than the curvature.
-
-        Raises
-        ------
-        ValueError
-            For a log, which does not contain all loads.
-
+        It follows from the torque balance of the shaft (T43), which converges much faster with the
+        number of modes than the curvature. A log, which does not contain all loads, is a
+        ValueError.
         """
         return self._of_joints('root_moment')
 
@@ -239,7 +223,7 @@ class Run(MotionFields):
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return what the node publishes, except sensors, as columns named with units, (n,)."""
-        from timo_sim.log.export import named
+        from timo_sim.log.tables import named
         snapshots, found = list(self._snapshots()), {'time_s': self.t}
         for output in self._outputs():
             values = np.array([output.numbers(snapshot) for snapshot in snapshots])
@@ -255,22 +239,13 @@ class Run(MotionFields):
 
     def save(self, path: str | Path) -> Path:
         """
-        Write the run to a file.
+        Write the run to a file; return the Path that was written.
 
-        Parameters
-        ----------
-        path : str or Path
-            `*.mcap`: a log, as the node writes it, which `timo_sim.open_log` reads; `*.parquet` or
-            `*.csv`: a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
-            existing table is a LogError.
-
-        Returns
-        -------
-        Path
-            The file that was written.
-
+        `*.mcap` is a log, as the node writes it, which `timo_sim.open_log` reads; `*.parquet` or
+        `*.csv` is a table. Existing logs are never overwritten; `_1`, `_2`, ... is appended. An
+        existing table is a LogError.
         """
-        from timo_sim.log.export import write_table
+        from timo_sim.log.tables import write_table
         from timo_sim.log.write import NewLog
         path = Path(path)
         if path.suffix != '.mcap':
@@ -330,12 +305,7 @@ class Run(MotionFields):
 def run_scene(scene: Scene, steps: int, sample_every: int = 1,
               report: Callable[[int], object] = lambda count: None,
               tell: Callable[[str], object] | None = None) -> Run:
-    """
-    Return the Run of a resolved scene; without the progress bar and ModelWarning of `simulate`.
-
-    `report(count)` is called after each `count` further steps. `tell` goes to
-    `Simulator.warm_up`.
-    """
+    """Return the Run of a resolved scene, quietly; `report(count)` follows each `count` steps."""
     simulator = Simulator(scene)
     simulator.warm_up(tell)
     motion = np.empty((steps // sample_every + 1, simulator.model.size))

@@ -40,10 +40,8 @@ class Sensitivities:
     Attributes
     ----------
     inputs : tuple of str
-    t : ndarray, shape (samples,)
-        Times of the output [s].
-    values : ndarray, shape (samples, ...)
-        The output.
+    t, values : ndarray, shapes (samples,), (samples, ...)
+        Times of the output [s], and the output.
     jacobian, error : ndarray, shape (samples, ..., p)
         Its derivatives, and an estimate of their error.
 
@@ -91,12 +89,7 @@ def sensitivities(scene: SceneLike, duration: float,
         By name of a parameter of `Batch.step`, such as `torque`: values that act one after
         another, each as long, shape (k,), or (k, 2) for forces. Each number is an input.
     samples : int
-        Number of times at which the output is taken, as far apart from each other, the last at
-        the end.
-
-    Returns
-    -------
-    Sensitivities
+        Number of times at which the output is taken, evenly spaced, the last at the end.
 
     Raises
     ------
@@ -140,37 +133,23 @@ def sensitivities(scene: SceneLike, duration: float,
     found = [_derivative(seen[:, 0], above[k], below[k], each.scale * changes)
              for k, each in enumerate(inputs)]
     jacobian, error = (np.stack(parts, axis=-1) for parts in zip(*found))
-    result = Sensitivities(tuple(each.name for each in inputs), scene.step * np.array(sampled),
-                           seen[:, 0], jacobian, error)
-    _warn_of_errors(result)
-    return result
+    names, outputs = tuple(each.name for each in inputs), tuple(range(jacobian.ndim - 1))
+    most, largest = error.max(axis=outputs), np.abs(jacobian).max(axis=outputs)
+    doubtful = np.flatnonzero(~(most <= _DOUBT * largest) & ~(largest == 0.0))
+    if len(doubtful):
+        worst = doubtful[np.argmax(most[doubtful] / largest[doubtful])]
+        warn(f'derivatives by {len(doubtful)} of {len(names)} inputs have an estimated error '
+             f'above {_DOUBT:g} of the largest: {most[worst]:.1g} of {largest[worst]:.3g} by '
+             f'{names[worst]}')
+    return Sensitivities(names, scene.step * np.array(sampled), seen[:, 0], jacobian, error)
 
 
-class _Number(NamedTuple):
-    """A number of the scene as an input."""
-
-    name: str
-    scale: float
-    value: float
-
-    def changed(self, scene, commanded, change):
-        """Return the scene and commands with this input changed."""
-        return scene.vary(overrides_of({self.name: self.value + change}, scene)), commanded
-
-
-class _Command(NamedTuple):
-    """A number of a command as an input."""
+class _Varied(NamedTuple):
+    """A number of the scene or of a command as an input."""
 
     name: str
     scale: float
-    command: str
-    place: tuple
-
-    def changed(self, scene, commanded, change):
-        """Return the scene and commands with this input changed."""
-        values = commanded[self.command].copy()
-        values[self.place] += change
-        return scene, {**commanded, self.command: values}
+    changed: Callable  # (scene, commands, change) -> scene, commands
 
 
 def _checked(commands):
@@ -208,7 +187,8 @@ def _of_scene(scene, parameters):
             if not scale:
                 raise ParameterError(f'{each} is 0: give the size of a change that matters, as '
                                      f'parameters={{{each!r}: size}}')
-            yield _Number(each, scale, value)
+            yield _Varied(each, scale, lambda scene, commands, change, name=each, value=value: (
+                scene.vary(overrides_of({name: value + change}, scene)), commands))
 
 
 def _of_commands(scene, commanded, duration):
@@ -221,7 +201,16 @@ def _of_commands(scene, commanded, duration):
     scales = {each.argument: of_unit[each.unit] for each in INPUTS if each.argument}
     for name, values in commanded.items():
         for place in np.ndindex(values.shape):
-            yield _Command(name + ''.join(f'[{k}]' for k in place), scales[name], name, place)
+            yield _Varied(
+                name + ''.join(f'[{k}]' for k in place), scales[name],
+                lambda scene, commands, change, name=name, place=place: (
+                    scene, {**commands, name: _added(commands[name], place, change)}))
+
+
+def _added(values, place, change):
+    values = values.copy()
+    values[place] += change
+    return values
 
 
 def _outputs(runs, output, steps, edges, sampled):
@@ -245,19 +234,7 @@ def _outputs(runs, output, steps, edges, sampled):
 
 
 def _derivative(base, above, below, steps):
-    """
-    Return a derivative and its estimated error, both of the shape of the output.
-
-    Parameters
-    ----------
-    base : ndarray
-        Output without a change.
-    above, below : ndarray, shape (levels, ...)
-        Output with changes of these steps and of their opposites.
-    steps : ndarray, shape (levels,)
-        Each is a _RATIO-th of the one before.
-
-    """
+    """Return a derivative and its estimated error, both of the shape of the output, `base`."""
     steps = steps.reshape(-1, *np.ones(base.ndim, dtype=int))
     round_off = _ROUND_OFF * (np.abs(above) + np.abs(below)) / steps
     central = (above - below) / (2.0 * steps)
@@ -278,14 +255,3 @@ def _derivative(base, above, below, steps):
             bent = np.where(better, np.abs(kink[level]), bent)
         earlier = row
     return found, error + bent
-
-
-def _warn_of_errors(found):
-    outputs = tuple(range(found.jacobian.ndim - 1))
-    error, largest = found.error.max(axis=outputs), np.abs(found.jacobian).max(axis=outputs)
-    doubtful = np.flatnonzero(~(error <= _DOUBT * largest) & ~(largest == 0.0))
-    if len(doubtful):
-        worst = doubtful[np.argmax(error[doubtful] / largest[doubtful])]
-        warn(f'derivatives by {len(doubtful)} of {len(found.inputs)} inputs have an estimated '
-             f'error above {_DOUBT:g} of the largest: {error[worst]:.1g} of '
-             f'{largest[worst]:.3g} by {found.inputs[worst]}')

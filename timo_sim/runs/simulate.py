@@ -6,20 +6,244 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The function `simulate`: one run of a scene under its own loads."""
+"""The function `simulate`; the error of its runs, and modes and step for a stated error."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 import sys
+from typing import NamedTuple
 
+import numpy as np
 from tqdm import tqdm
 
-from timo_sim.runs.accuracy import measure_error, resolve
 from timo_sim.runs.run import Run, run_scene
-from timo_sim.scene.parameters import Parameter, ParameterError, warn
-from timo_sim.scene.scene import load_scene, SceneLike
-from timo_sim.simulation.warnings import DivergenceError
+from timo_sim.scene.parameters import Parameter, ParameterError, PARAMETERS, steps_in, warn
+from timo_sim.scene.scene import load_scene, Scene, scene_from, SceneLike
+from timo_sim.simulation.finer import can_refine, choose_parts, refine, tip_distance
+from timo_sim.simulation.warnings import (
+    DivergenceError, inaccurate, MOST_APART, NO_FINER_RUN, unseen_load)
+
+SIZES = (3, 5, 8, 12)  # numbers of modes to choose from
+STEPS = (0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)  # to choose from [s]
+GRID = 0.02            # multiple of all steps, time between positions that are compared [s]
+HORIZON = 10.0         # sim time that is compared by default [s]
+MOST_STEPS = 200_000   # most steps of a run that is compared
+MARGIN = 2.0           # least ratio of the stated error to the estimate of the choice
+_STILL = 1e-13         # travel of a tip that only round-off moves [arm lengths]
+
+
+def measure_error(run: Run, find_remedy: bool = True) -> Run:
+    """
+    Return a run of `run_scene` with its measured error, and the warning that this calls for.
+
+    If a finer run diverges, one with shorter steps is tried. `estimated_tip_error_m` is in its
+    `stats` unless the scene has no finer run or all diverge. With `find_remedy` the warning of a
+    large error names what moves the tip most, by up to three more runs, otherwise all remedies.
+    """
+    scene = run.scene
+    if not can_refine(scene) or len(run.t) < 2:
+        return run
+    finer = (_run_alike(refine(scene, parts), run) for parts in choose_parts(scene))
+    fine = next((each for each in finer if each is not None), None)
+    if fine is None:
+        return replace(run, warning=run.warning or NO_FINER_RUN)
+    error = _distance(run, fine)
+    # The finer run has seen a load that is too fast for the steps of the run. What `newton` leaves
+    # out may make a motion unstable that both runs do not leave.
+    earlier = (unseen_load(fine.scene) if scene.values['model.formulation'] == 'exact'
+               else run.warning)
+    large = find_remedy and error > MOST_APART * scene.manipulator.arm.length
+    remedy = _remedy(run, round(scene.step / fine.scene.step), error) if large else None
+    return replace(run, stats={**run.stats, 'estimated_tip_error_m': error},
+                   warning=earlier or inaccurate(scene, error, remedy))
+
+
+def _run_alike(scene, run):
+    """Return the run of a finer scene with samples at the times of `run`; None if it diverges."""
+    steps = round(run.scene.step / scene.step) * run.stats['steps']
+    try:
+        return run_scene(scene, steps, steps // (len(run.t) - 1))
+    except DivergenceError:
+        return None
+
+
+def _distance(run, other, in_arm=False):
+    return tip_distance(run.model, run.values, other.model, other.values, in_arm)
+
+
+def _remedy(run, parts, error):
+    """
+    Return a change of the scene that mends most of its error.
+
+    Of steps, modes and equations, it is the first one that moves the tip by half of the error,
+    else the one that moves it most. Axial modes move it, too, if the steps do not resolve them:
+    they are last.
+    """
+    changes = {'a smaller integrator.step': (parts, 0, 0, True),
+               'more model.modes': (1, None, 0, True)}
+    if run.scene.values['model.formulation'] == 'exact':
+        changes['model.axial_modes 1'] = 1, 0, 1, True
+    else:
+        changes['model.formulation exact'] = 1, 0, 0, False
+    moved = {}
+    for text, change in changes.items():
+        other = _run_alike(refine(run.scene, *change), run)
+        moved[text] = 0.0 if other is None else _distance(run, other)
+        if moved[text] > 0.5 * error:
+            return text
+    return max(moved, key=lambda text: moved[text])
+
+
+class Resolution(NamedTuple):
+    """
+    A scene with its modes and step chosen.
+
+    `estimate` is the tip error [m] until the sim time `looked_at` [s]; it reaches the stated one
+    at `until` [s], if it grows linearly. `warning` is that of an error that modes and steps do not
+    reduce, or None.
+    """
+
+    scene: Scene
+    estimate: float
+    looked_at: float
+    until: float
+    warning: str | None
+
+    def __str__(self) -> str:
+        values, model = self.scene.values, self.scene.build()
+        return (f'N = {values["model.modes"]} modes, n_g = {len(model.quadrature.nodes)} '
+                f'nodes, h = {1e3 * self.scene.step:g} ms: estimated tip error '
+                f'{self.estimate:.1e} m, from a run of {self.looked_at:g} s; below the stated one '
+                f'until about {self.until:.2g} s' + (f'; {self.warning}' if self.warning else ''))
+
+
+def choose_resolution(scene: SceneLike, duration: float = 0.0,
+                      fits: Callable[[float], bool] = lambda step: True) -> Resolution:
+    """
+    Choose modes and step of a scene for the tip error that it states in `model.accuracy`.
+
+    The scene is run with three modes and the longest step, and compared with a run that has three
+    more modes and half the step. As long as the tip's positions, in the world and in the arm
+    frame, differ by more than half the stated error, the step is halved or modes are added,
+    whichever moves the tip more. The choice holds for the scene's own motion: if commands will
+    act, its loads should be as rough as the commands. Errors of the formulation are not part of
+    it. An arm that does not stretch is also compared with one that does; if they differ by more
+    than the stated error, the choice has a warning.
+
+    Parameters
+    ----------
+    scene : Scene, or what `load_scene` takes
+    duration : float
+        Sim time of the run, of which 200 000 steps at most are compared; 0: 10 s [s].
+    fits : function(float) -> bool
+        Returns whether a step [s] suits the caller.
+
+    Raises
+    ------
+    ParameterError
+        If the scene states no error, is at rest, or no choice is accurate enough.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> scene = timo_sim.load_scene('paper', {'model.accuracy': 1e-3})
+    >>> timo_sim.choose_resolution(scene, duration=1.0).scene.values['model.modes']
+    3
+
+    """
+    scene = load_scene(scene)
+    goal, duration = scene.values['model.accuracy'], PARAMETERS['duration'].check(duration)
+    if not goal:
+        raise ParameterError('model.accuracy must be > 0 m for a choice of modes and step, got 0')
+    stated = f'model.accuracy = {goal:g} m'
+    steps, best = list(filter(fits, STEPS)), (np.inf, '')
+    for modes in SIZES:
+        while steps:
+            run = _run_trial(scene, modes, steps[0], duration or HORIZON)
+            fine = run and _run_alike(refine(run.scene, 2, axial=0, same_equations=True), run)
+            if fine is None:
+                steps.pop(0)
+                continue
+            if tip_distance(fine.model, fine.values, fine.model, fine.values[:1],
+                            in_arm=True) < _STILL * scene.manipulator.arm.length:
+                raise ParameterError(f'{stated} needs a scene that moves by its own loads or '
+                                     'initial motion')
+            difference = _distance(run, fine, in_arm=True)
+            # Modes may converge as slowly as 1/N^2; the finer run has a part of the error.
+            estimate = difference / (1.0 - (modes / fine.scene.values['model.modes'])**2)
+            if MARGIN * estimate <= goal:
+                looked_at = (len(run.t) - 1) * GRID
+                return Resolution(run.scene, estimate, looked_at,
+                                  looked_at * goal / estimate if estimate else np.inf,
+                                  _stretch_warning(fine, goal))
+            halves = _run_alike(refine(run.scene, 2, 0, 0, same_equations=True), run)
+            by_steps = halves is None or 2.0 * _distance(run, halves, in_arm=True) > difference
+            best = min(best, (estimate, f'N = {modes} and h = {1e3 * steps[0]:g} ms: the '
+                                        f'{"steps" if by_steps else "modes"} limit it'))
+            if not by_steps:
+                break
+            steps.pop(0)
+    error, size = best
+    if np.isinf(error):
+        raise ParameterError(
+            f'{stated} needs a step from {STEPS[-1]:g} to {STEPS[0]:g} s of which times of jumps '
+            'and the duration are multiples, and with which no run diverges')
+    raise ParameterError(f'{stated} is not reached, but {MARGIN * error:.1e} m is, with {size}')
+
+
+def _run_trial(scene, modes, step, duration):
+    """Return a run with samples GRID apart; None if the step does not suit the loads."""
+    samples = min(max(1, round(duration / GRID)), int(MOST_STEPS * step / GRID))
+    every = round(GRID / step)
+    try:
+        scene = scene_from({**scene.values, 'model.accuracy': 0.0, 'model.modes': modes,
+                            'integrator.step': step})
+        return None if unseen_load(scene) else run_scene(scene, samples * every, every)
+    except (ParameterError, DivergenceError):  # such as a load that jumps inside of a step
+        return None
+
+
+def _stretch_warning(run, goal):
+    if (run.scene.values['model.formulation'] != 'exact'
+            or run.scene.values['model.axial_modes']):
+        return None
+    # Axial vibrations may need shorter steps than those of the arm that does not stretch.
+    stretched = (_run_alike(refine(run.scene, parts, 0, 1, True), run) for parts in (1, 4))
+    off = next((_distance(run, each, in_arm=True) for each in stretched if each is not None), 0.0)
+    if off <= goal:
+        return None
+    return (f'the tip is {off:.1e} m from that of an arm that stretches by t = {run.t[-1]:g} s, '
+            'more than the stated model.accuracy: take model.axial_modes 1')
+
+
+def resolve(scene: Scene, duration: float,
+            tell: Callable[[str], object] | None = None) -> tuple[Scene, int]:
+    """
+    Return the scene, with modes and step chosen if it states an error, and its number of steps.
+
+    `tell` is called with the choice; without it a ModelWarning is given if the choice has a
+    warning. Raises ParameterError if the duration does not fit the step, or no choice is accurate
+    enough.
+    """
+    goal = scene.values['model.accuracy']
+    if goal:
+        choice = choose_resolution(scene, duration, lambda step: _divides(step, duration))
+        if tell:
+            tell(f'model.accuracy = {goal:g} m: {choice}')
+        elif choice.warning:
+            warn(choice.warning)
+        scene = choice.scene
+    return scene, steps_in(duration, scene.step)
+
+
+def _divides(step, duration):
+    try:
+        return steps_in(duration, step) >= 0
+    except ParameterError:
+        return False
+
 
 _EVERY = Parameter('sample_every', 1, '', 'steps between samples', low=1)
 _LEAST_COMPARED = 200  # samples at which the tips of two runs are compared
@@ -30,8 +254,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     """
     Simulate a scene under its own loads.
 
-    On a terminal, a progress bar appears when the run takes more than a second. The error of the
-    tip is measured by a finer run, which takes some twenty times as long, see `Run.stats`.
+    On a terminal, a progress bar appears when the run takes more than a second.
 
     Parameters
     ----------
@@ -42,11 +265,8 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     sample_every : int
         Steps between samples; divides the number of steps.
     estimate : bool
-        Whether the error is measured.
-
-    Returns
-    -------
-    Run
+        Whether the error of the tip is measured by a finer run, see `Run.stats`, which takes some
+        twenty times as long.
 
     Raises
     ------
@@ -77,11 +297,17 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     if steps % sample_every:
         raise ParameterError(
             f'sample_every = {sample_every} must divide the number of steps, {steps}')
-    parts = _parts_of_samples(steps, sample_every) if estimate else 1
+    parts = 1
+    if estimate:  # samples of a short run are closer, so that enough are compared
+        least = -(-_LEAST_COMPARED * sample_every // max(1, steps))
+        parts = next(k for k in range(min(least, sample_every), sample_every + 1)
+                     if sample_every % k == 0)
     with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
               leave=False) as bar:
         try:
-            run = run_scene(scene, steps, sample_every // parts, bar.update, _print)
+            run = run_scene(
+                scene, steps, sample_every // parts, bar.update,
+                lambda text: print(f'timo_sim: {text}', file=sys.stderr, flush=True))
         except DivergenceError as error:
             error.run = _thin(error.run, parts)
             raise
@@ -94,17 +320,6 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     return run
 
 
-def _parts_of_samples(steps, sample_every):
-    """Return by how much samples are closer in a short run, so that enough are compared."""
-    parts = -(-_LEAST_COMPARED * sample_every // max(1, steps))
-    return next(k for k in range(min(parts, sample_every), sample_every + 1)
-                if sample_every % k == 0)
-
-
 def _thin(run, every):
     return replace(run, t=run.t[::every], values=run.values[::every],
                    friction_heat=run.friction_heat[::every])
-
-
-def _print(text):
-    print(f'timo_sim: {text}', file=sys.stderr, flush=True)

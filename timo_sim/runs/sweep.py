@@ -6,7 +6,11 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Many runs of one scene with varied parameters, on many cores or machines."""
+"""
+Many runs of one scene with varied parameters, on many cores or machines, and sweeps of a file.
+
+A sweep writes a part for each job, and joins all parts to a Parquet file.
+"""
 
 from __future__ import annotations
 
@@ -15,26 +19,34 @@ from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import dataclass
+import fcntl
+import hashlib
 import itertools
 import math
 import multiprocessing
 from multiprocessing.context import SpawnContext, SpawnProcess
 import os
+from pathlib import Path
 import pickle
+import shutil
 import signal
 import sys
 import threading
+import time
 from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
+from tqdm import tqdm
 
 from timo_sim.compiled.functions import WIDTH
 from timo_sim.extras import optional
-from timo_sim.runs.accuracy import measure_error, resolve
 from timo_sim.runs.run import run_scene
-from timo_sim.scene.files import flatten
-from timo_sim.scene.parameters import Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in
+from timo_sim.runs.simulate import measure_error, resolve
+from timo_sim.scene.files import flatten, read_yaml, whole_file
+from timo_sim.scene.parameters import (
+    check, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.batch import LaneLoads, refusal
 from timo_sim.simulation.simulator import MOST_BENT
@@ -82,9 +94,8 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     together, as lanes of a vector (see `Batch`), several times faster. Their numbers are those of
     `simulate` for that variation to about 1e-11; those of other runs, and of a shorter sweep, to
     the last bit, on the same kind of processor and with one BLAS thread. No bit of a row depends
-    on the other runs or on the number of workers. The error of the first of each 256 runs is
-    measured by a finer run. A run that fails has a row with a reason. The first run with a new
-    number of modes compiles for some seconds; the machine code is kept.
+    on the other runs or on the number of workers. The error of the first of each 4096 runs is
+    measured by a finer run. The first run with a new number of modes compiles for some seconds.
 
     Parameters
     ----------
@@ -96,17 +107,15 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     workers : int, optional
         Number of processes; by default the number of cores that this process may use.
     scheduler : str, optional
-        Address of a Dask scheduler, to use its workers instead of processes of this machine.
+        Address of a Dask scheduler, such as `tcp://host:8786`, whose workers are used instead.
 
     Returns
     -------
     dict of ndarray, shape (n,)
-        Columns by name, one row for each run: `run`, its number from 0; each varied parameter
-        (NaN or None for a value that breaks its rule); `peak_deflection`, `peak_time`,
-        `rms_deflection`, `final_deflection`, `peak_rotation`, `final_carrier_x`,
-        `final_carrier_y`, `final_shaft`, `tip_error`, see `timo_sim.runs.sweep.SUMMARY` (NaN for
-        a run that failed); `warning`, as `Run.warning`, or ''; `reason`, why the run failed, or
-        ''.
+        Columns by name, one row for each run: `run`, its number from 0; each varied parameter (NaN
+        or None for a value that breaks its rule); the numbers of `timo_sim.runs.sweep.SUMMARY`
+        (NaN for a run that failed), such as `peak_deflection`; `warning`, as `Run.warning`, or '';
+        `reason`, why the run failed, or ''.
 
     Raises
     ------
@@ -146,12 +155,7 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
 
 def run_jobs(executor: Executor, width: int,
              jobs: Iterable[Job]) -> Iterator[tuple[Job, dict[str, np.ndarray]]]:
-    """
-    Yield each job with its table, in order.
-
-    About three jobs for each of `width` workers are pending: all are busy, and memory stays
-    bounded.
-    """
+    """Yield each job with its table, in order; three for each of `width` workers are pending."""
     pending = deque()
     for job in jobs:
         pending.append((job, executor.submit(run_job, job)))
@@ -187,16 +191,7 @@ def jobs_of(scene: Scene, duration: float, count: int, variations: Iterable[Mapp
 
 
 def run_job(job: Job) -> dict[str, np.ndarray]:
-    """
-    Do the runs of a job.
-
-    Returns
-    -------
-    dict of ndarray
-        A row for each run: `run`, its number; the varied parameters; the numbers of `SUMMARY`,
-        NaN for a run that failed; `warning` and `reason`, texts or ''.
-
-    """
+    """Return the columns of a row for each run of a job, by name, see `simulate_many`."""
     numbers = np.full((len(job.variations), len(SUMMARY)), np.nan)
     table = {'run': job.first + np.arange(len(job.variations))}
     flat = [flatten(variation) for variation in job.variations]
@@ -222,7 +217,10 @@ def run_job(job: Job) -> dict[str, np.ndarray]:
         for (kind, _), runs in found.items():
             for row, scene in runs:
                 if (job.first + row) % _MEASURED_EVERY == 0 and not table['reason'][row]:
-                    _measure(table, numbers, row, scene, job.duration)
+                    run = measure_error(run_scene(scene, steps_in(job.duration, scene.step)),
+                                        find_remedy=False)
+                    numbers[row, -1] = run.stats['estimated_tip_error_m']
+                    table['warning'][row] = run.warning or ''
         failed = table['reason'] != ''
         numbers[failed], table['warning'][failed] = np.nan, ''
     return table
@@ -235,18 +233,13 @@ def _fill(table, numbers, kind, runs, duration):
         done = LaneRuns(scenes, kind)
         table['reason'][rows] = done.reasons
         table['warning'][rows] = [text or '' for text in done.warnings]
-        numbers[rows] = _summaries(done, kind.steps)
+        numbers[rows, :-1] = np.column_stack([
+            done.peak, done.peak_time, np.sqrt(done.squares / (kind.steps + 1)),
+            done.deflection, done.rotation, done.motion[:, :3]])
     else:
         run = run_scene(scenes[0], steps_in(duration, scenes[0].step))
         table['warning'][rows] = run.warning or ''
         numbers[rows] = _summary(run)
-
-
-def _measure(table, numbers, row, scene, duration):
-    """Measure the error of a run, and fill it in with the warning that it calls for."""
-    run = measure_error(run_scene(scene, steps_in(duration, scene.step)), find_remedy=False)
-    numbers[row, -1] = run.stats['estimated_tip_error_m']
-    table['warning'][row] = run.warning or ''
 
 
 @contextmanager
@@ -288,13 +281,6 @@ def _summary(run):
             run.stats['estimated_tip_error_m'])
 
 
-def _summaries(runs, steps):
-    """Return the numbers of `SUMMARY` for each of some LaneRuns, shape (n, columns)."""
-    return np.column_stack([
-        runs.peak, runs.peak_time, np.sqrt(runs.squares / (steps + 1)),
-        runs.deflection, runs.rotation, runs.motion[:, :3], np.full(len(runs.peak), np.nan)])
-
-
 class LaneKind(NamedTuple):
     """What runs must have in common to be lanes of one vector."""
 
@@ -305,11 +291,7 @@ class LaneKind(NamedTuple):
 
 
 def lane_kind(scene: Scene, steps: int) -> LaneKind | None:
-    """
-    Return the LaneKind of a run, or None if it cannot be a lane.
-
-    It depends on the run alone, so that its numbers do not depend on what else a sweep has.
-    """
+    """Return the LaneKind of a run, which depends on it alone, or None if it cannot be a lane."""
     values = scene.values
     if values['model.formulation'] != 'exact' or not scene.modal_count or refusal(scene):
         return None
@@ -321,27 +303,12 @@ def lane_kind(scene: Scene, steps: int) -> LaneKind | None:
 
 class LaneRuns:
     """
-    Runs that are done together, as lanes of vectors.
+    Runs of one LaneKind that are done together, as lanes of vectors.
 
-    Parameters
-    ----------
-    scenes : list of Scene
-    kind : LaneKind
-        Of all of them.
-
-    Attributes
-    ----------
-    motion : ndarray, shape (n, 2 (3 + N))
-        At the end.
-    peak, peak_time, rotation, squares : ndarray, shape (n,)
-        Largest |w(l)| [m] and its time [s], largest |phi(l)| [rad], sum of w(l)^2 over the start
-        and the ends of steps [m2].
-    deflection : ndarray, shape (n,)
-        w(l) at the end [m].
-    warnings : list of (str or None)
-    reasons : list of str
-        Why a run failed, or ''.
-
+    Arrays of shape (n,): `peak`, the largest |w(l)| [m], its time `peak_time` [s], `rotation`, the
+    largest |phi(l)| [rad], `squares`, the sum of w(l)^2 over the start and the ends of steps [m2],
+    and `deflection`, w(l) at the end [m]. `motion` is that of the end, (n, 2 (3 + N)); `warnings`
+    are texts or None, `reasons` say why a run failed, or ''.
     """
 
     def __init__(self, scenes: list[Scene], kind: LaneKind) -> None:
@@ -358,18 +325,15 @@ class LaneRuns:
         self.peak_time = np.zeros(len(scenes))
         self._summarise(0, self._tips(self._lanes.tip[:, np.newaxis]))
         for first in range(0, kind.steps, CHUNK):
-            self._advance(first, min(CHUNK, kind.steps - first))
+            count = min(CHUNK, kind.steps - first)
+            tips = self._lanes.room(count, 3)
+            self._lanes.advance(self._loads.columns,
+                                self._loads.varying(first, count, self._origin), tips=tips)
+            self._summarise(first + 1, self._tips(np.concatenate(
+                [tips[:, 1:], self._lanes.tip[:, np.newaxis]], axis=1)))
         self.motion = from_lanes(self._lanes.motion, len(scenes))
         self.deflection = from_lanes(self._lanes.tip, len(scenes))[:, 1]
         self.reasons = [self._reason(number) for number in range(len(scenes))]
-
-    def _advance(self, first, count):
-        lanes = self._lanes
-        tips = lanes.room(count, 3)
-        lanes.advance(self._loads.columns, self._loads.varying(first, count, self._origin),
-                      tips=tips)
-        self._summarise(first + 1, self._tips(np.concatenate(
-            [tips[:, 1:], lanes.tip[:, np.newaxis]], axis=1)))
 
     def _tips(self, places):
         # The order in memory is always the same, because the last bits of sums depend on it.
@@ -406,21 +370,10 @@ _STARTING = threading.Lock()
 def executor_of(workers: int | None = None,
                 scheduler: str | None = None) -> Iterator[tuple[Executor, int]]:
     """
-    Yield an executor and how many calls it does at a time.
+    Yield an executor and how many calls it does at a time; see `simulate_many`.
 
-    Parameters
-    ----------
-    workers : int, optional
-        Number of processes; by default the number of cores that this process may use.
-    scheduler : str, optional
-        Address of a Dask scheduler, such as `tcp://host:8786`, whose workers are used instead.
-
-    Raises
-    ------
-    ConnectionError
-        If a worker process ends early, the scheduler cannot be reached, or a worker of Dask has
-        another version of this package.
-
+    Raises ConnectionError if a worker process ends early, the scheduler cannot be reached, or a
+    worker of Dask has another version of this package.
     """
     if scheduler is not None:
         with _client(scheduler) as client:
@@ -504,3 +457,215 @@ def _end_with_parent():
     assert parent is not None
     parent.join()
     os._exit(1)
+
+
+_KINDS = ('runs', 'grid', 'random')
+_ENTRIES = ('scene', 'parameters', 'duration', *_KINDS)
+_DURATION = Parameter('duration', 1.0, 's', 'sim time of each run', low=0.0, open_low=True)
+_RANDOM = {'seed': Parameter('random: seed', 0, '', 'seed of the random values', low=0),
+           'count': Parameter('random: count', 1, '', 'number of runs', low=1)}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The checked content of a sweep's file."""
+
+    scene: Scene
+    duration: float  # [s]
+    names: list[str]  # of the parameters that vary
+    count: int       # number of runs
+    kind: str        # one of _KINDS
+    given: Any       # the file's entry of this kind
+
+    def variations(self) -> Iterator[dict[str, Any]]:
+        """Yield the overrides of each run, the same ones each time."""
+        if self.kind == 'runs':
+            yield from self.given
+        elif self.kind == 'grid':
+            for values in itertools.product(*self.given.values()):
+                yield dict(zip(self.given, values))
+        else:
+            random = np.random.default_rng(self.given['seed'])
+            for _ in range(self.count):
+                yield {name: np.asarray(random.uniform(*ends)).tolist()
+                       for name, ends in self.given['ranges'].items()}
+
+    def jobs(self) -> Iterator[Job]:
+        """Yield the jobs of the sweep, the same ones each time."""
+        return jobs_of(self.scene, self.duration, self.count, self.variations(), self.names)
+
+    @property
+    def fingerprint(self) -> str:
+        """A text that differs for plans whose results may differ."""
+        content = __version__, self.scene.values, self.duration, self.kind, self.given
+        return hashlib.sha256(repr(content).encode()).hexdigest()
+
+
+def read_plan(path: Path | str) -> Plan:
+    """Read and check the file of a sweep; raise OSError or ParameterError."""
+    content = read_yaml(path)
+    try:
+        return _plan(content, Path(path).parent)
+    except ParameterError as error:
+        raise ParameterError(f'{error} ({path})') from None
+
+
+def _plan(content, folder):
+    if not isinstance(content, dict) or not set(content) <= set(_ENTRIES):
+        shown = [*set(content) - set(_ENTRIES)] if isinstance(content, dict) else content
+        raise ParameterError(f'a sweep has the entries {", ".join(_ENTRIES)}; got {short(shown)}')
+    kinds = [kind for kind in _KINDS if kind in content]
+    if len(kinds) != 1 or 'scene' not in content:
+        raise ParameterError('a sweep must have a scene and one of runs, grid, random; got '
+                             + ', '.join(content))
+    scene, kind = content['scene'], kinds[0]
+    if not isinstance(scene, (str, dict)):
+        raise ParameterError('scene must be the name of a file, or parameters, got '
+                             + short(scene))
+    scene = load_scene(folder / scene if isinstance(scene, str) else scene,
+                       _mapping('parameters', content.get('parameters') or {}))
+    duration = _DURATION.check(content.get('duration'))
+    steps_in(duration, scene.step)
+    names, count = {'runs': _runs, 'grid': _grid, 'random': _random}[kind](content[kind])
+    return Plan(scene, duration, names, count, kind, content[kind])
+
+
+def _runs(given):
+    if not isinstance(given, list) or not given:
+        raise ParameterError(f'runs must be a list of sets of parameters, got {short(given)}')
+    for run, values in enumerate(given):
+        _check(f'runs[{run}]', flatten(_mapping(f'runs[{run}]', values)))
+    names = dict.fromkeys(name for values in given for name in flatten(values))
+    return list(names), len(given)
+
+
+def _grid(given):
+    for name, values in _mapping('grid', given).items():
+        if not isinstance(values, list) or not values:
+            raise ParameterError(f'grid: {short(name, str)} must be a list of values, got '
+                                 + short(values))
+        for value in values:
+            _check('grid', {name: value})
+    return list(given), math.prod(len(values) for values in given.values())
+
+
+def _random(given):
+    if set(_mapping('random', given)) != {*_RANDOM, 'ranges'}:
+        raise ParameterError(f'random must have seed, count and ranges, got {short(list(given))}')
+    for name, parameter in _RANDOM.items():
+        parameter.check(given[name])
+    for name, ends in _mapping('random: ranges', given['ranges']).items():
+        try:
+            low, high = np.array(ends, dtype=float)
+        except (TypeError, ValueError):
+            raise ParameterError(
+                f'random: {short(name, str)} must have a lower and an upper end, numbers or lists '
+                f'of equal length, got {short(ends)}') from None
+        if not np.all(low <= high):
+            raise ParameterError(f'random: {short(name, str)} must have ends in ascending order, '
+                                 f'got {short(ends)}')
+        for end in ends:
+            _check('random', {name: end})
+    return list(given['ranges']), given['count']
+
+
+def _mapping(entry, given):
+    if not isinstance(given, dict):
+        raise ParameterError(f'{entry} must be parameters with values, got {short(given)}')
+    return given
+
+
+def _check(entry, values):
+    check(values, entry)
+    for name in values:
+        if PARAMETERS[name].scope != SCENE:
+            raise ParameterError(f'{name} is a parameter of the node, not of the scene ({entry})')
+
+
+_PART = '{:012d}.parquet'  # of the first run of a job
+
+
+def run_sweep(file: Path | str, output: Path | str | None = None, workers: int | None = None,
+              scheduler: str | None = None) -> None:
+    """
+    Do the sweep of a file, see config/sweep.yaml, or those jobs of it that are missing.
+
+    A part appears under its name only when it is whole. A sweep that was killed goes on with the
+    parts that are missing; each job is in the result once. `output` is a Parquet folder, by
+    default named after `file`, in the working directory; `workers` and `scheduler` are as for
+    `simulate_many`, with its ConnectionError. Raises ParameterError or OSError as `read_plan`, or
+    if the output exists, or its parts belong to another sweep or are in use by a running one.
+    """
+    with optional():
+        import pyarrow
+        from pyarrow import parquet
+    plan = read_plan(file)
+    output = Path(output or Path(file).with_suffix('.parquet').name)
+    start, number, text = time.monotonic(), pyarrow.float64(), pyarrow.string()
+    types = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: number, str: text,
+             tuple: pyarrow.list_(number)}
+    varied = [PARAMETERS[name] for name in plan.names]
+    # The columns, with units and meanings; the metadata of the schema identify the sweep.
+    schema = pyarrow.schema([
+        pyarrow.field(name, kind, metadata={'unit': unit, 'meaning': meaning})
+        for name, kind, unit, meaning in (
+            ('run', types[int], '', 'number of the run, from 0'),
+            *((each.name, types[type(each.default)], each.unit, each.meaning) for each in varied),
+            *((each.name, number, each.unit, each.meaning) for each in SUMMARY),
+            ('warning', text, '', 'why not to trust the run, or empty'),
+            ('reason', text, '', 'why the run failed, or empty'))],
+        {'duration': f'{plan.duration!r} s', 'sweep': plan.fingerprint,
+         'scene': repr(plan.scene.values)})
+    with _parts_of(output) as parts:
+        with executor_of(workers, scheduler) as (executor, width), tqdm(
+                total=plan.count, unit='run', disable=None) as bar:
+
+            def missing():
+                for job in plan.jobs():
+                    try:
+                        found = parquet.read_schema(parts / _PART.format(job.first))
+                    except (OSError, pyarrow.ArrowException):  # missing, or damaged: done again
+                        yield job
+                        continue
+                    if found.metadata != schema.metadata:
+                        raise ParameterError(f'{parts} belongs to another sweep: remove it or '
+                                             'choose another --output')
+                    bar.update(len(job.variations))
+
+            for job, table in run_jobs(executor, width, missing()):
+                with whole_file(parts / _PART.format(job.first)) as path:
+                    parquet.write_table(pyarrow.table(table, schema), path)
+                bar.update(len(job.variations))
+        for unfinished in parts.glob('.*'):  # a part that a killed process was writing
+            shutil.rmtree(unfinished)
+        parts.rename(output)
+    texts = parquet.read_table(output, columns=['reason', 'warning']).to_pydict()
+    failed, warned = (sum(map(bool, texts[name])) for name in ('reason', 'warning'))
+    print(f'{plan.count} runs in {time.monotonic() - start:.1f} s, {failed} failed, '
+          f'{warned} with a warning: {output}')
+
+
+@contextmanager
+def _parts_of(output: Path) -> Iterator[Path]:
+    """Yield the folder of the parts of an output, which no other process has meanwhile."""
+    parts = output.with_name(output.name + '.parts')
+
+    def refuse():
+        if output.exists():
+            raise ParameterError(f'{output} exists: remove it or choose another --output')
+
+    refuse()
+    parts.mkdir(parents=True, exist_ok=True)
+    lock = os.open(parts, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ParameterError(f'another sweep is running with {parts}: wait for its end or '
+                                 'choose another --output') from None
+        except OSError:  # a file system without locks
+            pass
+        refuse()  # a sweep that has just ended may have made it
+        yield parts
+    finally:
+        os.close(lock)

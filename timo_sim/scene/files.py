@@ -104,8 +104,7 @@ def read_sections(path: Path | str) -> dict[str, dict[str, Any]]:
     """
     Return the sections of a ROS parameter file: unchecked values by dotted name, by node.
 
-    Raises ParameterError if the file is not YAML, or has what ROS and YAML read differently:
-    duplicate names, aliases, merge keys.
+    Raises ParameterError if it is not YAML, or has duplicate names, aliases, merge keys.
     """
     content = read_yaml(path)
     found, waiting = {}, [('', {} if content is None else content)]

@@ -16,7 +16,7 @@ the boundary of two steps, each step sees its own side; a jump inside a step is 
 has a kink inside a step, the step sees the parabola with the same moments, see below.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import functools
 from functools import cache
@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.model.bodies import Constraints
 from timo_sim.model.layout import (
     ACCELERATION, AFTER, ANGLE, INPUTS, LOADS, STAGES, STEP_LOADS)
 from timo_sim.scene.parameters import ParameterError
@@ -56,24 +55,10 @@ def parabolas(function: Callable[[np.ndarray], np.ndarray], breaks: np.ndarray, 
     """
     Return the parabolas that replace a piecewise polynomial in steps with a break inside.
 
-    Parameters
-    ----------
-    function : function(ndarray) -> ndarray
-        Values at positions counted in steps, shape (n,) to (n, ...).
-    breaks : ndarray, shape (k,)
-        Where pieces meet, counted in steps; whole numbers are the boundaries of steps.
-    degree : int
-        Degree of the pieces.
-    first, count : int
-        First step, and number of steps.
-
-    Returns
-    -------
-    steps : ndarray of int, shape (m,)
-        Those with a break inside, counted from `first`.
-    values : ndarray, shape (m, 3, ...)
-        The parabolas at the start, middle and end of these steps.
-
+    `function` returns values, (n, ...), at positions, (n,), counted in steps, as are `breaks`,
+    where pieces of this degree meet; whole numbers are the boundaries of the `count` steps from
+    `first` on. The result is the m steps with a break inside, counted from `first`, and the
+    parabolas at their start, middle and end, shape (m, 3, ...).
     """
     inside = breaks[(first < breaks) & (breaks < first + count) & (breaks != np.floor(breaks))]
     if not len(inside):
@@ -167,18 +152,13 @@ class Piecewise(Term):
     def _points(self):
         return np.array(self.time), np.append(0.0, self.value)
 
-    def _jumps(self, first, count, step):
-        # Index of the first jump in or around these steps, and positions of all [steps].
-        time = self._points[0]
+    def stages(self, first: int, count: int, step: float) -> np.ndarray:
+        time, value = self._points
         begin = np.searchsorted(time, (first - 1) * step)
         end = np.searchsorted(time, (first + count + 1) * step, side='right')
-        return begin, np.rint(time[begin:end] / step)
-
-    def stages(self, first: int, count: int, step: float) -> np.ndarray:
-        begin, jumps = self._jumps(first, count, step)
+        jumps = np.rint(time[begin:end] / step)  # in or around these steps
         edges = np.concatenate([[first], jumps, [first + count]]).clip(first, first + count)
-        values = self._points[1][begin:begin + len(jumps) + 1]
-        return np.repeat(values, np.diff(edges).astype(int))[:, np.newaxis]
+        return np.repeat(value[begin:end + 1], np.diff(edges).astype(int))[:, np.newaxis]
 
 
 @dataclass(frozen=True)
@@ -319,18 +299,9 @@ class Load:
 
     def fill(self, loads: np.ndarray, places: Any, first: int, count: int, step: float) -> None:
         """
-        Write the columns of loads that are not zero.
+        Write the columns of loads that are not zero into `loads`, (count, 4, c), see `stages`.
 
-        Parameters
-        ----------
-        loads : ndarray, shape (count, 4, c)
-            Receives them.
-        places : sequence of int
-            Where the column k of `model.layout` stands in it: `places[k]`; those of a drive
-            stand together.
-        first, count, step
-            See `stages`.
-
+        Column k of `model.layout` stands at `places[k]` in it; those of a drive stand together.
         """
         for columns, terms in self._columns:
             place = places[columns]
@@ -348,14 +319,6 @@ class Load:
 # A step is stable up to 2.785 over the rate at which friction brakes joints, as is measured for 0
 # to 5 modes; the mobility of joints may grow a little in a run.
 _STABLE = 2.5
-
-
-def largest(values: Mapping[str, Any], constraints: Constraints) -> np.ndarray:
-    """Return the largest dry friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,)."""
-    axis, shaft = (0.0 if values[f'{body}.coulomb_speed'] else values[f'{body}.coulomb_friction']
-                   for body in ('carrier', 'motor'))
-    held = [position is not None for position in constraints.carrier]
-    return np.where([*held, constraints.driven], 0.0, [axis, axis, shaft])
 
 
 def check_slope(scene: Any) -> None:

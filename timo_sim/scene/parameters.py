@@ -27,8 +27,7 @@ import numpy as np
 
 from timo_sim.model import FORMULATIONS
 from timo_sim.model.layout import INPUTS
-from timo_sim.topics.outputs import FRAMES, outputs, TRANSFORMS
-from timo_sim.topics.sensors import SENSORS
+from timo_sim.topics.outputs import FRAMES, outputs, SENSORS, TRANSFORMS
 
 SCENE, NODE = 'scene', 'node'
 LATEST = 2**31 - 1  # [s] largest time that a stamp of ROS can hold, 68 years
@@ -151,11 +150,7 @@ def did_you_mean(name: Any, names: Iterable[str]) -> str:
 
 
 def whole_ratio(name: str, value: float, unit_name: str, unit: float) -> int:
-    """
-    Return how many times `unit` fits into `value`, or raise ParameterError if it is not whole.
-
-    The ratio may differ from a whole number by 1e-6, or by 1e-15 of itself for round-off.
-    """
+    """Return value / unit, whole to 1e-6 or round-off, or raise ParameterError."""
     ratio = value / unit
     count = round(ratio) if math.isfinite(ratio) else 0
     near = abs(ratio - count) <= max(1e-6, 1e-15 * ratio) and (count or not value)
@@ -179,25 +174,19 @@ def _limit(name, unit, meaning):
 
 
 def _load(channel, unit, meaning):
-    prefix = f'load.{channel}'
-    return [
-        Parameter(f'{prefix}.harmonic.amplitude', (), unit,
-                  f'{meaning}: amplitudes of harmonic terms, '
-                  'amplitude sin(2 pi frequency t + phase)', runtime=True),
-        Parameter(f'{prefix}.harmonic.frequency', (), 'Hz', 'frequencies of these terms',
-                  low=0.0, runtime=True),
-        Parameter(f'{prefix}.harmonic.phase', (), 'rad', 'phases of these terms; empty: all 0',
-                  runtime=True),
-        Parameter(f'{prefix}.piecewise.time', (), 's',
-                  f'{meaning}: times at which it jumps to a new constant value', low=0.0,
-                  runtime=True),
-        Parameter(f'{prefix}.piecewise.value', (), unit, 'values from these times on',
-                  runtime=True),
-        Parameter(f'{prefix}.table.time', (), 's',
-                  f'{meaning}: times of points, linear in between; a repeated time is a jump',
-                  low=0.0, runtime=True),
-        Parameter(f'{prefix}.table.value', (), unit, 'values at these points', runtime=True),
-    ]
+    rows = (
+        ('harmonic.amplitude', unit, f'{meaning}: amplitudes of harmonic terms, '
+         'amplitude sin(2 pi frequency t + phase)', -math.inf),
+        ('harmonic.frequency', 'Hz', 'frequencies of these terms', 0.0),
+        ('harmonic.phase', 'rad', 'phases of these terms; empty: all 0', -math.inf),
+        ('piecewise.time', 's', f'{meaning}: times at which it jumps to a new constant value',
+         0.0),
+        ('piecewise.value', unit, 'values from these times on', -math.inf),
+        ('table.time', 's', f'{meaning}: times of points, linear in between; a repeated time is '
+         'a jump', 0.0),
+        ('table.value', unit, 'values at these points', -math.inf))
+    return [Parameter(f'load.{channel}.{name}', (), of, text, low=low, runtime=True)
+            for name, of, text, low in rows]
 
 
 def _profile(name, unit):
@@ -219,11 +208,6 @@ def _sensor(name, unit, meaning):
                   low=-_MAX_SENSOR_ERROR, high=_MAX_SENSOR_ERROR, runtime=True),
         _not_negative(f'{prefix}.resolution', 0.0, unit, f'{meaning} is rounded to multiples of '
                       'this; 0: not rounded', high=_MAX_SENSOR_ERROR, runtime=True)]
-
-
-def _delay(name, topic):
-    return _not_negative(name, 0.0, 's', f'sim time from a measurement to its message on {topic}, '
-                         'a whole multiple of integrator.step', high=1000.0)
 
 
 _MAX_SENSOR_ERROR = 1e9  # keeps sensor arithmetic finite
@@ -332,7 +316,9 @@ _ALL = [
     Parameter('sensor.seed', 0, '', 'seed of the noise of all sensors', low=0, high=1000000000),
     *[parameter for sensor in SENSORS
       for parameter in _sensor(sensor.name, sensor.unit, sensor.meaning)],
-    *[_delay(output.delay, output.name) for output in _OUTPUTS if output.delay],
+    *[_not_negative(output.delay, 0.0, 's', 'sim time from a measurement to its message on '
+                    f'{output.name}, a whole multiple of integrator.step', high=1000.0)
+      for output in _OUTPUTS if output.delay],
     _not_negative('real_time_factor', 1.0, '', 'sim time per wall time; 0: as fast as possible',
                   high=1e6, scope=NODE, runtime=True),
     _not_negative('catch_up_limit', 0.1, 's', 'most wall time that is caught up after a delay; '
@@ -386,12 +372,7 @@ SPLIT = 'integrator.tolerance'  # 0.2.0 split steps by it; its logs are read wit
 
 
 def check(values: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """
-    Return values by dotted name, converted to the types of their parameters.
-
-    Raises ParameterError, which names the source (a text), if a name is unknown or a value breaks
-    its rule.
-    """
+    """Return values by name as their types; raise ParameterError that names the text `source`."""
     checked = {}
     for name, value in values.items():
         if name == SPLIT:

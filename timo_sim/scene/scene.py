@@ -29,7 +29,7 @@ from timo_sim.model.layout import INPUTS, START
 from timo_sim.model.statics import equilibrium
 from timo_sim.scene.files import flatten, html_table, read_parameter_file
 from timo_sim.scene.loads import (
-    CHANNELS, check_slope, Drive, Harmonic, largest, Load, Piecewise, Table)
+    CHANNELS, check_slope, Drive, Harmonic, Load, Piecewise, Table)
 from timo_sim.scene.parameters import (
     changed, check, DELAYS, did_you_mean, Parameter, ParameterError, PARAMETERS, SCENE, short,
     warn, whole_ratio)
@@ -95,13 +95,8 @@ class Scene:
         """
         Return the scene's Formulation of the equations of motion; it is made once and kept.
 
-        Parameters
-        ----------
-        basis : Manipulator, optional
-            The same arm with another end effector, whose modes are assumed.
-        tip : tuple of float, optional
-            Mass [kg] and inertia [kg m2] at the tip, if not those of the end effector.
-
+        `basis` is the same arm with another end effector, whose modes are assumed; `tip` are mass
+        [kg] and inertia [kg m2] at the tip, if not those of the end effector.
         """
         body = self.manipulator if tip is None else replace(
             self.manipulator, end_effector_mass=tip[0], end_effector_inertia=tip[1])
@@ -139,14 +134,13 @@ class Scene:
     @property
     def friction(self) -> np.ndarray:
         """Largest dry friction of carrier x, y [N] and shaft [N m], 0 if not free, (3,)."""
-        return largest(self.values, self.constraints)
+        axis, shaft = (0.0 if self.values[f'{body}.coulomb_speed'] else
+                       self.values[f'{body}.coulomb_friction'] for body in ('carrier', 'motor'))
+        held = [position is not None for position in self.constraints.carrier]
+        return np.where([*held, self.constraints.driven], 0.0, [axis, axis, shaft])
 
     def vary(self, overrides: Mapping[str, Any]) -> Scene:
-        """
-        Return the scene with other values of some parameters, by (nested or dotted) name.
-
-        Raises ParameterError if a name is unknown or a value breaks its rule, as `load_scene`.
-        """
+        """Return the scene with other values by name, nested or dotted; else ParameterError."""
         return scene_from({**self.values, **check(flatten(overrides), 'override')})
 
     def with_load(self, load: Load) -> Scene:
@@ -155,35 +149,38 @@ class Scene:
 
     def at(self, run: Any, t: float) -> Scene:
         """
-        Return the scene with the state of a run as its initial state.
+        Return the scene that begins with the state of a run of the same bodies at a sample, t [s].
 
-        The scene's own loads start again from t = 0.
+        The scene's own loads start again from t = 0. Raises ParameterError if the run has no
+        sample then or other modes, or the scene has a driven shaft.
 
-        Parameters
-        ----------
-        run : Run
-            A run of the same bodies with as many modes.
-        t : float
-            Sim time of one of its samples [s].
-
-        Returns
-        -------
-        Scene
-
-        Raises
-        ------
-        ParameterError
-            If the run has no sample at t or other modes, or the scene has a driven shaft.
-
-        Examples
-        --------
         >>> import timo_sim
         >>> scene = timo_sim.load_scene('paper')
         >>> run = timo_sim.simulate(scene, 1.0)
         >>> further = timo_sim.simulate(scene.at(run, 1.0), 1.0)
-
         """
-        return self.vary(state_of(self, run, t))
+        sample = int(np.argmin(np.abs(run.t - t)))
+        if not abs(run.t[sample] - t) <= 1e-9 * max(1.0, abs(t)):
+            raise ParameterError(f't = {t:g} s must be the time of a sample, the nearest is '
+                                 f'{run.t[sample]:.12g} s')
+        if run.q.shape[1] != self.modal_count:
+            raise ParameterError(f'the run must have {self.modal_count} modal coordinates, as '
+                                 f'many as the scene, got {run.q.shape[1]}')
+        if self.values['motor.shaft'] == 'driven':
+            raise ParameterError('motor.shaft = driven starts at the beginning of motor.drive, '
+                                 'not at the state of a run')
+        before = round(run.t[sample] / run.scene.step)
+        changed = [step for step, *_ in run.payloads if step < before]
+        if changed:
+            raise ParameterError(
+                f't = {t:g} s must not be after a change of the load at the tip, since the modes '
+                'are those of the first end effector; it changes at '
+                f'{changed[0] * run.scene.step:g} s')
+        position, velocity = run.motion[sample].reshape(2, -1).tolist()
+        return self.vary({
+            **dict(zip(_POSITION, position)), **dict(zip(_VELOCITY, velocity)),
+            'initial.modal_coordinates': position[3:], 'initial.modal_rates': velocity[3:],
+            'initial.equilibrium': False})
 
     def __getstate__(self):
         # The formulation is left out: the other process builds it again.
@@ -226,16 +223,10 @@ def load_scene(source: SceneLike, overrides: Mapping[str, Any] | None = None) ->
     overrides : dict, optional
         Values by name that replace those of the source.
 
-    Returns
-    -------
-    Scene
-
     Raises
     ------
-    ParameterError
-        If a name is unknown or a value breaks its rule; the text says which.
-    OSError
-        If the file cannot be read.
+    ParameterError, OSError
+        If a name is unknown or a value breaks its rule; if the file cannot be read.
 
     Warns
     -----
@@ -276,7 +267,8 @@ def scene_from(values: Mapping[str, Any]) -> Scene:
     step = values['integrator.step']
     for name in DELAYS:
         whole_ratio(name, values[name], 'integrator.step', step)
-    scene = Scene(manipulator_of(values), constraints_of(values), load_of(values), step, values)
+    load = Load(_terms_of(tuple((name, values[name]) for name in _OF_TERMS)), _drive(values))
+    scene = Scene(manipulator_of(values), constraints_of(values), load, step, values)
     check_finite(scene)
     check_slope(scene)
     return scene
@@ -287,21 +279,16 @@ def project_on_modes(scene: Scene, deflection: Callable[[np.ndarray], Any],
     """
     Project a deflection field, or a velocity field, on the modes of a scene.
 
-    The result is exact to first order in the field. It is a value for the parameters
-    `initial.modal_coordinates` or `initial.modal_rates`.
+    The result, a tuple of N modal coordinates [m sqrt(kg)] or rates [m sqrt(kg)/s], is exact to
+    first order in the field, and is a value for the parameters `initial.modal_coordinates` or
+    `initial.modal_rates`. Source: paper eqs. (21), (23).
 
     Parameters
     ----------
     scene : Scene
-    deflection : function(ndarray) -> array_like
-        Deflection w(xi) in the arm frame [m], or its rate [m/s], for xi of shape (p,) [m].
-    rotation : function(ndarray) -> array_like
-        Rotation phi(xi) [rad], or its rate [rad/s].
-
-    Returns
-    -------
-    tuple of float, length N
-        Modal coordinates [m sqrt(kg)] or rates [m sqrt(kg)/s]. Source: paper eqs. (21), (23).
+    deflection, rotation : function(ndarray) -> array_like
+        Deflection w(xi) in the arm frame [m] and rotation phi(xi) [rad], or their rates, for xi of
+        shape (p,) [m].
 
     Examples
     --------
@@ -334,33 +321,18 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
         values['end_effector.mass'], values['end_effector.inertia'],
         values['carrier.viscous_friction'],
         values['motor.viscous_friction'] + motor_constants(values)[1],
-        tuple(_smooth_coulomb(values, body) for body in ('carrier', 'motor')))
-
-
-def _smooth_coulomb(values, body):
-    # Coulomb friction without a speed is dry: joints stick, and the bodies do not know it.
-    speed = values[f'{body}.coulomb_speed']
-    return (values[f'{body}.coulomb_friction'], speed) if speed else (0.0, 1.0)
-
-
-def load_of(values: Mapping[str, Any]) -> Load:
-    """Return the Load that the values describe, with the drive of the shaft."""
-    return Load(_terms_of(tuple((name, values[name]) for name in _OF_TERMS)), _drive(values))
+        # Coulomb friction without a speed is dry: joints stick, and the bodies do not know it.
+        tuple((values[f'{body}.coulomb_friction'], speed) if speed else (0.0, 1.0)
+              for body in ('carrier', 'motor') for speed in [values[f'{body}.coulomb_speed']]))
 
 
 @lru_cache(maxsize=4)
 def _terms_of(items):
     # Equal terms are one object, so that scenes under the same load can share what follows of it.
     values = dict(items)
-    return {channel: _channel(f'load.{channel}', values['integrator.step'],
-                              tuple((name, values[name]) for name in names))
-            if any(values[name] for name in names) else () for channel, names in
-            _OF_CHANNELS.items()}
-
-
-@lru_cache(maxsize=32)
-def _channel(prefix, step, items):
-    return tuple(_terms(prefix, dict(items), step))
+    return {channel: tuple(_terms(f'load.{channel}', values, values['integrator.step']))
+            if any(values[name] for name in names) else ()
+            for channel, names in _OF_CHANNELS.items()}
 
 
 def motor_constants(values: Mapping[str, Any]) -> tuple[float, float]:
@@ -556,11 +528,7 @@ def check_finite(scene: Scene) -> None:
 
 
 def find_implausible(values: Mapping[str, Any]) -> str | None:
-    """
-    Return the text of a warning about values that are allowed but implausible, or None.
-
-    It marks values that are the defaults, which nobody may have meant together with the others.
-    """
+    """Return a warning about implausible values, which marks those that are defaults, or None."""
     def each(name):
         return values.get(f'arm.profile.{name}') or (values[f'arm.{name}'],)
 
@@ -620,29 +588,6 @@ def initial_motion(scene: Scene, model: Formulation) -> np.ndarray:
         raise ParameterError(f'initial.equilibrium = true: {error}') from None
 
 
-def state_of(scene: Scene, run: Any, t: float) -> dict[str, Any]:
-    """Return the parameters of a scene that begins with the state of a run, see `Scene.at`."""
-    sample = int(np.argmin(np.abs(run.t - t)))
-    if not abs(run.t[sample] - t) <= 1e-9 * max(1.0, abs(t)):
-        raise ParameterError(f't = {t:g} s must be the time of a sample, the nearest is '
-                             f'{run.t[sample]:.12g} s')
-    if run.q.shape[1] != scene.modal_count:
-        raise ParameterError(f'the run must have {scene.modal_count} modal coordinates, as '
-                             f'many as the scene, got {run.q.shape[1]}')
-    if scene.values['motor.shaft'] == 'driven':
-        raise ParameterError('motor.shaft = driven starts at the beginning of motor.drive, '
-                             'not at the state of a run')
-    changed = [step for step, *_ in run.payloads if step < round(run.t[sample] / run.scene.step)]
-    if changed:
-        raise ParameterError(
-            f't = {t:g} s must not be after a change of the load at the tip, since the modes are '
-            f'those of the first end effector; it changes at {changed[0] * run.scene.step:g} s')
-    position, velocity = run.motion[sample].reshape(2, -1).tolist()
-    return {**dict(zip(_POSITION, position)), **dict(zip(_VELOCITY, velocity)),
-            'initial.modal_coordinates': position[3:], 'initial.modal_rates': velocity[3:],
-            'initial.equilibrium': False}
-
-
 INITIAL = 'initial'  # stands for the whole initial state
 # Parameters that no derivative or fit can vary begin with these.
 _FIXED = 'model.', 'integrator.', 'sensor.', 'payload.time', 'motor.drive'
@@ -652,22 +597,9 @@ _INDEXED = re.compile(r'(.+)\[(\d+)\]')
 def number_of(name: str, scene: Scene, others: str = '',
               names: Iterable[str] = ()) -> tuple[Parameter, float]:
     """
-    Return the Parameter of a name, and its value in a scene.
+    Return the Parameter of a name, and its value in a scene, or raise ParameterError.
 
-    Parameters
-    ----------
-    name : str
-    scene : Scene
-    others : str
-        What else the caller knows, for the text of an error.
-    names : iterable of str
-        Names of these, of which one may be meant.
-
-    Raises
-    ------
-    ParameterError
-        If the name is unknown or ambiguous, or it is no number of the physics.
-
+    `others` says for an error what else the caller knows, and `names` names it.
     """
     base, place = _base(name)
     parameter = PARAMETERS.get(base)

@@ -21,8 +21,7 @@ from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, place, rotate, TORQUE
 from timo_sim.scene.scene import Scene
 from timo_sim.steps.steps import Steps
-from timo_sim.topics.outputs import NANOSECONDS
-from timo_sim.topics.sensors import SENSORS
+from timo_sim.topics.outputs import NANOSECONDS, SENSORS
 
 _FRICTION = [FORCE_X, FORCE_Y, TORQUE]  # columns of a load, by joint
 # Speed of a joint below which Coulomb friction holds it [m/s, rad/s], doc/theory.md, section 8;

@@ -94,24 +94,18 @@ class Field(NamedTuple):
 @cache
 def fields(type_name: str) -> tuple[Field, ...]:
     """Return the fields of a message type of DEFINITIONS in order, a tuple of Field."""
-    # A line with '=' defines a constant, which is in no message.
-    return tuple(_field(type_name.split('/')[0], line) for line in DEFINITIONS[type_name]
-                 if '=' not in line)
-
-
-def _field(package, line):
-    kind, array, name, default = _FIELD.findall(line)[0]
-    value: Any
-    if kind[0].isupper():
-        kind = f'{package}/{kind}'  # of the same package
-    if '/' in kind:
-        kind, value = kind.replace('/', '/msg/'), {}
-    else:
-        value = '' if kind == 'string' else int(default or 0)
-    if not array:
-        return Field(name, kind, None, value)
-    length = int(array[1:-1] or 0)
-    return Field(name, kind, length, length * (value,))
+    found = []
+    for line in DEFINITIONS[type_name]:
+        if '=' in line:  # defines a constant, which is in no message
+            continue
+        kind, array, name, default = _FIELD.findall(line)[0]
+        if kind[0].isupper():
+            kind = f'{type_name.split("/")[0]}/{kind}'  # of the same package
+        value: Any = {} if '/' in kind else '' if kind == 'string' else int(default or 0)
+        length = int(array[1:-1] or 0) if array else None
+        found.append(Field(name, kind.replace('/', '/msg/'), length,
+                           value if length is None else length * (value,)))
+    return tuple(found)
 
 
 @cache
@@ -167,15 +161,7 @@ class Layout(NamedTuple):
 
 
 def layout(type_name: str, data: bytes | memoryview) -> Layout:
-    """
-    Return the Layout of a serialised message of one of TYPES.
-
-    Raises
-    ------
-    CdrError
-        If the message is too short, or not in little-endian plain CDR.
-
-    """
+    """Return the Layout of a message of TYPES; CdrError unless it is little-endian CDR."""
     walk = _Walk(data)
     walk.value(type_name)
     return walk.found._replace(size=walk.place)
@@ -183,27 +169,15 @@ def layout(type_name: str, data: bytes | memoryview) -> Layout:
 
 def pack(type_name: str, values: Mapping[str, Any]) -> bytes:
     """
-    Return a serialised message, little-endian CDR with zeros as padding.
+    Return a serialised message of one of TYPES, little-endian CDR with zeros as padding.
 
-    Parameters
-    ----------
-    type_name : str
-        One of TYPES.
-    values : dict
-        Values by name of field: numbers, str, dict for messages, lists for arrays. A field that
-        is missing has its default, which is zero or empty unless the definition says otherwise
-        (w of a quaternion is 1).
+    `values` has by name of field numbers, str, dict for messages, lists for arrays. A field that
+    is missing has its default, which is zero or empty unless the definition says otherwise (w of a
+    quaternion is 1). Raises CdrError if a field is unknown, or an array of fixed length is given
+    with another length.
 
-    Raises
-    ------
-    CdrError
-        If a field is unknown, or an array of fixed length is given with another length.
-
-    Examples
-    --------
     >>> pack('std_msgs/msg/Float64', {'data': 1.0}).hex()
     '00010000000000000000f03f'
-
     """
     data = bytearray(_LITTLE_ENDIAN + bytes(_START - len(_LITTLE_ENDIAN)))
     _append(data, type_name, values)
@@ -306,12 +280,9 @@ class Number(NamedTuple):
     order of the template, whatever the order of the message, those without a name last; these
     describe the others, as variances do, and are no columns.
 
-    Examples
-    --------
     >>> template = {'name': ['shaft'], 'position': [Number('shaft_rad')]}
     >>> serialize = Serializer('sensor_msgs/msg/JointState', template)
     >>> message = serialize((1, 500000000), [0.25])  # at 1.5 s
-
     """
 
     column: str = ''  # its name with unit, as in 'shaft_rad'
@@ -359,10 +330,9 @@ def _filled(template, value):
 
 class Serializer:
     """
-    Writes time and numbers straight into a serialised message.
+    Writes time and numbers straight into a serialised message, a copy of the first of its topic.
 
-    Everything else is the same in all messages of a topic, so each is a copy of the first with
-    other numbers. All times in a message are the same. A type without a time is a ValueError.
+    All times in a message are the same. A type without a time is a ValueError.
     """
 
     def __init__(self, type_name, template):

@@ -110,6 +110,7 @@ class Command(NamedTuple):
     type_name: str
     load: Callable[..., dict]
     groups: tuple[str, ...]    # keys of GROUPS that it may set
+    meaning: str               # of what it sets, for tables
     unused: tuple[int, ...] = ()  # numbers of a wrench without effect, of which the node warns
 
     @property
@@ -124,11 +125,7 @@ class Command(NamedTuple):
 
     def row(self, texts: Sequence[str], lists: Sequence[Sequence[float]],
             frames: Mapping[str, str] = PLAIN) -> np.ndarray:
-        """
-        Return values for its columns [N, N m, V], NaN where it sets none, or raise Refused.
-
-        `texts` and `lists` are those of the message; `frames` names each of `outputs.FRAMES`.
-        """
+        """Return values for its columns [N, N m, V], NaN where it sets none, or raise Refused."""
         found = self.load(texts, lists, frames)
         return np.concatenate([found.get(group, [math.nan] * len(GROUPS[group]))
                                for group in self.groups])
@@ -145,16 +142,20 @@ class Command(NamedTuple):
 # zeros on its topic among these.
 COMMANDS = [
     Command('~/carrier_wrench', 'geometry_msgs/msg/WrenchStamped', _carrier_wrench, ('carrier',),
-            unused=(2, 3, 4, 5)),
+            'force x, y on the carrier', unused=(2, 3, 4, 5)),
     Command('~/motor_torque', 'std_msgs/msg/Float64',
-            lambda texts, lists, frames: {'shaft': (_scalar(lists), 0.0)}, ('shaft',)),
+            lambda texts, lists, frames: {'shaft': (_scalar(lists), 0.0)}, ('shaft',),
+            'torque on the shaft'),
     Command('~/tip_wrench', 'geometry_msgs/msg/WrenchStamped', _tip_wrench, ('tip',),
-            unused=(2, 3, 4)),
+            'force x, y and torque z on the end effector', unused=(2, 3, 4)),
     Command('~/joint_command', 'sensor_msgs/msg/JointState', _joint_command,
-            ('carrier', 'shaft')),
-    Command('~/commands', 'std_msgs/msg/Float64MultiArray', _commands, ('carrier', 'shaft')),
+            ('carrier', 'shaft'),
+            'efforts of `carrier_x`, `carrier_y`, `shaft`, by name; others are ignored'),
+    Command('~/commands', 'std_msgs/msg/Float64MultiArray', _commands, ('carrier', 'shaft'),
+            'the same three, as an array'),
     Command('~/motor_voltage', 'std_msgs/msg/Float64',
-            lambda texts, lists, frames: {'shaft': (0.0, _scalar(lists))}, ('shaft',)),
+            lambda texts, lists, frames: {'shaft': (0.0, _scalar(lists))}, ('shaft',),
+            'voltage at a DC motor, with `motor.dc`'),
 ]
 
 

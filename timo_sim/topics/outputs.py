@@ -6,7 +6,12 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The topics that carry the motion: one entry of `outputs` says everything about a topic."""
+"""
+The topics that carry the motion: one entry of `outputs` says everything about a topic.
+
+The table of sensors is the source of their parameters, topics, quantities of fits and outputs of
+linear models.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +21,79 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.model.layout import place
+from timo_sim.model.layout import place, with_unit
 from timo_sim.topics.cdr import columns, form, Number
-from timo_sim.topics.sensors import IMU, Sensor, SENSORS
+
+
+class Sensor(NamedTuple):
+    """
+    A sensor.
+
+    From its entry in `SENSORS` follow the parameters `sensor.NAME.noise`, `.bias` and
+    `.resolution`, `Simulator.sensors.NAME`, its topic with rate and delay, and columns in logs.
+
+    Attributes
+    ----------
+    name, unit, meaning : str
+    topic : str
+        Of its messages, a `sensor_msgs/msg/JointState`, or the `sensor_msgs/msg/Imu` of `IMU`.
+    columns : tuple of str
+        Names of its axes in logs, with units.
+    read : function(simulation.snapshot.Snapshot) -> sequence of float
+        Returns what it measures, a number for each axis.
+    of_motion : function(Formulation, ndarray (n, 2 (3 + N))) -> ndarray (n,), or None
+        In place of `read`, for a sensor of one axis that the motion alone determines. Such a
+        sensor is also a quantity of fits and an output of linear models.
+    quantity, joint : str
+        Of fits, which its last axis shows, by default its own name with `of_motion`, else none;
+        name in a `JointState`, by default its own.
+
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    topic: str
+    columns: tuple[str, ...]
+    read: Callable | None = None
+    of_motion: Callable | None = None
+    quantity: str = ''
+    joint: str = ''
+
+    def quantities(self, snapshot: Any) -> tuple[float, ...]:
+        """Return what it measures in a Snapshot, without noise: a number for each axis."""
+        if self.of_motion:
+            return (float(self.of_motion(snapshot.model, snapshot.motion[np.newaxis])[0]),)
+        return tuple(self.read(snapshot)) if self.read else ()
+
+    @property
+    def measured(self) -> str:
+        """Name of the quantity of fits that it shows, or ''."""
+        return self.quantity or (self.name if self.of_motion else '')
+
+    @property
+    def output(self) -> str:
+        """Name of its output of linear models, with the unit, or ''."""
+        return with_unit(self.measured, self.unit) if self.of_motion else ''
+
+
+IMU = '~/tip_imu/data_raw'
+# The random numbers of a sensor depend on its place in this list: append only.
+SENSORS = (
+    Sensor('root_strain', '', 'the strain of the outer fibre at the root',
+           '~/root_strain', ('outer_fibre',),
+           lambda snapshot: (snapshot.root_strain,), quantity='root_strain'),
+    Sensor('tip_acceleration', 'm/s2', 'either axis of the specific force '
+           '(acceleration less gravity) of the tip',
+           IMU, ('acceleration_x_m_per_s2', 'acceleration_y_m_per_s2'),
+           lambda snapshot: snapshot.tip_acceleration, quantity='tip_acceleration'),
+    Sensor('gyro', 'rad/s', 'the angular velocity of the tip',
+           IMU, ('turning_rad_per_s',), lambda snapshot: (snapshot.tip_turning,)),
+    Sensor('encoder', 'rad', 'the shaft angle',
+           '~/encoder', ('shaft_rad',),
+           of_motion=lambda model, motions: motions[:, 2], quantity='shaft', joint='shaft'),
+)
+
 
 NANOSECONDS = 1000000000
 _GRAVITY = 9.80665  # [m/s2]
@@ -39,10 +114,6 @@ def _tip_pose(snapshot):
     return *place(x, y, theta, along, across), math.sin(half), math.cos(half)
 
 
-def _readings(*sensors):
-    return lambda snapshot: [axis for name in sensors for axis in snapshot.sensor(name)]
-
-
 def _imu_unlogged(snapshot):
     # Along z, what the gravity in the plane of motion leaves of the Earth's; variances.
     lean = min(snapshot.gravity / _GRAVITY, 1.0)
@@ -59,14 +130,10 @@ def _transforms(snapshot):
 
 class Output(NamedTuple):
     """
-    A topic that carries the motion.
+    A topic that carries the motion; '~/encoder' is below the node's own name, '/clock' is not.
 
     Attributes
     ----------
-    name : str
-        As in rclpy: '~/encoder' is below the node's own name, '/clock' is not.
-    type_name : str
-        Of its messages.
     numbers : function(simulation.snapshot.Snapshot) -> tuple of float
         Returns the numbers of a message, in the order of `columns`.
     template : dict
@@ -156,7 +223,11 @@ def _sensor_outputs():
         topics.setdefault(sensor.topic, []).append(sensor)
     for topic, sensors in topics.items():
         columns = [column for sensor in sensors for column in sensor.columns]
-        delay, read = f'sensor.{title(topic)}.delay', _readings(*(each.name for each in sensors))
+        delay = f'sensor.{title(topic)}.delay'
+
+        def read(snapshot, names=tuple(each.name for each in sensors)):
+            return [axis for name in names for axis in snapshot.sensor(name)]
+
         if topic == IMU:
             yield Output(topic, 'sensor_msgs/msg/Imu', read, _imu(*columns), delay, _imu_unlogged)
         else:
@@ -217,11 +288,7 @@ def in_frames(template: Any, names: Mapping[str, str]) -> Any:
 
 def with_angles(columns: tuple[str, ...],
                 values: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
-    """
-    Return columns, a tuple of str, and values (n, k) with an angle in place of an orientation.
-
-    The column `rotation_rad`, not wrapped, replaces `orientation_z` and `orientation_w`.
-    """
+    """Return columns and values, (n, k), with `rotation_rad`, unwrapped, for an orientation."""
     if 'orientation_z' not in columns:
         return columns, values
     z, w = (values[:, columns.index(name)] for name in ('orientation_z', 'orientation_w'))

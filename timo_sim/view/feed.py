@@ -35,26 +35,10 @@ class Feed:
     """
     Sends samples to a process of `view.rerun`, and never waits for it.
 
-    Samples for which its pipe has no room, because the viewer is slow or stuck, are dropped.
-
-    Parameters
-    ----------
-    scene : Scene
-    url : str
-        Of the viewer, as in 'rerun+http://127.0.0.1:9876/proxy'. The viewer may come and go.
-    name : str
-        Of the node.
-
-    Attributes
-    ----------
-    doubt : str or None
-        A warning if no viewer listened at the start.
-
-    Raises
-    ------
-    ParameterError
-        If `url` is no address of a viewer, or rerun is not installed.
-
+    Samples for which its pipe has no room, because the viewer is slow or stuck, are dropped. `url`
+    is that of a viewer, which may come and go, `name` the node's. `doubt` is a warning if no
+    viewer listened at the start. Raises ParameterError if `url` is no address of a viewer, or
+    rerun is not installed.
     """
 
     def __init__(self, scene: Scene, url: str, name: str) -> None:
@@ -88,18 +72,7 @@ class Feed:
 
     def offer(self, now: float, simulator: Simulator,
               effort: Callable[[], tuple[float, float, float]]) -> None:
-        """
-        Take a sample if one is due; return at once.
-
-        Parameters
-        ----------
-        now : float
-            Wall time, steady [s].
-        simulator : Simulator
-        effort : function() -> tuple of float
-            Force x, y [N] and torque [N m] as applied.
-
-        """
+        """Take a sample if one is due at the wall time `now` [s]; return at once."""
         if now < self._due:
             return
         self._due = now + _PERIOD

@@ -136,24 +136,12 @@ _COLOURS_PER_FRAME = 32
 
 def animate(tracks: Sequence[Track], path: Path | str, fps: float = _MOST_FPS) -> None:
     """
-    Write a GIF of tracks, laid over each other, in real time.
+    Write a GIF of tracks, laid over each other, in real time, at most 20 frames per second.
 
     The left axes show the arms in the plane of motion, each with its straight arm and the path of
     its tip so far; where there is gravity, a floor under the carrier. The right axes show the
-    transverse deflection of the tips, with a line at now.
-
-    Parameters
-    ----------
-    tracks : list of Track
-    path : str or Path
-    fps : float
-        Frames per second of sim time; more than 20 are reduced to 20.
-
-    Raises
-    ------
-    ParameterError
-        If the path does not end with .gif, or `fps` is not above 0 and at most 1e6.
-
+    transverse deflection of the tips, with a line at now. Raises ParameterError if the path does
+    not end with .gif, or `fps` is not above 0 and at most 1e6.
     """
     if not str(path).endswith('.gif'):
         raise ParameterError(f'the path of an animation must end with .gif, got {path}')

@@ -90,30 +90,12 @@ def write(tracks: Sequence[Track], path: Path | str, fps: float = 30.0,
           report: Callable[[float], object] = lambda done: None,
           at: float | None = None) -> np.ndarray:
     """
-    Write tracks to a rerun file, laid over each other.
+    Write tracks of different names to a rerun file, laid over each other.
 
-    Parameters
-    ----------
-    tracks : list of Track
-        Of different names.
-    path : str or Path
-    fps : float
-        Most frames of the plane per second of sim time; curves have all samples.
-    report : function(float)
-        Called with the share of the work that was done since the last call; the sum is 1.
-    at : float, optional
-        Sim time that gets a frame, too [s].
-
-    Returns
-    -------
-    ndarray, shape (2, 2)
-        Corners of the plane that is shown, lower left and upper right [m].
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-
+    The plane has at most `fps` frames per second of sim time, and one at the sim time `at` [s];
+    curves have all samples. `report` is called with the share of the work done since its last
+    call. Returns the corners of the plane that is shown, lower left and upper right, shape (2, 2)
+    [m]. Raises OSError if the file cannot be written.
     """
     stream = rr.RecordingStream('timo_sim')
     with whole_file(path) as part:
@@ -201,18 +183,10 @@ def _about(tracks, largest, fps):
 
 class Entities:
     """
-    What a stream has of one run: its bodies in the plane, and its curves.
+    What a stream has of one run, number `run` of `runs`: its bodies in the plane, and its curves.
 
-    Parameters
-    ----------
-    stream : RecordingStream
-    track : Track
-        Of which only name, body and floor are used.
-    run, runs : int
-        The number of the run, from 0, and how many runs the stream has.
-    bounds : ndarray, shape (2, 2)
-        Corners of the plane that is shown [m].
-
+    Of `track` only name, body and floor are used; `bounds` are the corners of the plane, (2, 2)
+    [m].
     """
 
     def __init__(self, stream: rr.RecordingStream, track: Track, run: int, runs: int,
@@ -220,12 +194,7 @@ class Entities:
         self._stream, self._name, self._run, self._runs = stream, track.name, run, runs
         self._body, self._path = track.body, f'{_PLANE}/{track.name}'
         self._trail: np.ndarray | None = None
-        self._log_styles()
-        if track.floor is not None:
-            self._log_floor(track.floor, bounds)
-
-    def _log_styles(self):
-        body, points = self._body, rr.Radius.ui_points
+        body, points = track.body, rr.Radius.ui_points
         own, line = self._colour(), 0.5 * body.thickness
         grey, tip = (_TICKS, _COLOURS[5]) if self._runs == 1 else (own, own)
         styles: list[tuple] = [
@@ -240,14 +209,13 @@ class Entities:
         for order, (name, kind, colors, radii, more) in enumerate(styles):
             self._stream.log(f'{self._path}/{name}', kind.from_fields(
                 colors=colors, radii=radii, draw_order=float(order), **more), static=True)
-
-    def _log_floor(self, floor, bounds):
-        self._stream.log(f'{self._path}/floor', rr.LineStrips2D(
-            [floor.line(bounds)], colors=_TICKS, radii=rr.Radius.ui_points(1.0),
-            draw_order=-5.0), static=True)
-        self._stream.log(f'{self._path}/gravity', rr.Arrows2D(
-            origins=floor.arrow[:1], vectors=np.diff(floor.arrow, axis=0), colors=_TICKS,
-            radii=rr.Radius.ui_points(1.5), draw_order=-5.0), static=True)
+        if (floor := track.floor) is not None:
+            stream.log(f'{self._path}/floor', rr.LineStrips2D(
+                [floor.line(bounds)], colors=_TICKS, radii=points(1.0), draw_order=-5.0),
+                static=True)
+            stream.log(f'{self._path}/gravity', rr.Arrows2D(
+                origins=floor.arrow[:1], vectors=np.diff(floor.arrow, axis=0), colors=_TICKS,
+                radii=points(1.5), draw_order=-5.0), static=True)
 
     def _colour(self, curve=0):
         """Return the RGB colour of a curve: a shade for its run if there are several."""
@@ -257,11 +225,7 @@ class Entities:
         return tuple((base + (255 - base) * (1 - 0.6**curve)).astype(int).tolist())
 
     def send_poses(self, ns: np.ndarray, poses: Poses, largest: Sequence[float]) -> None:
-        """
-        Send Poses at sim times, shape (m,) [ns], after all that were sent before.
-
-        `largest` is the force [N] and the torque [N m] that are drawn in full size.
-        """
+        """Send Poses at times (m,) [ns]; the `largest` force and torque are drawn in full size."""
         body, root, tip = self._body, poses.line[:, 0], poses.line[:, -1]
         straight = root + body.length * np.column_stack([np.cos(poses.shaft), np.sin(poses.shaft)])
         before = np.repeat(tip[:1], _TRAIL - 1, axis=0) if self._trail is None else self._trail
@@ -304,7 +268,10 @@ def _log_plane(stream, bounds):
     # Rerun's plane has y downward: the plane is mirrored, its content is not.
     stream.log(_PLANE, rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
     low, high = bounds
-    spacing, low = _spacing(np.max(high - low)), low + 0.05 * np.max(high - low)
+    extent = np.max(high - low)
+    decade = 10.0**np.floor(np.log10(extent / 3.0))
+    spacing = decade * max(n for n in (1, 2, 5) if n * decade <= extent / 3.0)
+    low = low + 0.05 * extent
     lines, labels, places = [], [], []
     for axis, name in enumerate('xy'):
         for k in range(int(np.ceil(low[axis] / spacing)), int(high[axis] / spacing) + 1):
@@ -317,11 +284,6 @@ def _log_plane(stream, bounds):
         lines, colors=_GRID, radii=rr.Radius.ui_points(0.5), draw_order=-10.0), static=True)
     stream.log(f'{_PLANE}/grid/ticks', rr.Points2D(
         places, labels=labels, show_labels=True, colors=_TICKS, radii=0.0), static=True)
-
-
-def _spacing(extent):
-    decade = 10.0**np.floor(np.log10(extent / 3.0))
-    return decade * max(n for n in (1, 2, 5) if n * decade <= extent / 3.0)
 
 
 def _time(ns):
@@ -414,25 +376,11 @@ def show_tracks(makers: Sequence[Callable[[], Track]], save: str | None = None,
     """
     Convert tracks, and show them unless only a file or a picture is wanted.
 
-    Parameters
-    ----------
-    makers : list of function() -> Track
-    save, png : str, optional
-        Paths of a rerun file (*.rrd) and of a picture to write.
-    at : float, optional
-        Sim time of the picture [s]; by default the end.
-    web : bool
-        Whether to show them in the browser.
-    fps : float
-        See `write`.
-
-    Raises
-    ------
-    ParameterError
-        If a path or number breaks its rule, or the time is not in the runs.
-    ViewerError
-        If the viewer does not start or does not answer.
-
+    `makers` are functions that return a Track. `save` and `png` are paths of a rerun file (*.rrd)
+    and of a picture, which is of the sim time `at` [s], by default the end. With `web` they are
+    shown in the browser; for `fps` see `write`. Raises ParameterError if a path or number breaks
+    its rule, or the time is not in the runs; ViewerError if the viewer does not start or does not
+    answer.
     """
     at, fps = at if at is None else _AT.check(at), FPS.check(fps)
     if save and not str(save).endswith('.rrd'):
@@ -508,7 +456,14 @@ def picture(path: Path | str, png: Path | str, at: float | None = None,
     try:
         client = _until(
             lambda: ViewerClient.connect(f'rerun+http://{_LOOPBACK}:{port}/proxy'), process)
-        state = _until(lambda: _loaded(client), process)
+
+        def load():
+            state = client.get_state()
+            ready = not state.loading and state.views and state.recordings and any(
+                line.name == _TIMELINE for line in state.recordings[0].timelines)
+            return state if ready else None
+
+        state = _until(load, process)
         end = max(line.end for line in state.recordings[0].timelines if line.name == _TIMELINE)
         client.set_time(_TIMELINE, duration=end * 1e-9 if at is None else at,
                         play_state='paused')
@@ -550,19 +505,16 @@ def _free_port():
         return sock.getsockname()[1]
 
 
-def _loaded(client):
-    state = client.get_state()
-    ready = not state.loading and state.views and state.recordings and any(
-        line.name == _TIMELINE for line in state.recordings[0].timelines)
-    return state if ready else None
-
-
 def _until(condition, process):
     """Return what a condition finds; until a viewer answers, it raises RuntimeError or OSError."""
     deadline = time.monotonic() + _LOADING
     while time.monotonic() < deadline:
         if process.poll() is not None:
-            raise ViewerError(_reason(process.stderr.read()))
+            text = process.stderr.read()
+            raise ViewerError(
+                'pictures need a driver for graphics: apt-get install mesa-vulkan-drivers '
+                'libvulkan1' if 'adapter' in text or 'render context' in text else
+                'the viewer of rerun ended: ' + ' '.join(text.split())[-300:])
         try:
             found = condition()
         except (RuntimeError, OSError):
@@ -571,13 +523,6 @@ def _until(condition, process):
             return found
         time.sleep(0.05)
     raise ViewerError(f'the viewer of rerun did not answer within {_LOADING:g} s')
-
-
-def _reason(text):
-    if 'adapter' in text or 'render context' in text:
-        return ('pictures need a driver for graphics: apt-get install mesa-vulkan-drivers '
-                'libvulkan1')
-    return 'the viewer of rerun ended: ' + ' '.join(text.split())[-300:]
 
 
 class Stream:

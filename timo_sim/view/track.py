@@ -84,20 +84,9 @@ class Track:
     """
     A run in the form that views take.
 
-    Attributes
-    ----------
-    name : str
-    ns : ndarray, shape (n,)
-        Sim times of the samples [ns], not descending.
-    poses : function(ndarray of int or slice) -> Poses
-        Returns the Poses at some samples.
-    traces : list of Trace
-    body : Body
-    note : str
-        Settings of the run and how its shape is known, Markdown.
-    floor : Floor, optional
-        None without gravity, and where the scene is not known.
-
+    `ns` are the sim times of n samples, not descending [ns]; `poses` returns the Poses at some of
+    them; `note` says in Markdown how its shape is known. `floor` is None without gravity, and
+    where the scene is not known.
     """
 
     name: str
@@ -113,11 +102,7 @@ class Track:
         return next((trace for trace in self.traces if trace.panel == panel), None)
 
     def frames(self, rate: float, at: float | None = None) -> np.ndarray:
-        """
-        Return ascending indices of samples for at most `rate` frames per second.
-
-        Where a sim time `at` [s] is given, the last sample until then is one of them.
-        """
+        """Return ascending samples, at most `rate` per second, and the last until `at` [s]."""
         span = self.ns[-1] - self.ns[0]
         wanted = self.ns[0] + np.round(np.arange(int(span * 1e-9 * rate) + 1) * (1e9 / rate))
         places = [*np.searchsorted(self.ns, wanted), len(self.ns) - 1]
@@ -177,34 +162,14 @@ def track_of_motion(
         resets: ArrayLike = (), balanced: bool = True, heat: np.ndarray | None = None,
         payloads: Sequence[tuple[int, float, float]] = (), commands: ArrayLike = ()) -> Track:
     """
-    Return the track of a known motion.
+    Return the track of a known motion, shape (n, 2 (3 + N)), at the sim times `ns`, (n,) [ns].
 
-    Parameters
-    ----------
-    name : str
-    scene : Scene
-    ns : ndarray, shape (n,)
-        Sim time [ns].
-    motion : ndarray, shape (n, 2 (3 + N))
-        See `model.layout`.
-    effort : ndarray, shape (n, 3)
-        Force on the carrier, world x and y [N], torque on the shaft [N m].
-    resets : array_like of int
-        First samples after resets, which do not follow from the one before.
-    balanced : bool
-        Whether to compute the balance of energy, work and losses. It is not known if a command
-        acted on the tip, or parameters such as friction were set during the run.
-    heat : ndarray, shape (n,), optional
-        What dry friction has dissipated so far [J]; where it acts, the balance needs it.
-    payloads : sequence of (int, float, float)
-        See `Run`; a balance is not computed then.
-    commands : array_like of int
-        Steps at which forces and torques jump besides those of the scene's loads.
-
-    Returns
-    -------
-    Track
-
+    `effort` is force on the carrier, world x and y [N], and torque [N m], (n, 3). `resets` are
+    first samples after resets, which do not follow from the one before. `balanced`: whether to
+    compute the balance of energy, work and losses, which is not known if a command acted on the
+    tip, or parameters such as friction were set during the run, or with `payloads` (see `Run`).
+    Where dry friction acts it needs its `heat` so far, (n,) [J]. `commands` are steps at which
+    forces and torques jump besides those of the scene's loads.
     """
     formulation, half = scene.build(), motion.shape[1] // 2
     length, modal = scene.manipulator.arm.length, motion[:, 3:half]
