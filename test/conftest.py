@@ -47,10 +47,10 @@ def pytest_collection():
 
 # The longest files begin first; files that wait for nodes stand between those that compute.
 LONGEST = [f'test_{name}.py' for name in (
-    'project examples equations accuracy sync stress storm node batch stretch compiled tutorial '
-    'sweep_command estimated_error same_bits smooth_friction recover formulations payload '
-    'ros2_control fit lock_step friction start gravity view sensitivities sweep '
-    'one_axis_held fit_statistics parameters peers looking step_control').split()]
+    'project examples equations accuracy lock_step process stress node batch stretch compiled '
+    'tutorial sweep_command estimated_error same_bits smooth_friction recover formulations '
+    'payload ros2_control fit friction topics gravity view sensitivities sweep one_axis_held '
+    'fit_statistics parameters peers looking steps').split()]
 
 
 def pytest_collection_modifyitems(items):
@@ -106,8 +106,8 @@ def reference():
 
 
 # These tests need packages without wheels on PyPI; they run where the packages are installed.
-NEED = {'ros/test_transforms.py': 'tf2_msgs', 'ros/test_interfaces.py': 'simulation_interfaces',
-        'tools': 'ros2cli', 'tools/test_ros2_bag.py': 'rosbag2_py',
+NEED = {'ros/test_interfaces.py': 'simulation_interfaces', 'tools': 'ros2cli',
+        'tools/test_ros2_bag.py': 'rosbag2_py',
         **dict.fromkeys(('tools/test_launch.py', 'tools/test_ros2_control_launch.py'),
                         'ros2launch')}
 collect_ignore = [path for path, package in NEED.items() if find_spec(package) is None]

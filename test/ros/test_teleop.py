@@ -129,7 +129,6 @@ def test_the_terminal_is_as_it_was_whatever_ends_it(client, terminal):
     """It ends by Ctrl-C, by signals, and by a closed pipe as output."""
     read, write = os.pipe()
     ends = {'Ctrl-C': (0, lambda keys: keys.press(b'\x03')),
-            'kill -INT': (0, lambda keys: keys.process.send_signal(signal.SIGINT)),
             'a closed window': (0, lambda keys: keys.process.send_signal(signal.SIGHUP)),
             'kill': (0, lambda keys: keys.process.send_signal(signal.SIGTERM)),
             'error': (128 + signal.SIGPIPE, lambda keys: os.close(read))}
@@ -146,7 +145,6 @@ def test_the_terminal_is_as_it_was_whatever_ends_it(client, terminal):
 def test_without_a_terminal_or_with_wrong_options_it_ends_with_one_line(terminal):
     refused = [(terminal(option, value), words) for option, value, words in (
         ('--force', 'nan', '--force must be a finite number > 0 N, got nan'),
-        ('--torque', '-1', '--torque must be a finite number > 0 N m, got -1.0'),
         ('--node', '/a b', "--node must be the full name of a node, got '/a b'"))]
     result = subprocess.run([sys.executable, '-m', 'timo_sim', 'teleop'], input='q', text=True,
                             capture_output=True)
