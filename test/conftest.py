@@ -106,8 +106,8 @@ def reference():
 
 
 # These tests need packages without wheels on PyPI; they run where the packages are installed.
-NEED = {'ros/test_interfaces.py': 'simulation_interfaces', 'tools': 'ros2cli',
-        'tools/test_ros2_bag.py': 'rosbag2_py',
+NEED = {'ros/test_transforms.py': 'tf2_msgs', 'ros/test_interfaces.py': 'simulation_interfaces',
+        'tools': 'ros2cli', 'tools/test_ros2_bag.py': 'rosbag2_py',
         **dict.fromkeys(('tools/test_launch.py', 'tools/test_ros2_control_launch.py'),
                         'ros2launch')}
 collect_ignore = [path for path, package in NEED.items() if find_spec(package) is None]
