@@ -20,6 +20,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
 import numpy as np
+import platformdirs
 from rcl_interfaces.srv import GetParameters
 from ros_process import facts, nanoseconds, PATIENCE
 from sensor_msgs.msg import JointState
@@ -160,6 +161,7 @@ def test_nohup_closed_streams_and_a_log_in_the_home(start, tmp_path, monkeypatch
         for number in range(3):
             os.close(number)
 
+    monkeypatch.setenv('XDG_CACHE_HOME', platformdirs.user_cache_dir())  # of compiled code
     monkeypatch.setenv('HOME', str(tmp_path / 'home'))
     node = start(preexec_fn=detach, real_time_factor=0.0, duration=2.0,
                  record_file='~/logs/run.mcap')
@@ -245,11 +247,7 @@ def attack(name):
     finally:
         process.send_signal(signal.SIGCONT)
         process.terminate()
-        try:
-            process.communicate(timeout=10.0)
-        except subprocess.TimeoutExpired:  # a reader that was stopped may hang
-            process.kill()
-            process.communicate()
+        process.communicate()
 
 
 def test_refusals_are_counted_and_the_log_is_readable(start, client):
@@ -301,6 +299,7 @@ def test_dropped_time_is_counted_and_the_motion_stays_the_same(start, client, pa
             time.sleep(0.2)
             node.send(signal.SIGCONT)
         client.wait(lambda: float(facts(health).get('dropped_time_s', 0)) > 0.3, 'drops')
+        reader.kill()  # it may not go on
     assert int(facts(health)['overruns']) >= 3
     assert node.end()[0] == 0
 
