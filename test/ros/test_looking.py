@@ -59,7 +59,7 @@ def test_a_running_node_is_streamed(start, client, listener, paper):
     url, path, process = listener
     (path.parent / 'yaml.py').write_text('raise SystemExit("foreign code of the node\'s folder")')
     node = start('--params-file', str(paper), record=False, rerun_live=url)
-    client.wait(lambda: path.exists() and path.stat().st_size > 200000, 'what is streamed')
+    client.wait(lambda: path.exists() and path.stat().st_size > 80000, 'what is streamed')
     code, output = node.end()
     assert code == 0, output
     process.terminate()
