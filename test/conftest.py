@@ -46,10 +46,10 @@ def pytest_collection():
 
 # The longest files begin first; files that wait for nodes stand between those that compute.
 LONGEST = [f'test_{name}.py' for name in (
-    'project examples equations accuracy sync stress storm node batch stretch compiled tutorial '
-    'sweep_command estimated_error same_bits smooth_friction recover formulations payload '
-    'ros2_control fit lock_step friction start gravity view sensitivities sweep '
-    'one_axis_held fit_statistics parameters peers looking step_control').split()]
+    'project examples equations accuracy lock_step process stress node batch stretch compiled '
+    'tutorial sweep_command estimated_error same_bits smooth_friction recover formulations '
+    'payload ros2_control fit friction topics gravity view sensitivities sweep one_axis_held '
+    'fit_statistics parameters peers looking steps').split()]
 
 
 def pytest_collection_modifyitems(items):

@@ -17,12 +17,14 @@ import sys
 import tempfile
 
 from timo_sim.cli.sim_node import main
+from timo_sim.ros import diagnostics
 
 _SERVER = multiprocessing.get_context('forkserver')
 _SERVER.set_forkserver_preload(['timo_sim.ros.process', 'timo_sim.cli.sim_node'])
 
 
 def _sim_node(arguments, folder, environment, output):
+    diagnostics._PERIOD = 0.2  # [s] of wall time, since many tests wait for diagnostics
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(environment)

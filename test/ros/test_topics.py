@@ -6,31 +6,30 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Topics: the physics that they carry, their bytes, rates and QoS."""
+"""Topics: the physics and sensor readings that they carry, their rates and QoS, their replay."""
 
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import (
-    Point, Pose, PoseStamped, Quaternion, Vector3, Vector3Stamped)
+from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
 import numpy as np
 import pytest
+from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import qos_profile_sensor_data, ReliabilityPolicy
-from rclpy.serialization import deserialize_message, serialize_message
-from ros_process import nanoseconds
-from rosgraph_msgs.msg import Clock
+from ros_process import nanoseconds, Process, replayed
 from sensor_msgs.msg import Imu, JointState
-from std_msgs.msg import Float64, Header
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
 import yaml
 
 import timo_sim
-from timo_sim.log.tables import export_bag
+from timo_sim.log.tables import export_bag, Recording, table
 from timo_sim.ros.parameters import ParameterNode
 from timo_sim.ros.topics import message_class
+from timo_sim.runs.replay import replay
 from timo_sim.scene.parameters import ParameterError
-from timo_sim.topics.cdr import layout, Serializer
+from timo_sim.simulation.snapshot import reading
 from timo_sim.topics.outputs import outputs
 
 TORQUE, TIP = '/timo_sim/motor_torque', '/timo_sim/tip_pose'
@@ -39,57 +38,6 @@ OVERRIDES = {f'qos_overrides.{name}': value for name, value in {
     f'{TIP}.publisher.depth': 1, f'{TIP}.publisher.reliability': 'best_effort',
     f'{TORQUE}.subscription.depth': 1000,
     f'{TORQUE}.subscription.reliability': 'best_effort'}.items()}
-EMPTY_LISTS = {'~/modal_state': 1, '~/root_strain': 2, '~/encoder': 2}
-
-
-def joint_state(time, *numbers):
-    """Return positions, speeds and efforts of the joints."""
-    return JointState(header=Header(stamp=time), name=['carrier_x', 'carrier_y', 'shaft'],
-                      position=numbers[:3], velocity=numbers[3:6], effort=numbers[6:])
-
-
-def modal_state(time, *numbers):
-    """Return coordinates and rates of four modes."""
-    return JointState(header=Header(stamp=time), name=['mode_1', 'mode_2', 'mode_3', 'mode_4'],
-                      position=numbers[:4], velocity=numbers[4:])
-
-
-def vector_in_arm(time, x, y):
-    """Return a vector in the arm frame."""
-    return Vector3Stamped(header=Header(stamp=time, frame_id='arm'), vector=Vector3(x=x, y=y))
-
-
-def pose_in_world(time, x, y, z, w):
-    """Return a pose in the world."""
-    return PoseStamped(header=Header(stamp=time, frame_id='world'),
-                       pose=Pose(position=Point(x=x, y=y), orientation=Quaternion(z=z, w=w)))
-
-
-def one_joint(name):
-    """Return a function that makes messages with the position of one joint."""
-    return lambda time, position: JointState(
-        header=Header(stamp=time), name=[name], position=[position])
-
-
-def imu_at_tip(time, x, y, turning):
-    """Return an IMU message of the tip; by REP 145 -1 means no orientation."""
-    return Imu(header=Header(stamp=time, frame_id='tip'),
-               orientation_covariance=[-1.0] + 8 * [0.0], angular_velocity=Vector3(z=turning),
-               linear_acceleration=Vector3(x=x, y=y, z=9.80665))
-
-
-# The messages as a user of rclpy would write them.
-BUILD = {
-    'joint_states': joint_state,
-    '~/modal_state': modal_state,
-    '~/tip_deflection': vector_in_arm,
-    '~/tip_pose': pose_in_world,
-    '~/carrier_pose': pose_in_world,
-    '~/root_strain': one_joint('root_strain'),
-    '~/tip_imu/data_raw': imu_at_tip,
-    '~/encoder': one_joint('shaft'),
-    '/clock': lambda time: Clock(clock=time),
-}
 
 
 def test_topics_carry_the_physics(start, client, paper):
@@ -100,7 +48,7 @@ def test_topics_carry_the_physics(start, client, paper):
     tips = client.collect(PoseStamped, '/timo_sim/tip_pose')
     carriers = client.collect(PoseStamped, '/timo_sim/carrier_pose')
     for received in (joints, modes, deflections, tips, carriers):
-        client.wait(lambda: len(received) >= 100, 'a second of messages')
+        client.wait(lambda: len(received) >= 30, 'messages')
     assert node.end()[0] == 0
 
     run = timo_sim.simulate(timo_sim.load_scene(paper), 1.0 + 1e-9 * nanoseconds(joints[-1]),
@@ -136,25 +84,6 @@ def test_topics_carry_the_physics(start, client, paper):
         assert carrier.pose.orientation.w == 1.0
     stamps = [at(joint) for joint in joints]
     assert stamps == list(range(stamps[0], stamps[0] + len(stamps)))
-
-
-def test_packed_is_what_rclpy_serializes():
-    for output in outputs(4):
-        message_type, size = message_class(output.type_name), len(output.columns)
-        pack = Serializer(output.type_name, output.template)
-        for sec, nanosec in ((0, 0), (1, 999999999), (2**31 - 1, 1)):
-            numbers = np.random.default_rng(sec).normal(size=size).tolist()
-            message = BUILD[output.name](Time(sec=sec, nanosec=nanosec), *numbers)
-            assert isinstance(message, message_type)
-            # The acceleration along z of a plane without gravity is no column, and comes last.
-            upright = [9.80665] * (output.name == '~/tip_imu/data_raw')
-            packed, expected = pack((sec, nanosec), numbers + upright), serialize_message(message)
-            # In padding, and in four bytes of an empty list, rclpy leaves bytes of old memory.
-            meant = layout(output.type_name, expected).meant()
-            assert [packed[place] for place in meant] == [expected[place] for place in meant]
-            assert not any(packed[place] for place in set(range(len(packed))) - set(meant))
-            assert len(expected) - len(packed) == 4 * EMPTY_LISTS.get(output.name, 0)
-            assert deserialize_message(packed, message_type) == message
 
 
 def test_each_topic_has_its_rate_in_one_run(start):
@@ -245,3 +174,172 @@ def test_overrides_without_effect_are_errors(ros):
         told = str(error.value)
         assert told.startswith(name) and words in told and repr(value) in told
         assert '\n' not in told
+
+
+WRONG = {'sensor.seed': 7, 'sensor.encoder.noise': 1e-3, 'sensor.encoder.resolution': 1e-4,
+         'sensor.root_strain.noise': 1e-6, 'sensor.gyro.bias': 0.01, 'sensor.gyro.noise': 2e-3,
+         'sensor.gyro.resolution': 5e-3, 'sensor.tip_acceleration.noise': 0.05}
+LATE = {'sensor.encoder.delay': 0.005, 'sensor.tip_imu.delay': 0.003}
+ENCODER = 3  # among the sensors, whose random numbers depend on it
+MOVING = {'initial.shaft_velocity': 2.0, 'initial.modal_rates': [2.0, 0.5, 0.1]}
+
+
+def step_of(message):
+    """Return the time step, of 1 ms, that the stamp of a message names."""
+    return nanoseconds(message) // 1000000
+
+
+def lateness(log, topic):
+    """Return the delays of logged messages, in steps after the step that they name."""
+    with open(log, 'rb') as stream:
+        return {message.log_time // 1000000 - message.sequence
+                for _, _, message in make_reader(stream).iter_messages([topic])}
+
+
+def test_a_delayed_message_comes_later_with_the_time_of_measurement(start, client):
+    """Every message comes at its step; a reset drops those that have not come yet."""
+    node = start(start_paused=True, **WRONG, **LATE, **MOVING, **{
+        'rate.encoder': 500.0, 'rate.joint_states': 1000.0, 'rate.tip_imu': 250.0})
+    states = client.collect(JointState, '/joint_states')
+    angles = client.collect(JointState, '/timo_sim/encoder')
+    motions = client.collect(Imu, '/timo_sim/tip_imu/data_raw')
+    step, reset = (client.service(Trigger, f'/timo_sim/{name}') for name in ('step', 'reset'))
+    first = 0
+
+    def advance(until):
+        for now in range(step_of(states[-1]) + 1 if states else 1, until + 1):
+            assert step().success
+            client.wait(lambda: states and step_of(states[-1]) == now, f'step {now}')
+            for received, every, delay in ((angles, 2, 5), (motions, 4, 3)):
+                expected = [at for at in range(first, now - delay + 1) if at % every == 0]
+                client.wait(lambda: len(received) >= len(expected), f'messages by step {now}')
+                assert [step_of(message) for message in received] == expected
+
+    assert reset().success  # the node knows all subscribers, and measures at step 0
+    advance(12)
+    assert reset().success
+    angles.clear(), motions.clear()
+    first = 12
+    advance(30)
+    assert client.service(SetParameters, '/timo_sim/set_parameters')(parameters=[
+        Parameter('sensor.gyro.noise', value=0.0).to_parameter_msg()]).results[0].successful
+    advance(35)  # one more message is measured with the new noise
+    assert node.end()[0] == 0
+
+    # A reading is that of the true angle at the time of the header.
+    truth = {step_of(state): state.position[2] for state in states}
+    values = timo_sim.load_scene(WRONG).values
+    for message in angles:
+        assert message.name == ['shaft'] and not message.velocity and not message.effort
+        assert tuple(message.position) == reading(
+            values, 'encoder', ENCODER, step_of(message), (truth[step_of(message)],))
+    assert motions[0].header.frame_id == 'tip' and motions[0].orientation_covariance[0] == -1.0
+    assert motions[0].linear_acceleration.z == 9.80665
+    assert [message.angular_velocity_covariance[8] for message in motions] == pytest.approx(
+        5 * [2e-3**2 + 5e-3**2 / 12.0] + [5e-3**2 / 12.0], rel=1e-15)
+
+    recording = Recording(node.log)
+    found = {name: series.step.tolist() for name, series in recording.topics.items()}
+    assert found['~/encoder'] == [0, 2, 4, 6, *range(12, 32, 2)]
+    assert found['~/tip_imu/data_raw'] == [0, 4, 8, *range(12, 36, 4)]
+    assert lateness(node.log, '/timo_sim/encoder') == {5}
+    assert lateness(node.log, '/timo_sim/tip_imu/data_raw') == {3}
+    # Nobody subscribed to the strain; a replay can compute it.
+    assert found['~/root_strain'] == []
+    replayed(node.log)
+    again = node.log.with_name('again.mcap')
+    replay(node.log, {'record_sensors': True}, output=again, show=lambda line: None)
+    strain = Recording(again).topics['~/root_strain']
+    assert strain.step.tolist() == found['joint_states'] and np.abs(strain.values).max() > 1e-4
+
+
+@pytest.fixture(scope='module')
+def log(tmp_path_factory):
+    """Log half a second of all sensors, without subscribers."""
+    node = Process(tmp_path_factory.mktemp('sensors'), record_sensors=True, duration=0.503,
+                   real_time_factor=0.0, **WRONG, **LATE, **MOVING, **{'rate.tip_imu': 500.0})
+    assert node.wait()[0] == 0
+    return node.log
+
+
+def test_sensors_are_logged_without_subscribers_and_replayed_to_the_last_bit(log, tmp_path):
+    topics = Recording(log).topics
+    # The log lacks messages whose delay was not over at the end.
+    assert topics['~/tip_imu/data_raw'].step.tolist() == list(range(0, 502, 2))
+    assert topics['~/encoder'].step.tolist() == list(range(0, 500, 10))
+    assert topics['~/root_strain'].step.tolist() == list(range(0, 501, 10))
+    count = sum(series.values.size for series in topics.values())
+    assert f'{count} of {count} logged numbers' in '\n'.join(
+        replayed(log, output=tmp_path / 'again.mcap'))
+    again = Recording(tmp_path / 'again.mcap')
+    for name, series in topics.items():
+        assert np.array_equal(series.values, again.topics[name].values)
+        assert np.array_equal(series.log_ns, again.topics[name].log_ns)
+    # Another seed gives other numbers; with a longer delay fewer messages come before the end.
+    lines = []
+    replay(log, {'sensor.seed': 8, 'sensor.tip_imu.delay': 0.013}, output=tmp_path / 'other.mcap',
+           show=lines.append)
+    other = Recording(tmp_path / 'other.mcap').topics['~/tip_imu/data_raw']
+    assert other.step.tolist() == list(range(0, 492, 2)) and other.log_ns[-1] == 503000000
+    assert not any('same to the last bit' in line for line in lines)
+    assert any(line.startswith('tip_imu turning_rad_per_s') for line in lines)
+
+
+@pytest.fixture(scope='module')
+def exact(log):
+    """Replay the log with perfect sensors."""
+    path = log.with_name('exact.mcap')
+    replayed(log, {name: 0.0 for name in WRONG if name != 'sensor.seed'}, output=path)
+    return path
+
+
+def imu_of(path):
+    """Return vectors (2, n, 3) and covariances (2, n, 9) of acceleration and turning rate."""
+    found = [message.ros_msg
+             for message in read_ros2_messages(str(path), ['/timo_sim/tip_imu/data_raw'])]
+    vectors, covariances = ([[getattr(message, name + kind) for message in found] for name in (
+        'linear_acceleration', 'angular_velocity')] for kind in ('', '_covariance'))
+    return (np.array([[(each.x, each.y, each.z) for each in part] for part in vectors]),
+            np.array(covariances))
+
+
+def test_covariances_of_the_imu_are_those_of_its_errors(log, exact):
+    """REP 145: known covariances are given; all zeros mean that they are unknown."""
+    (read, told), (truth, silent) = imu_of(log), imu_of(exact)
+    assert read.shape == truth.shape == (2, 251, 3) and not silent.any()
+    for errors, matrices in zip(read - truth, told):
+        assert (matrices == matrices[0]).all()
+        covariance, variance = matrices[0].reshape(3, 3), errors.var(axis=0)
+        assert (covariance == np.diag(np.diag(covariance))).all()
+        assert ((np.diag(covariance) == 0.0) == (variance == 0.0)).all()
+        noisy = variance > 0.0
+        # The variance of 251 values is off by sqrt(2 / 250) = 9 %, three times that at most.
+        assert np.diag(covariance)[noisy] == pytest.approx(variance[noisy], rel=0.27)
+
+
+def test_the_acceleration_integrated_twice_gives_the_position_of_the_tip(exact):
+    """From messages alone: IMU without noise, turned into world axes from the tip's first pose."""
+    topics = Recording(exact).topics
+    imu = topics['~/tip_imu/data_raw'].values[:246]
+    x, y, z, w = topics['~/tip_pose'].values[:50].T
+    turned = 2.0 * np.unwrap(np.arctan2(z, w), period=2.0 * np.pi)
+    h = 2e-3
+    # The trapezoidal rule at 2 ms has measured errors of 2e-5 rad and 7e-6 m.
+    gained = np.concatenate([[0.0], np.cumsum(0.5 * h * (imu[1:, 2] + imu[:-1, 2]))])
+    assert np.abs(gained[::5] - (turned - turned[0])).max() < 3e-5
+    angle = turned[0] + gained
+    world = np.exp(1j * angle) * (imu[:, 0] + 1j * imu[:, 1])
+    speed = np.concatenate([[0.0], np.cumsum(0.5 * h * (world[1:] + world[:-1]))])
+    place = np.concatenate([[0.0], np.cumsum(0.5 * h * (speed[1:] + speed[:-1]))])[::5]
+    start = (x + 1j * y)[[0, -1]]
+    # The initial velocity is not measured; it follows from the final position of the tip.
+    time = 0.01 * np.arange(50)
+    drift = (start[1] - start[0] - place[-1]) / time[-1]
+    assert np.abs(x + 1j * y - (start[0] + drift * time + place)).max() < 2e-5
+
+
+def test_sensors_are_columns_of_a_table(log):
+    columns, left = table(Recording(log))
+    assert {'encoder_shaft_rad', 'root_strain_outer_fibre', 'tip_imu_turning_rad_per_s',
+            'tip_imu_acceleration_x_m_per_s2'} <= columns.keys() and left == ['~/tip_imu/data_raw']
+    assert np.isnan(columns['encoder_shaft_rad']).sum() == 1  # the last

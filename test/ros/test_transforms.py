@@ -12,44 +12,12 @@ import math
 from pathlib import Path
 import xml.etree.ElementTree as ElementTree
 
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 import numpy as np
-from rclpy.serialization import deserialize_message, serialize_message
-from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 import timo_sim
-from timo_sim.topics.cdr import layout, Serializer
-from timo_sim.topics.outputs import TRANSFORMS
 
 URDF = Path(__file__).resolve().parents[2] / 'urdf' / 'timo_sim.urdf'
-
-
-def frame(time, parent, child, x=0.0, y=0.0, z=0.0, w=1.0):
-    """Return one frame in another."""
-    return TransformStamped(
-        header=Header(stamp=time, frame_id=parent), child_frame_id=child,
-        transform=Transform(translation=Vector3(x=x, y=y), rotation=Quaternion(z=z, w=w)))
-
-
-def message(time, *numbers):
-    """Return the tree of frames as a user of rclpy would write it."""
-    return TFMessage(transforms=[
-        frame(time, 'world', 'carrier', *numbers[:2]),
-        frame(time, 'carrier', 'arm', 0.0, 0.0, *numbers[2:4]),
-        frame(time, 'arm', 'tip', *numbers[4:])])
-
-
-def test_packed_is_what_rclpy_serializes():
-    numbers = np.random.default_rng(1).normal(size=len(TRANSFORMS.columns)).tolist()
-    expected = message(Time(sec=3, nanosec=5), *numbers)
-    packed = Serializer(TRANSFORMS.type_name, TRANSFORMS.template)((3, 5), numbers)
-    assert deserialize_message(packed, TFMessage) == expected
-    data = serialize_message(expected)
-    meant = layout(TRANSFORMS.type_name, data).meant()
-    assert [packed[place] for place in meant] == [data[place] for place in meant]
-    assert len(packed) == len(data)
 
 
 def test_a_node_turns_the_frames_with_the_shaft_and_the_tip(start, client, paper):

@@ -25,11 +25,8 @@ import numpy as np
 from PIL import Image
 import pytest
 from rerun.chunk import RrdReader
-from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import get_typestore, Stores
-
 from ros_process import Process
+
 import timo_sim
 from timo_sim.cli import main, unique_names
 from timo_sim.log.tables import Recording
@@ -312,28 +309,6 @@ def test_a_log_of_the_node_is_shown_like_its_run(log, paper, tmp_path):
     assert np.all(values == 0.0)
 
 
-def test_a_plain_bag_is_shown_like_its_log(log, tmp_path):
-    with AnyReader([log]) as reader, Writer(
-            tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        store, kept = get_typestore(Stores.ROS2_JAZZY), {}
-        for connection, stamp, data in reader.messages():
-            if connection.topic.rpartition('/')[2] in (
-                    'joint_states', 'tip_pose', 'tip_deflection'):
-                if connection.topic not in kept:
-                    kept[connection.topic] = writer.add_connection(
-                        connection.topic, connection.msgtype, typestore=store)
-                writer.write(kept[connection.topic], 1700000000000000000 + stamp, data)
-    path = tmp_path / 'out.rrd'
-    result = CliRunner().invoke(
-        main, ['view', str(tmp_path / 'bag'), str(log), '--save', str(path)])
-    assert result.exit_code == 0, result.output
-    _, values = columns(path, f'/curves/difference/{log.stem}')
-    assert len(values) == 51 and np.abs(values).max() < 1e-15
-    about = next(chunk.to_record_batch() for chunk in RrdReader(path).stream()
-                 if chunk.entity_path == '/about')
-    assert 'cubic' in str(about.column('TextDocument:text')[0])
-
-
 def test_work_stops_at_a_reset(log):
     recording = Recording(log)
     step, ns, motion = recording.motion()
@@ -369,15 +344,6 @@ def test_names_of_runs_become_unique():
     assert unique_names(['a_2', 'a', 'a', 'a_3', 'a']) == ['a_2', 'a', 'a_4', 'a_3', 'a_5']
 
 
-@pytest.mark.parametrize('option, words', [
-    (['--fps', 'nan'], '--fps must be a finite number > 0'),
-    (['--fps', 'inf'], '--fps must be a finite number > 0')])
-def test_invalid_numbers_are_refused(log, option, words):
-    for wanted in ('--save', 'a'), ('--gif', 'a.gif'):
-        result = CliRunner().invoke(main, ['view', str(log), *wanted, *option])
-        assert result.exit_code == 2 and words in result.output
-
-
 @pytest.mark.parametrize('arguments, words', [
     (['--save', 'a.rrd', '--at', 'nan'], '--at must be a finite number, got nan'),
     (['--save', 'a.rrd', '--at', '99'], '--at = 99 s is not in the run, which is from 0 to'),
@@ -385,6 +351,8 @@ def test_invalid_numbers_are_refused(log, option, words):
     (['--gif', 'a.gif', '--at', '1'], '--at is the time of a picture: it needs --png or --save'),
     (['--web', '--at', '1'], '--at is the time of a picture: it needs --png or --save'),
     (['--gif', 'a.png'], 'the path of an animation must end with .gif, got a.png'),
+    (['--gif', 'a.gif', '--fps', 'nan'], '--fps must be a finite number > 0'),
+    (['--save', 'none/a.rrd'], 'none/a.rrd'),
     (['--png', 'none/a.png'], '--png none/a.png cannot be written')])
 def test_invalid_views_are_refused_in_one_line(log, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
@@ -393,8 +361,7 @@ def test_invalid_views_are_refused_in_one_line(log, tmp_path, monkeypatch, argum
     assert not any(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
-def test_the_web_viewer_prints_its_address_and_ends_on_a_signal(log, number):
+def test_the_web_viewer_prints_its_address_and_ends_on_a_signal(log):
     command = [sys.executable, '-c', 'from timo_sim.cli import main; main()', 'view', str(log),
                '--web']
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True,
@@ -406,7 +373,7 @@ def test_the_web_viewer_prints_its_address_and_ends_on_a_signal(log, number):
                 break
             time.sleep(0.1)
         assert answer.status == 200
-        process.send_signal(number)
+        process.send_signal(signal.SIGTERM)
         assert process.wait(300.0) == 0
     for port in page.rpartition(':')[2], feed.partition('/')[0]:
         with pytest.raises(ConnectionRefusedError):
@@ -424,16 +391,9 @@ def test_a_viewer_that_does_not_end_is_killed(monkeypatch):
         assert process.returncode == -signal.SIGKILL
 
 
-def test_a_file_that_cannot_be_written_is_one_line(log, tmp_path):
-    path = tmp_path / 'none' / 'run.rrd'
-    result = CliRunner().invoke(main, ['view', str(log), '--save', str(path)])
-    assert result.exit_code == 2 and result.output.count('\n') == 1 and str(path) in result.output
-
-
 @pytest.mark.parametrize('command, name, option', [
-    ('view', 'run.rrd', '--save'), ('view', 'run.png', '--png'), ('view', 'run.gif', '--gif'),
-    ('export', 'run.csv', '-o'), ('export', 'run.parquet', '-o'), ('export', 'bag', '-o'),
-    ('simulate', 'run.png', '--png')])
+    ('view', 'run.rrd', '--save'), ('view', 'run.gif', '--gif'), ('export', 'run.parquet', '-o'),
+    ('export', 'bag', '-o'), ('simulate', 'run.png', '--png')])
 def test_a_full_disk_leaves_no_file_that_looks_whole(log, tmp_path, command, name, option):
     more = [str(log) if command in ('view', 'export') else 'paper']
     more += ['--duration', '1'] if command == 'simulate' else []
