@@ -127,11 +127,16 @@ TARGETS = {'x86-64-v2': ('x86_64-unknown-linux-gnu', 'x86-64-v2'),
            'aarch64': ('aarch64-unknown-linux-gnu', 'generic')}
 
 
-def host_machine() -> Any:
-    """Return LLVM's target machine for this computer."""
+def host_machine(**options: str) -> Any:
+    """Return LLVM's target machine for this computer; `options` are those of llvmlite."""
     _initialise()
     return _machine(llvm.get_process_triple(), llvm.get_host_cpu_name(),
-                    llvm.get_host_cpu_features().flatten())
+                    llvm.get_host_cpu_features().flatten(), **options)
+
+
+def _loading_machine():
+    # In a process that loads it, code may be far from its constants.
+    return host_machine(reloc='static', codemodel='large')
 
 
 def target_machine(name: str) -> Any:
@@ -143,9 +148,9 @@ def target_machine(name: str) -> Any:
     return _machine(*TARGETS[name], '')
 
 
-def _machine(triple, processor, features):
+def _machine(triple, processor, features, reloc='pic', codemodel='default'):
     return llvm.Target.from_triple(triple).create_target_machine(
-        cpu=processor, features=features, opt=3, reloc='pic', codemodel='default')
+        cpu=processor, features=features, opt=3, reloc=reloc, codemodel=codemodel)
 
 
 def specialise(code: bytes, symbols: dict[str, int], machine: Any, name: str) -> Any:
@@ -204,7 +209,7 @@ def _optimise(module, machine):
 class _Engine:
     def __init__(self):
         _initialise()
-        self.engine = llvm.create_mcjit_compiler(llvm.parse_assembly(''), host_machine())
+        self.engine = llvm.create_mcjit_compiler(llvm.parse_assembly(''), _loading_machine())
 
     def add(self, data, name):
         self.engine.add_object_file(llvm.ObjectFileRef.from_data(data))
@@ -237,6 +242,6 @@ def _compile(entry, kinds, symbols, name):
     tell = _TELL.get()
     if tell:
         tell(COMPILING)
-    data = object_code(intermediate_code(entry, kinds), symbols, host_machine(), name)
+    data = object_code(intermediate_code(entry, kinds), symbols, _loading_machine(), name)
     store.write(f'{name}.o', data)
     return data
