@@ -23,8 +23,9 @@ from timo_sim.steps import etdrk4, friction, instance, lanes
 
 def entries() -> list[tuple[Any, tuple[type, ...]]]:
     """Return the entry points and the kinds of their constants."""
-    found = [(entry, (modes.UniformArm,))
-             for entry in (modes.bisect, modes.boundary_conditions, modes.fields)]
+    found: list[tuple[Any, tuple[type, ...]]] = [
+        (entry, (modes.UniformArm,))
+        for entry in (modes.bisect, modes.boundary_conditions, modes.fields)]
     own = instance.Instance
     found += [(entry, (instance.Plant, own))
               for entry in (instance.reset, instance.finish, instance.set_outputs)]
@@ -32,12 +33,15 @@ def entries() -> list[tuple[Any, tuple[type, ...]]]:
         instance.set_input, instance.get_input, instance.set_place, instance.compare,
         instance.lose, instance.get_output, instance.get_outputs, instance.get_state,
         instance.check_state, instance.set_state)]
+    found += [(instance.set_forces, (tables, instance.Plant, own))
+              for tables in (exact_code.Tables, newton.Forces)]
     found.append((instance.prepare, (instance.SceneLoads, own)))
     for tables in (exact_code.Tables, newton.Tables):
         step = tables, etdrk4.Propagator
         found += [
             (functions.rate_once, (tables,)), (functions.tip_once, (tables,)),
-            (instance.is_valid, (tables, own)), (etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
+            (instance.is_valid, (tables, own)),
+            (instance.set_rates, (tables, instance.Plant, own)), (etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
             *((entry, (*step, lanes.LaneConstants))
               for entry in (lanes.advance_alike, lanes.advance_each))]
     return found

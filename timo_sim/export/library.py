@@ -24,7 +24,7 @@ from timo_sim.compiled import machine
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.export.constants import Interface, plant_of, scene_loads_of
 from timo_sim.model.functions import tip_once
-from timo_sim.model.layout import LOADS
+from timo_sim.model.layout import LOADS, STEP_LOADS
 from timo_sim.steps import instance as steps
 from timo_sim.steps.etdrk4 import advance
 from timo_sim.steps.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED
@@ -55,11 +55,12 @@ class _Model:
         parts = [simulator.integration.part(sector).constants for sector in sectors]
         self.parts = len(parts)
         self.plant, self.loads = plant_of(simulator), scene_loads_of(scene)
-        outputs = 14 + 2 * len(model.modes)
-        room = Instance(np.zeros(5), np.zeros(LOADS), np.zeros(LOADS), np.zeros(1),
-                        *3 * [np.zeros(len(model.linear))], np.zeros((4, LOADS)),
-                        np.zeros(model.size), np.zeros(3), np.zeros(3), np.zeros(outputs))
-        self.instance = pack(room)
+        self.own, self.forces = model.packed, model.force_tables
+        outputs = steps.MODAL + 2 * len(model.modes) + 1
+        self.instance = pack(Instance._make([
+            np.zeros(5), *2 * [np.zeros(LOADS)], np.zeros(1), *3 * [np.zeros(len(model.linear))],
+            np.zeros((STEP_LOADS, LOADS)), *4 * [np.zeros(model.size)], *2 * [np.zeros(3)],
+            np.zeros(outputs)]))
         self.tables, self.propagator = (
             [each[k] for each in parts] for k in range(2))
 
@@ -238,8 +239,10 @@ class _Body:
         instance, = self.function('refresh', _WORD, _POINTER)
         self.return_if(self.equal(self.read_mark(instance, KNOWN), 1), self.word(0))
         self.builder.call(self.module.globals['observe.0'], [instance])
-        self.builder.ret(self.call(own, steps.set_outputs, [
-            (own.plant, self.data(own.plant)), self.own(own, instance)]))
+        rest = [(own.plant, self.data(own.plant)), self.own(own, instance)]
+        self.call(own, steps.set_rates, [(own.own, self.data(own.own)), *rest])
+        self.call(own, steps.set_forces, [(own.forces, self.data(own.forces)), *rest])
+        self.builder.ret(self.call(own, steps.set_outputs, rest))
 
     # The functions of the interface.
 
