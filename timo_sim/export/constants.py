@@ -116,12 +116,12 @@ def plant_of(simulator: Simulator) -> Packed:
     """Return the constants of a model and its start."""
     scene, model = simulator.scene, simulator.model
     body = model.manipulator
-    return pack(Plant(
+    return pack(Plant._make([
         scene.step, model.manipulator.arm.length, MOST_BENT * model.manipulator.arm.length,
         model.tip_travel[3:], model.points.rotation[:, -1], model.points.rotation, model.gravity,
         model.linear, model.constrained, body.shaft_inertia,
         np.array([body.shaft_friction, *body.coulomb[1]]), *_strains(model),
-        model.state(scene.initial_motion(model)), simulator.load))
+        model.state(scene.initial_motion(model)), simulator.load]))
 
 
 def _strains(model):

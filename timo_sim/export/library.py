@@ -234,15 +234,19 @@ class _Body:
                               self.field(finer, other, 'place')))
 
     def refresh(self):
-        """Define the function that computes the outputs of now, unless they are known."""
+        """Define the function that computes outputs up to a stage of KNOWN, if they are not."""
         own = self.models[0]
-        instance, = self.function('refresh', _WORD, _POINTER)
-        self.return_if(self.equal(self.read_mark(instance, KNOWN), 1), self.word(0))
-        self.builder.call(self.module.globals['observe.0'], [instance])
+        instance, stage = self.function('refresh', _WORD, _POINTER, _WORD)
+        builder, known = self.builder, self.read_mark(instance, KNOWN)
         rest = [(own.plant, self.data(own.plant)), self.own(own, instance)]
-        self.call(own, steps.set_rates, [(own.own, self.data(own.own)), *rest])
-        self.call(own, steps.set_forces, [(own.forces, self.data(own.forces)), *rest])
-        self.builder.ret(self.call(own, steps.set_outputs, rest))
+        self.return_if(builder.icmp_signed('>=', known, stage), self.word(0))
+        with builder.if_then(self.equal(known, 0)):
+            builder.call(self.module.globals['observe.0'], [instance])
+            self.call(own, steps.set_outputs, rest)
+        with builder.if_then(self.equal(stage, 2)):
+            self.call(own, steps.set_rates, [(own.own, self.data(own.own)), *rest])
+            self.call(own, steps.set_forces, [(own.forces, self.data(own.forces)), *rest])
+        builder.ret(self.word(0))
 
     # The functions of the interface.
 
@@ -345,11 +349,15 @@ class _Body:
         own, count = self.models[0], len(self.interface.outputs)
         instance, number, value = self.public('get_output', _INT, _POINTER)
         self.fail_unless_below(number, count)
-        self.builder.call(self.module.globals['refresh'], [instance])
+        needs_forces = self.builder.icmp_unsigned(
+            '<', self.builder.sub(number, ir.Constant(_INT, steps.FORCES)),
+            ir.Constant(_INT, steps.MODAL - steps.FORCES))
+        self.builder.call(self.module.globals['refresh'], [
+            instance, self.builder.select(needs_forces, self.word(2), self.word(1))])
         self.finish(self.call(own, steps.get_output, [self.own(own, instance)],
                               self.builder.zext(number, _WORD), value))
         instance, values = self.public('get_outputs', _POINTER)
-        self.builder.call(self.module.globals['refresh'], [instance])
+        self.builder.call(self.module.globals['refresh'], [instance, self.word(2)])
         self.finish(self.call(own, steps.get_outputs, [self.own(own, instance)],
                               self.word(count), values))
 

@@ -45,7 +45,8 @@ _OK, _UNKNOWN, _NOT_FINITE, _BAD_STATE, _DIVERGED = (int(code) for code in (
     Code.OK, Code.UNKNOWN_NUMBER, Code.NOT_FINITE, Code.BAD_STATE, Code.DIVERGED))
 
 # Places in `Instance.mark`: what shows that the memory is an instance, steps done, number of the
-# linear part, whether `Instance.outputs` are those of now, and whether the finer run diverged.
+# linear part, which `Instance.outputs` are those of now (0: none, 1: those of the motion, 2: all),
+# and whether the finer run diverged.
 MARK, STEPS, PART, KNOWN, LOST = range(5)
 MAGIC = 0x74696d6f5f73696d  # 'timo_sim'
 _MOST_STEPS = 2.0**53  # to which steps are counted in a saved state
@@ -309,7 +310,8 @@ def lose(instance):
 # Rates and forces are differences of motions shortly before and after now, as in `etdrk4.flow`.
 
 _TURN = 1e-4  # largest turn of a section between now and then [rad]
-MODAL = 20  # number of the first output for a modal coordinate
+# Numbers of the first output of rates and forces, and of the first one of a modal coordinate.
+FORCES, MODAL = 13, 20
 
 
 @entry_point(tables=Constants(), plant=Constants(), instance=Constants())
@@ -396,6 +398,7 @@ def set_forces(tables, plant, instance):
         out[15] += (plant.strain_of_modes[n] * motion[3 + n]
                     + plant.strain_of_rates[n] * motion[half + 3 + n])
     out[19] = energy(tables, motion, plant.gravity)
+    instance.mark[KNOWN] = 2
     return _OK
 
 
