@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import timo_sim
 from timo_sim.export.constants import interface_of
-from timo_sim.model.layout import LOADS
+from timo_sim.model.layout import LOADS, place
 from timo_sim.scene.loads import CHANNELS
 
 RUN, ABUSE = ('test/data/run_arm.c', 'test/data/abuse_arm.c')
@@ -102,7 +102,7 @@ def compare(scene, folder, calls=30):
     state, output = np.array(found[0::2]), np.array(found[1::2])
     modes = len(simulator.model.modes)
     # The order of a motion: positions, modal coordinates, rates of both.
-    order = [1, 2, 3, *range(13, 13 + modes), 4, 5, 6, *range(13 + modes, 13 + 2 * modes)]
+    order = [1, 2, 3, *range(20, 20 + modes), 4, 5, 6, *range(20 + modes, 20 + 2 * modes)]
     np.testing.assert_allclose(output[-1, 0], simulator.t, rtol=1e-15)
     return (state[:, 3 + 2 * LOADS:], output[:, order], np.array(states), np.array(motions),
             output[:, 10:12], np.array(tips))
@@ -129,6 +129,44 @@ def test_motions_under_loads_with_sines_or_polynomials(name, tmp_path):
     _, motion, _, motions, *_ = compare(scene, tmp_path)
     # Round-off of loads, which a run of some hundred steps hands on.
     np.testing.assert_allclose(motion, motions, rtol=0.0, atol=1e-13 * np.abs(motions).max())
+
+
+FORCES = {
+    **{name: SAME[name] for name in ('held', 'gravity', 'smooth', 'axial', 'rigid', 'sectors',
+                                     'dc motor')}, **NEAR,
+    'driven newton': {**NEAR['driven'], 'model.formulation': 'newton'},
+    'root stress': {'model.formulation': 'newton_root_stress', 'motor.shaft': 'locked',
+                    'carrier.held': 'y'},
+    'rigid axial': {'model.formulation': 'newton_rigid_axial', 'carrier.held': 'x',
+                    'push.position': 0.4, 'gravity': [1.0, -9.0]},
+    'all held': {'carrier.held': 'both', 'model.axial_modes': 1, 'motor.shaft': 'locked',
+                 'push.position': 0.7, 'gravity': [1.0, 2.0], 'arm.damping_ratio': [0.02]}}
+
+
+@pytest.mark.parametrize('name', FORCES)
+def test_sensors_forces_and_energy(name, tmp_path):
+    """They are those of a Snapshot; accelerations of both are differences, good to some 1e-8."""
+    scene, random = scene_of(FORCES[name]), np.random.default_rng(2)
+    timo_sim.export_c(scene, tmp_path)
+    simulator, lines, wanted = timo_sim.Simulator(scene), [], []
+    for _ in range(12):
+        commanded = np.zeros(LOADS)
+        for number, each in enumerate(interface_of(scene, False).inputs):
+            commanded[each.column] = random.normal()
+            lines.append(f'i {number} {commanded[each.column].hex()}')
+        lines += ['s 7', 'o']
+        simulator.advance(7, commanded)
+        now = simulator.snapshot()
+        x, y, theta = now.joint_positions
+        along, across, rotation = now.tip
+        wanted.append([*place(x, y, theta, along, across), theta + rotation, now.tip_turning,
+                       *now.tip_acceleration, now.root_strain, *now.effort, now.energy])
+    found = np.array(run_program(compile_program(RUN, tmp_path), lines))
+    outputs, wanted = found[:, [7, 8, 9, *range(12, 20)]], np.array(wanted)
+    close = np.abs(outputs - wanted).max(axis=0) / np.abs(wanted).max(axis=0)
+    exact = [0, 1, 2, 3, 10]
+    assert close[exact].max() < 1e-13
+    assert close.max() < 1e-6
 
 
 @pytest.mark.parametrize('target', ['x86-64-v2', 'x86-64-v3'])

@@ -16,7 +16,6 @@ import sys
 from typing import NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
 from timo_sim.runs.run import Run, run_scene
 from timo_sim.scene.parameters import Parameter, ParameterError, PARAMETERS, steps_in, warn
@@ -302,6 +301,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
         least = -(-_LEAST_COMPARED * sample_every // max(1, steps))
         parts = next(k for k in range(min(least, sample_every), sample_every + 1)
                      if sample_every % k == 0)
+    from tqdm import tqdm  # a node, which chooses a resolution, needs no progress bar
     with tqdm(total=steps, unit='step', unit_scale=True, delay=1.0, disable=None,
               leave=False) as bar:
         try:

@@ -19,10 +19,13 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from timo_sim.compiled.entry import entry_point
-from timo_sim.compiled.functions import Array, Constants, floor, square_root, strict
-from timo_sim.model.functions import linear_part_is_valid, sincos
+from timo_sim.compiled.functions import (
+    Array, Constants, floor, inner, local, magnitude, square_root, strict)
+from timo_sim.model.functions import (
+    effort, energy, linear_part_is_valid, observe, rate, sincos, tanh, tip, tip_rate)
 from timo_sim.model.layout import (
-    ACCELERATION, AFTER, ANGLE, END, LOADS, SPEED, STAGES, STEP_LOADS, TORQUE, VOLTAGE)
+    ACCELERATION, AFTER, ANGLE, END, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MIDDLE, SPEED,
+    STAGES, START, STEP_LOADS, TORQUE, VOLTAGE)
 
 
 class Code(IntEnum):
@@ -43,7 +46,8 @@ _OK, _UNKNOWN, _NOT_FINITE, _BAD_STATE, _DIVERGED = (int(code) for code in (
     Code.OK, Code.UNKNOWN_NUMBER, Code.NOT_FINITE, Code.BAD_STATE, Code.DIVERGED))
 
 # Places in `Instance.mark`: what shows that the memory is an instance, steps done, number of the
-# linear part, whether `Instance.outputs` are those of now, and whether the finer run diverged.
+# linear part, which `Instance.outputs` are those of now (0: none, 1: those of the motion, 2: all),
+# and whether the finer run diverged.
 MARK, STEPS, PART, KNOWN, LOST = range(5)
 MAGIC = 0x74696d6f5f73696d  # 'timo_sim'
 _MOST_STEPS = 2.0**53  # to which steps are counted in a saved state
@@ -61,6 +65,9 @@ class Instance(NamedTuple):
     remainder: Annotated[np.ndarray, 'state']  # room for a step
     loads: Annotated[np.ndarray, STEP_LOADS, LOADS]  # those of a step
     motion: Annotated[np.ndarray, 'motion']
+    accelerations: Annotated[np.ndarray, 'motion']  # 3 + N of them
+    early: Annotated[np.ndarray, 'motion']  # shortly before and after now
+    late: Annotated[np.ndarray, 'motion']
     tip: Annotated[np.ndarray, 3]    # of `model.functions.tip`
     place: Annotated[np.ndarray, 3]  # tip in world axes [m], rotation of the end effector [rad]
     outputs: Annotated[np.ndarray, 'outputs']
@@ -74,6 +81,16 @@ class Plant(NamedTuple):
     most_bent: float  # deflection beyond which a run counts as diverged [m]
     travel: Annotated[np.ndarray, 'modes']        # of the tip by each modal coordinate
     tip_rotation: Annotated[np.ndarray, 'modes']  # of the end effector by each
+    points_rotation: Annotated[np.ndarray, 'modes', 'points']  # of sections by each
+    gravity: Annotated[np.ndarray, 2]  # along world x and y [m/s2]
+    linear: Annotated[np.ndarray, 'state', 'state']  # L of the straight arm
+    constrained: Annotated[np.ndarray, int, 3]  # whether carrier x, y and shaft are
+    shaft_inertia: float  # [kg m2]
+    shaft_friction: Annotated[np.ndarray, 3]  # viscous; Coulomb and the speed of its build-up
+    # Strain of the outer fibre at the root per moment there, modal coordinate and modal rate.
+    strain_of_moment: float
+    strain_of_modes: Annotated[np.ndarray, 'modes']
+    strain_of_rates: Annotated[np.ndarray, 'modes']
     start: Annotated[np.ndarray, 'state']  # the initial state
     first_load: Annotated[np.ndarray, LOADS]  # the scene's own at its beginning
 
@@ -291,6 +308,101 @@ def lose(instance):
     return _OK
 
 
+# Rates and forces are differences of motions shortly before and after now, as in `etdrk4.flow`.
+
+_TURN = 1e-4  # largest turn of a section between now and then [rad]
+# Numbers of the first output of rates and forces, and of the first one of a modal coordinate.
+FORCES, MODAL = 13, 20
+
+
+@entry_point(tables=Constants(), plant=Constants(), instance=Constants())
+def set_rates(tables, plant, instance):
+    """Write the accelerations, and the specific force at the tip to the outputs."""
+    state, load, motion = instance.state, instance.load, instance.motion
+    half, size = len(motion) // 2, plant.linear.shape[0]
+    slope, moved = local((plant.linear,)), local((plant.linear,))
+    rate(tables, state, load, slope)
+    for i in range(size):
+        for j in range(size):
+            slope[i] += plant.linear[i, j] * state[j]
+    turning = 0.0
+    for p in range(plant.points_rotation.shape[1]):
+        here = motion[half + 2]
+        for n in range(plant.points_rotation.shape[0]):
+            here += plant.points_rotation[n, p] * motion[half + 3 + n]
+        turning = max(turning, magnitude(here))
+    time = _TURN / (_TURN + turning)
+    drift = instance.loads[START]
+    for k in range(2):
+        sign = time if k else -time
+        for i in range(size):
+            moved[i] = state[i] + sign * slope[i]
+        for column in range(LOADS):
+            drift[column] = load[column]
+        drift[ANGLE] += sign * load[SPEED]
+        drift[SPEED] += sign * load[ACCELERATION]
+        if k:
+            observe(tables, moved, drift, instance.late)
+        else:
+            observe(tables, moved, drift, instance.early)
+    for k in range(half):
+        instance.accelerations[k] = (instance.late[half + k] - instance.early[half + k]) / (
+            2.0 * time)
+    before_x, before_y = _tip_speed(tables, instance, instance.early)
+    after_x, after_y = _tip_speed(tables, instance, instance.late)
+    x = (after_x - before_x) / (2.0 * time) - plant.gravity[0]
+    y = (after_y - before_y) / (2.0 * time) - plant.gravity[1]
+    sine, cosine = sincos(instance.place[2])
+    instance.outputs[13] = cosine * x + sine * y
+    instance.outputs[14] = cosine * y - sine * x
+    return _OK
+
+
+@inner
+def _tip_speed(tables, instance, motion):
+    """Return the velocity of the tip in world axes."""
+    half, place, speed = len(motion) // 2, instance.loads[START], instance.loads[MIDDLE]
+    tip(tables, motion, place)
+    tip_rate(tables, motion, speed)
+    along = speed[0] - motion[half + 2] * place[1]
+    across = speed[1] + motion[half + 2] * place[0]
+    sine, cosine = sincos(motion[2])
+    return (motion[half] + (cosine * along - sine * across),
+            motion[half + 1] + (sine * along + cosine * across))
+
+
+@entry_point(tables=Constants(), plant=Constants(), instance=Constants())
+def set_forces(tables, plant, instance):
+    """Write strain, efforts and energy to the outputs."""
+    load, motion, accelerations = instance.load, instance.motion, instance.accelerations
+    out, half, needed = instance.outputs, len(motion) // 2, instance.loads[START]
+    root = accelerations[2] * plant.shaft_inertia
+    for axis in range(2):
+        accelerations[axis] -= plant.gravity[axis]
+    effort(tables, motion, accelerations, load, needed)
+    sine, cosine = sincos(motion[2])
+    out[16] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
+    out[17] = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
+    out[18] = load[TORQUE]
+    if plant.constrained[2] != 0:
+        root -= needed[2]
+    else:
+        speed = motion[half + 2]
+        root += plant.shaft_friction[0] * speed - load[TORQUE]
+        if plant.shaft_friction[1] != 0.0:
+            root += plant.shaft_friction[1] * tanh(speed / plant.shaft_friction[2])
+    for joint in range(3):
+        if plant.constrained[joint] != 0:
+            out[16 + joint] = needed[joint] - out[16 + joint]
+    out[15] = plant.strain_of_moment * root
+    for n in range(len(plant.travel)):
+        out[15] += (plant.strain_of_modes[n] * motion[3 + n]
+                    + plant.strain_of_rates[n] * motion[half + 3 + n])
+    out[19] = energy(tables, motion, plant.gravity)
+    instance.mark[KNOWN] = 2
+    return _OK
+
+
 @entry_point(plant=Constants(), instance=Constants())
 def set_outputs(plant, instance):
     """Write the outputs from the motion and the place of the tip."""
@@ -306,10 +418,10 @@ def set_outputs(plant, instance):
     modes = len(plant.travel)
     for k in range(modes):
         turning += plant.tip_rotation[k] * motion[half + 3 + k]
-        out[13 + k] = motion[3 + k]
-        out[13 + modes + k] = motion[half + 3 + k]
+        out[MODAL + k] = motion[3 + k]
+        out[MODAL + modes + k] = motion[half + 3 + k]
     out[12] = turning
-    out[13 + 2 * modes] = instance.error[0]
+    out[MODAL + 2 * modes] = instance.error[0]
     instance.mark[KNOWN] = 1
     return _OK
 
