@@ -29,7 +29,7 @@ import llvmlite.binding as llvm
 from timo_sim.compiled import store
 from timo_sim.compiled.functions import WIDTH
 
-COMPILING = 'compiling once for a model of this size, this takes some seconds'
+COMPILING = 'compiling once for a model of this size, this takes a second or two'
 _TELL: ContextVar[Callable[[str], object] | None] = ContextVar('tell', default=None)
 _LOCK = threading.RLock()
 _ENTRY = 'entry'  # name of the function in intermediate code
@@ -37,7 +37,7 @@ _ENTRY = 'entry'  # name of the function in intermediate code
 
 @contextmanager
 def telling(tell: Callable[[str], object] | None) -> Iterator[None]:
-    """Call `tell` with a sentence before something is compiled in this block."""
+    """Call `tell` with a sentence before something is compiled in this block, once."""
     token = _TELL.set(tell)
     try:
         yield
@@ -242,6 +242,7 @@ def _compile(entry, kinds, symbols, name):
     tell = _TELL.get()
     if tell:
         tell(COMPILING)
+        _TELL.set(None)
     data = object_code(intermediate_code(entry, kinds), symbols, _loading_machine(), name)
     store.write(f'{name}.o', data)
     return data

@@ -213,12 +213,11 @@ class Simulator:
         With `messages`, also those that messages and sensors need. `tell`, a function(str), is
         called before a compilation, which takes some seconds.
         """
-        if self._finer:
-            self._finer.warm_up(tell)
         with telling(tell):
-            motion = self.motion.values
-            # Warnings and efforts need it; a node has no time to compile it later.
-            self.integration.rate(self._state, self.integration.acting(self.load))
+            for each in filter(None, (self._finer, self)):
+                motion = each.motion.values
+                # Warnings and efforts need it; a node has no time to compile it later.
+                each.integration.rate(each._state, each.integration.acting(each.load))
             if messages:
                 self.model.tip(motion)
 
