@@ -211,7 +211,7 @@ class Simulator:
         Compile, or load from disk, the functions that `advance` calls.
 
         With `messages`, also those that messages and sensors need. `tell`, a function(str), is
-        called before a compilation, which takes some seconds.
+        called before a compilation, which takes a second or two.
         """
         with telling(tell):
             for each in filter(None, (self._finer, self)):
