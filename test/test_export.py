@@ -10,8 +10,12 @@
 """A scene in C: the bits of `Simulator`, bad calls, what is refused, other processors."""
 
 import ctypes
+import os
+from pathlib import Path
+import re
 import shutil
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -21,7 +25,8 @@ from timo_sim.model.layout import LOADS, place
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.steps.instance import SAVED
 
-RUN, ABUSE = ('test/data/run_arm.c', 'test/data/abuse_arm.c')
+ROOT = Path(__file__).resolve().parents[1]
+RUN, ABUSE = (ROOT / 'test/data' / name for name in ('run_arm.c', 'abuse_arm.c'))
 CC = shutil.which('cc')
 pytestmark = pytest.mark.skipif(CC is None, reason='needs a C compiler')
 NO_LOADS = {f'load.{channel}.{kind}': () for channel in CHANNELS for kind in (
@@ -276,6 +281,26 @@ def test_example_builds_and_runs(tmp_path):
     simulator = timo_sim.Simulator(timo_sim.load_scene('paper', {'model.modes': 2}))
     motion = simulator.step(torque=1.0, duration=2.0)
     assert float(rows[-1].split()[1]) == pytest.approx(motion.shaft, rel=1e-8)
+
+
+@pytest.mark.skipif(shutil.which('cmake') is None, reason='needs CMake')
+def test_page(tmp_path):
+    """The commands of doc/export.md and its program, literally."""
+    page = (ROOT / 'doc/export.md').read_text()
+    commands, = re.findall(r'^```\n(.*?)^```', page, re.DOTALL | re.MULTILINE)
+    more = re.findall(r'`(cc [^`]*)`', page)
+    assert len(more) == 2
+    script = commands.replace('timo_sim ', f'{sys.executable} -m timo_sim ')
+    found = subprocess.run(['sh', '-ec', '\n'.join([script, *more])], cwd=tmp_path, text=True,
+                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                           env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert found.returncode == 0, found.stdout
+    assert 'tip_transverse' in found.stdout
+    program, = re.findall(r'^```c\n(.*?)^```', page, re.DOTALL | re.MULTILINE)
+    (tmp_path / 'program.c').write_text(program)
+    (tmp_path / 'arm.o').write_bytes((tmp_path / 'paper_in_c/arm.o').read_bytes())
+    (tmp_path / 'arm.h').write_bytes((tmp_path / 'paper_in_c/arm.h').read_bytes())
+    subprocess.run([compile_program(tmp_path / 'program.c', tmp_path)], check=True)
 
 
 @pytest.mark.parametrize('changes, message', [

@@ -60,9 +60,9 @@ _MODULES = {
 
 __all__ = [
     'Batch', 'DivergenceError', 'Fit', 'LinearModel', 'ModelWarning', 'ParameterError', 'Record',
-    'Run', 'Scene', 'Sensitivities', 'Simulator', '__version__', 'choose_resolution', 'export_c',
-    'fit', 'linearize', 'load_scene', 'open_log', 'project_on_modes', 'read_record', 'sensitivities',
-    'simulate', 'simulate_many']
+    'Run', 'Scene', 'Sensitivities', 'Simulator', '__version__', 'choose_resolution',
+    'export_c', 'fit', 'linearize', 'load_scene', 'open_log', 'project_on_modes', 'read_record',
+    'sensitivities', 'simulate', 'simulate_many']
 
 
 def __getattr__(name: str) -> Any:
