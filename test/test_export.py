@@ -10,8 +10,12 @@
 """A scene in C: the bits of `Simulator`, bad calls, what is refused, other processors."""
 
 import ctypes
+import os
+from pathlib import Path
+import re
 import shutil
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -19,8 +23,10 @@ import timo_sim
 from timo_sim.export.constants import interface_of
 from timo_sim.model.layout import LOADS, place
 from timo_sim.scene.loads import CHANNELS
+from timo_sim.steps.instance import SAVED
 
-RUN, ABUSE = ('test/data/run_arm.c', 'test/data/abuse_arm.c')
+ROOT = Path(__file__).resolve().parents[1]
+RUN, ABUSE = (ROOT / 'test/data' / name for name in ('run_arm.c', 'abuse_arm.c'))
 CC = shutil.which('cc')
 pytestmark = pytest.mark.skipif(CC is None, reason='needs a C compiler')
 NO_LOADS = {f'load.{channel}.{kind}': () for channel in CHANNELS for kind in (
@@ -49,8 +55,10 @@ SAME = {
     'table': {'load.force_x.table.time': [0.001, 0.0105, 0.03, 0.03, 0.0717],
               'load.force_x.table.value': [0.0, 3.0, -1.0, 1.0, 0.0]},
 }
-# Scenes with sines or polynomials that differ from NumPy's in the last bit.
+# Scenes with sines, polynomials or moments that differ from NumPy's in the last bit.
 NEAR = {
+    'rate limits': {'motor.torque_rate_limit': 150.0, 'carrier.force_rate_limit': 400.0,
+                    'motor.torque_limit': 1.5},
     'harmonic': {'load.torque.harmonic.amplitude': [5.0, 2.0],
                  'load.torque.harmonic.frequency': [3.0, 7.0]},
     'driven': {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.0303, 0.05],
@@ -104,7 +112,7 @@ def compare(scene, folder, calls=30):
     # The order of a motion: positions, modal coordinates, rates of both.
     order = [1, 2, 3, *range(20, 20 + modes), 4, 5, 6, *range(20 + modes, 20 + 2 * modes)]
     np.testing.assert_allclose(output[-1, 0], simulator.t, rtol=1e-15)
-    return (state[:, 3 + 2 * LOADS:], output[:, order], np.array(states), np.array(motions),
+    return (state[:, SAVED:], output[:, order], np.array(states), np.array(motions),
             output[:, 10:12], np.array(tips))
 
 
@@ -123,7 +131,7 @@ def test_bits(name, tmp_path):
 
 
 @pytest.mark.parametrize('name', NEAR)
-def test_motions_under_loads_with_sines_or_polynomials(name, tmp_path):
+def test_motions_under_loads_with_round_off(name, tmp_path):
     scene = scene_of(NEAR[name])
     timo_sim.export_c(scene, tmp_path)
     _, motion, _, motions, *_ = compare(scene, tmp_path)
@@ -275,12 +283,31 @@ def test_example_builds_and_runs(tmp_path):
     assert float(rows[-1].split()[1]) == pytest.approx(motion.shaft, rel=1e-8)
 
 
+@pytest.mark.skipif(shutil.which('cmake') is None, reason='needs CMake')
+def test_page(tmp_path):
+    """The commands of doc/export.md and its program, literally."""
+    page = (ROOT / 'doc/export.md').read_text()
+    commands, = re.findall(r'^```\n(.*?)^```', page, re.DOTALL | re.MULTILINE)
+    more = re.findall(r'`(cc [^`]*)`', page)
+    assert len(more) == 2
+    script = commands.replace('timo_sim ', f'{sys.executable} -m timo_sim ')
+    found = subprocess.run(['sh', '-ec', '\n'.join([script, *more])], cwd=tmp_path, text=True,
+                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                           env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert found.returncode == 0, found.stdout
+    assert 'tip_transverse' in found.stdout
+    program, = re.findall(r'^```c\n(.*?)^```', page, re.DOTALL | re.MULTILINE)
+    (tmp_path / 'program.c').write_text(program)
+    (tmp_path / 'arm.o').write_bytes((tmp_path / 'paper_in_c/arm.o').read_bytes())
+    (tmp_path / 'arm.h').write_bytes((tmp_path / 'paper_in_c/arm.h').read_bytes())
+    subprocess.run([compile_program(tmp_path / 'program.c', tmp_path)], check=True)
+
+
 @pytest.mark.parametrize('changes, message', [
     ({'motor.coulomb_friction': 0.1}, 'motor.coulomb_friction must be 0'),
     ({'carrier.coulomb_friction': 0.1}, 'carrier.coulomb_friction must be 0'),
     ({'payload.time': [1.0], 'payload.mass': [1.0], 'payload.inertia': [0.0]}, 'payload.time'),
     ({'sensor.encoder.noise': 0.1}, 'sensor.encoder.noise must be 0'),
-    ({'motor.torque_rate_limit': 3.0}, 'motor.torque_rate_limit must be .inf'),
     ({'model.accuracy': 1e-5}, 'model.accuracy must be 0'),
     ({'carrier.held': 'x', 'model.axial_modes': 1}, 'model.axial_modes must be 0')])
 def test_refused(changes, message, tmp_path):

@@ -62,8 +62,6 @@ def refuse(scene: Scene, estimate: bool) -> None:
         if name.startswith('sensor.') and name != 'sensor.seed':
             check(values[name] != parameter.default, name, str(parameter.default),
                   'outputs of the C code are exact')
-        if name.endswith('_rate_limit'):
-            check(np.isfinite(values[name]), name, '.inf', 'commands act at once in the C code')
     check(scene.build().sectors and values['model.axial_modes'], 'model.axial_modes',
           '0 with one axis held and a shaft that turns',
           'the linear parts would take tens of megabytes')
@@ -161,10 +159,12 @@ def scene_loads_of(scene: Scene) -> Packed:
         time, polynomials = np.array(drive.time), drive.polynomials()
         kinks += _kinks(drive, ANGLE, drive.time, step)
     kinks.sort(key=lambda kink: kink[0])  # of equal steps in the order of terms
+    rates = [scene.values[each.rate_limit] if each.rate_limit else np.inf for each in INPUTS]
+    rate = np.where(np.isfinite(rates), rates, 0.0)
     column, amplitude, frequency, phase = _columns(harmonics, 4)
     kink_step, kink_column, *change = _columns(kinks, 2 + STAGES)
     return pack(SceneLoads._make([
-        step, actuators.gain, actuators.limit, column, amplitude, frequency, phase,
+        step, actuators.gain, actuators.limit, rate, column, amplitude, frequency, phase,
         *_columns(pieces, 3), *np.concatenate(jumps).T, *_columns(tables, 3),
         *np.concatenate(knots).T, time, polynomials, kink_step, kink_column,
         np.stack(change, axis=1)]))

@@ -58,7 +58,7 @@ class _Model:
         self.own, self.forces = model.packed, model.force_tables
         outputs = steps.MODAL + 2 * len(model.modes) + 1
         self.instance = pack(Instance._make([
-            np.zeros(5), *2 * [np.zeros(LOADS)], np.zeros(1), *3 * [np.zeros(len(model.linear))],
+            np.zeros(6), *4 * [np.zeros(LOADS)], np.zeros(1), *3 * [np.zeros(len(model.linear))],
             np.zeros((STEP_LOADS, LOADS)), *4 * [np.zeros(model.size)], *2 * [np.zeros(3)],
             np.zeros(outputs)]))
         self.tables, self.propagator = (

@@ -507,8 +507,8 @@ def _effort(tables, motion, accelerations, load, out):
     tip_y = load[TIP_Y] + sine * load[TIP_I] + cosine * load[TIP_II]
     out[0] = mass * (accelerations[0] + _dot(to_centre, second_a)) - tip_x
     out[1] = mass * (accelerations[1] + _dot(to_centre, second_b)) - tip_y
-    spin = _dot(to_centre, a) * accelerations[1] - _dot(to_centre, b) * accelerations[0]
-    out[2] = (mass * spin
+    centre_x, centre_y = _dot(to_centre, a), _dot(to_centre, b)
+    out[2] = (mass * (centre_x * accelerations[1] - centre_y * accelerations[0])
               + _about_root(tables, 1, a, second_b) - _about_root(tables, 0, b, second_a)
               - _dot(tables.to_tip, a) * tip_y + _dot(tables.to_tip, b) * tip_x
               - load[TIP_TORQUE])

@@ -47,17 +47,21 @@ _OK, _UNKNOWN, _NOT_FINITE, _BAD_STATE, _DIVERGED = (int(code) for code in (
 
 # Places in `Instance.mark`: what shows that the memory is an instance, steps done, number of the
 # linear part, which `Instance.outputs` are those of now (0: none, 1: those of the motion, 2: all),
-# and whether the finer run diverged.
-MARK, STEPS, PART, KNOWN, LOST = range(5)
+# whether the finer run diverged, and the step at which lines towards commands began.
+MARK, STEPS, PART, KNOWN, LOST, SINCE = range(6)
 MAGIC = 0x74696d6f5f73696d  # 'timo_sim'
 _MOST_STEPS = 2.0**53  # to which steps are counted in a saved state
+_NEAR = 1e-6  # [steps] distance from a step boundary that counts as on it, as in `scene.loads`
+_NODE = 0.5773502691896257  # of Gauss's rule with two nodes
 
 
 class Instance(NamedTuple):
     """The memory of an instance; its functions change it."""
 
-    mark: Annotated[np.ndarray, int, 5]
+    mark: Annotated[np.ndarray, int, 6]
     inputs: Annotated[np.ndarray, LOADS]  # commands
+    goal: Annotated[np.ndarray, LOADS]    # the same within their limits
+    origin: Annotated[np.ndarray, LOADS]  # where lines towards the goal began
     load: Annotated[np.ndarray, LOADS]    # at the end of the last step
     error: Annotated[np.ndarray, 1]       # estimated error of the tip [m]
     state: Annotated[np.ndarray, 'state']
@@ -105,6 +109,7 @@ class SceneLoads(NamedTuple):
     step: float  # [s]
     gain: float  # torque per voltage [N m/V]
     limit: Annotated[np.ndarray, LOADS]  # of commands
+    rate: Annotated[np.ndarray, LOADS]   # limit of their rate, or 0: they act at once
     harmonic_column: Annotated[np.ndarray, int, 'harmonics']
     amplitude: Annotated[np.ndarray, 'harmonics']
     frequency: Annotated[np.ndarray, 'harmonics']
@@ -137,7 +142,7 @@ def reset(plant, instance):
     instance.mark[MARK] = MAGIC
     instance.error[0] = 0.0
     for k in range(LOADS):
-        instance.inputs[k] = 0.0
+        instance.inputs[k] = instance.goal[k] = instance.origin[k] = 0.0
         instance.load[k] = plant.first_load[k]
     for k in range(len(instance.state)):
         instance.state[k] = plant.start[k]
@@ -175,7 +180,8 @@ def is_valid(tables, instance):
 def prepare(loads, instance, inputs):
     """Write the loads of the next step under commands; keep the state."""
     _write_scene_loads(loads, instance.mark[STEPS], instance.loads)
-    _add_commands(loads, inputs, instance.loads)
+    _command(loads, instance, inputs)
+    _add_commands(loads, instance, instance.loads)
     for k in range(len(instance.state)):
         instance.before[k] = instance.state[k]
     return _OK
@@ -250,15 +256,88 @@ def _write_drive(loads, time, out, stage):
         out[stage, ACCELERATION] += 2.0 * acceleration
 
 
+# Actuators, as in `simulation.loads`.
+
 @strict
-def _add_commands(loads, inputs, out):
+def _command(loads, instance, inputs):
+    """Take the commands of a step: a new goal begins new lines towards it."""
+    changed = False
     for column in range(LOADS):
         value = min(max(inputs[column], -loads.limit[column]), loads.limit[column])
-        if column == TORQUE:
-            voltage = min(max(inputs[VOLTAGE], -loads.limit[VOLTAGE]), loads.limit[VOLTAGE])
-            value = value + loads.gain * voltage
-        for row in range(STEP_LOADS):
+        changed = changed or value != instance.goal[column]
+    if changed:
+        number = instance.mark[STEPS]
+        elapsed = (number - instance.mark[SINCE]) * loads.step
+        for column in range(LOADS):
+            instance.origin[column] = _reached(loads, instance, column, elapsed)
+        for column in range(LOADS):
+            instance.goal[column] = min(max(inputs[column], -loads.limit[column]),
+                                        loads.limit[column])
+        instance.mark[SINCE] = number
+
+
+@strict
+def _reached(loads, instance, column, elapsed):
+    """Return what acts of a command some time after the lines began."""
+    goal, origin = instance.goal[column], instance.origin[column]
+    most = elapsed * loads.rate[column]
+    value = goal
+    if loads.rate[column] > 0.0 and not magnitude(goal - origin) <= most:
+        value = origin + most if goal > origin else origin - most
+    return value
+
+
+@strict
+def _next_end(loads, instance, after, before):
+    """Return where the next line reaches its goal between two positions, counted in steps."""
+    for column in range(LOADS):
+        if loads.rate[column] > 0.0:
+            end = magnitude(instance.goal[column] - instance.origin[column]) / (
+                loads.rate[column] * loads.step)
+            whole = floor(end + 0.5)
+            if magnitude(end - whole) > _NEAR and after < end and end < before:
+                before = end
+    return before
+
+
+@strict
+def _add_commands(loads, instance, out):
+    begin = 1.0 * (instance.mark[STEPS] - instance.mark[SINCE])
+    bent = _next_end(loads, instance, begin, begin + 1.0) < begin + 1.0
+    for row in range(STEP_LOADS):
+        position = begin + (0.5 * row if row < AFTER else 1.0)
+        for column in range(LOADS):
+            value = 0.0
+            if bent and row < STAGES:
+                value = _parabola(loads, instance, column, begin, row)
+            else:
+                value = _reached(loads, instance, column, position * loads.step)
             out[row, column] += value
+            if column == VOLTAGE:
+                out[row, TORQUE] += loads.gain * value
+
+
+@strict
+def _parabola(loads, instance, column, begin, row):
+    """Return a stage of a step in which a line ends, from its moments, see `scene.loads`."""
+    moment_0, moment_1, moment_2 = 0.0, 0.0, 0.0
+    low = begin
+    while low < begin + 1.0:
+        high = _next_end(loads, instance, low, begin + 1.0)
+        for k in range(2):
+            node = -_NODE if k == 0 else _NODE
+            at = low + (high - low) * (0.5 + 0.5 * node)
+            share, s = 0.5 * (high - low), at - begin
+            value = _reached(loads, instance, column, at * loads.step)
+            moment_0 += share * value
+            moment_1 += share * s * value
+            moment_2 += share * (s * s) * value
+        low = high
+    if row == START:
+        return 9.0 * moment_0 - 36.0 * moment_1 + 30.0 * moment_2
+    if row == MIDDLE:
+        return -1.5 * moment_0 + 15.0 * moment_1 - 15.0 * moment_2
+    return 3.0 * moment_0 - 24.0 * moment_1 + 30.0 * moment_2
 
 
 @entry_point(plant=Constants(), instance=Constants(), done=int)
@@ -441,19 +520,23 @@ def get_outputs(instance, count, values):
     return _OK
 
 
-# A saved state: steps, error, whether the finer run diverged, commands, load, state.
-SAVED = 3 + 2 * LOADS
+# A saved state: steps, since when lines go to commands, whether the finer run diverged, error,
+# commands, goals, origins of lines, load; then the state.
+SAVED = 4 + 4 * LOADS
 
 
 @entry_point(instance=Constants(), values=Array((None,)))
 def get_state(instance, values):
     """Write what `set_state` takes."""
     values[0] = 1.0 * instance.mark[STEPS]
-    values[1] = 1.0 * instance.mark[LOST]
-    values[2] = instance.error[0]
+    values[1] = 1.0 * instance.mark[SINCE]
+    values[2] = 1.0 * instance.mark[LOST]
+    values[3] = instance.error[0]
     for k in range(LOADS):
-        values[3 + k] = instance.inputs[k]
-        values[3 + LOADS + k] = instance.load[k]
+        values[4 + k] = instance.inputs[k]
+        values[4 + LOADS + k] = instance.goal[k]
+        values[4 + 2 * LOADS + k] = instance.origin[k]
+        values[4 + 3 * LOADS + k] = instance.load[k]
     for k in range(len(instance.state)):
         values[SAVED + k] = instance.state[k]
     return _OK
@@ -462,14 +545,16 @@ def get_state(instance, values):
 @entry_point(instance=Constants(), values=Array((None,)))
 def check_state(instance, values):
     """Return whether `set_state` may take these values."""
-    steps, lost = values[0], values[1]
+    steps, since, lost = values[0], values[1], values[2]
     if not 0.0 <= steps <= _MOST_STEPS or steps != floor(steps):
+        return _BAD_STATE
+    if not 0.0 <= since <= steps or since != floor(since):
         return _BAD_STATE
     if lost != 0.0 and lost != 1.0:
         return _BAD_STATE
-    if lost == 0.0 and not 0.0 <= values[2]:
+    if lost == 0.0 and not 0.0 <= values[3]:
         return _BAD_STATE
-    for k in range(3, SAVED + len(instance.state)):
+    for k in range(4, SAVED + len(instance.state)):
         if not _finite(values[k]):
             return _NOT_FINITE
     return _OK
@@ -479,13 +564,16 @@ def check_state(instance, values):
 def set_state(instance, values):
     """Go on from a saved state, which was checked."""
     instance.mark[STEPS] = int(values[0])
-    instance.mark[LOST] = int(values[1])
+    instance.mark[SINCE] = int(values[1])
+    instance.mark[LOST] = int(values[2])
     instance.mark[KNOWN] = 0
     instance.mark[PART] = 0
-    instance.error[0] = values[2]
+    instance.error[0] = values[3]
     for k in range(LOADS):
-        instance.inputs[k] = values[3 + k]
-        instance.load[k] = values[3 + LOADS + k]
+        instance.inputs[k] = values[4 + k]
+        instance.goal[k] = values[4 + LOADS + k]
+        instance.origin[k] = values[4 + 2 * LOADS + k]
+        instance.load[k] = values[4 + 3 * LOADS + k]
     for k in range(len(instance.state)):
         instance.state[k] = values[SAVED + k]
     return _OK
