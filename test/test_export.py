@@ -143,8 +143,8 @@ def test_motions_under_loads_with_round_off(name, tmp_path):
 
 
 FORCES = {
-    **{name: SAME[name] for name in ('held', 'gravity', 'smooth', 'sticking', 'axial', 'rigid', 'sectors',
-                                     'dc motor')}, **NEAR,
+    **{name: SAME[name] for name in ('held', 'gravity', 'smooth', 'sticking', 'axial', 'rigid',
+                                     'sectors', 'dc motor')}, **NEAR,
     'driven newton': {**NEAR['driven'], 'model.formulation': 'newton'},
     'root stress': {'model.formulation': 'newton_root_stress', 'motor.shaft': 'locked',
                     'carrier.held': 'y'},
