@@ -63,6 +63,10 @@ class Instance(NamedTuple):
     goal: Annotated[np.ndarray, LOADS]    # the same within their limits
     origin: Annotated[np.ndarray, LOADS]  # where lines towards the goal began
     load: Annotated[np.ndarray, LOADS]    # at the end of the last step
+    acting: Annotated[np.ndarray, LOADS]  # the same with dry friction
+    friction: Annotated[np.ndarray, 4]    # of `friction.advance`: what steps hand on
+    friction_before: Annotated[np.ndarray, 4]  # the same before the last step
+    heat: Annotated[np.ndarray, 1]        # room for its sample
     error: Annotated[np.ndarray, 1]       # estimated error of the tip [m]
     state: Annotated[np.ndarray, 'state']
     before: Annotated[np.ndarray, 'state']     # the state before the last step
@@ -146,6 +150,8 @@ def reset(plant, instance):
         instance.load[k] = plant.first_load[k]
     for k in range(len(instance.state)):
         instance.state[k] = plant.start[k]
+    for k in range(len(instance.friction)):
+        instance.friction[k] = 0.0
     return _OK
 
 
@@ -184,6 +190,8 @@ def prepare(loads, instance, inputs):
     _add_commands(loads, instance, instance.loads)
     for k in range(len(instance.state)):
         instance.before[k] = instance.state[k]
+    for k in range(len(instance.friction)):
+        instance.friction_before[k] = instance.friction[k]
     return _OK
 
 
@@ -304,17 +312,22 @@ def _next_end(loads, instance, after, before):
 def _add_commands(loads, instance, out):
     begin = 1.0 * (instance.mark[STEPS] - instance.mark[SINCE])
     bent = _next_end(loads, instance, begin, begin + 1.0) < begin + 1.0
-    for row in range(STEP_LOADS):
-        position = begin + (0.5 * row if row < AFTER else 1.0)
-        for column in range(LOADS):
-            value = 0.0
-            if bent and row < STAGES:
-                value = _parabola(loads, instance, column, begin, row)
-            else:
-                value = _reached(loads, instance, column, position * loads.step)
-            out[row, column] += value
-            if column == VOLTAGE:
-                out[row, TORQUE] += loads.gain * value
+    for column in range(LOADS):
+        motor = 0.0
+        if column == TORQUE:
+            motor = loads.gain * instance.goal[VOLTAGE]
+        if loads.rate[column] == 0.0:
+            for row in range(STEP_LOADS):
+                out[row, column] += instance.goal[column] + motor
+        else:
+            for row in range(STEP_LOADS):
+                value = 0.0
+                if bent and row < STAGES:
+                    value = _parabola(loads, instance, column, begin, row)
+                else:
+                    position = begin + (0.5 * row if row < AFTER else 1.0)
+                    value = _reached(loads, instance, column, position * loads.step)
+                out[row, column] += value + motor
 
 
 @strict
@@ -350,6 +363,8 @@ def finish(plant, instance, done):
     if done != 1 or not bend <= plant.most_bent:
         for k in range(len(instance.state)):
             instance.state[k] = instance.before[k]
+        for k in range(len(instance.friction)):
+            instance.friction[k] = instance.friction_before[k]
         return _DIVERGED
     instance.mark[STEPS] += 1
     instance.mark[KNOWN] = 0
@@ -397,7 +412,12 @@ FORCES, MODAL = 13, 20
 @entry_point(tables=Constants(), plant=Constants(), instance=Constants())
 def set_rates(tables, plant, instance):
     """Write the accelerations, and the specific force at the tip to the outputs."""
-    state, load, motion = instance.state, instance.load, instance.motion
+    state, load, motion = instance.state, instance.acting, instance.motion
+    for column in range(LOADS):
+        load[column] = instance.load[column]
+    load[FORCE_X] += instance.friction[0]
+    load[FORCE_Y] += instance.friction[1]
+    load[TORQUE] += instance.friction[2]
     half, size = len(motion) // 2, plant.linear.shape[0]
     slope, moved = local((plant.linear,)), local((plant.linear,))
     rate(tables, state, load, slope)
@@ -467,7 +487,7 @@ def set_forces(tables, plant, instance):
         root -= needed[2]
     else:
         speed = motion[half + 2]
-        root += plant.shaft_friction[0] * speed - load[TORQUE]
+        root += plant.shaft_friction[0] * speed - instance.acting[TORQUE]
         if plant.shaft_friction[1] != 0.0:
             root += plant.shaft_friction[1] * tanh(speed / plant.shaft_friction[2])
     for joint in range(3):
@@ -521,8 +541,9 @@ def get_outputs(instance, count, values):
 
 
 # A saved state: steps, since when lines go to commands, whether the finer run diverged, error,
-# commands, goals, origins of lines, load; then the state.
-SAVED = 4 + 4 * LOADS
+# commands, goals, origins of lines, load, friction; then the state.
+_FRICTION = 4 + 4 * LOADS
+SAVED = _FRICTION + 4
 
 
 @entry_point(instance=Constants(), values=Array((None,)))
@@ -537,6 +558,8 @@ def get_state(instance, values):
         values[4 + LOADS + k] = instance.goal[k]
         values[4 + 2 * LOADS + k] = instance.origin[k]
         values[4 + 3 * LOADS + k] = instance.load[k]
+    for k in range(len(instance.friction)):
+        values[_FRICTION + k] = instance.friction[k]
     for k in range(len(instance.state)):
         values[SAVED + k] = instance.state[k]
     return _OK
@@ -574,6 +597,8 @@ def set_state(instance, values):
         instance.goal[k] = values[4 + LOADS + k]
         instance.origin[k] = values[4 + 2 * LOADS + k]
         instance.load[k] = values[4 + 3 * LOADS + k]
+    for k in range(len(instance.friction)):
+        instance.friction[k] = values[_FRICTION + k]
     for k in range(len(instance.state)):
         instance.state[k] = values[SAVED + k]
     return _OK
