@@ -221,6 +221,9 @@ class Simulator:
             self.integration.rate(self._state, self.integration.acting(self.load))
             if messages:
                 self.model.tip(motion)
+                self.model.energy(motion[np.newaxis])
+                self.model.effort(motion[np.newaxis], np.zeros((1, len(motion) // 2)),
+                                  self.load[np.newaxis])
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """
