@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 from timo_sim.model.functions import efforts, energies, rate_once, tip_once
-from timo_sim.model.layout import rotate
+from timo_sim.model.layout import LOADS, rotate
 from timo_sim.model.modes import AxialModes, Modes, modes_of
 
 
@@ -166,11 +166,13 @@ class Formulation(ABC):
         accelerations of 3 + N coordinates and loads, of which only those on tip and arm are used.
         Shape (n, 3): in world axes [N], then [N m].
         """
-        specific = np.array(accelerations, order='C')
+        count = len(motions)
+        # Compiled code does not check that there are as many rows as motions.
+        specific, acting, effort = (np.empty((count, size)) for size in (self.size // 2, LOADS, 3))
+        specific[:], acting[:] = accelerations, loads
         specific[:, :2] -= self.gravity  # held in gravity is the same as accelerated against it
-        effort = np.empty((len(motions), 3))
-        efforts(self.force_tables, np.ascontiguousarray(motions), specific,
-                np.ascontiguousarray(loads), len(motions), effort)
+        efforts(self.force_tables, np.ascontiguousarray(motions, dtype=float), specific, acting,
+                count, effort)
         return effort
 
     @cached_property
@@ -340,8 +342,8 @@ class Formulation(ABC):
 
         """
         energy = np.empty(len(motions))
-        energies(self.force_tables, np.ascontiguousarray(motions), self.gravity, len(motions),
-                 energy)
+        energies(self.force_tables, np.ascontiguousarray(motions, dtype=float), self.gravity,
+                 len(motions), energy)
         return energy
 
     def friction(self, motions: np.ndarray) -> np.ndarray:
