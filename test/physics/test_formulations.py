@@ -91,6 +91,29 @@ def vibrating(formulation, **overrides):
     return timo_sim.load_scene(values, {'initial.modal_rates': rates})
 
 
+@pytest.mark.parametrize('picked_up', [False, True])
+@pytest.mark.parametrize('values', [
+    {}, {'model.modes': 0}, {'model.axial_modes': 2}, {'carrier.held': 'x'},
+    {'carrier.held': 'x', 'model.axial_modes': 1}, {'carrier.held': 'both'},
+    {'model.formulation': 'newton', 'motor.shaft': 'locked'},
+    {'model.formulation': 'newton_rigid_axial'}])
+def test_energy_is_that_of_masses_and_strain(values, picked_up):
+    """Kinetic energy by the mass matrix, gravity's by the places of the masses, both in NumPy."""
+    scene = timo_sim.load_scene({'model.modes': 3, 'gravity': [1.5, -9.81], **values})
+    model = scene.build(scene.manipulator, (3.0, 0.15)) if picked_up else scene.build()
+    motions = np.random.default_rng(7).normal(scale=0.3, size=(20, model.size))
+    half, body, found = model.size // 2, model.manipulator, []
+    for motion in motions:
+        rates, strained = motion[half:], motion[3:half]**2 @ model.modes.omega**2
+        moment = body.base_mass * motion[:2] + model.point_mass @ model.world(
+            motion[np.newaxis], model.points)[0]
+        found.append(0.5 * (rates @ model.mass_matrix(motion)[0] @ rates + strained)
+                     - model.gravity @ moment)
+    wide = np.repeat(motions, 2, axis=1)[:, ::2]  # not in C order
+    np.testing.assert_allclose(model.energy(wide), found, rtol=1e-11)
+    assert model.energy(motions[:0]).shape == (0,)
+
+
 @pytest.mark.parametrize('modes', [0, 3, 12])
 def test_exact_conserves_energy_and_momentum(modes):
     scene = vibrating('exact', **{

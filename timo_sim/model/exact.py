@@ -54,7 +54,7 @@ import numpy as np
 
 from timo_sim.model.exact_code import BAND, BANDS, SECTORS, Tables
 from timo_sim.model.formulation import Formulation, Points
-from timo_sim.model.layout import ANGLE, LOADS, SPEED, tip_force, TIP_TORQUE
+from timo_sim.model.layout import ANGLE, LOADS, SPEED
 
 
 class Exact(Formulation):
@@ -170,34 +170,6 @@ class Exact(Formulation):
         return np.stack([
             (-b * turning - sine * shearing + cosine * stretching) @ points.integral,
             (a * turning + cosine * shearing + sine * stretching) @ points.integral], axis=-1)
-
-    def _effort(self, motions, accelerations, loads):
-        """Return the rates of momentum and spin less those by loads on the tip (T42)."""
-        half, table, body = self.size // 2, self.tables, self.manipulator
-        cosine, sine, a, b = self._slopes(motions[:, 2:half])
-        rates, second = motions[:, half + 2:], accelerations[:, 2:]
-        turning, shearing, stretching = (
-            rates @ field for field in (table.rotation, table.shear, self._stretch))
-        turn, shear, stretch = (
-            second @ field for field in (table.rotation, table.shear, self._stretch))
-        to_points = self.points.integral
-        x, y = a @ to_points, b @ to_points
-        # Mass times acceleration of the points of mass, from second derivatives of the slopes.
-        pull_x = self.point_mass * (accelerations[:, :1] + (
-            -b * turn - sine * shear + cosine * stretch
-            - turning * (a * turning + 2.0 * (cosine * shearing + sine * stretching))) @ to_points)
-        pull_y = self.point_mass * (accelerations[:, 1:2] + (
-            a * turn + cosine * shear + sine * stretch
-            - turning * (b * turning + 2.0 * (sine * shearing - cosine * stretching))) @ to_points)
-        section = second[:, :1] + second[:, 1:] @ self.points.rotation
-        force = tip_force(loads, motions[:, 2])
-        pull_x[:, -1] -= force[0]
-        pull_y[:, -1] -= force[1]
-        return np.column_stack([  # rates of momentum in x and y, of spin about the root
-            body.base_mass * accelerations[:, 0] + pull_x.sum(axis=1),
-            body.base_mass * accelerations[:, 1] + pull_y.sum(axis=1),
-            body.shaft_inertia * accelerations[:, 2] + section @ self.point_inertia
-            + (x * pull_y - y * pull_x).sum(axis=1) - loads[:, TIP_TORQUE]])
 
     @staticmethod
     def _relative(q):

@@ -439,8 +439,9 @@ def _tip_rate(tables, motion, out):
 
 @inner
 def _set_slope_rates(tables, motion, accelerations, a, b, rate_a, rate_b, second_a, second_b):
-    """Set the slopes (T23), their rates and second derivatives."""
-    rotation, shear, stretch = tables.rotation, tables.shear, tables.stretch
+    """Set the slopes (T23), their rates and second derivatives, as vectors."""
+    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
+    stretch = as_vectors(tables.stretch)
     count, nodes = rotation.shape
     axial, rates = count - len(stretch), len(motion) // 2
     for j in range(nodes):
@@ -472,27 +473,28 @@ def _set_slope_rates(tables, motion, accelerations, a, b, rate_a, rate_b, second
 @inner
 def _about_root(tables, axis, left, right):
     """Return left.K.right with the kernel K of the masses about the root, for x or y (T30)."""
-    kernel, centre_left, centre_right, total = tables.kernel, 0.0, 0.0, 0.0
+    kernel, vectors = as_vectors(tables.kernel), as_vectors(right)
     number = axis if len(kernel) == 2 else 0
-    for j in range(kernel.shape[1]):
-        product = 0.0
-        for k in range(kernel.shape[1]):
-            product += kernel[number, j, k] * right[k]
-        total += left[j] * product
-        centre_left += tables.to_centre[j] * left[j]
-        centre_right += tables.to_centre[j] * right[j]
+    products = 0.0
+    for j in range(len(vectors)):
+        image = 0.0
+        for k in range(kernel.shape[1]):  # K is symmetric
+            image += left[k] * kernel[number, k, j]
+        products += image * vectors[j]
+    total = sum_of(products, right)
     for k in range(len(tables.axes)):
         if tables.axes[k] == axis:  # the kernel in the tables is about the mass centre
-            total += tables.mass * centre_left * centre_right
+            total += tables.mass * _dot(tables.to_centre, left) * _dot(tables.to_centre, right)
     return total
 
 
 @inner
 def _dot(left, right):
+    lefts, rights = as_vectors(left), as_vectors(right)
     total = 0.0
-    for j in range(len(left)):
-        total += left[j] * right[j]
-    return total
+    for j in range(len(lefts)):
+        total += lefts[j] * rights[j]
+    return sum_of(total, left)
 
 
 @functions.effort.of(Tables)
@@ -501,7 +503,9 @@ def _effort(tables, motion, accelerations, load, out):
     across, mass, to_centre = tables.to_centre, tables.mass, tables.to_centre
     a, b, rate_a, rate_b = local((across,)), local((across,)), local((across,)), local((across,))
     second_a, second_b = local((across,)), local((across,))
-    _set_slope_rates(tables, motion, accelerations, a, b, rate_a, rate_b, second_a, second_b)
+    _set_slope_rates(
+        tables, motion, accelerations, as_vectors(a), as_vectors(b), as_vectors(rate_a),
+        as_vectors(rate_b), as_vectors(second_a), as_vectors(second_b))
     sine, cosine = sincos(motion[2])
     tip_x = load[TIP_X] + cosine * load[TIP_I] - sine * load[TIP_II]
     tip_y = load[TIP_Y] + sine * load[TIP_I] + cosine * load[TIP_II]
@@ -525,7 +529,9 @@ def _energy(tables, motion, gravity):
     across, mass, to_centre = tables.to_centre, tables.mass, tables.to_centre
     a, b, rate_a, rate_b = local((across,)), local((across,)), local((across,)), local((across,))
     unused_a, unused_b = local((across,)), local((across,))
-    _set_slope_rates(tables, motion, motion, a, b, rate_a, rate_b, unused_a, unused_b)
+    _set_slope_rates(
+        tables, motion, motion, as_vectors(a), as_vectors(b), as_vectors(rate_a),
+        as_vectors(rate_b), as_vectors(unused_a), as_vectors(unused_b))
     rates, count = len(motion) // 2, len(tables.rotary)
     x, y = motion[rates], motion[rates + 1]
     twice = (mass * (x * x + y * y)

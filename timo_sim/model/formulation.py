@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
-from timo_sim.model.functions import rate_once, tip_once
-from timo_sim.model.layout import PUSH_X, PUSH_Y, rotate
+from timo_sim.model.functions import efforts, energies, rate_once, tip_once
+from timo_sim.model.layout import LOADS, rotate
 from timo_sim.model.modes import AxialModes, Modes, modes_of
 
 
@@ -166,18 +166,14 @@ class Formulation(ABC):
         accelerations of 3 + N coordinates and loads, of which only those on tip and arm are used.
         Shape (n, 3): in world axes [N], then [N m].
         """
-        specific = accelerations.copy()
+        count = len(motions)
+        # Compiled code does not check that there are as many rows as motions.
+        specific, acting, effort = (np.empty((count, size)) for size in (self.size // 2, LOADS, 3))
+        specific[:], acting[:] = accelerations, loads
         specific[:, :2] -= self.gravity  # held in gravity is the same as accelerated against it
-        effort = self._effort(motions, specific, loads)
-        if self.push_point:
-            push_x, push_y = loads[:, PUSH_X], loads[:, PUSH_Y]
-            x, y = (self.world(motions, self.push_point)[:, 0] - motions[:, :2]).T
-            effort -= np.column_stack([push_x, push_y, x * push_y - y * push_x])
+        efforts(self.force_tables, np.ascontiguousarray(motions, dtype=float), specific, acting,
+                count, effort)
         return effort
-
-    @abstractmethod
-    def _effort(self, motions, accelerations, loads):
-        """Return the effort where there is no gravity and no push on the arm."""
 
     @cached_property
     def tip_travel(self) -> np.ndarray:
@@ -193,7 +189,8 @@ class Formulation(ABC):
 
     def pack(self, tables: Any, pad: bool = True) -> Packed:
         """Return tables packed for compiled functions, see `compiled.constants`."""
-        return pack(tables, pad, motion=self.size, state=len(self.linear))
+        return pack(tables, pad, motion=self.size, accelerations=self.size // 2,
+                    state=len(self.linear))
 
     @cached_property
     def magnitude_bound(self) -> float:
@@ -344,18 +341,9 @@ class Formulation(ABC):
             [J]
 
         """
-        q, qdot = self._split(motions)
-        velocity, turning = self.velocities(motions, self.points)
-        base = motions[:, self.size // 2:][:, :3]
-        body = self.manipulator
-        kinetic = (body.base_mass * np.sum(base[:, :2]**2, axis=1)
-                   + body.shaft_inertia * base[:, 2]**2
-                   + np.sum(velocity**2, axis=2) @ self.point_mass
-                   + turning**2 @ self.point_inertia)
-        energy = 0.5 * (kinetic + q**2 @ self.modes.omega**2)
-        if self.gravity.any():
-            energy -= (body.base_mass * motions[:, :2] + np.einsum(
-                'p,npi->ni', self.point_mass, self.world(motions, self.points))) @ self.gravity
+        energy = np.empty(len(motions))
+        energies(self.force_tables, np.ascontiguousarray(motions, dtype=float), self.gravity,
+                 len(motions), energy)
         return energy
 
     def friction(self, motions: np.ndarray) -> np.ndarray:

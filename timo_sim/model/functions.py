@@ -111,7 +111,7 @@ def effort(tables, motion, accelerations, load, out):
 
 @declare
 def energy(tables, motion, gravity):
-    """Return the energy [J] as `Formulation.energy`; `tables` as in `effort`."""
+    """Return the energy [J], see `Formulation.energy`; `tables` as in `effort`."""
 
 
 @entry_point(tables=Constants(), state=Array(('state',)), load=Array((LOADS,)),
@@ -125,6 +125,23 @@ def rate_once(tables, state, load, out):
 def tip_once(tables, motion, out):
     """Call `tip` from Python."""
     tip(tables, motion, out)
+
+
+@entry_point(tables=Constants(), motions=Array((None, 'motion')),
+             accelerations=Array((None, 'accelerations')), loads=Array((None, LOADS)), count=int,
+             out=Array((None, 3)))
+def efforts(tables, motions, accelerations, loads, count, out):
+    """Call `effort` from Python for each of `count` motions."""
+    for k in range(count):
+        effort(tables, motions[k], accelerations[k], loads[k], out[k])
+
+
+@entry_point(tables=Constants(), motions=Array((None, 'motion')), gravity=Array((2,)), count=int,
+             out=Array((None,)))
+def energies(tables, motions, gravity, count, out):
+    """Call `energy` from Python for each of `count` motions."""
+    for k in range(count):
+        out[k] = energy(tables, motions[k], gravity)
 
 
 # Sine, cosine and hyperbolic tangent for compiled loops, of floats or of lanes.

@@ -172,12 +172,6 @@ def rotate(theta: Any, x: Any, y: Any) -> tuple[Any, Any]:
     return cosine * x - sine * y, sine * x + cosine * y
 
 
-def tip_force(loads: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return x, y of the tip force in world axes [N], for loads (..., LOADS), angles (...)."""
-    x, y = rotate(theta, loads[..., TIP_I], loads[..., TIP_II])
-    return x + loads[..., TIP_X], y + loads[..., TIP_Y]
-
-
 def place(origin_x: float, origin_y: float, theta: float, x: float,
           y: float) -> tuple[float, float]:
     """Return an origin plus the vector x, y turned by theta, such as a point in world axes."""

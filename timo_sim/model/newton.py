@@ -52,7 +52,7 @@ from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
     ACCELERATION, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, rotate, SPEED,
-    tip_force, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
+    TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
 
 
 class Laws(NamedTuple):
@@ -164,27 +164,6 @@ class Newton(Formulation):
         free = np.concatenate([self.axes, np.arange(2 + self.driven, half)])
         return np.concatenate([motion[free], motion[half + free]])
 
-    def _effort(self, motions, accelerations, loads):
-        """Return what (T15) and (T16) need, with P(0), V(0) of this formulation (T42)."""
-        half, laws, theta = self.size // 2, self._laws, motions[:, 2]
-        q, omega, qdot = motions[:, 3:half], motions[:, half + 2], motions[:, half + 3:]
-        alpha, beta = rotate(-theta, *accelerations[:, :2].T)
-        tip_1, tip_2 = rotate(-theta, *tip_force(loads, theta))
-        stress = self.tables.stiffness * q + self.tables.damping * qdot
-        z = accelerations[:, 2:]
-        axial = (-self.arm_mass * alpha + z[:, 0] * (q @ laws.axial) + tip_1
-                 + 2.0 * omega * (qdot @ laws.axial) + omega**2 * self.first_moment)
-        shear = (-laws.shear_mass * beta - z @ laws.shear_row + stress @ laws.shear_stress
-                 + omega**2 * (q @ laws.shear_softening) + laws.tip_share * tip_2)
-        tip_moment = laws.tip_share * (
-            loads[:, TIP_TORQUE] + self.tables.length * tip_2
-            - (q @ self.tables.tip_deflection) * tip_1)
-        torque = (z @ laws.matrix[0] + laws.column[0] * beta - omega**2 * (q @ laws.softening[0])
-                  + stress @ laws.stress[0] - tip_moment)
-        root_x, root_y = rotate(theta, axial, shear)
-        return np.column_stack([self.tables.base_mass * accelerations[:, 0] - root_x,
-                                self.tables.base_mass * accelerations[:, 1] - root_y, torque])
-
     @cached_property
     def force_tables(self) -> Packed:
         """Constants of the compiled functions `effort` and `energy`."""
@@ -225,9 +204,10 @@ class Newton(Formulation):
         acceleration = np.zeros(2)
         acceleration[axes] = self.rate(state, load)[half:half + len(axes)]
         alpha, _ = rotate(-angle, *(acceleration - self.gravity))
-        pull, _ = rotate(-angle, *np.ravel(tip_force(load[np.newaxis], np.array([angle]))))
+        pull, _ = rotate(-angle, load[TIP_X], load[TIP_Y])
         push, _ = rotate(-angle, load[PUSH_X], load[PUSH_Y])
-        return float(self._tension @ [pull, push, alpha, speed**2] / self.modes.omega[0]**2)
+        return float(self._tension @ [load[TIP_I] + pull, push, alpha, speed**2]
+                     / self.modes.omega[0]**2)
 
     def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
         """Return the points (xi, w)."""

@@ -27,7 +27,7 @@ from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, MotionFields, TORQUE
 from timo_sim.scene.files import html_table
 from timo_sim.scene.parameters import PARAMETERS, warn
 from timo_sim.scene.scene import Scene
-from timo_sim.simulation.energy import dissipated, energy
+from timo_sim.simulation.energy import dissipated
 from timo_sim.simulation.loads import pieces
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import applied, joints_of_run, Snapshot
@@ -135,7 +135,7 @@ class Run(MotionFields):
 
     def energy(self) -> np.ndarray:
         """Return kinetic plus strain energy and the potential of gravity, shape (n,) [J]."""
-        return energy(self._pieces, self.motion)
+        return np.concatenate([model.energy(self.motion[part]) for model, part in self._pieces])
 
     def dissipated(self) -> np.ndarray:
         """

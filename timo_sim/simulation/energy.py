@@ -17,24 +17,7 @@ from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.steps import CHUNK
 
-_BLOCK = 1024  # samples whose energy is computed at once; they stay in the processor's cache
 _MOST_DOUBT = 1e-3  # largest difference of integrals by all and by every second sample, relative
-
-
-def energy(models: list, motions: np.ndarray) -> np.ndarray:
-    """
-    Return kinetic plus strain energy and the potential of gravity, shape (n,) [J].
-
-    Parameters
-    ----------
-    models : list of (Formulation, slice)
-        Each with its part of the motions, see `simulation.loads.pieces`.
-    motions : ndarray, shape (n, 2 (3 + N))
-
-    """
-    return np.concatenate([
-        model.energy(motions[first:min(first + _BLOCK, part.stop)])
-        for model, part in models for first in range(part.start, part.stop, _BLOCK)])
 
 
 def work(ns: np.ndarray, position: np.ndarray, velocity: np.ndarray, force: np.ndarray,

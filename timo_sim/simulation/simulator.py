@@ -220,6 +220,9 @@ class Simulator:
                 each.integration.rate(each._state, each.integration.acting(each.load))
             if messages:
                 self.model.tip(motion)
+                self.model.energy(motion[np.newaxis])
+                self.model.effort(motion[np.newaxis], np.zeros((1, len(motion) // 2)),
+                                  self.load[np.newaxis])
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """

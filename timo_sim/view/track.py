@@ -21,7 +21,7 @@ from timo_sim.log.tables import Recording
 from timo_sim.model.layout import INPUTS, rotate
 from timo_sim.scene.parameters import Parameter
 from timo_sim.scene.scene import Scene
-from timo_sim.simulation.energy import energy, integral, work
+from timo_sim.simulation.energy import integral, work
 from timo_sim.simulation.loads import pieces
 from timo_sim.topics.commands import COMMANDS
 
@@ -183,7 +183,8 @@ def track_of_motion(
     if half > 3:
         traces.append(Trace('modal', tuple(f'q{n}' for n in range(1, half - 2)), ns, modal))
     steps = np.rint(1e-9 * ns / scene.step).astype(int)
-    stored = energy(pieces(scene, steps, payloads), motion)
+    stored = np.concatenate([
+        model.energy(motion[part]) for model, part in pieces(scene, steps, payloads)])
     # Efforts contain forces on the carrier, and torques on the shaft unless it is driven.
     seen = ('carrier',) if scene.values['motor.shaft'] == 'driven' else ('carrier', 'shaft')
     pushed = any(scene.load.terms[each.name] for each in INPUTS
