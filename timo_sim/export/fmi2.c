@@ -1,0 +1,236 @@
+/*
+ * Copyright 2026 The timo_sim authors
+ * Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+ * in compliance with the License. You may obtain a copy of the License at
+ * http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+ * writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+ * WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+ * specific language governing permissions and limitations under the License.
+ *
+ * The functions of FMI 2.0 for co-simulation.
+ */
+#include <stddef.h>
+
+/* The types of FMI 2.0, unless its own headers are included before. */
+#ifndef fmi2FunctionTypes_h
+typedef enum { fmi2OK, fmi2Warning, fmi2Discard, fmi2Error, fmi2Fatal, fmi2Pending } fmi2Status;
+typedef enum { fmi2ModelExchange, fmi2CoSimulation } fmi2Type;
+typedef enum {
+    fmi2DoStepStatus, fmi2PendingStatus, fmi2LastSuccessfulTime, fmi2Terminated
+} fmi2StatusKind;
+typedef struct {
+    void (*logger)(void *, const char *, fmi2Status, const char *, const char *, ...);
+    void *(*allocateMemory)(size_t, size_t);
+    void (*freeMemory)(void *);
+    void (*stepFinished)(void *, fmi2Status);
+    void *componentEnvironment;
+} fmi2CallbackFunctions;
+#endif
+
+typedef void (*LOGGER)(void *, const char *, fmi2Status, const char *, const char *, ...);
+
+#include "fmi.h"
+
+static void tell(struct instance *me, int status, const char *text)
+{
+    me->logger(me->environment, me->name, (fmi2Status)status, "logStatusError", "%s", text);
+}
+
+const char *fmi2GetTypesPlatform(void)
+{
+    return "default";
+}
+
+const char *fmi2GetVersion(void)
+{
+    return "2.0";
+}
+
+void *fmi2Instantiate(const char *name, fmi2Type type, const char *guid, const char *resources,
+                      const fmi2CallbackFunctions *functions, int visible, int logging)
+{
+    if (type != fmi2CoSimulation)
+        return NULL;
+    return make(name, guid, functions ? functions->logger : NULL,
+                functions ? functions->componentEnvironment : NULL);
+}
+
+void fmi2FreeInstance(void *instance)
+{
+    destroy(instance);
+}
+
+/* Only errors are logged, and these always. */
+fmi2Status fmi2SetDebugLogging(void *instance, int logging, size_t count,
+                               const char *const categories[])
+{
+    ENTER(instance, ANY);
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetupExperiment(void *instance, int has_tolerance, double tolerance, double start,
+                               int stops, double stop)
+{
+    ENTER(instance, INSTANTIATED);
+    return set_times(me, start, stops, stop);
+}
+
+fmi2Status fmi2EnterInitializationMode(void *instance)
+{
+    ENTER(instance, INSTANTIATED);
+    me->phase = INITIALIZING;
+    return fmi2OK;
+}
+
+fmi2Status fmi2ExitInitializationMode(void *instance)
+{
+    ENTER(instance, INITIALIZING);
+    me->phase = STEPPING;
+    return fmi2OK;
+}
+
+fmi2Status fmi2Terminate(void *instance)
+{
+    ENTER(instance, STEPPING);
+    me->phase = TERMINATED;
+    return fmi2OK;
+}
+
+fmi2Status fmi2Reset(void *instance)
+{
+    ENTER(instance, ANY);
+    return reset(me);
+}
+
+fmi2Status fmi2GetReal(void *instance, const unsigned references[], size_t count, double values[])
+{
+    ENTER(instance, ANY);
+    return get_values(me, references, count, values);
+}
+
+fmi2Status fmi2SetReal(void *instance, const unsigned references[], size_t count,
+                       const double values[])
+{
+    ENTER(instance, INSTANTIATED | INITIALIZING | STEPPING);
+    return set_values(me, references, count, values);
+}
+
+fmi2Status fmi2DoStep(void *instance, double point, double size, int never_back)
+{
+    ENTER(instance, STEPPING);
+    return step(me, point, size);
+}
+
+fmi2Status fmi2GetFMUstate(void *instance, void **state)
+{
+    ENTER(instance, ANY);
+    return get_state(me, state);
+}
+
+fmi2Status fmi2SetFMUstate(void *instance, void *state)
+{
+    ENTER(instance, ANY);
+    return set_state(me, state);
+}
+
+fmi2Status fmi2FreeFMUstate(void *instance, void **state)
+{
+    ENTER(instance, ANY);
+    return free_state(me, state);
+}
+
+fmi2Status fmi2SerializedFMUstateSize(void *instance, void *state, size_t *size)
+{
+    ENTER(instance, ANY);
+    return state_size(me, state, size);
+}
+
+fmi2Status fmi2SerializeFMUstate(void *instance, void *state, char bytes[], size_t size)
+{
+    ENTER(instance, ANY);
+    return write_state(me, state, bytes, size);
+}
+
+fmi2Status fmi2DeSerializeFMUstate(void *instance, const char bytes[], size_t size, void **state)
+{
+    ENTER(instance, ANY);
+    return read_state(me, bytes, size, state);
+}
+
+fmi2Status fmi2GetRealStatus(void *instance, const fmi2StatusKind kind, double *value)
+{
+    ENTER(instance, ANY);
+    if (kind != fmi2LastSuccessfulTime || !value)
+        return fmi2Discard;
+    *value = time_of(me);
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetBooleanStatus(void *instance, const fmi2StatusKind kind, int *value)
+{
+    ENTER(instance, ANY);
+    if (kind != fmi2Terminated || !value)
+        return fmi2Discard;
+    *value = 0;
+    return fmi2OK;
+}
+
+/* What this unit does not have: variables of other types, derivatives, steps in the background. */
+
+typedef const char *string;
+
+#define NO_VARIABLES(name, type) \
+    fmi2Status fmi2Get##name(void *instance, const unsigned references[], size_t count, \
+                             type values[]) \
+    { \
+        ENTER(instance, ANY); \
+        return absent(me, count, __func__); \
+    } \
+    fmi2Status fmi2Set##name(void *instance, const unsigned references[], size_t count, \
+                             const type values[]) \
+    { \
+        ENTER(instance, ANY); \
+        return absent(me, count, __func__); \
+    }
+
+#define NO_STATUS(name, type) \
+    fmi2Status fmi2Get##name(void *instance, const fmi2StatusKind kind, type *value) \
+    { \
+        ENTER(instance, ANY); \
+        return fmi2Discard; \
+    }
+
+NO_VARIABLES(Integer, int)
+NO_VARIABLES(Boolean, int)
+NO_VARIABLES(String, string)
+NO_STATUS(Status, fmi2Status)
+NO_STATUS(IntegerStatus, int)
+NO_STATUS(StringStatus, string)
+
+fmi2Status fmi2GetDirectionalDerivative(void *instance, const unsigned unknowns[], size_t results,
+                                        const unsigned knowns[], size_t causes,
+                                        const double seed[], double sensitivity[])
+{
+    ENTER(instance, ANY);
+    return absent(me, 1, __func__);
+}
+
+fmi2Status fmi2SetRealInputDerivatives(void *instance, const unsigned references[], size_t count,
+                                       const int orders[], const double values[])
+{
+    ENTER(instance, ANY);
+    return absent(me, count, __func__);
+}
+
+fmi2Status fmi2GetRealOutputDerivatives(void *instance, const unsigned references[], size_t count,
+                                        const int orders[], double values[])
+{
+    ENTER(instance, ANY);
+    return absent(me, count, __func__);
+}
+
+fmi2Status fmi2CancelStep(void *instance)
+{
+    ENTER(instance, ANY);
+    return absent(me, 1, __func__);
+}
