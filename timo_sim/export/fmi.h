@@ -8,7 +8,8 @@
  * specific language governing permissions and limitations under the License.
  *
  * What the functions of FMI 2 and FMI 3 share: instances, their variables, steps and saved states.
- * The file that includes this one defines the type LOGGER and the function `tell`.
+ * The file that includes this one defines the type LOGGER, the function `tell`, and NOT_DONE, the
+ * status of a step whose size is wrong.
  *
  * Value references are the numbers of the outputs of arm.h, followed by those of its inputs.
  */
@@ -141,7 +142,7 @@ static int reset(struct instance *me)
 static int get_values(struct instance *me, const unsigned *references, size_t count,
                       double *values)
 {
-    REQUIRE(!count || references && values, "a pointer is null");
+    REQUIRE(!count || (references && values), "a pointer is null");
     for (size_t k = 0; k < count; ++k) {
         unsigned number = references[k];
         int code = number < ARM_OUTPUTS
@@ -157,7 +158,7 @@ static int get_values(struct instance *me, const unsigned *references, size_t co
 static int set_values(struct instance *me, const unsigned *references, size_t count,
                       const double *values)
 {
-    REQUIRE(!count || references && values, "a pointer is null");
+    REQUIRE(!count || (references && values), "a pointer is null");
     for (size_t k = 0; k < count; ++k) {
         if (references[k] - ARM_OUTPUTS >= ARM_INPUTS)
             return fail(me, ERROR, "the variable with the reference %u is no input",
@@ -181,7 +182,7 @@ static int step(struct instance *me, double point, double size)
     int64_t steps = count >= 0.5 && count < 1e15 ? (int64_t)(count + 0.5) : 0;
     double off = count - (double)steps, most = 1e-6 + 1e-15 * (now + size) / ARM_STEP;
     if (!steps || off > most || off < -most)
-        return fail(me, DISCARD, "the communication step must be a whole multiple of %.17g s, "
+        return fail(me, NOT_DONE, "the communication step must be a whole multiple of %.17g s, "
                     "got %.17g s", (double)ARM_STEP, size);
     if (now + ((double)steps - 0.5) * ARM_STEP > me->stop)
         return fail(me, ERROR, "a step of %g s from %g s passes the stop time, %g s", size, now,

@@ -31,6 +31,7 @@ typedef void (*fmi3UnlockPreemptionCallback)();
 #endif
 
 typedef fmi3LogMessageCallback LOGGER;
+#define NOT_DONE DISCARD
 
 #include "fmi.h"
 
