@@ -362,7 +362,7 @@ def test_memory(folders, tmp_path):
         built = subprocess.run(
             ['cc', '-std=c11', '-g', '-fsanitize=address,undefined', '-fno-sanitize-recover',
              f'-DVERSION={version}', '-I', folder / 'sources', '-o', program,
-             Path(__file__).parent / 'export/fmu.c', folder / 'sources/arm.o', '-lm'],
+             Path(__file__).parent / 'data/abuse_fmu.c', folder / 'sources/arm.o', '-lm'],
             capture_output=True, text=True)
         if 'asan' in built.stderr:
             pytest.skip('this compiler has no AddressSanitizer')

@@ -14,6 +14,7 @@ from typing import Any, TYPE_CHECKING
 from timo_sim.version import __version__
 
 if TYPE_CHECKING:
+    from timo_sim.export.c import export_c
     from timo_sim.export.fmu import export_fmu
     from timo_sim.fitting.files import read_record
     from timo_sim.fitting.record import Record
@@ -46,6 +47,7 @@ _MODULES = {
     'Sensitivities': 'runs.sensitivities',
     'Simulator': 'simulation.simulator',
     'choose_resolution': 'runs.accuracy',
+    'export_c': 'export.c',
     'export_fmu': 'export.fmu',
     'fit': 'fitting.result',
     'linearize': 'runs.linear',
@@ -60,8 +62,8 @@ _MODULES = {
 
 __all__ = [
     'Batch', 'DivergenceError', 'Fit', 'LinearModel', 'ModelWarning', 'ParameterError', 'Record',
-    'Run', 'Scene', 'Sensitivities', 'Simulator', '__version__', 'choose_resolution', 'export_fmu',
-    'fit', 'linearize', 'load_scene', 'open_log', 'project_on_modes', 'read_record',
+    'Run', 'Scene', 'Sensitivities', 'Simulator', '__version__', 'choose_resolution', 'export_c',
+    'export_fmu', 'fit', 'linearize', 'load_scene', 'open_log', 'project_on_modes', 'read_record',
     'sensitivities', 'simulate', 'simulate_many']
 
 

@@ -18,18 +18,26 @@ from typing import Any
 
 from timo_sim.compiled import machine
 from timo_sim.model import exact_code, functions, modes, newton
-from timo_sim.steps import etdrk4, friction, lanes
+from timo_sim.steps import etdrk4, friction, instance, lanes
 
 
 def entries() -> list[tuple[Any, tuple[type, ...]]]:
     """Return the entry points and the kinds of their constants."""
     found = [(entry, (modes.UniformArm,))
              for entry in (modes.bisect, modes.boundary_conditions, modes.fields)]
+    own = instance.Instance
+    found += [(entry, (instance.Plant, own))
+              for entry in (instance.reset, instance.finish, instance.set_outputs)]
+    found += [(entry, (own,)) for entry in (
+        instance.set_input, instance.get_input, instance.set_place, instance.compare,
+        instance.lose, instance.get_output, instance.get_outputs, instance.get_state,
+        instance.check_state, instance.set_state)]
+    found.append((instance.prepare, (instance.SceneLoads, own)))
     for tables in (exact_code.Tables, newton.Tables):
         step = tables, etdrk4.Propagator
         found += [
             (functions.rate_once, (tables,)), (functions.tip_once, (tables,)),
-            (etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
+            (instance.is_valid, (tables, own)), (etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
             *((entry, (*step, lanes.LaneConstants))
               for entry in (lanes.advance_alike, lanes.advance_each))]
     return found

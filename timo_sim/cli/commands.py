@@ -175,6 +175,36 @@ def export_fmu(scene: str, output: str, fmi: str, settings: tuple[str, ...], est
 
 
 @main.command()
+@click.argument('scene')
+@click.option('--output', '-o', type=click.Path(file_okay=False), required=True,
+              metavar='FOLDER', help='Folder to write to.')
+@click.option('--target', default='host', show_default=True,
+              help='Processor: host, x86-64-v2, x86-64-v3 or aarch64.')
+@click.option('--estimate', is_flag=True,
+              help='Advance a finer run beside, which measures the error of the tip.')
+@click.option('--name', default='arm', show_default=True, help='First part of all names in C.')
+@click.option('--set', 'settings', multiple=True, metavar='NAME=VALUE',
+              help='A parameter that differs from the scene; several may follow.')
+def export_c(scene: str, output: str, target: str, estimate: bool, name: str,
+             settings: tuple[str, ...]) -> None:
+    r"""
+    Write SCENE, a parameter file or the name of an installed scene, as a C library.
+
+    \b
+        timo_sim export-c paper -o paper_in_c
+        cmake -S paper_in_c -B paper_in_c/build && cmake --build paper_in_c/build
+        paper_in_c/build/main
+
+    The folder gets arm.h, arm.o, main.c and CMakeLists.txt. The object file needs no Python and no
+    other library.
+    """
+    from timo_sim.export.c import export_c
+    from timo_sim.scene.scene import load_scene
+    folder = export_c(load_scene(scene, parse_settings(settings)), output, target, estimate, name)
+    click.echo(f'{folder} is written: {name}.h, {name}.o, main.c, CMakeLists.txt')
+
+
+@main.command()
 @click.argument('file', type=click.Path())
 def info(file: str) -> None:
     r"""

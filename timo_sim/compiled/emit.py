@@ -265,6 +265,7 @@ def _define_function(function, name):
 
 _define_function(functions.floor, 'floor')
 _define_function(functions.magnitude, 'fabs')
+_define_function(functions.square_root, 'sqrt')
 
 
 @infer_global(functions.where)

@@ -252,6 +252,11 @@ def magnitude(value: Any) -> Any:
     return abs(value)
 
 
+def square_root(value: Any) -> Any:
+    """Return the square root."""
+    return math.sqrt(value)
+
+
 def where(condition: Any, yes: Any, no: Any) -> Any:
     """Return `yes` where a condition holds, else `no`; both have been computed."""
     return yes if condition else no

@@ -26,7 +26,7 @@ from timo_sim.simulation.simulator import Simulator
 from timo_sim.steps.instance import Code
 from timo_sim.version import __version__
 
-_HEADER = Template('''\
+_HEADER = Template("""\
 /*
  * A flexible arm, exported by timo_sim $version for $target.
  *
@@ -102,9 +102,9 @@ const char *name_output_unit(int output);
 #endif
 
 #endif
-''')
+""")
 
-_MAIN = Template('''\
+_MAIN = Template("""\
 /* Run it$under and print a table. */
 #include <stdio.h>
 
@@ -133,9 +133,9 @@ $command
         fprintf(stderr, "%s\\n", name_error_text(code));
     return code;
 }
-''')
+""")
 
-_CMAKE = Template('''\
+_CMAKE = Template("""\
 cmake_minimum_required(VERSION 3.16)
 project(name C)
 
@@ -145,7 +145,7 @@ target_include_directories(name INTERFACE $${CMAKE_CURRENT_SOURCE_DIR})
 
 add_executable(main main.c)
 target_link_libraries(main name)
-''')
+""")
 
 
 def export_c(scene: SceneLike, folder: Path | str, target: str = 'host', estimate: bool = False,

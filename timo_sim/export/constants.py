@@ -67,6 +67,10 @@ def refuse(scene: Scene, estimate: bool) -> None:
     check(scene.build().sectors and values['model.axial_modes'], 'model.axial_modes',
           '0 with one axis held and a shaft that turns',
           'the linear parts would take tens of megabytes')
+    if estimate and scene.build().sectors:
+        raise ParameterError('estimate must be false with one axis of the carrier held and a '
+                             'shaft that turns: linear parts of a finer model with an axial mode '
+                             'would take tens of megabytes')
     if estimate and not can_refine(scene):
         raise ParameterError('estimate must be false for a scene with model.static_modes and '
                              'initial modal coordinates, which has no finer one')

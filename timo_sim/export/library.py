@@ -27,7 +27,7 @@ from timo_sim.model.functions import tip_once
 from timo_sim.model.layout import LOADS
 from timo_sim.steps import instance as steps
 from timo_sim.steps.etdrk4 import advance
-from timo_sim.steps.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED, STEPS
+from timo_sim.steps.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED
 
 _POINTER, _WORD, _INT, _REAL = ir.PointerType(), ir.IntType(64), ir.IntType(32), ir.DoubleType()
 _ALIGNMENT = 8  # of the memory of an instance [B]
@@ -172,15 +172,18 @@ class _Body:
             first, tries = builder.block, builder.append_basic_block()
             builder.branch(tries)
             builder.position_at_end(tries)
-            number = builder.phi(_WORD)
+            number, tried = builder.phi(_WORD), builder.phi(_WORD)
             number.add_incoming(part, first)
+            tried.add_incoming(self.word(1), first)
             tables = self.at(places[0], builder.mul(number, self.word(model.tables[0].length)))
             good = self.call(model, steps.is_valid, [
                 (model.tables[0], tables), self.own(model, instance)])
             following = builder.urem(builder.add(number, self.word(1)), self.word(model.parts))
             number.add_incoming(following, builder.block)
+            tried.add_incoming(builder.add(tried, self.word(1)), builder.block)
             found = builder.append_basic_block()
-            builder.cbranch(self.equal(good, 0), tries, found)
+            more = builder.icmp_signed('<', tried, self.word(model.parts))
+            builder.cbranch(builder.and_(self.equal(good, 0), more), tries, found)
             builder.position_at_end(found)
             builder.store(number, self.mark(instance, PART))
             places = [tables, self.at(places[1], builder.mul(

@@ -17,13 +17,13 @@ away. No trial depends on earlier steps, so that it does not matter how many ste
 once. Time in a step runs from 0 to 1 here, so that the rate of a speed has its unit.
 """
 
-import math
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from timo_sim.compiled.constants import pack
-from timo_sim.compiled.functions import Array, Call, Constants, entry_point, inner, local
+from timo_sim.compiled.functions import (
+    Array, Call, Constants, entry_point, inner, local, square_root)
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import linear_part_is_valid, observe
 from timo_sim.model.layout import AFTER, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TORQUE
@@ -181,7 +181,8 @@ def _follow(joints, start_speed, drift, bend, speed_per_mean, bend_per_slope, fr
             rate[i] = drift[i] + (0.5 - left) * bend[i]
             for j in range(JOINTS):
                 rate[i] += speed_per_mean[i, j] * friction[j]
-            falling = math.sqrt(rate[i] * rate[i] - 2.0 * bend[i] * speed[i]) - direction[i] * rate[i]
+            falling = (square_root(rate[i] * rate[i] - 2.0 * bend[i] * speed[i])
+                       - direction[i] * rate[i])
             until = 2.0 * direction[i] * speed[i] / falling
             if joints.limit[i] * abs(direction[i]) > 0.0 and falling > 0.0 and until < span:
                 span, stops = until, i

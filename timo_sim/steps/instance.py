@@ -14,12 +14,11 @@ saved states, see `export`. All return one of `Code`.
 """
 
 from enum import IntEnum
-import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.functions import Array, Constants, entry_point, floor, strict
+from timo_sim.compiled.functions import Array, Constants, entry_point, floor, square_root, strict
 from timo_sim.model.functions import linear_part_is_valid, sincos
 from timo_sim.model.layout import (
     ACCELERATION, AFTER, ANGLE, END, LOADS, SPEED, STAGES, STEP_LOADS, TORQUE, VOLTAGE)
@@ -277,7 +276,7 @@ def set_place(instance):
 def compare(instance, other):
     """Note the distance from the tip of the finer run."""
     x, y = instance.place[0] - other[0], instance.place[1] - other[1]
-    distance = math.sqrt(x * x + y * y)
+    distance = square_root(x * x + y * y)
     if not distance <= instance.error[0]:
         instance.error[0] = distance
     return _OK

@@ -11,6 +11,7 @@
 int main(void)
 {
     double *memory = malloc(arm_size()), state[ARM_STATE_SIZE], outputs[ARM_OUTPUTS], value;
+    double shown[ARM_STATE_SIZE];
     arm *instance = (arm *)memory;
     int code = arm_create(memory, arm_size()), input;
     long steps;
@@ -32,9 +33,9 @@ int main(void)
                 printf("%a ", outputs[k]);
             printf("\n");
         } else if (what == 'w') {
-            code = arm_get_state(instance, state);
+            code = arm_get_state(instance, shown);
             for (int k = 0; k < ARM_STATE_SIZE; ++k)
-                printf("%a ", state[k]);
+                printf("%a ", shown[k]);
             printf("\n");
         }
         if (code != ARM_OK) {

@@ -1,0 +1,258 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""A scene in C: the bits of `Simulator`, bad calls, what is refused, other processors."""
+
+import ctypes
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+import timo_sim
+from timo_sim.export.constants import interface_of
+from timo_sim.model.layout import LOADS
+from timo_sim.scene.loads import CHANNELS
+
+RUN, ABUSE = ('test/data/run_arm.c', 'test/data/abuse_arm.c')
+CC = shutil.which('cc')
+pytestmark = pytest.mark.skipif(CC is None, reason='needs a C compiler')
+NO_LOADS = {f'load.{channel}.{kind}': () for channel in CHANNELS for kind in (
+    'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
+    'piecewise.value', 'table.time', 'table.value')}
+# Scenes of which every number is computed by the same code as in Python.
+SAME = {
+    'free': {},
+    'held': {'carrier.held': 'both', 'initial.shaft_velocity': 3.0},
+    'locked': {'motor.shaft': 'locked', 'initial.carrier_x_velocity': 0.5},
+    'gravity': {'gravity': [0.0, -9.81], 'arm.damping_ratio': [0.01]},
+    'viscous': {'motor.viscous_friction': 0.1, 'carrier.viscous_friction': 2.0},
+    'smooth': {'motor.coulomb_friction': 0.2, 'motor.coulomb_speed': 0.1},
+    'newton': {'model.formulation': 'newton', 'initial.shaft_velocity': 2.0},
+    'axial': {'model.axial_modes': 1, 'initial.shaft_velocity': 5.0},
+    'rigid': {'model.modes': 0},
+    'many modes': {'model.modes': 12},
+    'push': {'push.position': 0.5},
+    'sectors': {'carrier.held': 'x', 'initial.shaft_velocity': 20.0},
+    'limits': {'motor.torque_limit': 0.5, 'carrier.force_limit': 1.0},
+    'dc motor': {'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5,
+                 'motor.dc.voltage_limit': 1.0},
+    'piecewise': {'load.torque.piecewise.time': [0.0, 0.02, 0.05],
+                  'load.torque.piecewise.value': [1.0, -1.0, 0.5]},
+    # Knots on and between steps, a jump.
+    'table': {'load.force_x.table.time': [0.001, 0.0105, 0.03, 0.03, 0.0717],
+              'load.force_x.table.value': [0.0, 3.0, -1.0, 1.0, 0.0]},
+}
+# Scenes with sines or polynomials that differ from NumPy's in the last bit.
+NEAR = {
+    'harmonic': {'load.torque.harmonic.amplitude': [5.0, 2.0],
+                 'load.torque.harmonic.frequency': [3.0, 7.0]},
+    'driven': {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.0303, 0.05],
+               'motor.drive.angle': [0.0, 0.5, 1.0], 'motor.drive.speed': [0.0, 30.0, 10.0],
+               'motor.drive.acceleration': [0.0, 100.0, 0.0]},
+}
+
+
+def scene_of(changes):
+    return timo_sim.load_scene('paper', {**NO_LOADS, **changes})
+
+
+def compile_program(source, folder, *options):
+    """Return the program of a C source and the object file in a folder."""
+    program = folder / 'program'
+    subprocess.run([CC, '-std=c99', '-Wall', '-Wextra', '-Werror', *options, f'-I{folder}', '-o',
+                    program, source, folder / 'arm.o', '-lm'], check=True)
+    return program
+
+
+def run_program(program, lines):
+    """Return the numbers that the program of RUN prints, a row for each line."""
+    found = subprocess.run([program], input='\n'.join(lines), text=True, check=True,
+                           stdout=subprocess.PIPE).stdout
+    return [[float.fromhex(word) for word in line.split()] for line in found.splitlines()]
+
+
+def compare(scene, folder, calls=30):
+    """
+    Run a scene in C and in Python under the same random commands.
+
+    Returns states and motions in C, then in Python, and the deflections of both.
+    """
+    program = compile_program(RUN, folder)
+    simulator, random = timo_sim.Simulator(scene), np.random.default_rng(1)
+    lines, states, motions, tips = [], [], [], []
+    for _ in range(calls):
+        commanded = np.zeros(LOADS)
+        for number, each in enumerate(interface_of(scene, False).inputs):
+            commanded[each.column] = random.normal()
+            lines.append(f'i {number} {commanded[each.column].hex()}')
+        count = int(random.integers(1, 9))
+        lines += [f's {count}', 'w', 'o']
+        simulator.advance(count, commanded)
+        states.append(simulator._state.copy())
+        motions.append(simulator.motion.values)
+        tips.append(simulator.deflection)
+    found = run_program(program, lines)
+    state, output = np.array(found[0::2]), np.array(found[1::2])
+    modes = len(simulator.model.modes)
+    # The order of a motion: positions, modal coordinates, rates of both.
+    order = [1, 2, 3, *range(13, 13 + modes), 4, 5, 6, *range(13 + modes, 13 + 2 * modes)]
+    np.testing.assert_allclose(output[-1, 0], simulator.t, rtol=1e-15)
+    return (state[:, 3 + 2 * LOADS:], output[:, order], np.array(states), np.array(motions),
+            output[:, 10:12], np.array(tips))
+
+
+@pytest.mark.parametrize('name', SAME)
+def test_bits(name, tmp_path):
+    """Motions in C are those of Simulator, and the object file refers to nothing else."""
+    scene = scene_of(SAME[name])
+    timo_sim.export_c(scene, tmp_path)
+    found = subprocess.run(['nm', '-u', tmp_path / 'arm.o'], check=True, stdout=subprocess.PIPE)
+    assert found.stdout == b''
+    state, motion, states, motions, tip, tips = compare(scene, tmp_path)
+    assert np.ptp(motions, axis=0).max() > 1e-3  # something moves
+    np.testing.assert_array_equal(state, states)
+    np.testing.assert_array_equal(motion, motions)
+    np.testing.assert_array_equal(tip, tips)
+
+
+@pytest.mark.parametrize('name', NEAR)
+def test_motions_under_loads_with_sines_or_polynomials(name, tmp_path):
+    scene = scene_of(NEAR[name])
+    timo_sim.export_c(scene, tmp_path)
+    _, motion, _, motions, *_ = compare(scene, tmp_path)
+    # Round-off of loads, which a run of some hundred steps hands on.
+    np.testing.assert_allclose(motion, motions, rtol=0.0, atol=1e-13 * np.abs(motions).max())
+
+
+@pytest.mark.parametrize('target', ['x86-64-v2', 'x86-64-v3'])
+def test_other_processors_differ_by_round_off(target, tmp_path):
+    scene = scene_of({'model.modes': 5})
+    timo_sim.export_c(scene, tmp_path, target)
+    assert b'' == subprocess.run(['nm', '-u', tmp_path / 'arm.o'], check=True,
+                                 stdout=subprocess.PIPE).stdout
+    _, motion, _, motions, *_ = compare(scene, tmp_path)
+    np.testing.assert_allclose(motion, motions, rtol=0.0, atol=1e-12 * np.abs(motions).max())
+
+
+def test_code_for_aarch64(tmp_path):
+    """Its ELF header has the machine EM_AARCH64, 183."""
+    timo_sim.export_c(scene_of({}), tmp_path, 'aarch64')
+    content = (tmp_path / 'arm.o').read_bytes()
+    assert content[:4] == b'\x7fELF' and int.from_bytes(content[18:20], 'little') == 183
+    assert b'' == subprocess.run(['nm', '-u', tmp_path / 'arm.o'], check=True,
+                                 stdout=subprocess.PIPE).stdout
+
+
+def test_saved_state_goes_on_to_the_bit(tmp_path):
+    """Also of the finer run; and a reset begins anew."""
+    timo_sim.export_c('paper', tmp_path, estimate=True)
+    begin, going_on = ['i 4 0.7', 's 20'], ['w', 's 15', 'o', 'w']
+    found = run_program(compile_program(RUN, tmp_path), [
+        *begin, 'g', *going_on, 'i 4 -1', 's 40', 'p', *going_on, 'r', *begin, *going_on])
+    first, again, anew = (found[k:k + 3] for k in (0, 3, 6))
+    assert first == again == anew
+
+
+def test_estimated_error(tmp_path):
+    """It is that of Simulator, up to the round-off of two positions of the tip, about 1 m."""
+    scene = timo_sim.load_scene('paper')
+    timo_sim.export_c(scene, tmp_path, estimate=True)
+    simulator, torque = timo_sim.Simulator(scene, estimate=True), np.zeros(LOADS)
+    torque[4], errors = 2.0, []
+    for _ in range(100):
+        simulator.advance(1, torque)
+        errors.append(simulator.estimated_error)
+    found = run_program(compile_program(RUN, tmp_path), ['i 4 2.0', *100 * ['s 1', 'o']])
+    assert errors[-1] > 1e-8
+    np.testing.assert_allclose([row[-1] for row in found], errors, rtol=0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize('changes, estimate', [
+    ({}, False), ({}, True), ({'carrier.held': 'y'}, False),
+    ({'motor.shaft': 'locked', 'model.formulation': 'newton'}, False)])
+def test_bad_calls_return_codes(changes, estimate, tmp_path):
+    timo_sim.export_c(scene_of(changes), tmp_path, estimate=estimate)
+    check = ['-fsanitize=address,undefined'] if subprocess.run(
+        [CC, '-fsanitize=address,undefined', '-x', 'c', '-', '-o', tmp_path / 'tried'],
+        input=b'int main(void) { return 0; }', capture_output=True).returncode == 0 else []
+    found = subprocess.run([compile_program(ABUSE, tmp_path, '-g', *check)], text=True,
+                           capture_output=True)
+    assert (found.stdout, found.stderr, found.returncode) == ('', '', 0)
+
+
+def test_instances_are_independent(tmp_path):
+    """Two instances that take turns do what each does alone; names and units of a library."""
+    timo_sim.export_c(scene_of({}), tmp_path, name='plant')
+    shared = tmp_path / 'libplant.so'
+    subprocess.run([CC, '-shared', '-o', shared, tmp_path / 'plant.o'], check=True)
+    library = ctypes.CDLL(shared)
+    library.plant_size.restype = ctypes.c_size_t
+    library.plant_step.argtypes = [ctypes.c_void_p, ctypes.c_int64]
+    library.plant_set_input.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_double]
+    library.plant_output_unit.restype = library.plant_input_name.restype = ctypes.c_char_p
+    size = library.plant_size()
+    assert library.plant_input_name(4) == b'torque' and library.plant_output_unit(3) == b'rad'
+
+    def make(torque):
+        instance = (ctypes.c_double * (size // 8))()
+        assert library.plant_create(instance, ctypes.c_size_t(size)) == 0
+        assert library.plant_set_input(instance, 4, torque) == 0
+        return instance
+
+    together, alone = [make(1.0), make(-2.0)], [make(1.0), make(-2.0)]
+    for _ in range(20):
+        for each in together:
+            assert library.plant_step(each, 1) == 0
+    for each, other in zip(alone, together):
+        assert library.plant_step(each, 20) == 0
+        assert bytes(each) == bytes(other)
+
+
+def test_example_builds_and_runs(tmp_path):
+    """What the command prints and writes; CMake builds it."""
+    from click.testing import CliRunner
+    from timo_sim.cli import main
+    found = CliRunner().invoke(main, [
+        'export-c', 'paper', '-o', str(tmp_path), '--set', 'model.modes=2'])
+    assert found.exit_code == 0, found.output
+    if shutil.which('cmake'):
+        for command in (['cmake', '-S', tmp_path, '-B', tmp_path / 'build'],
+                        ['cmake', '--build', tmp_path / 'build']):
+            subprocess.run(command, check=True, capture_output=True)
+        program = tmp_path / 'build' / 'main'
+    else:
+        program = compile_program(tmp_path / 'main.c', tmp_path)
+    rows = subprocess.run([program], check=True, text=True,
+                          stdout=subprocess.PIPE).stdout.splitlines()
+    assert rows[0].split()[:2] == ['time', 'shaft'] and len(rows) == 22
+    simulator = timo_sim.Simulator(timo_sim.load_scene('paper', {'model.modes': 2}))
+    motion = simulator.step(torque=1.0, duration=2.0)
+    assert float(rows[-1].split()[1]) == pytest.approx(motion.shaft, rel=1e-8)
+
+
+@pytest.mark.parametrize('changes, message', [
+    ({'motor.coulomb_friction': 0.1}, 'motor.coulomb_friction must be 0'),
+    ({'carrier.coulomb_friction': 0.1}, 'carrier.coulomb_friction must be 0'),
+    ({'payload.time': [1.0], 'payload.mass': [1.0], 'payload.inertia': [0.0]}, 'payload.time'),
+    ({'sensor.encoder.noise': 0.1}, 'sensor.encoder.noise must be 0'),
+    ({'motor.torque_rate_limit': 3.0}, 'motor.torque_rate_limit must be .inf'),
+    ({'model.accuracy': 1e-5}, 'model.accuracy must be 0'),
+    ({'carrier.held': 'x', 'model.axial_modes': 1}, 'model.axial_modes must be 0')])
+def test_refused(changes, message, tmp_path):
+    with pytest.raises(timo_sim.ParameterError, match=message):
+        timo_sim.export_c(scene_of(changes), tmp_path / 'arm')
+    assert not (tmp_path / 'arm').exists()
+
+
+@pytest.mark.parametrize('options, message', [
+    ({'target': 'pdp11'}, 'target must be host, x86-64-v2'), ({'name': 'my arm'}, 'name must be')])
+def test_bad_options(options, message, tmp_path):
+    with pytest.raises(timo_sim.ParameterError, match=message):
+        timo_sim.export_c('paper', tmp_path, **options)
