@@ -10,17 +10,23 @@
 """A scene in C: the bits of `Simulator`, bad calls, what is refused, other processors."""
 
 import ctypes
+import os
+from pathlib import Path
+import re
 import shutil
 import subprocess
+import sys
 
 import numpy as np
 import pytest
 import timo_sim
 from timo_sim.export.constants import interface_of
-from timo_sim.model.layout import LOADS
+from timo_sim.model.layout import LOADS, place
 from timo_sim.scene.loads import CHANNELS
+from timo_sim.steps.instance import SAVED
 
-RUN, ABUSE = ('test/data/run_arm.c', 'test/data/abuse_arm.c')
+ROOT = Path(__file__).resolve().parents[1]
+RUN, ABUSE = (ROOT / 'test/data' / name for name in ('run_arm.c', 'abuse_arm.c'))
 CC = shutil.which('cc')
 pytestmark = pytest.mark.skipif(CC is None, reason='needs a C compiler')
 NO_LOADS = {f'load.{channel}.{kind}': () for channel in CHANNELS for kind in (
@@ -49,8 +55,10 @@ SAME = {
     'table': {'load.force_x.table.time': [0.001, 0.0105, 0.03, 0.03, 0.0717],
               'load.force_x.table.value': [0.0, 3.0, -1.0, 1.0, 0.0]},
 }
-# Scenes with sines or polynomials that differ from NumPy's in the last bit.
+# Scenes with sines, polynomials or moments that differ from NumPy's in the last bit.
 NEAR = {
+    'rate limits': {'motor.torque_rate_limit': 150.0, 'carrier.force_rate_limit': 400.0,
+                    'motor.torque_limit': 1.5},
     'harmonic': {'load.torque.harmonic.amplitude': [5.0, 2.0],
                  'load.torque.harmonic.frequency': [3.0, 7.0]},
     'driven': {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.0303, 0.05],
@@ -102,9 +110,9 @@ def compare(scene, folder, calls=30):
     state, output = np.array(found[0::2]), np.array(found[1::2])
     modes = len(simulator.model.modes)
     # The order of a motion: positions, modal coordinates, rates of both.
-    order = [1, 2, 3, *range(13, 13 + modes), 4, 5, 6, *range(13 + modes, 13 + 2 * modes)]
+    order = [1, 2, 3, *range(20, 20 + modes), 4, 5, 6, *range(20 + modes, 20 + 2 * modes)]
     np.testing.assert_allclose(output[-1, 0], simulator.t, rtol=1e-15)
-    return (state[:, 3 + 2 * LOADS:], output[:, order], np.array(states), np.array(motions),
+    return (state[:, SAVED:], output[:, order], np.array(states), np.array(motions),
             output[:, 10:12], np.array(tips))
 
 
@@ -123,12 +131,50 @@ def test_bits(name, tmp_path):
 
 
 @pytest.mark.parametrize('name', NEAR)
-def test_motions_under_loads_with_sines_or_polynomials(name, tmp_path):
+def test_motions_under_loads_with_round_off(name, tmp_path):
     scene = scene_of(NEAR[name])
     timo_sim.export_c(scene, tmp_path)
     _, motion, _, motions, *_ = compare(scene, tmp_path)
     # Round-off of loads, which a run of some hundred steps hands on.
     np.testing.assert_allclose(motion, motions, rtol=0.0, atol=1e-13 * np.abs(motions).max())
+
+
+FORCES = {
+    **{name: SAME[name] for name in ('held', 'gravity', 'smooth', 'axial', 'rigid', 'sectors',
+                                     'dc motor')}, **NEAR,
+    'driven newton': {**NEAR['driven'], 'model.formulation': 'newton'},
+    'root stress': {'model.formulation': 'newton_root_stress', 'motor.shaft': 'locked',
+                    'carrier.held': 'y'},
+    'rigid axial': {'model.formulation': 'newton_rigid_axial', 'carrier.held': 'x',
+                    'push.position': 0.4, 'gravity': [1.0, -9.0]},
+    'all held': {'carrier.held': 'both', 'model.axial_modes': 1, 'motor.shaft': 'locked',
+                 'push.position': 0.7, 'gravity': [1.0, 2.0], 'arm.damping_ratio': [0.02]}}
+
+
+@pytest.mark.parametrize('name', FORCES)
+def test_sensors_forces_and_energy(name, tmp_path):
+    """They are those of a Snapshot; accelerations of both are differences, good to some 1e-8."""
+    scene, random = scene_of(FORCES[name]), np.random.default_rng(2)
+    timo_sim.export_c(scene, tmp_path)
+    simulator, lines, wanted = timo_sim.Simulator(scene), [], []
+    for _ in range(12):
+        commanded = np.zeros(LOADS)
+        for number, each in enumerate(interface_of(scene, False).inputs):
+            commanded[each.column] = random.normal()
+            lines.append(f'i {number} {commanded[each.column].hex()}')
+        lines += ['s 7', 'o']
+        simulator.advance(7, commanded)
+        now = simulator.snapshot()
+        x, y, theta = now.joint_positions
+        along, across, rotation = now.tip
+        wanted.append([*place(x, y, theta, along, across), theta + rotation, now.tip_turning,
+                       *now.tip_acceleration, now.root_strain, *now.effort, now.energy])
+    found = np.array(run_program(compile_program(RUN, tmp_path), lines))
+    outputs, wanted = found[:, [7, 8, 9, *range(12, 20)]], np.array(wanted)
+    close = np.abs(outputs - wanted).max(axis=0) / np.abs(wanted).max(axis=0)
+    exact = [0, 1, 2, 3, 10]
+    assert close[exact].max() < 1e-13
+    assert close.max() < 1e-6
 
 
 @pytest.mark.parametrize('target', ['x86-64-v2', 'x86-64-v3'])
@@ -237,12 +283,31 @@ def test_example_builds_and_runs(tmp_path):
     assert float(rows[-1].split()[1]) == pytest.approx(motion.shaft, rel=1e-8)
 
 
+@pytest.mark.skipif(shutil.which('cmake') is None, reason='needs CMake')
+def test_page(tmp_path):
+    """The commands of doc/export.md and its program, literally."""
+    page = (ROOT / 'doc/export.md').read_text()
+    commands, = re.findall(r'^```\n(.*?)^```', page, re.DOTALL | re.MULTILINE)
+    more = re.findall(r'`(cc [^`]*)`', page)
+    assert len(more) == 2
+    script = commands.replace('timo_sim ', f'{sys.executable} -m timo_sim ')
+    found = subprocess.run(['sh', '-ec', '\n'.join([script, *more])], cwd=tmp_path, text=True,
+                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                           env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert found.returncode == 0, found.stdout
+    assert 'tip_transverse' in found.stdout
+    program, = re.findall(r'^```c\n(.*?)^```', page, re.DOTALL | re.MULTILINE)
+    (tmp_path / 'program.c').write_text(program)
+    (tmp_path / 'arm.o').write_bytes((tmp_path / 'paper_in_c/arm.o').read_bytes())
+    (tmp_path / 'arm.h').write_bytes((tmp_path / 'paper_in_c/arm.h').read_bytes())
+    subprocess.run([compile_program(tmp_path / 'program.c', tmp_path)], check=True)
+
+
 @pytest.mark.parametrize('changes, message', [
     ({'motor.coulomb_friction': 0.1}, 'motor.coulomb_friction must be 0'),
     ({'carrier.coulomb_friction': 0.1}, 'carrier.coulomb_friction must be 0'),
     ({'payload.time': [1.0], 'payload.mass': [1.0], 'payload.inertia': [0.0]}, 'payload.time'),
     ({'sensor.encoder.noise': 0.1}, 'sensor.encoder.noise must be 0'),
-    ({'motor.torque_rate_limit': 3.0}, 'motor.torque_rate_limit must be .inf'),
     ({'model.accuracy': 1e-5}, 'model.accuracy must be 0'),
     ({'carrier.held': 'x', 'model.axial_modes': 1}, 'model.axial_modes must be 0')])
 def test_refused(changes, message, tmp_path):

@@ -23,24 +23,25 @@ from timo_sim.steps import etdrk4, friction, instance, lanes
 
 def entries() -> list[tuple[Any, tuple[type, ...]]]:
     """Return the entry points and the kinds of their constants."""
-    found = [(entry, (modes.UniformArm,))
-             for entry in (modes.bisect, modes.boundary_conditions, modes.fields)]
-    own = instance.Instance
-    found += [(entry, (instance.Plant, own))
-              for entry in (instance.reset, instance.finish, instance.set_outputs)]
-    found += [(entry, (own,)) for entry in (
+    found: list[tuple[Any, tuple[type, ...]]] = [
+        (entry, (modes.UniformArm,))
+        for entry in (modes.bisect, modes.boundary_conditions, modes.fields)]
+    for tables, forces in ((exact_code.Tables, exact_code.Tables),
+                           (newton.Tables, newton.Forces)):
+        step, own = (tables, etdrk4.Propagator), (instance.Plant, instance.Instance)
+        found += [
+            (functions.rate_once, (tables,)), (functions.tip_once, (tables,)),
+            (etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
+            *((entry, (*step, lanes.LaneConstants))
+              for entry in (lanes.advance_alike, lanes.advance_each)),
+            (instance.is_valid, (tables, instance.Instance)),
+            (instance.set_rates, (tables, *own)), (instance.set_forces, (forces, *own))]
+    found.append((instance.prepare, (instance.SceneLoads, instance.Instance)))
+    found += [(entry, own) for entry in (instance.reset, instance.finish, instance.set_outputs)]
+    return found + [(entry, (instance.Instance,)) for entry in (
         instance.set_input, instance.get_input, instance.set_place, instance.compare,
         instance.lose, instance.get_output, instance.get_outputs, instance.get_state,
         instance.check_state, instance.set_state)]
-    found.append((instance.prepare, (instance.SceneLoads, own)))
-    for tables in (exact_code.Tables, newton.Tables):
-        step = tables, etdrk4.Propagator
-        found += [
-            (functions.rate_once, (tables,)), (functions.tip_once, (tables,)),
-            (instance.is_valid, (tables, own)), (etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
-            *((entry, (*step, lanes.LaneConstants))
-              for entry in (lanes.advance_alike, lanes.advance_each))]
-    return found
 
 
 def write(folder: Path) -> None:

@@ -8,7 +8,10 @@
 
 """Time of a step, of a run and of what surrounds it; cost against N, n_g and horizon."""
 
+import ctypes
 import os
+from pathlib import Path
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -99,11 +102,39 @@ def rows():
     prepared = Prepared(scene)
     compiled = timed(lambda: prepared.run(every=1), units=1)
     compared = timed(lambda: timo_sim.simulate(scene, 10.0), units=1)
-    return [*found, (
+    return [*found, exported(), (
         '10 s of the paper, 10 ms, every step sampled', '2 ms', compiled.shown(1e-3, 'ms'),
         compiled.middle <= 2e-3, 'the compiled part'), (
         'the same with its error, measured by a finer run', '', compared.shown(1e-3, 'ms'), None,
         'what `simulate` does unless it is told not to')]
+
+
+def exported():
+    """Return the row of a step in C, beside one of `Simulator.advance`."""
+    name = 'a step of `exact`, N = 3, in C by `export-c`'
+    if shutil.which('cc') is None:
+        return name, '', 'no C compiler', None, ''
+    scene, simulator = paper(), timo_sim.Simulator(paper())
+    with tempfile.TemporaryDirectory() as folder:
+        shared = Path(timo_sim.export_c(scene, folder), 'libarm.so')
+        subprocess.run(['cc', '-shared', '-o', shared, Path(folder, 'arm.o')], check=True)
+        library = ctypes.CDLL(str(shared))
+    library.arm_size.restype = ctypes.c_size_t
+    size = library.arm_size()
+    memory = (ctypes.c_double * (size // 8))()
+    assert library.arm_create(memory, ctypes.c_size_t(size)) == 0
+    count, single = ctypes.c_int64(STEPS), ctypes.c_int64(1)
+    assert library.arm_step(memory, single) == 0
+    value = ctypes.c_double()
+    assert library.arm_get_output(memory, 3, ctypes.byref(value)) == 0
+    simulator.advance(1)
+    assert abs(value.value - simulator.motion.shaft) < 1e-15  # the same up to a sine of the load
+    in_c, together = timed(lambda: library.arm_step(memory, count),
+                           lambda: simulator.advance(STEPS), units=STEPS)
+    one = timed(lambda: [simulator.advance(1) for _ in range(STEPS)], units=STEPS)
+    return (name, '', in_c.shown(1e-9, 'ns'), None,
+            f'`Simulator.advance`: {1e9 * together.middle:.0f} ns for each of {STEPS} steps at '
+            f'once, {1e9 * one.middle:.0f} ns for one at a time')
 
 
 def around(quick):

@@ -62,8 +62,6 @@ def refuse(scene: Scene, estimate: bool) -> None:
         if name.startswith('sensor.') and name != 'sensor.seed':
             check(values[name] != parameter.default, name, str(parameter.default),
                   'outputs of the C code are exact')
-        if name.endswith('_rate_limit'):
-            check(np.isfinite(values[name]), name, '.inf', 'commands act at once in the C code')
     check(scene.build().sectors and values['model.axial_modes'], 'model.axial_modes',
           '0 with one axis held and a shaft that turns',
           'the linear parts would take tens of megabytes')
@@ -96,6 +94,14 @@ def interface_of(scene: Scene, estimate: bool) -> Interface:
         Quantity('tip_axial', 'm', 'deflection of the tip along the arm'),
         Quantity('tip_transverse', 'm', 'deflection of the tip across the arm'),
         Quantity('tip_turning', 'rad/s', 'angular velocity of the end effector; a gyro'),
+        Quantity('tip_acceleration_x', 'm/s2', 'specific force (acceleration less gravity) of the '
+                 'tip, along its axis; an accelerometer'),
+        Quantity('tip_acceleration_y', 'm/s2', 'specific force of the tip, across its axis'),
+        Quantity('root_strain', '', 'strain of the outer fibre at the root'),
+        Quantity('carrier_x_force', 'N', 'force of loads along world x, of what holds it if held'),
+        Quantity('carrier_y_force', 'N', 'force of loads along world y, of what holds it if held'),
+        Quantity('shaft_torque', 'N m', 'torque of loads, of what holds or drives it if not free'),
+        Quantity('energy', 'J', 'kinetic plus strain energy and the potential of gravity'),
         *(Quantity(f'mode_{n}', 'm sqrt(kg)', 'modal coordinate') for n in modes),
         *(Quantity(f'mode_{n}_rate', 'm sqrt(kg)/s', 'its rate') for n in modes)]
     if estimate:
@@ -107,10 +113,24 @@ def interface_of(scene: Scene, estimate: bool) -> Interface:
 def plant_of(simulator: Simulator) -> Packed:
     """Return the constants of a model and its start."""
     scene, model = simulator.scene, simulator.model
-    return pack(Plant(
+    body = model.manipulator
+    return pack(Plant._make([
         scene.step, model.manipulator.arm.length, MOST_BENT * model.manipulator.arm.length,
-        model.tip_travel[3:], model.points.rotation[:, -1],
-        model.state(scene.initial_motion(model)), simulator.load))
+        model.tip_travel[3:], model.points.rotation[:, -1], model.points.rotation, model.gravity,
+        model.linear, model.constrained, body.shaft_inertia,
+        np.array([body.shaft_friction, *body.coulomb[1]]), *_strains(model),
+        model.state(scene.initial_motion(model)), simulator.load]))
+
+
+def _strains(model):
+    # Strain of the outer fibre at the root, which is linear, by moment, modes and their rates.
+    motions = np.zeros((model.size, model.size))
+    half, count, none = model.size // 2, len(model.modes), np.zeros(model.size)
+    motions[range(count), range(3, half)] = 1.0
+    motions[range(count, 2 * count), range(half + 3, model.size)] = 1.0
+    by_motion = model.strain(motions, 0.0, none)
+    by_moment = model.strain(np.zeros((1, model.size)), 0.0, np.ones(1))
+    return by_moment[0], by_motion[:count], by_motion[count:2 * count]
 
 
 def scene_loads_of(scene: Scene) -> Packed:
@@ -139,13 +159,15 @@ def scene_loads_of(scene: Scene) -> Packed:
         time, polynomials = np.array(drive.time), drive.polynomials()
         kinks += _kinks(drive, ANGLE, drive.time, step)
     kinks.sort(key=lambda kink: kink[0])  # of equal steps in the order of terms
+    rates = [scene.values[each.rate_limit] if each.rate_limit else np.inf for each in INPUTS]
+    rate = np.where(np.isfinite(rates), rates, 0.0)
     column, amplitude, frequency, phase = _columns(harmonics, 4)
     kink_step, kink_column, *change = _columns(kinks, 2 + STAGES)
-    return pack(SceneLoads(
-        step, actuators.gain, actuators.limit, column, amplitude, frequency, phase,
+    return pack(SceneLoads._make([
+        step, actuators.gain, actuators.limit, rate, column, amplitude, frequency, phase,
         *_columns(pieces, 3), *np.concatenate(jumps).T, *_columns(tables, 3),
         *np.concatenate(knots).T, time, polynomials, kink_step, kink_column,
-        np.stack(change, axis=1)))
+        np.stack(change, axis=1)]))
 
 
 def _add(parts, rows, column, first, second):

@@ -24,7 +24,7 @@ from timo_sim.compiled import machine
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.export.constants import Interface, plant_of, scene_loads_of
 from timo_sim.model.functions import tip_once
-from timo_sim.model.layout import LOADS
+from timo_sim.model.layout import LOADS, STEP_LOADS
 from timo_sim.steps import instance as steps
 from timo_sim.steps.etdrk4 import advance
 from timo_sim.steps.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED
@@ -55,11 +55,12 @@ class _Model:
         parts = [simulator.integration.part(sector).constants for sector in sectors]
         self.parts = len(parts)
         self.plant, self.loads = plant_of(simulator), scene_loads_of(scene)
-        outputs = 14 + 2 * len(model.modes)
-        room = Instance(np.zeros(5), np.zeros(LOADS), np.zeros(LOADS), np.zeros(1),
-                        *3 * [np.zeros(len(model.linear))], np.zeros((4, LOADS)),
-                        np.zeros(model.size), np.zeros(3), np.zeros(3), np.zeros(outputs))
-        self.instance = pack(room)
+        self.own, self.forces = model.packed, model.force_tables
+        outputs = steps.MODAL + 2 * len(model.modes) + 1
+        self.instance = pack(Instance._make([
+            np.zeros(6), *4 * [np.zeros(LOADS)], np.zeros(1), *3 * [np.zeros(len(model.linear))],
+            np.zeros((STEP_LOADS, LOADS)), *4 * [np.zeros(model.size)], *2 * [np.zeros(3)],
+            np.zeros(outputs)]))
         self.tables, self.propagator = (
             [each[k] for each in parts] for k in range(2))
 
@@ -233,13 +234,19 @@ class _Body:
                               self.field(finer, other, 'place')))
 
     def refresh(self):
-        """Define the function that computes the outputs of now, unless they are known."""
+        """Define the function that computes outputs up to a stage of KNOWN, if they are not."""
         own = self.models[0]
-        instance, = self.function('refresh', _WORD, _POINTER)
-        self.return_if(self.equal(self.read_mark(instance, KNOWN), 1), self.word(0))
-        self.builder.call(self.module.globals['observe.0'], [instance])
-        self.builder.ret(self.call(own, steps.set_outputs, [
-            (own.plant, self.data(own.plant)), self.own(own, instance)]))
+        instance, stage = self.function('refresh', _WORD, _POINTER, _WORD)
+        builder, known = self.builder, self.read_mark(instance, KNOWN)
+        rest = [(own.plant, self.data(own.plant)), self.own(own, instance)]
+        self.return_if(builder.icmp_signed('>=', known, stage), self.word(0))
+        with builder.if_then(self.equal(known, 0)):
+            builder.call(self.module.globals['observe.0'], [instance])
+            self.call(own, steps.set_outputs, rest)
+        with builder.if_then(self.equal(stage, 2)):
+            self.call(own, steps.set_rates, [(own.own, self.data(own.own)), *rest])
+            self.call(own, steps.set_forces, [(own.forces, self.data(own.forces)), *rest])
+        builder.ret(self.word(0))
 
     # The functions of the interface.
 
@@ -342,11 +349,15 @@ class _Body:
         own, count = self.models[0], len(self.interface.outputs)
         instance, number, value = self.public('get_output', _INT, _POINTER)
         self.fail_unless_below(number, count)
-        self.builder.call(self.module.globals['refresh'], [instance])
+        needs_forces = self.builder.icmp_unsigned(
+            '<', self.builder.sub(number, ir.Constant(_INT, steps.FORCES)),
+            ir.Constant(_INT, steps.MODAL - steps.FORCES))
+        self.builder.call(self.module.globals['refresh'], [
+            instance, self.builder.select(needs_forces, self.word(2), self.word(1))])
         self.finish(self.call(own, steps.get_output, [self.own(own, instance)],
                               self.builder.zext(number, _WORD), value))
         instance, values = self.public('get_outputs', _POINTER)
-        self.builder.call(self.module.globals['refresh'], [instance])
+        self.builder.call(self.module.globals['refresh'], [instance, self.word(2)])
         self.finish(self.call(own, steps.get_outputs, [self.own(own, instance)],
                               self.word(count), values))
 

@@ -383,6 +383,142 @@ def _tip(tables, motion, out):
         out[2] += motion[2 + i] * tables.tip_rotation[i]
 
 
+@functions.tip_rate.of(Tables)
+def _tip_rate(tables, motion, out):
+    """Write the rate of the tip's place, the integral of the slopes' rates."""
+    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
+    stretch, to_tip = as_vectors(tables.stretch), as_vectors(tables.to_tip)
+    count, nodes = rotation.shape
+    axial, rates = count - len(stretch), len(motion) // 2
+    along = 0.0
+    across = 0.0
+    for j in range(nodes):
+        phi, gamma, strain = 0.0, 0.0, 0.0
+        turning, shearing, stretching = 0.0, 0.0, 0.0
+        for i in range(1, count):
+            phi += motion[2 + i] * rotation[i, j]
+            gamma += motion[2 + i] * shear[i, j]
+            turning += motion[rates + 2 + i] * rotation[i, j]
+            shearing += motion[rates + 2 + i] * shear[i, j]
+        for i in range(axial, count):
+            strain += motion[2 + i] * stretch[i - axial, j]
+            stretching += motion[rates + 2 + i] * stretch[i - axial, j]
+        sine, cosine = sincos(phi)
+        a = cosine - gamma * sine + strain * cosine
+        b = sine + gamma * cosine + strain * sine
+        along += (cosine * stretching - b * turning - sine * shearing) * to_tip[j]
+        across += (a * turning + cosine * shearing + sine * stretching) * to_tip[j]
+    out[0] = sum_of(along, tables.to_tip)
+    out[1] = sum_of(across, tables.to_tip)
+    out[2] = 0.0
+    for i in range(1, count):
+        out[2] += motion[rates + 2 + i] * tables.tip_rotation[i]
+
+
+# Forces of constraints (T42) and energy, outside the step.
+
+@inner
+def _set_slope_rates(tables, motion, accelerations, a, b, rate_a, rate_b, second_a, second_b):
+    """Set the slopes (T23), their rates and second derivatives."""
+    rotation, shear, stretch = tables.rotation, tables.shear, tables.stretch
+    count, nodes = rotation.shape
+    axial, rates = count - len(stretch), len(motion) // 2
+    for j in range(nodes):
+        phi, gamma, strain = 0.0, 0.0, 0.0
+        turning, shearing, stretching = 0.0, 0.0, 0.0
+        turn, shearing_2, stretching_2 = 0.0, 0.0, 0.0
+        for i in range(count):
+            phi += motion[2 + i] * rotation[i, j]
+            gamma += motion[2 + i] * shear[i, j]
+            turning += motion[rates + 2 + i] * rotation[i, j]
+            shearing += motion[rates + 2 + i] * shear[i, j]
+            turn += accelerations[2 + i] * rotation[i, j]
+            shearing_2 += accelerations[2 + i] * shear[i, j]
+        for i in range(axial, count):
+            strain += motion[2 + i] * stretch[i - axial, j]
+            stretching += motion[rates + 2 + i] * stretch[i - axial, j]
+            stretching_2 += accelerations[2 + i] * stretch[i - axial, j]
+        sine, cosine = sincos(phi)
+        a[j] = cosine - gamma * sine + strain * cosine
+        b[j] = sine + gamma * cosine + strain * sine
+        rate_a[j] = cosine * stretching - b[j] * turning - sine * shearing
+        rate_b[j] = a[j] * turning + cosine * shearing + sine * stretching
+        second_a[j] = (cosine * stretching_2 - b[j] * turn - sine * shearing_2 - turning * (
+            a[j] * turning + 2.0 * (cosine * shearing + sine * stretching)))
+        second_b[j] = (a[j] * turn + cosine * shearing_2 + sine * stretching_2 - turning * (
+            b[j] * turning + 2.0 * (sine * shearing - cosine * stretching)))
+
+
+@inner
+def _about_root(tables, axis, left, right):
+    """Return left.K.right with the kernel K of the masses about the root, for x or y (T30)."""
+    kernel, centre_left, centre_right, total = tables.kernel, 0.0, 0.0, 0.0
+    number = axis if len(kernel) == 2 else 0
+    for j in range(kernel.shape[1]):
+        product = 0.0
+        for k in range(kernel.shape[1]):
+            product += kernel[number, j, k] * right[k]
+        total += left[j] * product
+        centre_left += tables.to_centre[j] * left[j]
+        centre_right += tables.to_centre[j] * right[j]
+    for k in range(len(tables.axes)):
+        if tables.axes[k] == axis:  # the kernel in the tables is about the mass centre
+            total += tables.mass * centre_left * centre_right
+    return total
+
+
+@inner
+def _dot(left, right):
+    total = 0.0
+    for j in range(len(left)):
+        total += left[j] * right[j]
+    return total
+
+
+@functions.effort.of(Tables)
+def _effort(tables, motion, accelerations, load, out):
+    """Write the rates of momentum and spin less those by loads on tip and arm."""
+    across, mass, to_centre = tables.to_centre, tables.mass, tables.to_centre
+    a, b, rate_a, rate_b = local((across,)), local((across,)), local((across,)), local((across,))
+    second_a, second_b = local((across,)), local((across,))
+    _set_slope_rates(tables, motion, accelerations, a, b, rate_a, rate_b, second_a, second_b)
+    sine, cosine = sincos(motion[2])
+    tip_x = load[TIP_X] + cosine * load[TIP_I] - sine * load[TIP_II]
+    tip_y = load[TIP_Y] + sine * load[TIP_I] + cosine * load[TIP_II]
+    out[0] = mass * (accelerations[0] + _dot(to_centre, second_a)) - tip_x
+    out[1] = mass * (accelerations[1] + _dot(to_centre, second_b)) - tip_y
+    centre_x, centre_y = _dot(to_centre, a), _dot(to_centre, b)
+    out[2] = (mass * (centre_x * accelerations[1] - centre_y * accelerations[0])
+              + _about_root(tables, 1, a, second_b) - _about_root(tables, 0, b, second_a)
+              - _dot(tables.to_tip, a) * tip_y + _dot(tables.to_tip, b) * tip_x
+              - load[TIP_TORQUE])
+    for i in range(len(tables.rotary)):
+        out[2] += tables.rotary[0, i] * accelerations[2 + i]
+    for k in range(len(tables.push)):
+        out[0] -= load[PUSH_X]
+        out[1] -= load[PUSH_Y]
+        out[2] -= _dot(tables.push[k], a) * load[PUSH_Y] - _dot(tables.push[k], b) * load[PUSH_X]
+
+
+@functions.energy.of(Tables)
+def _energy(tables, motion, gravity):
+    across, mass, to_centre = tables.to_centre, tables.mass, tables.to_centre
+    a, b, rate_a, rate_b = local((across,)), local((across,)), local((across,)), local((across,))
+    unused_a, unused_b = local((across,)), local((across,))
+    _set_slope_rates(tables, motion, motion, a, b, rate_a, rate_b, unused_a, unused_b)
+    rates, count = len(motion) // 2, len(tables.rotary)
+    x, y = motion[rates], motion[rates + 1]
+    twice = (mass * (x * x + y * y)
+             + 2.0 * mass * (x * _dot(to_centre, rate_a) + y * _dot(to_centre, rate_b))
+             + _about_root(tables, 0, rate_a, rate_a) + _about_root(tables, 1, rate_b, rate_b))
+    for i in range(count):
+        for j in range(count):
+            twice += (motion[rates + 2 + i] * tables.rotary[i, j] * motion[rates + 2 + j])
+        twice += tables.stiffness[i] * motion[2 + i] * motion[2 + i]
+    return 0.5 * twice - mass * (gravity[0] * (motion[0] + _dot(to_centre, a))
+                                 + gravity[1] * (motion[1] + _dot(to_centre, b)))
+
+
 # Axial strain (T34); these functions do nothing for an arm that does not stretch.
 
 @inner

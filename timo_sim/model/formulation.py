@@ -117,6 +117,11 @@ class Formulation(ABC):
         self.tables, self.linear = self.build()
         self.packed, self._linear_parts = self.pack(self.tables), {}
 
+    @property
+    def force_tables(self) -> Packed:
+        """Constants of the compiled functions `effort` and `energy`."""
+        return self.packed
+
     def linear_parts(self, step: float) -> dict[int | None, Any]:
         """Return the dict in which all `Steps` of a length [s] share their linear parts."""
         return self._linear_parts.setdefault(step, {})

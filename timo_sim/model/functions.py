@@ -72,6 +72,47 @@ def tip(tables, motion, out):
     """
 
 
+@declare
+def tip_rate(tables, motion, out):
+    """
+    Write the rate of what `tip` writes, components along the turning axes, shape (3,).
+
+    Parameters
+    ----------
+    tables : packed constants
+        The formulation's.
+    motion : ndarray
+    out : ndarray, shape (3,)
+        [m/s], [m/s], [rad/s]
+
+    """
+
+
+@declare
+def effort(tables, motion, accelerations, load, out):
+    """
+    Write the force on the carrier and torque on the shaft that accelerations need (T42).
+
+    Parameters
+    ----------
+    tables : packed constants
+        Those of `Formulation.force_tables`.
+    motion : ndarray
+    accelerations : ndarray, shape (3 + N,)
+        Less gravity.
+    load : ndarray, shape (LOADS,)
+        Of which those on tip and arm are used.
+    out : ndarray, shape (3,)
+        In world axes [N], then [N m].
+
+    """
+
+
+@declare
+def energy(tables, motion, gravity):
+    """Return the energy [J] as `Formulation.energy`; `tables` as in `effort`."""
+
+
 @entry_point(tables=Constants(), state=Array(('state',)), load=Array((LOADS,)),
              out=Array(('state',)))
 def rate_once(tables, state, load, out):

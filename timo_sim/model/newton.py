@@ -45,6 +45,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from timo_sim.compiled.constants import Packed
 from timo_sim.compiled.functions import inner, local, some
 from timo_sim.model import functions
 from timo_sim.model.formulation import Formulation, Points
@@ -183,6 +184,22 @@ class Newton(Formulation):
         root_x, root_y = rotate(theta, axial, shear)
         return np.column_stack([self.tables.base_mass * accelerations[:, 0] - root_x,
                                 self.tables.base_mass * accelerations[:, 1] - root_y, torque])
+
+    @cached_property
+    def force_tables(self) -> Packed:
+        """Constants of the compiled functions `effort` and `energy`."""
+        laws, deflection, rotation = self._laws, self.points.deflection, self.points.rotation
+        mass, inertia, xi = self.point_mass, self.point_inertia, self.points.xi
+        table = self.tables
+        return self.pack(Forces(
+            table.base_mass, self.arm_mass, self.first_moment,
+            self.manipulator.shaft_inertia + mass @ xi**2 + inertia.sum(), laws.shear_mass,
+            laws.matrix[0], laws.column[0], laws.stress[0], laws.softening[0], laws.shear_row,
+            laws.shear_softening, laws.shear_stress, laws.axial, table.stiffness, table.damping,
+            table.length, laws.tip_share, table.tip_deflection, self.modal_moments,
+            deflection @ (mass * xi) + rotation @ inertia, self.deflection_mass,
+            self.deflection_mass + (rotation * inertia) @ rotation.T, table.push_place,
+            table.push_deflection))
 
     @cached_property
     def _tension(self):
@@ -502,6 +519,107 @@ def _observe(tables, state, load, out):
         driven = len(tables.softening) - len(tables.inverse)
         for i in range(driven, len(tables.softening)):
             out[goal + 2 + i] = state[source + len(tables.axes) + i - driven]
+
+
+class Forces(NamedTuple):
+    """Constants of forces and energy, from `newton.Laws` and the masses."""
+
+    base_mass: float
+    arm_mass: float
+    first_moment: float  # s_a
+    inertia: float       # about the root, with the shaft's
+    shear_mass: float    # m_V
+    shaft_row: Annotated[np.ndarray, 'coordinates']  # A_0j
+    shaft_column: float  # c_0
+    shaft_stress: Annotated[np.ndarray, 'modes']     # R_0n
+    shaft_softening: Annotated[np.ndarray, 'modes']  # S_0n
+    shear_row: Annotated[np.ndarray, 'coordinates']  # h
+    shear_softening: Annotated[np.ndarray, 'modes']  # U
+    shear_stress: Annotated[np.ndarray, 'modes']     # Y
+    axial: Annotated[np.ndarray, 'modes']            # e
+    stiffness: Annotated[np.ndarray, 'modes']        # omega_n^2
+    damping: Annotated[np.ndarray, 'modes']          # 2 zeta_n omega_n
+    length: float        # l
+    tip_share: float
+    tip_deflection: Annotated[np.ndarray, 'modes']   # W_n at the tip
+    moments: Annotated[np.ndarray, 'modes']          # a_n
+    about_root: Annotated[np.ndarray, 'modes']       # b_n
+    deflection_mass: Annotated[np.ndarray, 'modes', 'modes']  # G
+    modal_mass: Annotated[np.ndarray, 'modes', 'modes']       # G and the rotary inertia
+    push_place: float
+    push_deflection: Annotated[np.ndarray, 'pushes', 'modes']
+
+
+@functions.effort.of(Forces)
+def _effort(tables, motion, accelerations, load, out):
+    """Write what (T15) and (T16) need, with P(0), V(0) of this formulation (T42)."""
+    rates, count = len(motion) // 2, len(tables.axial)
+    sine, cosine = sincos(motion[2])
+    omega, turn = motion[rates + 2], accelerations[2]
+    alpha = cosine * accelerations[0] + sine * accelerations[1]
+    beta = cosine * accelerations[1] - sine * accelerations[0]
+    tip_1 = load[TIP_I] + cosine * load[TIP_X] + sine * load[TIP_Y]
+    tip_2 = load[TIP_II] + cosine * load[TIP_Y] - sine * load[TIP_X]
+    axial = tip_1 - tables.arm_mass * alpha + omega * omega * tables.first_moment
+    shear = (tables.tip_share * tip_2 - tables.shear_mass * beta - turn * tables.shear_row[0])
+    torque = turn * tables.shaft_row[0] + tables.shaft_column * beta
+    bent = 0.0
+    for n in range(count):
+        q, qdot = motion[3 + n], motion[rates + 3 + n]
+        stress = tables.stiffness[n] * q + tables.damping[n] * qdot
+        axial += tables.axial[n] * (turn * q + 2.0 * omega * qdot)
+        shear += (tables.shear_stress[n] * stress - tables.shear_row[1 + n] * accelerations[3 + n]
+                  + omega * omega * tables.shear_softening[n] * q)
+        torque += (tables.shaft_row[1 + n] * accelerations[3 + n] + tables.shaft_stress[n] * stress
+                   - omega * omega * tables.shaft_softening[n] * q)
+        bent += tables.tip_deflection[n] * q
+    out[0] = tables.base_mass * accelerations[0] - (cosine * axial - sine * shear)
+    out[1] = tables.base_mass * accelerations[1] - (sine * axial + cosine * shear)
+    out[2] = torque - tables.tip_share * (
+        load[TIP_TORQUE] + tables.length * tip_2 - bent * tip_1)
+    for k in range(len(tables.push_deflection)):
+        along, across = tables.push_place, 0.0
+        for n in range(count):
+            across += tables.push_deflection[k, n] * motion[3 + n]
+        x, y = cosine * along - sine * across, sine * along + cosine * across
+        out[0] -= load[PUSH_X]
+        out[1] -= load[PUSH_Y]
+        out[2] -= x * load[PUSH_Y] - y * load[PUSH_X]
+
+
+@functions.energy.of(Forces)
+def _energy(tables, motion, gravity):
+    rates, count = len(motion) // 2, len(tables.axial)
+    sine, cosine = sincos(motion[2])
+    mass, omega = tables.base_mass + tables.arm_mass, motion[rates + 2]
+    x, y = motion[rates], motion[rates + 1]
+    along, across = cosine * x + sine * y, cosine * y - sine * x
+    twice = mass * (x * x + y * y) + omega * omega * tables.inertia
+    moment, moment_rate = 0.0, 0.0  # of the mass across the arm
+    for n in range(count):
+        q, qdot = motion[3 + n], motion[rates + 3 + n]
+        moment += tables.moments[n] * q
+        moment_rate += tables.moments[n] * qdot
+        twice += 2.0 * omega * tables.about_root[n] * qdot + tables.stiffness[n] * q * q
+        for k in range(count):
+            twice += (omega * omega * q * tables.deflection_mass[n, k] * motion[3 + k]
+                      + qdot * tables.modal_mass[n, k] * motion[rates + 3 + k])
+    twice += 2.0 * (across * (moment_rate + omega * tables.first_moment) - along * omega * moment)
+    return 0.5 * twice - (
+        gravity[0] * (mass * motion[0] + cosine * tables.first_moment - sine * moment)
+        + gravity[1] * (mass * motion[1] + sine * tables.first_moment + cosine * moment))
+
+
+@functions.tip_rate.of(Tables)
+def _tip_rate(tables, motion, out):
+    """Write the rate of the tip's place and rotation."""
+    out[0] = 0.0
+    out[1] = 0.0
+    out[2] = 0.0
+    for n in range(len(tables.tip_deflection)):
+        rate = motion[len(motion) // 2 + 3 + n]
+        out[1] += rate * tables.tip_deflection[n]
+        out[2] += rate * tables.tip_rotation[n]
 
 
 @functions.tip.of(Tables)

@@ -18,10 +18,13 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.functions import Array, Constants, entry_point, floor, square_root, strict
-from timo_sim.model.functions import linear_part_is_valid, sincos
+from timo_sim.compiled.functions import (
+    Array, Constants, entry_point, floor, inner, local, magnitude, square_root, strict)
+from timo_sim.model.functions import (
+    effort, energy, linear_part_is_valid, observe, rate, sincos, tanh, tip, tip_rate)
 from timo_sim.model.layout import (
-    ACCELERATION, AFTER, ANGLE, END, LOADS, SPEED, STAGES, STEP_LOADS, TORQUE, VOLTAGE)
+    ACCELERATION, AFTER, ANGLE, END, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MIDDLE, SPEED,
+    STAGES, START, STEP_LOADS, TORQUE, VOLTAGE)
 
 
 class Code(IntEnum):
@@ -42,17 +45,22 @@ _OK, _UNKNOWN, _NOT_FINITE, _BAD_STATE, _DIVERGED = (int(code) for code in (
     Code.OK, Code.UNKNOWN_NUMBER, Code.NOT_FINITE, Code.BAD_STATE, Code.DIVERGED))
 
 # Places in `Instance.mark`: what shows that the memory is an instance, steps done, number of the
-# linear part, whether `Instance.outputs` are those of now, and whether the finer run diverged.
-MARK, STEPS, PART, KNOWN, LOST = range(5)
+# linear part, which `Instance.outputs` are those of now (0: none, 1: those of the motion, 2: all),
+# whether the finer run diverged, and the step at which lines towards commands began.
+MARK, STEPS, PART, KNOWN, LOST, SINCE = range(6)
 MAGIC = 0x74696d6f5f73696d  # 'timo_sim'
 _MOST_STEPS = 2.0**53  # to which steps are counted in a saved state
+_NEAR = 1e-6  # [steps] distance from a step boundary that counts as on it, as in `scene.loads`
+_NODE = 0.5773502691896257  # of Gauss's rule with two nodes
 
 
 class Instance(NamedTuple):
     """The memory of an instance; its functions change it."""
 
-    mark: Annotated[np.ndarray, int, 5]
+    mark: Annotated[np.ndarray, int, 6]
     inputs: Annotated[np.ndarray, LOADS]  # commands
+    goal: Annotated[np.ndarray, LOADS]    # the same within their limits
+    origin: Annotated[np.ndarray, LOADS]  # where lines towards the goal began
     load: Annotated[np.ndarray, LOADS]    # at the end of the last step
     error: Annotated[np.ndarray, 1]       # estimated error of the tip [m]
     state: Annotated[np.ndarray, 'state']
@@ -60,6 +68,9 @@ class Instance(NamedTuple):
     remainder: Annotated[np.ndarray, 'state']  # room for a step
     loads: Annotated[np.ndarray, STEP_LOADS, LOADS]  # those of a step
     motion: Annotated[np.ndarray, 'motion']
+    accelerations: Annotated[np.ndarray, 'motion']  # 3 + N of them
+    early: Annotated[np.ndarray, 'motion']  # shortly before and after now
+    late: Annotated[np.ndarray, 'motion']
     tip: Annotated[np.ndarray, 3]    # of `model.functions.tip`
     place: Annotated[np.ndarray, 3]  # tip in world axes [m], rotation of the end effector [rad]
     outputs: Annotated[np.ndarray, 'outputs']
@@ -73,6 +84,16 @@ class Plant(NamedTuple):
     most_bent: float  # deflection beyond which a run counts as diverged [m]
     travel: Annotated[np.ndarray, 'modes']        # of the tip by each modal coordinate
     tip_rotation: Annotated[np.ndarray, 'modes']  # of the end effector by each
+    points_rotation: Annotated[np.ndarray, 'modes', 'points']  # of sections by each
+    gravity: Annotated[np.ndarray, 2]  # along world x and y [m/s2]
+    linear: Annotated[np.ndarray, 'state', 'state']  # L of the straight arm
+    constrained: Annotated[np.ndarray, int, 3]  # whether carrier x, y and shaft are
+    shaft_inertia: float  # [kg m2]
+    shaft_friction: Annotated[np.ndarray, 3]  # viscous; Coulomb and the speed of its build-up
+    # Strain of the outer fibre at the root per moment there, modal coordinate and modal rate.
+    strain_of_moment: float
+    strain_of_modes: Annotated[np.ndarray, 'modes']
+    strain_of_rates: Annotated[np.ndarray, 'modes']
     start: Annotated[np.ndarray, 'state']  # the initial state
     first_load: Annotated[np.ndarray, LOADS]  # the scene's own at its beginning
 
@@ -87,6 +108,7 @@ class SceneLoads(NamedTuple):
     step: float  # [s]
     gain: float  # torque per voltage [N m/V]
     limit: Annotated[np.ndarray, LOADS]  # of commands
+    rate: Annotated[np.ndarray, LOADS]   # limit of their rate, or 0: they act at once
     harmonic_column: Annotated[np.ndarray, int, 'harmonics']
     amplitude: Annotated[np.ndarray, 'harmonics']
     frequency: Annotated[np.ndarray, 'harmonics']
@@ -119,7 +141,7 @@ def reset(plant, instance):
     instance.mark[MARK] = MAGIC
     instance.error[0] = 0.0
     for k in range(LOADS):
-        instance.inputs[k] = 0.0
+        instance.inputs[k] = instance.goal[k] = instance.origin[k] = 0.0
         instance.load[k] = plant.first_load[k]
     for k in range(len(instance.state)):
         instance.state[k] = plant.start[k]
@@ -157,7 +179,8 @@ def is_valid(tables, instance):
 def prepare(loads, instance, inputs):
     """Write the loads of the next step under commands; keep the state."""
     _write_scene_loads(loads, instance.mark[STEPS], instance.loads)
-    _add_commands(loads, inputs, instance.loads)
+    _command(loads, instance, inputs)
+    _add_commands(loads, instance, instance.loads)
     for k in range(len(instance.state)):
         instance.before[k] = instance.state[k]
     return _OK
@@ -232,15 +255,88 @@ def _write_drive(loads, time, out, stage):
         out[stage, ACCELERATION] += 2.0 * acceleration
 
 
+# Actuators, as in `simulation.loads`.
+
 @strict
-def _add_commands(loads, inputs, out):
+def _command(loads, instance, inputs):
+    """Take the commands of a step: a new goal begins new lines towards it."""
+    changed = False
     for column in range(LOADS):
         value = min(max(inputs[column], -loads.limit[column]), loads.limit[column])
-        if column == TORQUE:
-            voltage = min(max(inputs[VOLTAGE], -loads.limit[VOLTAGE]), loads.limit[VOLTAGE])
-            value = value + loads.gain * voltage
-        for row in range(STEP_LOADS):
+        changed = changed or value != instance.goal[column]
+    if changed:
+        number = instance.mark[STEPS]
+        elapsed = (number - instance.mark[SINCE]) * loads.step
+        for column in range(LOADS):
+            instance.origin[column] = _reached(loads, instance, column, elapsed)
+        for column in range(LOADS):
+            instance.goal[column] = min(max(inputs[column], -loads.limit[column]),
+                                        loads.limit[column])
+        instance.mark[SINCE] = number
+
+
+@strict
+def _reached(loads, instance, column, elapsed):
+    """Return what acts of a command some time after the lines began."""
+    goal, origin = instance.goal[column], instance.origin[column]
+    most = elapsed * loads.rate[column]
+    value = goal
+    if loads.rate[column] > 0.0 and not magnitude(goal - origin) <= most:
+        value = origin + most if goal > origin else origin - most
+    return value
+
+
+@strict
+def _next_end(loads, instance, after, before):
+    """Return where the next line reaches its goal between two positions, counted in steps."""
+    for column in range(LOADS):
+        if loads.rate[column] > 0.0:
+            end = magnitude(instance.goal[column] - instance.origin[column]) / (
+                loads.rate[column] * loads.step)
+            whole = floor(end + 0.5)
+            if magnitude(end - whole) > _NEAR and after < end and end < before:
+                before = end
+    return before
+
+
+@strict
+def _add_commands(loads, instance, out):
+    begin = 1.0 * (instance.mark[STEPS] - instance.mark[SINCE])
+    bent = _next_end(loads, instance, begin, begin + 1.0) < begin + 1.0
+    for row in range(STEP_LOADS):
+        position = begin + (0.5 * row if row < AFTER else 1.0)
+        for column in range(LOADS):
+            value = 0.0
+            if bent and row < STAGES:
+                value = _parabola(loads, instance, column, begin, row)
+            else:
+                value = _reached(loads, instance, column, position * loads.step)
             out[row, column] += value
+            if column == VOLTAGE:
+                out[row, TORQUE] += loads.gain * value
+
+
+@strict
+def _parabola(loads, instance, column, begin, row):
+    """Return a stage of a step in which a line ends, from its moments, see `scene.loads`."""
+    moment_0, moment_1, moment_2 = 0.0, 0.0, 0.0
+    low = begin
+    while low < begin + 1.0:
+        high = _next_end(loads, instance, low, begin + 1.0)
+        for k in range(2):
+            node = -_NODE if k == 0 else _NODE
+            at = low + (high - low) * (0.5 + 0.5 * node)
+            share, s = 0.5 * (high - low), at - begin
+            value = _reached(loads, instance, column, at * loads.step)
+            moment_0 += share * value
+            moment_1 += share * s * value
+            moment_2 += share * (s * s) * value
+        low = high
+    if row == START:
+        return 9.0 * moment_0 - 36.0 * moment_1 + 30.0 * moment_2
+    if row == MIDDLE:
+        return -1.5 * moment_0 + 15.0 * moment_1 - 15.0 * moment_2
+    return 3.0 * moment_0 - 24.0 * moment_1 + 30.0 * moment_2
 
 
 @entry_point(plant=Constants(), instance=Constants(), done=int)
@@ -290,6 +386,101 @@ def lose(instance):
     return _OK
 
 
+# Rates and forces are differences of motions shortly before and after now, as in `etdrk4.flow`.
+
+_TURN = 1e-4  # largest turn of a section between now and then [rad]
+# Numbers of the first output of rates and forces, and of the first one of a modal coordinate.
+FORCES, MODAL = 13, 20
+
+
+@entry_point(tables=Constants(), plant=Constants(), instance=Constants())
+def set_rates(tables, plant, instance):
+    """Write the accelerations, and the specific force at the tip to the outputs."""
+    state, load, motion = instance.state, instance.load, instance.motion
+    half, size = len(motion) // 2, plant.linear.shape[0]
+    slope, moved = local((plant.linear,)), local((plant.linear,))
+    rate(tables, state, load, slope)
+    for i in range(size):
+        for j in range(size):
+            slope[i] += plant.linear[i, j] * state[j]
+    turning = 0.0
+    for p in range(plant.points_rotation.shape[1]):
+        here = motion[half + 2]
+        for n in range(plant.points_rotation.shape[0]):
+            here += plant.points_rotation[n, p] * motion[half + 3 + n]
+        turning = max(turning, magnitude(here))
+    time = _TURN / (_TURN + turning)
+    drift = instance.loads[START]
+    for k in range(2):
+        sign = time if k else -time
+        for i in range(size):
+            moved[i] = state[i] + sign * slope[i]
+        for column in range(LOADS):
+            drift[column] = load[column]
+        drift[ANGLE] += sign * load[SPEED]
+        drift[SPEED] += sign * load[ACCELERATION]
+        if k:
+            observe(tables, moved, drift, instance.late)
+        else:
+            observe(tables, moved, drift, instance.early)
+    for k in range(half):
+        instance.accelerations[k] = (instance.late[half + k] - instance.early[half + k]) / (
+            2.0 * time)
+    before_x, before_y = _tip_speed(tables, instance, instance.early)
+    after_x, after_y = _tip_speed(tables, instance, instance.late)
+    x = (after_x - before_x) / (2.0 * time) - plant.gravity[0]
+    y = (after_y - before_y) / (2.0 * time) - plant.gravity[1]
+    sine, cosine = sincos(instance.place[2])
+    instance.outputs[13] = cosine * x + sine * y
+    instance.outputs[14] = cosine * y - sine * x
+    return _OK
+
+
+@inner
+def _tip_speed(tables, instance, motion):
+    """Return the velocity of the tip in world axes."""
+    half, place, speed = len(motion) // 2, instance.loads[START], instance.loads[MIDDLE]
+    tip(tables, motion, place)
+    tip_rate(tables, motion, speed)
+    along = speed[0] - motion[half + 2] * place[1]
+    across = speed[1] + motion[half + 2] * place[0]
+    sine, cosine = sincos(motion[2])
+    return (motion[half] + (cosine * along - sine * across),
+            motion[half + 1] + (sine * along + cosine * across))
+
+
+@entry_point(tables=Constants(), plant=Constants(), instance=Constants())
+def set_forces(tables, plant, instance):
+    """Write strain, efforts and energy to the outputs."""
+    load, motion, accelerations = instance.load, instance.motion, instance.accelerations
+    out, half, needed = instance.outputs, len(motion) // 2, instance.loads[START]
+    root = accelerations[2] * plant.shaft_inertia
+    for axis in range(2):
+        accelerations[axis] -= plant.gravity[axis]
+    effort(tables, motion, accelerations, load, needed)
+    sine, cosine = sincos(motion[2])
+    out[16] = load[FORCE_X] + cosine * load[FORCE_I] - sine * load[FORCE_II]
+    out[17] = load[FORCE_Y] + sine * load[FORCE_I] + cosine * load[FORCE_II]
+    out[18] = load[TORQUE]
+    if plant.constrained[2] != 0:
+        root -= needed[2]
+    else:
+        speed = motion[half + 2]
+        root += plant.shaft_friction[0] * speed - load[TORQUE]
+        if plant.shaft_friction[1] != 0.0:
+            root += plant.shaft_friction[1] * tanh(speed / plant.shaft_friction[2])
+    for joint in range(3):
+        if plant.constrained[joint] != 0:
+            out[16 + joint] = needed[joint] - out[16 + joint]
+    out[15] = plant.strain_of_moment * root
+    for n in range(len(plant.travel)):
+        out[15] += (plant.strain_of_modes[n] * motion[3 + n]
+                    + plant.strain_of_rates[n] * motion[half + 3 + n])
+    out[19] = energy(tables, motion, plant.gravity)
+    instance.mark[KNOWN] = 2
+    return _OK
+
+
 @entry_point(plant=Constants(), instance=Constants())
 def set_outputs(plant, instance):
     """Write the outputs from the motion and the place of the tip."""
@@ -305,10 +496,10 @@ def set_outputs(plant, instance):
     modes = len(plant.travel)
     for k in range(modes):
         turning += plant.tip_rotation[k] * motion[half + 3 + k]
-        out[13 + k] = motion[3 + k]
-        out[13 + modes + k] = motion[half + 3 + k]
+        out[MODAL + k] = motion[3 + k]
+        out[MODAL + modes + k] = motion[half + 3 + k]
     out[12] = turning
-    out[13 + 2 * modes] = instance.error[0]
+    out[MODAL + 2 * modes] = instance.error[0]
     instance.mark[KNOWN] = 1
     return _OK
 
@@ -328,19 +519,23 @@ def get_outputs(instance, count, values):
     return _OK
 
 
-# A saved state: steps, error, whether the finer run diverged, commands, load, state.
-SAVED = 3 + 2 * LOADS
+# A saved state: steps, since when lines go to commands, whether the finer run diverged, error,
+# commands, goals, origins of lines, load; then the state.
+SAVED = 4 + 4 * LOADS
 
 
 @entry_point(instance=Constants(), values=Array((None,)))
 def get_state(instance, values):
     """Write what `set_state` takes."""
     values[0] = 1.0 * instance.mark[STEPS]
-    values[1] = 1.0 * instance.mark[LOST]
-    values[2] = instance.error[0]
+    values[1] = 1.0 * instance.mark[SINCE]
+    values[2] = 1.0 * instance.mark[LOST]
+    values[3] = instance.error[0]
     for k in range(LOADS):
-        values[3 + k] = instance.inputs[k]
-        values[3 + LOADS + k] = instance.load[k]
+        values[4 + k] = instance.inputs[k]
+        values[4 + LOADS + k] = instance.goal[k]
+        values[4 + 2 * LOADS + k] = instance.origin[k]
+        values[4 + 3 * LOADS + k] = instance.load[k]
     for k in range(len(instance.state)):
         values[SAVED + k] = instance.state[k]
     return _OK
@@ -349,14 +544,16 @@ def get_state(instance, values):
 @entry_point(instance=Constants(), values=Array((None,)))
 def check_state(instance, values):
     """Return whether `set_state` may take these values."""
-    steps, lost = values[0], values[1]
+    steps, since, lost = values[0], values[1], values[2]
     if not 0.0 <= steps <= _MOST_STEPS or steps != floor(steps):
+        return _BAD_STATE
+    if not 0.0 <= since <= steps or since != floor(since):
         return _BAD_STATE
     if lost != 0.0 and lost != 1.0:
         return _BAD_STATE
-    if lost == 0.0 and not 0.0 <= values[2]:
+    if lost == 0.0 and not 0.0 <= values[3]:
         return _BAD_STATE
-    for k in range(3, SAVED + len(instance.state)):
+    for k in range(4, SAVED + len(instance.state)):
         if not _finite(values[k]):
             return _NOT_FINITE
     return _OK
@@ -366,13 +563,16 @@ def check_state(instance, values):
 def set_state(instance, values):
     """Go on from a saved state, which was checked."""
     instance.mark[STEPS] = int(values[0])
-    instance.mark[LOST] = int(values[1])
+    instance.mark[SINCE] = int(values[1])
+    instance.mark[LOST] = int(values[2])
     instance.mark[KNOWN] = 0
     instance.mark[PART] = 0
-    instance.error[0] = values[2]
+    instance.error[0] = values[3]
     for k in range(LOADS):
-        instance.inputs[k] = values[3 + k]
-        instance.load[k] = values[3 + LOADS + k]
+        instance.inputs[k] = values[4 + k]
+        instance.goal[k] = values[4 + LOADS + k]
+        instance.origin[k] = values[4 + 2 * LOADS + k]
+        instance.load[k] = values[4 + 3 * LOADS + k]
     for k in range(len(instance.state)):
         instance.state[k] = values[SAVED + k]
     return _OK
