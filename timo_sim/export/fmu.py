@@ -57,8 +57,8 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
     Write a scene as an FMU for co-simulation on Linux x86-64, of FMI 3.0 or 2.0.
 
     It holds the object file of `export_c`, linked with the functions of FMI by the C compiler
-    `cc`, and the sources of these. Equal scenes and file names give equal bytes. For the
-    target 'host' a run of it has the same motions as one of `Simulator`, to the last bit.
+    `cc`, and the sources of these; motions are as exact as there. Equal scenes exported under
+    equal names give equal files.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def _link(folder, files, version):
     done = subprocess.run(
         ['cc', '-std=c11', '-O2', '-fPIC', '-shared', '-Wl,-z,defs', '-Wl,-z,text',
          '-Wl,-z,noexecstack', '-Wl,--version-script=exports', '-o', f'{_NAME}.so',
-         f'fmi{version}.c', f'{_NAME}.o', '-lm'],
+         f'fmi{version}.c', f'{_NAME}.o'],
         cwd=folder, capture_output=True, text=True)
     if done.returncode:
         raise OSError(f'cc cannot link the FMU: {done.stderr.strip()}')
