@@ -184,8 +184,8 @@ def _base_unit(unit: str) -> dict[str, str] | None:
 
 def _add(parent, tag, **attributes):
     return ElementTree.SubElement(parent, tag, {
-        name: {True: 'true', False: 'false'}.get(value, value) if isinstance(value, bool)
-        else str(value) for name, value in attributes.items()})
+        name: str(value).lower() if isinstance(value, bool) else str(value)
+        for name, value in attributes.items()})
 
 
 def _root(version, name, step, **token):
