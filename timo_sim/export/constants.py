@@ -52,9 +52,6 @@ def refuse(scene: Scene, estimate: bool) -> None:
 
     check(values['model.accuracy'] > 0.0, 'model.accuracy', '0',
           'state model.modes and integrator.step')
-    for joint, name in enumerate(('carrier', 'carrier', 'motor')):
-        check(scene.friction[joint] > 0.0, f'{name}.coulomb_friction',
-              f'0, or have a {name}.coulomb_speed', 'friction that sticks is not in the C code')
     check(scene.payloads, 'payload.time', 'empty', 'the load at the tip is constant in the C code')
     for name, parameter in PARAMETERS.items():
         if name not in values:

@@ -25,6 +25,7 @@ from timo_sim.compiled.constants import pack, Packed
 from timo_sim.export.constants import Interface, plant_of, scene_loads_of
 from timo_sim.model.functions import tip_once
 from timo_sim.model.layout import LOADS, STEP_LOADS
+from timo_sim.steps import friction
 from timo_sim.steps import instance as steps
 from timo_sim.steps.etdrk4 import advance
 from timo_sim.steps.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED
@@ -55,14 +56,22 @@ class _Model:
         parts = [simulator.integration.part(sector).constants for sector in sectors]
         self.parts = len(parts)
         self.plant, self.loads = plant_of(simulator), scene_loads_of(scene)
+        # Of dry friction, whose rooms follow the instance in memory.
+        self.joints = getattr(simulator.integration, 'joints', None)
         self.own, self.forces = model.packed, model.force_tables
         outputs = steps.MODAL + 2 * len(model.modes) + 1
         self.instance = pack(Instance._make([
-            np.zeros(6), *4 * [np.zeros(LOADS)], np.zeros(1), *3 * [np.zeros(len(model.linear))],
+            np.zeros(6), *4 * [np.zeros(LOADS)], np.zeros(LOADS), *2 * [np.zeros(4)],
+            *2 * [np.zeros(1)], *3 * [np.zeros(len(model.linear))],
             np.zeros((STEP_LOADS, LOADS)), *4 * [np.zeros(model.size)], *2 * [np.zeros(3)],
             np.zeros(outputs)]))
         self.tables, self.propagator = (
             [each[k] for each in parts] for k in range(2))
+
+    @property
+    def length(self):
+        """Length of an instance in memory [B]."""
+        return self.instance.length + (self.joints.length if self.joints else 0)
 
     @property
     def saved(self):
@@ -92,8 +101,8 @@ class _Body:
         self.module = ir.Module()
         self.models, self.interface, self.name = models, interface, name
         self.builder: Any = None
-        self.offsets = [0, models[0].instance.length]
-        self.size = sum(model.instance.length for model in models)
+        self.offsets = [0, models[0].length]
+        self.size = sum(model.length for model in models)
         self._constants: dict[Any, Any] = {}
 
     # Pieces of code.
@@ -193,7 +202,15 @@ class _Body:
 
     def advance(self, model, instance, count, every):
         fields = {name: self.field(model, instance, name) for name in (
-            'state', 'load', 'loads', 'motion', 'remainder')}
+            'state', 'load', 'loads', 'motion', 'remainder', 'friction', 'heat')}
+        if model.joints:
+            joints = self.at(instance, model.instance.length)
+            return self.call(
+                model, friction.advance,
+                [*self.constants_of_step(model, instance), (model.joints, joints)],
+                *(fields[name] for name in ('friction', 'state', 'load', 'loads')),
+                self.word(count), self.word(every), self.word(0), fields['motion'],
+                fields['heat'])
         return self.call(
             model, advance, self.constants_of_step(model, instance), fields['state'],
             fields['load'], fields['loads'], self.word(count), self.word(every), self.word(0),
@@ -289,7 +306,16 @@ class _Body:
         for model, each in self.each(instance):
             self.call(model, steps.reset, [
                 (model.plant, self.data(model.plant)), self.own(model, each)])
+            if model.joints:
+                self.copy_joints(model, each)
         self.finish()
+
+    def copy_joints(self, model, instance):
+        """Copy the constants of dry friction, without its rooms, to the memory."""
+        source, goal = self.data(model.joints), self.at(instance, model.instance.length)
+        for offset in range(0, model.joints.offsets['pushed'], 8):
+            self.builder.store(self.builder.load(self.at(source, offset), typ=_WORD),
+                               self.at(goal, offset))
 
     def column_of(self, number):
         columns = [each.column for each in self.interface.inputs]

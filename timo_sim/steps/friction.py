@@ -61,11 +61,16 @@ class FrictionSteps(Steps):
     limit : ndarray, shape (3,)
         Largest friction of carrier x, y [N] and shaft [N m]; 0: none.
 
+    Attributes
+    ----------
+    joints : Packed
+        Of `Joints`; steps change its rooms.
+
     """
 
     def __init__(self, model: Formulation, step: float, limit: np.ndarray) -> None:
         super().__init__(model, step)
-        self._joints = pack(Joints(limit, step, np.empty((STAGES, LOADS)), np.empty(model.size)))
+        self.joints = pack(Joints(limit, step, np.empty((STAGES, LOADS)), np.empty(model.size)))
         self.memory = np.zeros(JOINTS + 1)
         self._advance: dict[int, Call] = {}
 
@@ -81,7 +86,7 @@ class FrictionSteps(Steps):
 
     def _run(self, part, state, load, loads, samples, since):
         if id(part) not in self._advance:  # the model keeps its parts
-            self._advance[id(part)] = advance.of(*part.constants, self._joints)
+            self._advance[id(part)] = advance.of(*part.constants, self.joints)
         return self._advance[id(part)](self.memory, state, load, loads, len(loads), samples.every,
                                    since, samples.motions, samples.heat)
 

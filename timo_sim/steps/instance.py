@@ -62,6 +62,10 @@ class Instance(NamedTuple):
     goal: Annotated[np.ndarray, LOADS]    # the same within their limits
     origin: Annotated[np.ndarray, LOADS]  # where lines towards the goal began
     load: Annotated[np.ndarray, LOADS]    # at the end of the last step
+    acting: Annotated[np.ndarray, LOADS]  # the same with dry friction
+    friction: Annotated[np.ndarray, 4]    # of `friction.advance`: what steps hand on
+    friction_before: Annotated[np.ndarray, 4]  # the same before the last step
+    heat: Annotated[np.ndarray, 1]        # room for its sample
     error: Annotated[np.ndarray, 1]       # estimated error of the tip [m]
     state: Annotated[np.ndarray, 'state']
     before: Annotated[np.ndarray, 'state']     # the state before the last step
@@ -145,6 +149,8 @@ def reset(plant, instance):
         instance.load[k] = plant.first_load[k]
     for k in range(len(instance.state)):
         instance.state[k] = plant.start[k]
+    for k in range(len(instance.friction)):
+        instance.friction[k] = 0.0
     return _OK
 
 
@@ -183,6 +189,8 @@ def prepare(loads, instance, inputs):
     _add_commands(loads, instance, instance.loads)
     for k in range(len(instance.state)):
         instance.before[k] = instance.state[k]
+    for k in range(len(instance.friction)):
+        instance.friction_before[k] = instance.friction[k]
     return _OK
 
 
@@ -349,6 +357,8 @@ def finish(plant, instance, done):
     if done != 1 or not bend <= plant.most_bent:
         for k in range(len(instance.state)):
             instance.state[k] = instance.before[k]
+        for k in range(len(instance.friction)):
+            instance.friction[k] = instance.friction_before[k]
         return _DIVERGED
     instance.mark[STEPS] += 1
     instance.mark[KNOWN] = 0
@@ -396,7 +406,12 @@ FORCES, MODAL = 13, 20
 @entry_point(tables=Constants(), plant=Constants(), instance=Constants())
 def set_rates(tables, plant, instance):
     """Write the accelerations, and the specific force at the tip to the outputs."""
-    state, load, motion = instance.state, instance.load, instance.motion
+    state, load, motion = instance.state, instance.acting, instance.motion
+    for column in range(LOADS):
+        load[column] = instance.load[column]
+    load[FORCE_X] += instance.friction[0]
+    load[FORCE_Y] += instance.friction[1]
+    load[TORQUE] += instance.friction[2]
     half, size = len(motion) // 2, plant.linear.shape[0]
     slope, moved = local((plant.linear,)), local((plant.linear,))
     rate(tables, state, load, slope)
@@ -466,7 +481,7 @@ def set_forces(tables, plant, instance):
         root -= needed[2]
     else:
         speed = motion[half + 2]
-        root += plant.shaft_friction[0] * speed - load[TORQUE]
+        root += plant.shaft_friction[0] * speed - instance.acting[TORQUE]
         if plant.shaft_friction[1] != 0.0:
             root += plant.shaft_friction[1] * tanh(speed / plant.shaft_friction[2])
     for joint in range(3):
@@ -520,8 +535,9 @@ def get_outputs(instance, count, values):
 
 
 # A saved state: steps, since when lines go to commands, whether the finer run diverged, error,
-# commands, goals, origins of lines, load; then the state.
-SAVED = 4 + 4 * LOADS
+# commands, goals, origins of lines, load, friction; then the state.
+_FRICTION = 4 + 4 * LOADS
+SAVED = _FRICTION + 4
 
 
 @entry_point(instance=Constants(), values=Array((None,)))
@@ -536,6 +552,8 @@ def get_state(instance, values):
         values[4 + LOADS + k] = instance.goal[k]
         values[4 + 2 * LOADS + k] = instance.origin[k]
         values[4 + 3 * LOADS + k] = instance.load[k]
+    for k in range(len(instance.friction)):
+        values[_FRICTION + k] = instance.friction[k]
     for k in range(len(instance.state)):
         values[SAVED + k] = instance.state[k]
     return _OK
@@ -573,6 +591,8 @@ def set_state(instance, values):
         instance.goal[k] = values[4 + LOADS + k]
         instance.origin[k] = values[4 + 2 * LOADS + k]
         instance.load[k] = values[4 + 3 * LOADS + k]
+    for k in range(len(instance.friction)):
+        instance.friction[k] = values[_FRICTION + k]
     for k in range(len(instance.state)):
         instance.state[k] = values[SAVED + k]
     return _OK
