@@ -8,8 +8,9 @@
  * specific language governing permissions and limitations under the License.
  *
  * What the functions of FMI 2 and FMI 3 share: instances, their variables, steps and saved states.
- * The file that includes this one defines the type LOGGER, the function `tell`, and NOT_DONE, the
- * status of a step whose size is wrong.
+ * The file that includes this one defines FMI(name), the name of a function of its version, the
+ * types STATUS, LOGGER, FLAG and BYTE, the function `tell`, and NOT_DONE, the status of a step whose
+ * size is wrong.
  *
  * Value references are the numbers of the outputs of arm.h, followed by those of its inputs.
  */
@@ -27,6 +28,8 @@
 #define OK 0
 #define DISCARD 2
 #define ERROR 3
+
+#define NEVER 1e300 /* sim time [s] */
 
 /* What an instance waits for; bits, of which a function may accept several. */
 enum { INSTANTIATED = 1, INITIALIZING = 2, STEPPING = 4, FAILED = 8, TERMINATED = 16, ANY = 31 };
@@ -104,7 +107,7 @@ static struct instance *make(const char *name, const char *token, LOGGER logger,
     me->logger = logger;
     me->environment = environment;
     me->phase = INSTANTIATED;
-    me->stop = 1e300;
+    me->stop = NEVER;
     int code = arm_create(me->memory, sizeof me->memory);
     if (code == ARM_OK && token && !strcmp(token, TOKEN))
         return me;
@@ -114,28 +117,13 @@ static struct instance *make(const char *name, const char *token, LOGGER logger,
     return NULL;
 }
 
-static void destroy(struct instance *me)
-{
-    if (me)
-        free(me->name);
-    free(me);
-}
-
 static int set_times(struct instance *me, double start, bool stops, double stop)
 {
     if (start != 0.0)
         return fail(me, ERROR, "the start time must be 0 s, got %g s", start);
     if (stops && !(stop >= 0.0))
         return fail(me, ERROR, "the stop time must be >= 0 s, got %g s", stop);
-    me->stop = stops ? stop : 1e300;
-    return OK;
-}
-
-static int reset(struct instance *me)
-{
-    arm_reset(arm_of(me));
-    me->phase = INSTANTIATED;
-    me->stop = 1e300;
+    me->stop = stops ? stop : NEVER;
     return OK;
 }
 
@@ -194,8 +182,50 @@ static int step(struct instance *me, double point, double size)
     return fail(me, ERROR, "at %g s: %s", time_of(me), arm_error_text(code));
 }
 
-static int get_state(struct instance *me, void **state)
+/* The functions that differ in no more than their names. */
+
+void FMI(FreeInstance)(void *instance)
 {
+    struct instance *me = instance;
+    if (me)
+        free(me->name);
+    free(me);
+}
+
+/* Only errors are logged, and these always. */
+STATUS FMI(SetDebugLogging)(void *instance, FLAG logging, size_t count,
+                            const char *const categories[])
+{
+    ENTER(instance, ANY);
+    return OK;
+}
+
+STATUS FMI(ExitInitializationMode)(void *instance)
+{
+    ENTER(instance, INITIALIZING);
+    me->phase = STEPPING;
+    return OK;
+}
+
+STATUS FMI(Terminate)(void *instance)
+{
+    ENTER(instance, STEPPING);
+    me->phase = TERMINATED;
+    return OK;
+}
+
+STATUS FMI(Reset)(void *instance)
+{
+    ENTER(instance, ANY);
+    arm_reset(arm_of(me));
+    me->phase = INSTANTIATED;
+    me->stop = NEVER;
+    return OK;
+}
+
+STATUS FMI(GetFMUState)(void *instance, void **state)
+{
+    ENTER(instance, ANY);
     REQUIRE(state, "a pointer is null");
     struct saved *saved = *state ? *state : calloc(1, sizeof *saved);
     REQUIRE(saved, "there is no memory left");
@@ -207,8 +237,10 @@ static int get_state(struct instance *me, void **state)
     return OK;
 }
 
-static int set_state(struct instance *me, const struct saved *saved)
+STATUS FMI(SetFMUState)(void *instance, void *state)
 {
+    ENTER(instance, ANY);
+    const struct saved *saved = state;
     REQUIRE(saved && !memcmp(saved->token, TOKEN, sizeof TOKEN), "this is no state of this unit");
     int phase = saved->phase;
     REQUIRE(phase > 0 && phase < ANY && !(phase & (phase - 1)), "the state is damaged");
@@ -219,31 +251,35 @@ static int set_state(struct instance *me, const struct saved *saved)
     return OK;
 }
 
-static int free_state(struct instance *me, void **state)
+STATUS FMI(FreeFMUState)(void *instance, void **state)
 {
+    ENTER(instance, ANY);
     REQUIRE(state, "a pointer is null");
     free(*state);
     *state = NULL;
     return OK;
 }
 
-static int state_size(struct instance *me, const void *state, size_t *size)
+STATUS FMI(SerializedFMUStateSize)(void *instance, void *state, size_t *size)
 {
+    ENTER(instance, ANY);
     REQUIRE(state && size, "a pointer is null");
     *size = sizeof(struct saved);
     return OK;
 }
 
-static int write_state(struct instance *me, const void *state, void *bytes, size_t size)
+STATUS FMI(SerializeFMUState)(void *instance, void *state, BYTE bytes[], size_t size)
 {
+    ENTER(instance, ANY);
     REQUIRE(state && bytes, "a pointer is null");
     REQUIRE(size >= sizeof(struct saved), "there is too little room for the state");
     memcpy(bytes, state, sizeof(struct saved));
     return OK;
 }
 
-static int read_state(struct instance *me, const void *bytes, size_t size, void **state)
+STATUS FMI(DeserializeFMUState)(void *instance, const BYTE bytes[], size_t size, void **state)
 {
+    ENTER(instance, ANY);
     REQUIRE(bytes && state, "a pointer is null");
     REQUIRE(size == sizeof(struct saved) && !memcmp(bytes, TOKEN, sizeof TOKEN),
             "these bytes are no state of this unit");

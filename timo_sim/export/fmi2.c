@@ -28,7 +28,19 @@ typedef struct {
 #endif
 
 typedef void (*LOGGER)(void *, const char *, fmi2Status, const char *, const char *, ...);
+typedef fmi2Status STATUS;
+typedef int FLAG;
+typedef char BYTE;
 #define NOT_DONE ERROR
+
+#define JOIN(version, name) version##name
+#define FMI(name) JOIN(fmi2, name)
+#define GetFMUState GetFMUstate
+#define SetFMUState SetFMUstate
+#define FreeFMUState FreeFMUstate
+#define SerializedFMUStateSize SerializedFMUstateSize
+#define SerializeFMUState SerializeFMUstate
+#define DeserializeFMUState DeSerializeFMUstate
 
 #include "fmi.h"
 
@@ -57,19 +69,6 @@ void *fmi2Instantiate(const char *name, fmi2Type type, const char *guid, const c
                 functions ? functions->componentEnvironment : NULL);
 }
 
-void fmi2FreeInstance(void *instance)
-{
-    destroy(instance);
-}
-
-/* Only errors are logged, and these always. */
-fmi2Status fmi2SetDebugLogging(void *instance, int logging, size_t count,
-                               const char *const categories[])
-{
-    ENTER(instance, ANY);
-    return fmi2OK;
-}
-
 fmi2Status fmi2SetupExperiment(void *instance, int has_tolerance, double tolerance, double start,
                                int stops, double stop)
 {
@@ -82,26 +81,6 @@ fmi2Status fmi2EnterInitializationMode(void *instance)
     ENTER(instance, INSTANTIATED);
     me->phase = INITIALIZING;
     return fmi2OK;
-}
-
-fmi2Status fmi2ExitInitializationMode(void *instance)
-{
-    ENTER(instance, INITIALIZING);
-    me->phase = STEPPING;
-    return fmi2OK;
-}
-
-fmi2Status fmi2Terminate(void *instance)
-{
-    ENTER(instance, STEPPING);
-    me->phase = TERMINATED;
-    return fmi2OK;
-}
-
-fmi2Status fmi2Reset(void *instance)
-{
-    ENTER(instance, ANY);
-    return reset(me);
 }
 
 fmi2Status fmi2GetReal(void *instance, const unsigned references[], size_t count, double values[])
@@ -121,42 +100,6 @@ fmi2Status fmi2DoStep(void *instance, double point, double size, int never_back)
 {
     ENTER(instance, STEPPING);
     return step(me, point, size);
-}
-
-fmi2Status fmi2GetFMUstate(void *instance, void **state)
-{
-    ENTER(instance, ANY);
-    return get_state(me, state);
-}
-
-fmi2Status fmi2SetFMUstate(void *instance, void *state)
-{
-    ENTER(instance, ANY);
-    return set_state(me, state);
-}
-
-fmi2Status fmi2FreeFMUstate(void *instance, void **state)
-{
-    ENTER(instance, ANY);
-    return free_state(me, state);
-}
-
-fmi2Status fmi2SerializedFMUstateSize(void *instance, void *state, size_t *size)
-{
-    ENTER(instance, ANY);
-    return state_size(me, state, size);
-}
-
-fmi2Status fmi2SerializeFMUstate(void *instance, void *state, char bytes[], size_t size)
-{
-    ENTER(instance, ANY);
-    return write_state(me, state, bytes, size);
-}
-
-fmi2Status fmi2DeSerializeFMUstate(void *instance, const char bytes[], size_t size, void **state)
-{
-    ENTER(instance, ANY);
-    return read_state(me, bytes, size, state);
 }
 
 fmi2Status fmi2GetRealStatus(void *instance, const fmi2StatusKind kind, double *value)

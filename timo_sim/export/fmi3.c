@@ -31,7 +31,11 @@ typedef void (*fmi3UnlockPreemptionCallback)();
 #endif
 
 typedef fmi3LogMessageCallback LOGGER;
+typedef fmi3Status STATUS;
+typedef bool FLAG;
+typedef uint8_t BYTE;
 #define NOT_DONE DISCARD
+#define FMI(name) fmi3##name
 
 #include "fmi.h"
 
@@ -68,19 +72,6 @@ void *fmi3InstantiateScheduledExecution(
     return NULL;
 }
 
-void fmi3FreeInstance(void *instance)
-{
-    destroy(instance);
-}
-
-/* Only errors are logged, and these always. */
-fmi3Status fmi3SetDebugLogging(void *instance, bool logging, size_t count,
-                               const char *const categories[])
-{
-    ENTER(instance, ANY);
-    return fmi3OK;
-}
-
 fmi3Status fmi3EnterInitializationMode(void *instance, bool has_tolerance, double tolerance,
                                        double start, bool stops, double stop)
 {
@@ -89,26 +80,6 @@ fmi3Status fmi3EnterInitializationMode(void *instance, bool has_tolerance, doubl
     if (status == OK)
         me->phase = INITIALIZING;
     return status;
-}
-
-fmi3Status fmi3ExitInitializationMode(void *instance)
-{
-    ENTER(instance, INITIALIZING);
-    me->phase = STEPPING;
-    return fmi3OK;
-}
-
-fmi3Status fmi3Terminate(void *instance)
-{
-    ENTER(instance, STEPPING);
-    me->phase = TERMINATED;
-    return fmi3OK;
-}
-
-fmi3Status fmi3Reset(void *instance)
-{
-    ENTER(instance, ANY);
-    return reset(me);
 }
 
 fmi3Status fmi3GetFloat64(void *instance, const uint32_t references[], size_t count,
@@ -136,43 +107,6 @@ fmi3Status fmi3DoStep(void *instance, double point, double size, bool never_back
     int status = step(me, point, size);
     *last = time_of(me);
     return status;
-}
-
-fmi3Status fmi3GetFMUState(void *instance, void **state)
-{
-    ENTER(instance, ANY);
-    return get_state(me, state);
-}
-
-fmi3Status fmi3SetFMUState(void *instance, void *state)
-{
-    ENTER(instance, ANY);
-    return set_state(me, state);
-}
-
-fmi3Status fmi3FreeFMUState(void *instance, void **state)
-{
-    ENTER(instance, ANY);
-    return free_state(me, state);
-}
-
-fmi3Status fmi3SerializedFMUStateSize(void *instance, void *state, size_t *size)
-{
-    ENTER(instance, ANY);
-    return state_size(me, state, size);
-}
-
-fmi3Status fmi3SerializeFMUState(void *instance, void *state, uint8_t bytes[], size_t size)
-{
-    ENTER(instance, ANY);
-    return write_state(me, state, bytes, size);
-}
-
-fmi3Status fmi3DeserializeFMUState(void *instance, const uint8_t bytes[], size_t size,
-                                   void **state)
-{
-    ENTER(instance, ANY);
-    return read_state(me, bytes, size, state);
 }
 
 /*
