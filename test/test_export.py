@@ -51,7 +51,8 @@ SAME = {
     'sectors': {'carrier.held': 'x', 'initial.shaft_velocity': 20.0},
     'limits': {'motor.torque_limit': 0.5, 'carrier.force_limit': 1.0},
     'dc motor': {'motor.dc.resistance': 2.0, 'motor.dc.torque_constant': 0.5,
-                 'motor.dc.voltage_limit': 1.0},
+                 'motor.dc.voltage_limit': 1.0, 'load.torque.piecewise.time': [0.0],
+                 'load.torque.piecewise.value': [0.3]},
     'piecewise': {'load.torque.piecewise.time': [0.0, 0.02, 0.05],
                   'load.torque.piecewise.value': [1.0, -1.0, 0.5]},
     # Knots on and between steps, a jump.

@@ -13,7 +13,7 @@ That takes an hour and a half; `--quick` prints a part of it; `--parts Node` mak
 """
 
 from benchmark.report import make_page, table
-from benchmark.stress import log, node, numerics
+from benchmark.stress import c_code, log, node, numerics
 from benchmark.stress.scenes import cell, hard_cell, laden_cell
 
 
@@ -37,7 +37,7 @@ PARTS = {
         ['modes', 'tried', *numerics.OUTPUTS], numerics.linear_rows(quick)),
     'An hour': lambda quick: table(
         ['scene', 'formulation', 'energy', 'momentum', 'remark'], numerics.long_rows(quick)),
-    'Node': faults(node), 'Log': faults(log)}
+    'C code': c_code.part, 'Node': faults(node), 'Log': faults(log)}
 
 if __name__ == '__main__':
     make_page(__spec__, __doc__, 'stress.md', PARTS, 'a few minutes')

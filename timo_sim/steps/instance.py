@@ -311,17 +311,22 @@ def _next_end(loads, instance, after, before):
 def _add_commands(loads, instance, out):
     begin = 1.0 * (instance.mark[STEPS] - instance.mark[SINCE])
     bent = _next_end(loads, instance, begin, begin + 1.0) < begin + 1.0
-    for row in range(STEP_LOADS):
-        position = begin + (0.5 * row if row < AFTER else 1.0)
-        for column in range(LOADS):
-            value = 0.0
-            if bent and row < STAGES:
-                value = _parabola(loads, instance, column, begin, row)
-            else:
-                value = _reached(loads, instance, column, position * loads.step)
-            out[row, column] += value
-            if column == VOLTAGE:
-                out[row, TORQUE] += loads.gain * value
+    for column in range(LOADS):
+        motor = 0.0
+        if column == TORQUE:
+            motor = loads.gain * instance.goal[VOLTAGE]
+        if loads.rate[column] == 0.0:
+            for row in range(STEP_LOADS):
+                out[row, column] += instance.goal[column] + motor
+        else:
+            for row in range(STEP_LOADS):
+                value = 0.0
+                if bent and row < STAGES:
+                    value = _parabola(loads, instance, column, begin, row)
+                else:
+                    position = begin + (0.5 * row if row < AFTER else 1.0)
+                    value = _reached(loads, instance, column, position * loads.step)
+                out[row, column] += value + motor
 
 
 @strict
