@@ -15,6 +15,7 @@ from timo_sim.version import __version__
 
 if TYPE_CHECKING:
     from timo_sim.export.c import export_c
+    from timo_sim.export.fmu import export_fmu
     from timo_sim.fitting.record import read_record, Record
     from timo_sim.fitting.result import fit, Fit
     from timo_sim.runs.linear import linearize, LinearModel
@@ -45,6 +46,7 @@ _MODULES = {
     'Simulator': 'simulation.simulator',
     'choose_resolution': 'runs.simulate',
     'export_c': 'export.c',
+    'export_fmu': 'export.fmu',
     'fit': 'fitting.result',
     'linearize': 'runs.linear',
     'load_scene': 'scene.scene',
@@ -59,7 +61,7 @@ _MODULES = {
 __all__ = [
     'Batch', 'DivergenceError', 'Fit', 'LinearModel', 'ModelWarning', 'ParameterError', 'Record',
     'Run', 'Scene', 'Sensitivities', 'Simulator', '__version__', 'choose_resolution', 'export_c',
-    'fit', 'linearize', 'load_scene', 'open_log', 'project_on_modes', 'read_record',
+    'export_fmu', 'fit', 'linearize', 'load_scene', 'open_log', 'project_on_modes', 'read_record',
     'sensitivities', 'simulate', 'simulate_many']
 
 

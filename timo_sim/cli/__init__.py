@@ -190,6 +190,35 @@ def export_c(scene: str, settings: tuple[str, ...], output: str, target: str, es
     click.echo(f'{folder} is written: {name}.h, {name}.o, main.c, CMakeLists.txt')
 
 
+@main.command('export-fmu')
+@click.argument('scene')
+@click.option('--output', '-o', type=click.Path(dir_okay=False), required=True,
+              metavar='FILE.fmu', help='FMU to write; an older one is replaced.')
+@click.option('--fmi', type=click.Choice(['2', '3']), default='3', show_default=True,
+              help='Version of FMI: 2.0 or 3.0.')
+@_settings
+@click.option('--estimate/--no-estimate', default=True, show_default=True, help=(
+    'Advance a finer run beside, for the output estimated_tip_error_m; it takes some twenty times '
+    'as long as the run alone.'))
+@click.option('--target', default='host', show_default=True, metavar='NAME', help=(
+    'Processor that runs it: host (this one), x86-64-v2 or x86-64-v3 (many).'))
+def export_fmu(scene: str, output: str, fmi: str, settings: tuple[str, ...], estimate: bool,
+               target: str) -> None:
+    r"""
+    Write SCENE, a file or a name, as an FMU for co-simulation on Linux x86-64.
+
+    \b
+        timo_sim export-fmu paper -o paper.fmu
+        timo_sim export-fmu paper -o arm.fmu --fmi 2 --set model.modes=5 --no-estimate
+
+    It needs the C compiler cc.
+    """
+    from timo_sim.export.fmu import export_fmu
+    from timo_sim.scene.scene import load_scene
+    click.echo(export_fmu(load_scene(scene, parse_settings(settings)), output, int(fmi), estimate,
+                          target))
+
+
 @main.command()
 @click.argument('file', type=click.Path())
 def info(file: str) -> None:

@@ -8,7 +8,7 @@
 
 
 """
-Export of a scene as code that needs no Python: `export_c`.
+Export of a scene as code that needs no Python: `export_c`, `export_fmu`.
 
 The object file holds the machine code of the same entry points that `Simulator` calls, for the
 sizes of the scene, and its constants. This package may import all that `simulation` may.

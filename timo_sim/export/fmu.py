@@ -1,0 +1,270 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Export of a scene as an FMU, a unit of the Functional Mock-up Interface for co-simulation."""
+
+from __future__ import annotations
+
+from collections import Counter
+import hashlib
+from pathlib import Path
+import platform
+import re
+import shutil
+import subprocess
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+from xml.etree import ElementTree
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
+
+from timo_sim.export.c import export_c
+from timo_sim.export.constants import Interface, interface_of, Quantity
+from timo_sim.model.layout import with_unit
+from timo_sim.scene.files import whole_file
+from timo_sim.scene.parameters import ParameterError, short
+from timo_sim.scene.scene import load_scene, SceneLike
+from timo_sim.version import __version__
+
+TARGETS = 'host', 'x86-64-v2', 'x86-64-v3'
+_NAME = 'arm'  # first part of all names in C, and the model identifier
+_PLATFORMS = {2: 'linux64', 3: 'x86_64-linux'}
+_MEANING = ('Planar mobile manipulator with a flexible arm, exported by timo_sim {}. Its internal '
+            'time step is {} s; inputs are held during a communication step.')
+# Exponents of the SI base units.
+_UNITS = {'1': {}, 'm': {'m': 1}, 's': {'s': 1}, 'kg': {'kg': 1}, 'A': {'A': 1},
+          'rad': {'rad': 1}, 'Hz': {'s': -1}, 'N': {'kg': 1, 'm': 1, 's': -2},
+          'J': {'kg': 1, 'm': 2, 's': -2}, 'W': {'kg': 1, 'm': 2, 's': -3},
+          'V': {'kg': 1, 'm': 2, 's': -3, 'A': -1}}
+
+
+class _Variable(NamedTuple):
+    """A variable of the unit; its value reference is its place in the list of all."""
+
+    name: str
+    unit: str
+    meaning: str
+    causality: str  # independent, output, local or input
+
+
+def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: bool = True,
+               target: str = 'host') -> Path:
+    """
+    Write a scene as an FMU for co-simulation on Linux x86-64, of FMI 3.0 or 2.0.
+
+    It holds the object file of `export_c`, linked with the functions of FMI by the C compiler
+    `cc`, and the sources of these; motions are as exact as there. Equal scenes exported under
+    equal names give equal files.
+
+    Parameters
+    ----------
+    scene : Scene, or what `load_scene` takes
+    path : Path or str
+        The file to write, *.fmu; an older one is replaced.
+    version : int
+        Of FMI, 3 or 2.
+    estimate : bool
+        Whether it has the output `estimated_tip_error_m`, from a finer run that is advanced
+        beside. It takes some twenty times as long as the run alone.
+    target : str
+        'host', this computer's processor, or one for many: 'x86-64-v2' or 'x86-64-v3'.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ParameterError
+        If the scene has what an exported arm cannot do, or another argument is wrong.
+    OSError
+        If this is not Linux x86-64, or there is no C compiler.
+
+    Examples
+    --------
+    >>> import timo_sim
+    >>> timo_sim.export_fmu('paper', 'paper.fmu').name
+    'paper.fmu'
+
+    """
+    scene, path = load_scene(scene), Path(path)
+    if version not in _PLATFORMS:
+        raise ParameterError(f'version must be 2 or 3, got {short(version)}')
+    if target not in TARGETS:
+        raise ParameterError(f'target must be {", ".join(TARGETS)}, got {short(target)}')
+    if (platform.system(), platform.machine()) != ('Linux', 'x86_64'):
+        raise OSError('FMUs are written on Linux x86-64 alone')
+    if not shutil.which('cc'):
+        raise OSError('an FMU is linked by the C compiler cc, which is not on the PATH: '
+                      'install gcc or clang')
+    variables = _variables(interface_of(scene, estimate))
+
+    def describe(token):
+        return (_description_2 if version == 2 else _description_3)(
+            path.stem, token, scene.step, variables)
+
+    with TemporaryDirectory() as folder:
+        export_c(scene, folder, target, estimate, _NAME)
+        files = {file: Path(folder, file).read_bytes() for file in (f'{_NAME}.h', f'{_NAME}.o')}
+        files |= {file: Path(__file__).with_name(file).read_bytes()
+                  for file in ('fmi.h', f'fmi{version}.c')}
+        token = _token(describe(''), *files.values())
+        files['token.h'] = f'#define TOKEN "{token}"\n'.encode()
+        binary = _link(folder, files, version)
+    contents = {
+        'modelDescription.xml': describe(token),
+        f'binaries/{_PLATFORMS[version]}/{_NAME}.so': binary,
+        **{f'sources/{name}': content for name, content in files.items()}}
+    if version == 3:
+        contents['sources/buildDescription.xml'] = _build_description()
+    with whole_file(path) as part, ZipFile(part, 'w', ZIP_DEFLATED) as archive:
+        for name, content in contents.items():
+            entry = ZipInfo(name)  # of 1980, so that equal scenes give equal files
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, content, ZIP_DEFLATED)
+    return path
+
+
+def _token(*contents):
+    digest = hashlib.sha256()
+    for content in contents:
+        digest.update(hashlib.sha256(content).digest())
+    return '{' + re.sub('(.{8})(.{4})(.{4})(.{4})(.{12}).*', r'\1-\2-\3-\4-\5',
+                        digest.hexdigest()) + '}'
+
+
+def _link(folder, files, version):
+    """Return the shared library of the sources."""
+    for name, content in files.items():
+        Path(folder, name).write_bytes(content)
+    # Nothing but the functions of FMI is seen from outside, and nothing else is taken from there.
+    Path(folder, 'exports').write_text('{ global: fmi*; local: *; };\n')
+    done = subprocess.run(
+        ['cc', '-std=c11', '-O2', '-fPIC', '-shared', '-Wl,-z,defs', '-Wl,-z,text',
+         '-Wl,-z,noexecstack', '-Wl,--version-script=exports', '-o', f'{_NAME}.so',
+         f'fmi{version}.c', f'{_NAME}.o'],
+        cwd=folder, capture_output=True, text=True)
+    if done.returncode:
+        raise OSError(f'cc cannot link the FMU: {done.stderr.strip()}')
+    return Path(folder, f'{_NAME}.so').read_bytes()
+
+
+def _variables(interface: Interface) -> list[_Variable]:
+    """Return the variables in the order of their value references, see fmi.h."""
+    def variable(quantity: Quantity, causality: str) -> _Variable:
+        title, unit = quantity.title, quantity.unit
+        name = with_unit(title, unit)
+        if title == 'time':
+            name, causality = title, 'independent'
+        elif title.startswith('mode_'):
+            name, causality = title, 'local'
+        return _Variable(name, unit, quantity.meaning, causality)
+
+    return [*(variable(each, 'output') for each in interface.outputs),
+            *(variable(each, 'input') for each in interface.inputs)]
+
+
+def _base_unit(unit: str) -> dict[str, str] | None:
+    """Return the exponents of the SI base units in a unit; None if they are no integers."""
+    powers = Counter()
+    for sign, part in zip((1, -1), unit.split('/')):
+        for factor in part.split():
+            found = re.fullmatch(r'([A-Za-z]+|1)(\d?)', factor)
+            if not found or found[1] not in _UNITS:
+                return None
+            for base, power in _UNITS[found[1]].items():
+                powers[base] += sign * power * int(found[2] or 1)
+    return {base: str(power) for base, power in powers.items() if power}
+
+
+def _add(parent, tag, **attributes):
+    return ElementTree.SubElement(parent, tag, {
+        name: str(value).lower() if isinstance(value, bool) else str(value)
+        for name, value in attributes.items()})
+
+
+def _root(version, name, step, **token):
+    return ElementTree.Element('fmiModelDescription', {
+        'fmiVersion': version, 'modelName': name, **token,
+        'description': _MEANING.format(__version__, step), 'version': __version__,
+        'generationTool': f'timo_sim {__version__}', 'variableNamingConvention': 'flat'})
+
+
+def _add_common_parts(root, step, variables):
+    units = _add(root, 'UnitDefinitions')
+    for name in dict.fromkeys(each.unit for each in variables if each.unit):
+        unit, base = _add(units, 'Unit', name=name), _base_unit(name)
+        if base is not None:
+            _add(unit, 'BaseUnit', **base)
+    _add(_add(root, 'LogCategories'), 'Category', name='logStatusError')
+    _add(root, 'DefaultExperiment', startTime=0.0, stepSize=step)
+
+
+def _text(root):
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding='UTF-8', xml_declaration=True) + b'\n'
+
+
+def _initial(variable):
+    return {} if variable.causality in ('independent', 'input') else {'initial': 'calculated'}
+
+
+def _value(variable):
+    unit = {'unit': variable.unit} if variable.unit else {}
+    return {**unit, 'start': 0.0} if variable.causality == 'input' else unit
+
+
+def _description_3(name, token, step, variables):
+    root = _root('3.0', name, step, instantiationToken=token)
+    _add(root, 'CoSimulation', modelIdentifier=_NAME, canGetAndSetFMUState=True,
+         canSerializeFMUState=True, canHandleVariableCommunicationStepSize=False,
+         fixedInternalStepSize=step)
+    _add_common_parts(root, step, variables)
+    group = _add(root, 'ModelVariables')
+    for number, each in enumerate(variables):
+        _add(group, 'Float64', name=each.name, valueReference=number, description=each.meaning,
+             causality=each.causality, variability='continuous', **_initial(each), **_value(each))
+    structure = _add(root, 'ModelStructure')
+    for tag in ('Output', 'InitialUnknown'):
+        for number, each in enumerate(variables):
+            if each.causality == 'output':
+                # Inputs act from the next step on: no output depends on those of now.
+                _add(structure, tag, valueReference=number, dependencies='')
+    return _text(root)
+
+
+def _description_2(name, token, step, variables):
+    root = _root('2.0', name, step, guid=token)
+    model = _add(root, 'CoSimulation', modelIdentifier=_NAME, canGetAndSetFMUstate=True,
+                 canSerializeFMUstate=True, canHandleVariableCommunicationStepSize=False,
+                 canNotUseMemoryManagementFunctions=True)
+    files = _add(model, 'SourceFiles')
+    for file in ('fmi2.c', f'{_NAME}.o'):
+        _add(files, 'File', name=file)
+    _add_common_parts(root, step, variables)
+    group = _add(root, 'ModelVariables')
+    for number, each in enumerate(variables):
+        _add(_add(group, 'ScalarVariable', name=each.name, valueReference=number,
+                  description=each.meaning, causality=each.causality, variability='continuous',
+                  **_initial(each)), 'Real', **_value(each))
+    structure = _add(root, 'ModelStructure')
+    for tag in ('Outputs', 'InitialUnknowns'):
+        part = _add(structure, tag)
+        for number, each in enumerate(variables):
+            if each.causality == 'output':
+                _add(part, 'Unknown', index=number + 1, dependencies='')
+    return _text(root)
+
+
+def _build_description():
+    root = ElementTree.Element('fmiBuildDescription', fmiVersion='3.0')
+    build = _add(root, 'BuildConfiguration', modelIdentifier=_NAME, platform=_PLATFORMS[3])
+    sources = _add(build, 'SourceFileSet', language='C11')
+    for file in ('fmi3.c', f'{_NAME}.o'):
+        _add(sources, 'SourceFile', name=file)
+    return _text(root)
