@@ -42,7 +42,7 @@ def run(scene):
 
 
 def test_public_functions_are_visible_and_annotated():
-    assert dir(timo_sim) == sorted(timo_sim.__all__) and len(FUNCTIONS) == 10
+    assert dir(timo_sim) == sorted(timo_sim.__all__) and len(FUNCTIONS) == 11
     for name in FUNCTIONS:
         assert inspect.isfunction(getattr(timo_sim, name))
         signature = inspect.signature(getattr(timo_sim, name))
