@@ -292,7 +292,7 @@ def test_example_builds_and_runs(tmp_path):
 def test_page(tmp_path):
     """The commands of doc/export.md and its program, literally."""
     page = (ROOT / 'doc/export.md').read_text()
-    commands, = re.findall(r'^```\n(.*?)^```', page, re.DOTALL | re.MULTILINE)
+    commands, *_ = re.findall(r'^```\n(.*?)^```', page, re.DOTALL | re.MULTILINE)  # others: FMUs
     more = re.findall(r'`(cc [^`]*)`', page)
     assert len(more) == 2
     script = commands.replace('timo_sim ', f'{sys.executable} -m timo_sim ')
