@@ -49,13 +49,14 @@ class _Layout(NamedTuple):
     shapes: list[tuple[int, ...]]  # of the fields in a block, padded, without lanes
     offsets: dict[str, int]
     length: int                    # of a block [B]
+    strides: list[tuple[int, ...]]  # of the fields, within a block [B]
     key: Any                       # machine code is the same for the same key
 
 
 @functools.lru_cache(maxsize=1024)
 def _layout(kind, shapes, lanes, pad, given):
     """Return the layout of constants of a kind whose fields have these shapes."""
-    sizes, padded, offsets, end = dict(given), [], {}, 0
+    sizes, padded, offsets, strides, end = dict(given), [], {}, [], 0
     for field, shape in zip(fields_of(kind), shapes):
         if pad:
             shape = tuple(size + -size % WIDTH if str(dim).startswith('padded') else size
@@ -66,9 +67,12 @@ def _layout(kind, shapes, lanes, pad, given):
                                  f'{field.dims} as of {sizes}')
         padded.append(shape)
         offsets[field.name] = end
-        length = _NUMBER * math.prod(shape) * (WIDTH if lanes and not field.whole else 1)
+        vectors = (WIDTH,) if lanes and not field.whole else ()
+        whole = *shape, *vectors
+        strides.append(tuple(_NUMBER * math.prod(whole[axis + 1:]) for axis in range(len(whole))))
+        length = _NUMBER * math.prod(whole)
         end += _CACHE_LINE * math.ceil(length / _CACHE_LINE)  # as vectors should begin
-    return _Layout(sizes, padded, offsets, max(end, _CACHE_LINE),
+    return _Layout(sizes, padded, offsets, max(end, _CACHE_LINE), strides,
                    (kind, lanes, tuple(sorted(sizes.items()))))
 
 
@@ -110,21 +114,21 @@ class Packed:
                   for field, value in zip(described, fields)]
         layout = _layout(kind, tuple(value.shape[lanes:] for value in values), lanes, pad,
                          tuple(sizes.items()))
-        self.sizes, _, self.offsets, self.length, self.key = layout
+        self.sizes, shapes, self.offsets, self.length, strides, self.key = layout
         self.groups = len(values[0]) // WIDTH if lanes else 1
         memory = np.zeros(self.groups * self.length + _CACHE_LINE, dtype=np.uint8)
         begin = -memory.ctypes.data % _CACHE_LINE
         self.memory = memory[begin:begin + self.groups * self.length]
         self.views = {}
-        for field, value, shape in zip(described, values, layout.shapes):
-            vectors = (WIDTH,) if lanes and not field.whole else ()
-            strides = *(_NUMBER * math.prod(shape[axis + 1:]) * math.prod(vectors)
-                        for axis in range(len(shape))), *(_NUMBER for _ in vectors)
+        for field, value, shape, steps in zip(described, values, shapes, strides):
+            vectors = (WIDTH,) if len(steps) > len(shape) else ()
             view = np.ndarray((self.groups, *shape, *vectors), value.dtype, self.memory,
-                              self.offsets[field.name], (self.length, *strides))
+                              self.offsets[field.name], (self.length, *steps))
             if lanes:
                 view[:] = value[:self.groups] if field.whole else np.moveaxis(
                     value.reshape(self.groups, WIDTH, *shape), 1, -1)
+            elif value.shape == shape:
+                view[0] = value
             else:  # what is padded stays zero
                 given: Any = (0, *map(slice, value.shape))
                 view[given] = value

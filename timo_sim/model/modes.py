@@ -24,7 +24,7 @@ import numpy as np
 
 from timo_sim.compiled.constants import pack
 from timo_sim.compiled.entry import entry_point
-from timo_sim.compiled.functions import Array, Constants, magnitude, strict
+from timo_sim.compiled.functions import Array, Constants, magnitude, square_root, strict
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 
 
@@ -223,8 +223,8 @@ def _square(value):
 @strict
 def _wave_numbers(arm, omega):
     """Return both roots s of the characteristic equation (8), and nu of (T5)."""
-    k2 = omega * math.sqrt(arm.mass_per_length / arm.bending_stiffness)
-    root = math.sqrt(_square(0.5 * (1.0 - arm.ratio) * arm.radius2 * k2) + 1.0)
+    k2 = omega * square_root(arm.mass_per_length / arm.bending_stiffness)
+    root = square_root(_square(0.5 * (1.0 - arm.ratio) * arm.radius2 * k2) + 1.0)
     mean = 0.5 * (1.0 + arm.ratio) * arm.radius2 * k2
     # root - mean, written without the cancellation near the cut-off, where it changes sign.
     second = k2 * (1.0 - arm.ratio * _square(arm.radius2 * k2)) / (root + mean)
@@ -234,7 +234,7 @@ def _wave_numbers(arm, omega):
 @strict
 def _standing(s, xi):
     """Return two pairs g, G (T6): cos, sin / k, -k sin, cos of k xi; hyperbolic for s > 0."""
-    k = math.sqrt(magnitude(s))
+    k = square_root(magnitude(s))
     if s > 0.0:
         even, odd = math.cosh(k * xi), math.sinh(k * xi)
     else:
@@ -249,7 +249,7 @@ def _waves(arm, omega, xi):
     first, second, nu = _wave_numbers(arm, omega)
     g_0, integral_0, g_1, integral_1 = _standing(first, xi)
     if second * arm.length * arm.length > 1.0:
-        beta = math.sqrt(second)
+        beta = square_root(second)
         g_2, g_3 = math.exp(-beta * xi), math.exp(-beta * (arm.length - xi))
         integral_2, integral_3 = -g_2 / beta, g_3 / beta
     else:
@@ -286,13 +286,13 @@ def boundary_conditions(arm, omega, matrix, scale):
         matrix[3, j] = (s[j] + nu) * (arm.bending_stiffness * g_tip[j]
                                       - arm.end_effector_inertia * omega * omega * integral_tip[j])
     for i in range(4):
-        length = math.sqrt(_square(matrix[i, 0]) + _square(matrix[i, 1])
-                           + _square(matrix[i, 2]) + _square(matrix[i, 3]))
+        length = square_root(_square(matrix[i, 0]) + _square(matrix[i, 1])
+                             + _square(matrix[i, 2]) + _square(matrix[i, 3]))
         for j in range(4):
             matrix[i, j] /= length
     for j in range(4):
-        scale[j] = math.sqrt(_square(matrix[0, j]) + _square(matrix[1, j])
-                             + _square(matrix[2, j]) + _square(matrix[3, j]))
+        scale[j] = square_root(_square(matrix[0, j]) + _square(matrix[1, j])
+                               + _square(matrix[2, j]) + _square(matrix[3, j]))
         for i in range(4):
             matrix[i, j] /= scale[j]
 
