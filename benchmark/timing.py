@@ -32,6 +32,7 @@ def _products(matrix, vector, out, count):
 def product():
     """Return the time of one compiled 16 x 16 matrix-vector product [s]."""
     matrix, vector = 0.999 * np.eye(_SIZE), np.ones(_SIZE)
+    _products(matrix, vector, np.ones(_SIZE), 1)  # compiles
     return seconds(lambda: _products(matrix, vector, np.ones(_SIZE), _PRODUCTS)) / _PRODUCTS
 
 
