@@ -15,10 +15,13 @@ class Build(build_py):
     def run(self):
         super().run()
         if not self.editable_mode:
-            folder = os.path.join(self.build_lib, 'timo_sim', 'compiled', 'prebuilt')
+            built = os.path.abspath(self.build_lib)
+            # pip hands on by PYTHONPATH what it has installed for the build.
+            paths = [built, *filter(None, [os.environ.get('PYTHONPATH')])]
             done = subprocess.run(
-                [sys.executable, '-m', 'timo_sim.steps.prebuilt', os.path.abspath(folder)],
-                env={**os.environ, 'PYTHONPATH': os.path.abspath(self.build_lib)})
+                [sys.executable, '-m', 'timo_sim.steps.prebuilt',
+                 os.path.join(built, 'timo_sim', 'compiled', 'prebuilt')],
+                cwd=built, env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths)})
             if done.returncode:
                 print('timo_sim: the first runs will compile for some 10 s', file=sys.stderr)
 
