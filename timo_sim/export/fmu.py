@@ -64,7 +64,7 @@ def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: b
     ----------
     scene : Scene, or what `load_scene` takes
     path : Path or str
-        The file to write, *.fmu; an older one is replaced.
+        The file to write, such as `arm.fmu`; an older one is replaced.
     version : int
         Of FMI, 3 or 2.
     estimate : bool
