@@ -20,6 +20,7 @@ from posixpath import dirname, join, normpath
 import re
 import subprocess
 import sys
+import sysconfig
 import tomllib
 
 from conftest import NEED
@@ -307,6 +308,14 @@ def test_make_view_without_a_screen_is_an_error_with_one_line_that_make_can_foll
     assert 'timo_sim view run/paper.mcap --web\n' in done.stdout
 
 
+def test_a_build_sees_what_pip_has_installed_for_it(tmp_path):
+    """pip hands on by PYTHONPATH what a build needs, to a Python that has nothing else."""
+    subprocess.run([sys._base_executable, 'setup.py', '-q', 'build_py', '--build-lib', tmp_path],
+                   cwd=ROOT, check=True, capture_output=True,
+                   env={**os.environ, 'PYTHONPATH': sysconfig.get_path('purelib')})
+    assert any(tmp_path.glob('timo_sim/compiled/prebuilt/*.bc'))
+
+
 def test_colcon_builds_and_the_installed_node_runs(installed, tmp_path):
     import rclpy  # noqa: F401  # without which there is no node
     prefix, environment = installed
@@ -316,6 +325,7 @@ def test_colcon_builds_and_the_installed_node_runs(installed, tmp_path):
                                                  'urdf/timo_sim.*') for path in ROOT.glob(name)]
     for path in Path('package.xml'), *files:
         assert (share / path).read_text() == (ROOT / path).read_text()
+    assert any(prefix.rglob('compiled/prebuilt/*.bc'))
     for path in ROOT.glob('launch/*.py'):
         assert path.relative_to(ROOT) in files
         assert 'generate_launch_description' in {

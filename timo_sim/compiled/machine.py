@@ -20,6 +20,7 @@ from contextvars import ContextVar
 import functools
 import gc
 import hashlib
+from importlib.metadata import version
 from pathlib import Path
 import threading
 from typing import Any
@@ -68,7 +69,8 @@ def file_name(entry: Any, kinds: tuple[type, ...]) -> str:
     """Return the name of the file with the intermediate code of an entry point for some kinds."""
     names = (f'{kind.__module__.removeprefix("timo_sim.")}.{kind.__name__}' for kind in kinds)
     digest = store.digest_of_sources(entry.__module__, *(kind.__module__ for kind in kinds))
-    return f'{entry.name}-{"-".join(names)}-{digest}.bc'
+    # An older LLVM does not read the code of a newer one.
+    return f'{entry.name}-{"-".join(names)}-{digest}-{version("llvmlite")}.bc'
 
 
 @functools.cache

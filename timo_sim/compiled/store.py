@@ -40,15 +40,20 @@ _SOURCES = [Path(__file__).parents[1] / folder for folder in ('compiled', 'model
 
 
 @functools.cache
+def _own_sources():
+    # They call across files.
+    paths = sorted(path for folder in _SOURCES for path in folder.rglob('*.py'))
+    return paths, b''.join(path.read_bytes() for path in paths)
+
+
+@functools.cache
 def digest_of_sources(*modules: str) -> str:
     """Return a checksum of the sources of compiled functions, and of the files of modules."""
-    paths = {path for folder in _SOURCES for path in folder.rglob('*.py')}
+    paths, text = _own_sources()
     files = (getattr(sys.modules[name], '__file__', None) for name in modules)
-    paths |= {Path(file) for file in files if file}
-    digest = hashlib.sha256()
-    for source in sorted(paths):  # they call across files
-        digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]
+    for path in sorted({Path(file) for file in files if file} - {*paths}):
+        text += path.read_bytes()
+    return hashlib.sha256(text).hexdigest()[:16]
 
 
 @functools.cache

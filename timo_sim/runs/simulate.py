@@ -265,7 +265,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
         Steps between samples; divides the number of steps.
     estimate : bool
         Whether the error of the tip is measured by a finer run, see `Run.stats`, which takes some
-        twenty times as long.
+        ten times as long.
 
     Raises
     ------

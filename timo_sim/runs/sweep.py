@@ -95,7 +95,7 @@ def simulate_many(scene: SceneLike, variations: Iterable[Mapping[str, Any]], dur
     `simulate` for that variation to about 1e-11; those of other runs, and of a shorter sweep, to
     the last bit, on the same kind of processor and with one BLAS thread. No bit of a row depends
     on the other runs or on the number of workers. The error of the first of each 4096 runs is
-    measured by a finer run. The first run with a new number of modes compiles for some seconds.
+    measured by a finer run. The first run with a new number of modes compiles for a second or two.
 
     Parameters
     ----------

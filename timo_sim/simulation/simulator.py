@@ -55,7 +55,7 @@ class Simulator:
     scene : Scene, or what `load_scene` takes
     estimate : bool
         Whether a finer run is advanced beside this one, to estimate its error, see
-        `simulation.finer`. It takes some twenty times as long as the run alone.
+        `simulation.finer`. It takes some ten times as long as the run alone.
 
     Attributes
     ----------
