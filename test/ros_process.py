@@ -16,9 +16,9 @@ import subprocess
 import sys
 import threading
 import time
-import warnings
 
 import pytest
+from rcl_interfaces.srv import GetParameterTypes
 import rclpy
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import SingleThreadedExecutor
@@ -87,31 +87,34 @@ class Client(Node):
         return publisher
 
     def service(self, service_type, name):
-        """Return a function that calls a service and returns its response."""
+        """Return a function that calls a service of the node under test and returns its response."""
         client = self.create_client(service_type, name)
         assert client.wait_for_service(PATIENCE), f'no service {name}'
-        discovered = time.monotonic() + 0.25  # by the server, which may be busy
+        self.wait_until_known_to(name.rpartition('/')[0])
+        return lambda **fields: self.answer(
+            lambda: client.call_async(service_type.Request(**fields)), name)
 
-        def call(**fields):
-            time.sleep(max(0.0, discovered - time.monotonic()))
-            return self.answer(lambda: client.call_async(service_type.Request(**fields)), name)
-        return call
+    def wait_until_known_to(self, node):
+        """
+        Wait until a node knows the clients that this process has made.
+
+        The middleware drops an answer whose reader the server has not discovered. A question that
+        changes nothing is repeated until it is answered; a server discovers the readers of a
+        process in the order in which they are made, so it knows the earlier ones, too.
+        """
+        client = self.create_client(GetParameterTypes, f'{node}/get_parameter_types')
+        assert client.wait_for_service(PATIENCE), f'no service {client.srv_name}'
+        self.answer(lambda: client.call_async(GetParameterTypes.Request()), client.srv_name, 0.5)
 
     @staticmethod
-    def answer(call, what):
-        """
-        Return what a service answers; `call` asks it and returns a future.
-
-        The middleware drops the answer to a client that the server has not discovered within a
-        tenth of a second, so a second question follows, and the service is done twice; a warning
-        says so.
-        """
-        for patience in (PATIENCE / 4.0, PATIENCE):
-            done, future = threading.Event(), call()
-            future.add_done_callback(lambda _, done=done: done.set())
-            if done.wait(patience):
+    def answer(call, what, repeat_after=PATIENCE):
+        """Return what a service answers: `call` asks it, each `repeat_after` s, for a future."""
+        done, end = threading.Event(), time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            future = call()
+            future.add_done_callback(lambda _: done.set())
+            if done.wait(repeat_after):
                 return future.result()
-            warnings.warn(f'no answer from {what} within {patience} s')
         raise AssertionError(f'{what} does not answer')
 
     @staticmethod

@@ -126,10 +126,11 @@ class Parameters:
     def __init__(self, client, node):
         self._client, self.node = client, node
         self._remote = AsyncParameterClient(client, node)
+        client.wait(self._remote.services_are_ready, 'the services of parameters')
+        client.wait_until_known_to(node)
 
     def __call__(self, method, *arguments):
         """Call a method of the parameter client; return the answer."""
-        self._client.wait(self._remote.services_are_ready, 'the services of parameters')
         return self._client.answer(lambda: getattr(self._remote, method)(*arguments), method)
 
     def wait_for_end(self):
@@ -181,10 +182,10 @@ def test_a_dump_starts_an_equal_node(start, client, tmp_path):
              'carrier.held': 'y', 'arm.damping_ratio': '[0]', 'load.torque.table.time': '[]',
              'real_time_factor': 0.0, 'initial.carrier_x': '-0.0',
              f'qos_overrides.{name}/tip_pose.publisher.depth': 5}
-    parameters = Parameters(client, name)
     for number, arguments, values in ((1, (), first), (2, ('--params-file', 'dump.yaml'), {})):
         log = tmp_path / f'{number}.mcap'
         node = start(*arguments, '-r', '__ns:=/dumped', record_file=str(log), **values)
+        parameters = Parameters(client, name)
         shown = parameters.dump()
         (tmp_path / 'dump.yaml').write_text(shown)
         shown = flatten(yaml.safe_load(shown)[name]['ros__parameters'])
