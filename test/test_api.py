@@ -241,17 +241,6 @@ def test_a_scene_may_be_given_as_load_scene_takes_it(tmp_path):
         timo_sim.simulate(scene, 1e9)
 
 
-def test_disabled_compilation_changes_no_bit_and_is_left_to_the_caller(tmp_path):
-    code = ('import numba, timo_sim; '
-            'print(timo_sim.simulate({"model.formulation": "newton"}, 0.1, estimate=False)'
-            '.q[-1].tobytes().hex(), numba.njit(lambda: 1).__class__.__name__)')
-    done = subprocess.run(
-        [sys.executable, '-c', code], capture_output=True, text=True,
-        env={**os.environ, 'NUMBA_DISABLE_JIT': '1', 'NUMBA_CACHE_DIR': str(tmp_path)})
-    run = timo_sim.simulate({'model.formulation': 'newton'}, 0.1, estimate=False)
-    assert done.stdout.split() == [run.q[-1].tobytes().hex(), 'function'], done.stderr
-
-
 def test_settings_that_numba_cannot_read_do_no_harm_where_code_is_on_disk(tmp_path):
     timo_sim.simulate('paper', 0.01)
     (tmp_path / '.numba_config.yaml').write_text('disable_jit: [')

@@ -21,7 +21,6 @@ import warnings
 import platformdirs
 import pytest
 
-from oracles.hostile_caches import FILES, FOLDERS
 from timo_sim.compiled import machine, store
 from timo_sim.compiled.entry import EntryPoint
 
@@ -116,6 +115,67 @@ def test_a_folder_of_code_that_disappears_does_no_harm(find, kept):
         assert product_by(2) == 2
     assert any('machine code is not kept' in str(each.message) for each in told) != kept
     assert len(code_in(folder)) == 2 * kept
+
+
+# Attacks by folders and files as another user would plant them.
+
+def give_to_another(path, patch):
+    """
+    Give a file to another user, or simulate that where this process may not.
+
+    `patch` is a function(object, str, object) that replaces an attribute until the test ends.
+    """
+    if os.geteuid() == 0:
+        os.chown(path, 4321, -1)
+        return
+    theirs, fstat = path.stat(), os.fstat
+
+    def seen(descriptor):
+        status = fstat(descriptor)
+        other = status.st_uid + os.path.samestat(status, theirs)
+        return os.stat_result((*status[:4], other, *status[5:]))
+
+    patch(os, 'fstat', seen)
+
+
+def link(path):
+    """Put a symbolic link in the place of a file or folder."""
+    path.symlink_to(path.rename(path.with_name(f'planted-{path.name}')))
+
+
+def link_to_root(leaf):
+    """Put machine code into the root, and a link to the root in the place of the leaf."""
+    for file in leaf.iterdir():
+        file.rename(leaf.parent / file.name)
+    leaf.rmdir()
+    leaf.symlink_to('.')
+
+
+FOLDERS = {
+    'root 1777': lambda leaf, patch: leaf.parent.chmod(0o1777),
+    'root 0770': lambda leaf, patch: leaf.parent.chmod(0o770),
+    'leaf 0777': lambda leaf, patch: leaf.chmod(0o777),
+    'leaf 0720': lambda leaf, patch: leaf.chmod(0o720),
+    'root is a link': lambda leaf, patch: link(leaf.parent),
+    'leaf is a link': lambda leaf, patch: link(leaf),
+    'leaf is a link to the root': lambda leaf, patch: link_to_root(leaf),
+    "root is another's": lambda leaf, patch: give_to_another(leaf.parent, patch),
+    "leaf is another's": lambda leaf, patch: give_to_another(leaf, patch)}
+
+
+def another_pipe(file, patch):
+    """Put a pipe in the place of a file: to open it for reading would wait for a writer."""
+    file.unlink()
+    os.mkfifo(file)
+    give_to_another(file, patch)
+
+
+FILES = {
+    '0666': lambda file, patch: file.chmod(0o666),
+    '0620': lambda file, patch: file.chmod(0o620),
+    'link': lambda file, patch: link(file),
+    "another's": give_to_another,
+    "another's pipe": another_pipe}
 
 
 @pytest.mark.parametrize('attack', FOLDERS)
