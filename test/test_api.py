@@ -11,7 +11,6 @@
 import doctest
 import importlib
 import inspect
-import os
 import re
 import subprocess
 import sys

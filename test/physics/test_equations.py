@@ -24,7 +24,7 @@ from scipy.integrate import solve_ivp
 
 import timo_sim
 
-MODES, DURATION = 3, 1.0
+MODES, DURATION = 3, 0.6
 DRAG = np.array([3.0, 3.0, 0.5])  # viscous friction of the carrier's axes and of the shaft
 GRAVITY = [0.7, -2.0]
 FREE = {'initial.carrier_x_velocity': 0.5, 'initial.shaft_velocity': 3.0}
@@ -127,7 +127,7 @@ def solve(scene, equations):
     def rate(t, y):
         return np.concatenate([y[half:], accelerate(t, y)[0]])
 
-    t = np.linspace(0.0, DURATION, 51)
+    t = np.linspace(0.0, DURATION, 31)
     parts = [(0.0, 0.4), (0.4, DURATION)]  # the drive's fourth derivative jumps at 0.4 s
     y, motion = scene.initial_motion(), [scene.initial_motion()[:, np.newaxis]]
     for start, stop in parts:
@@ -270,17 +270,3 @@ def test_an_arm_that_stretches_agrees_with_its_equations(constraints, modes, axi
     error = np.abs(run.effort - forces)[:, run.model.constrained].max(initial=0.0)
     # Measured: 2.2e-7 with one axis held; accelerations of stiff modes are large for their q.
     assert error <= 1e-6 * np.abs(forces).max()
-
-
-def test_exact_conserves_energy_when_shear_matters():
-    free = {f'load.{channel}.{term}.{key}': [] for channel, term, key in (
-        ('force_x', 'harmonic', 'amplitude'), ('force_x', 'harmonic', 'frequency'),
-        ('force_y', 'table', 'time'), ('force_y', 'table', 'value'),
-        ('torque', 'harmonic', 'amplitude'), ('torque', 'harmonic', 'frequency'),
-        ('tip_force_x', 'harmonic', 'amplitude'), ('tip_force_x', 'harmonic', 'frequency'),
-        ('tip_force_y', 'table', 'time'), ('tip_force_y', 'table', 'value'),
-        ('tip_torque', 'harmonic', 'amplitude'), ('tip_torque', 'harmonic', 'frequency'))}
-    free |= {'carrier.viscous_friction': 0.0, 'motor.viscous_friction': 0.0}
-    scene = timo_sim.load_scene(scene_of('exact', 'free', damping=0.0).values, free)
-    energy = timo_sim.simulate(scene, 2.0, estimate=False).energy()
-    assert np.abs(energy / energy[0] - 1).max() < 1e-8

@@ -109,13 +109,13 @@ def test_a_swinging_arm_against_finite_elements():
 
 
 @pytest.mark.parametrize('held, gravity, angle', [
-    ('both', [0.0, -G], 0.6), ('x', [0.0, -G], 0.6), ('both', [4.0, -3.0], 2.0)])
+    ('x', [0.0, -G], 0.6), ('both', [4.0, -3.0], 2.0)])
 def test_a_swinging_arm_against_spectral_elements(held, gravity, angle):
     scene = timo_sim.load_scene({'gravity': gravity, 'carrier.held': held, 'model.modes': 5,
                                  'initial.shaft': angle, 'model.axial_modes': 1,
                                  'motor.shaft': 'free'})
     run = timo_sim.simulate(scene, 1.0, sample_every=100, estimate=False)
-    carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 10)
+    carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 10, order=8, courant=0.9)
     assert np.abs(run.shaft - shaft).max() < 2e-6
     assert np.abs(run.position(2.0) - tip).max() < 4e-6
 

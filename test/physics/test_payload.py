@@ -30,13 +30,12 @@ BOTH = {'payload.time': [0.2, 0.5], 'payload.mass': [5.0, 1.0], 'payload.inertia
         'end_effector.pick_up': 'at_rest'}
 
 
-@pytest.mark.parametrize('values', [
-    {**HELD, **PICKED}, {**FREE, **PICKED}, {**FREE, **DROPPED}],
-    ids=['held', 'free', 'dropped'])
+@pytest.mark.parametrize('values', [{**HELD, **PICKED}, {**FREE, **DROPPED}],
+                         ids=['held', 'free, dropped'])
 def test_a_load_that_changes_in_flight_against_spectral_elements(values):
     scene = timo_sim.load_scene({**values, 'model.modes': 5, 'model.axial_modes': 1})
     run = timo_sim.simulate(scene, 1.0, sample_every=100, estimate=False)
-    carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 10)
+    carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 10, order=8, courant=0.9)
     assert np.abs(run.carrier - carrier).max() < 1e-6
     assert np.abs(run.position(2.0) - tip).max() < 3e-6
     # What it would be without the change is far from it.
@@ -50,7 +49,8 @@ def test_the_estimate_knows_of_vibrations_that_the_modes_leave_out():
     scene = timo_sim.load_scene({**HELD, **PICKED, 'gravity': [0.0, -9.81], 'model.modes': 5,
                                  'model.axial_modes': 1})
     run = timo_sim.simulate(scene, 1.0, sample_every=100)
-    error = np.abs(run.position(2.0) - spectral_elements.simulate(scene, 0.1, 10)[2]).max()
+    tip = spectral_elements.simulate(scene, 0.1, 10, courant=0.9)[2]
+    error = np.abs(run.position(2.0) - tip).max()
     assert error < 5e-5
     assert 0.5 < run.stats['estimated_tip_error_m'] / error < 2.0
 
@@ -61,7 +61,7 @@ def test_a_load_picked_up_from_rest_against_spectral_elements():
         'initial.shaft_velocity': 0.5, **PICKED, 'end_effector.pick_up': 'at_rest',
         'model.modes': 5, 'model.axial_modes': 1})
     run = timo_sim.simulate(scene, 0.6, sample_every=100, estimate=False)
-    carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 6)
+    carrier, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 6, courant=0.9)
     assert np.abs(run.carrier - carrier).max() < 1e-5
     assert np.abs(run.position(2.0) - tip).max() < 2e-5
 

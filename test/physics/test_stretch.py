@@ -126,7 +126,7 @@ def test_dissipated_energy_is_the_energy_that_is_lost():
 @pytest.mark.filterwarnings('ignore::timo_sim.ModelWarning')  # axial ringing of the first step
 def test_one_axial_mode_moves_as_spectral_elements(values, modes, step, effect, limit):
     scene = scene_of(values, **{'model.modes': modes, 'integrator.step': step})
-    tip = spectral_elements.simulate(scene, 0.05, 30)[2]
+    tip = spectral_elements.simulate(scene, 0.05, 30, courant=0.9)[2]
     off = [np.linalg.norm(timo_sim.simulate(each, 1.5, round(0.05 / step),
                                             estimate=False).position(2.0) - tip,
                           axis=1).max() / 2.0
@@ -138,13 +138,14 @@ def test_one_axial_mode_moves_as_spectral_elements(values, modes, step, effect, 
 def test_spectral_elements_are_the_stored_reference_but_for_the_stretch(spin_up):
     """The stored reference of Simo and Vu-Quoc's arm is extrapolated to an inextensible arm."""
     scene = timo_sim.load_scene(spin_up)
-    stored = references.read('spin_up')[1]['w_l_m'][:351:5]
+    stored = references.read('spin_up')[1]['w_l_m'][:301:5]
     off = []
-    for stretch in (1.0, 0.1):
-        _, shaft, tip, _ = spectral_elements.simulate(scene, 0.1, 70, order=8, stretch=stretch)
+    for stretch in (1.0, 0.3):
+        _, shaft, tip, _ = spectral_elements.simulate(
+            scene, 0.1, 60, order=6, courant=0.9, stretch=stretch)
         off.append(np.abs(np.cos(shaft) * tip[:, 1] - np.sin(shaft) * tip[:, 0] - stored).max())
-    assert off[0] > 2e-5
-    assert off[1] == pytest.approx(off[0] / 10.0, rel=0.05)
+    assert off[0] > 1e-5
+    assert off[1] == pytest.approx(0.3 * off[0], rel=0.03)
 
 
 @pytest.mark.parametrize('formulation', ['newton', 'newton_root_stress'])
