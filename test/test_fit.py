@@ -92,23 +92,17 @@ def test_values_joined_by_lines_are_the_table_of_a_scene():
     assert record.outputs['shaft'].values == pytest.approx(run.shaft, abs=1e-9)
 
 
-def test_a_voltage_acts_as_that_of_the_simulator():
-    scene = timo_sim.load_scene({**ARM, **MOTOR, 'motor.coulomb_friction': 0.01,
-                                 'motor.dc.voltage_limit': 2.5})
+@pytest.mark.parametrize('values, name, size', [
+    ({**MOTOR, 'motor.coulomb_friction': 0.01, 'motor.dc.voltage_limit': 2.5}, 'voltage', 1.0),
+    ({'motor.torque_limit': 0.08, 'motor.torque_rate_limit': 3.0}, 'torque', 0.04)])
+def test_an_input_acts_as_that_of_the_simulator(values, name, size):
+    """Motor, friction and limits included."""
+    scene = timo_sim.load_scene(ARM, values)
     simulator, shaft = timo_sim.Simulator(scene), [0.0]
-    for voltage in VOLTAGE[:-1]:
-        shaft.append(float(simulator.step(voltage=voltage).shaft))
-    record = predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft'])
+    for value in size * VOLTAGE[:-1]:
+        shaft.append(float(simulator.step(**{name: value}).shaft))
+    record = predicted(scene, {name: (T, size * VOLTAGE)}, ['shaft'])
     # The impulse of a step is a difference of sums.
-    assert record.outputs['shaft'].values == pytest.approx(shaft, abs=1e-10)
-
-
-def test_a_torque_acts_as_that_of_the_simulator_with_limits():
-    scene = timo_sim.load_scene(ARM, {'motor.torque_limit': 0.08, 'motor.torque_rate_limit': 3.0})
-    simulator, shaft, torque = timo_sim.Simulator(scene), [0.0], 0.04 * VOLTAGE
-    for command in torque[:-1]:
-        shaft.append(float(simulator.step(torque=command).shaft))
-    record = predicted(scene, {'torque': (T, torque)}, ['shaft'])
     assert record.outputs['shaft'].values == pytest.approx(shaft, abs=1e-9)
 
 

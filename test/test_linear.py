@@ -265,14 +265,6 @@ def test_outputs_of_a_small_motion():
             'tip_rotation_rad': run.rotation(2.0),
             'shaft_velocity_rad_per_s': run.shaft_velocity}.items():
         assert np.abs(found[name] - values).max() < 1e-5 * np.abs(values).max(), name
-    # Acceleration from differences of fourth order of the position.
-    across = (tip - tip[0]) @ [-np.sin(run.shaft[0]), np.cos(run.shaft[0])]
-    second = (-across[4:] + 16.0 * across[3:-1] - 30.0 * across[2:-2] + 16.0 * across[1:-3]
-              - across[:-4]) / (12.0 * period**2)
-    acceleration = found['tip_acceleration_m_per_s2']
-    assert np.abs(acceleration[2:-2] - second).max() < 2e-3 * np.abs(acceleration).max()
-    strain = run.root_strain()
-    assert np.abs(found['root_strain'] - strain).max() < 1e-5 * np.abs(strain).max()
 
 
 @pytest.mark.parametrize('values, inputs', [

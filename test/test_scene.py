@@ -83,7 +83,11 @@ REFUSED = [
     ('initial.modal_rates', [1.0], 'must have 0 or 3 elements for model.modes = 3, got 1'),
     ('initial.modal_rates', [1.0, math.nan, 0.0], 'must be a list of finite numbers'),
     ('arm.damping_ratio', [1.5], 'must be a finite number, or a list of them, >= 0 and <= 1'),
-    ('arm.lenght', 2.0, 'arm.lenght = 2.0 is not a parameter of timo_sim'),
+    ('arm.lenght', 2.0, 'arm.lenght = 2.0 is not a parameter .*did you mean arm.length'),
+    ('motor.dc.gear', 2.0, 'did you mean motor.dc.gear_ratio'),
+    ('load', {'torqe': {'harmonic': {'phase': [0.0]}}}, 'did you mean load.torque.harmonic'),
+    ('motor.torque_limit', 0.0, 'must be a number > 0 N m, .inf for no limit, got 0.0'),
+    ('integrator.tolerance', 1e-6, 'any more: .* smaller integrator.step'),
     ('arm', {'length': {'x': 1}}, 'arm.length.x = 1 is not a parameter'),
     ('record', 1, 'record must be true or false, got 1'),
     ('record_file', 3, 'record_file must be a text, got 3')
@@ -99,7 +103,7 @@ def test_values_that_are_refused():
 PROFILE = {'arm.profile.position': [0.0, 1.0, 2.0], 'arm.profile.height': [0.03, 0.02, 0.01]}
 DRIVE = {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 1.0], 'motor.drive.angle': [0.0, 1.0],
          'motor.drive.speed': [0.0, 0.0], 'motor.drive.acceleration': [0.0, 0.0]}
-
+PICKED = {'payload.time': [0.3], 'payload.mass': [4.0], 'payload.inertia': [0.6]}
 
 CONTRADICTIONS = [
     ({'arm.profile.height': [0.03, 0.02]}, r'arm.profile.position must ascend from 0 to arm.len'),
@@ -116,7 +120,19 @@ CONTRADICTIONS = [
     ({**DRIVE, 'motor.drive.acceleration': [0.0, 1.0]}, 'must end with 0'),
     ({'model.modes': 0, 'carrier.held': 'both', 'motor.shaft': 'locked'}, 'nothing can move'),
     ({'model.formulation': 'newton_root_stress', 'motor.shaft_inertia': 0.0},
-     'newton_root_stress needs a shaft inertia > 0')
+     'newton_root_stress needs a shaft inertia > 0'),
+    ({'model.formulation': 'newton', 'model.axial_modes': 1},
+     'model.axial_modes must be 0 with model.formulation = newton, got 1'),
+    ({**PICKED, 'model.formulation': 'newton_root_stress'}, 'must be empty with'),
+    ({**PICKED, 'payload.mass': []}, 'must have the same length'),
+    ({**PICKED, 'payload.time': [0.3005]}, 'whole multiple'),
+    ({**PICKED, 'payload.time': [0.0]}, 'payload.time must be'),
+    ({name: 2 * value for name, value in PICKED.items()}, 'payload.time must ascend'),
+    ({'load.push_x.piecewise': {'time': [0.0], 'value': [1.0]}},
+     'load.push_x.piecewise.time needs push.position > 0, got 0'),
+    ({'push.position': 2.5}, 'push.position must be at most arm.length = 2 m, got 2.5'),
+    ({'push.position': 1.0, 'model.formulation': 'newton_root_stress'},
+     'push.position must be 0 with model.formulation = newton_root_stress')
 ]
 
 

@@ -101,11 +101,6 @@ def test_divergence_names_place_time_and_remedy_and_keeps_the_last_good_state():
     assert np.abs(block.motion.values[3:6]) @ reach[3:] < 10.0 * length
 
 
-def test_steps_are_not_split_any_more():
-    with pytest.raises(timo_sim.ParameterError, match='any more: .* smaller integrator.step'):
-        timo_sim.load_scene({'integrator.tolerance': 1e-6})
-
-
 LONG = 700  # steps
 
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The formulations against the finite-element reference, rigid bodies and conservation laws."""
+"""The formulations against finite elements, rigid bodies, conservation laws, the elastica."""
 
 import warnings
 
@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from oracles import elastica
 from oracles.references import STATIONS
 import timo_sim
+from timo_sim.model import FORMULATIONS
 from timo_sim.model.layout import LOADS
 from timo_sim.steps.steps import Steps
 
@@ -277,3 +279,73 @@ def test_newton_warns_where_axial_force_and_deflection_matter(name, axial, acros
     newton, exact = (run.deflection(arm.length)[-1, 1] for run in runs)
     if across:  # without this force a compressed arm stays straight
         assert (abs(newton - exact) < 1e-3 * arm.length) == silent
+
+
+@pytest.mark.parametrize('name', FORMULATIONS)
+@pytest.mark.parametrize('modes', [0, 3, 5])
+def test_tip_is_the_end_of_the_centre_line(name, modes):
+    formulation = timo_sim.load_scene(
+        {'model.formulation': name, 'model.modes': modes}).build()
+    motion = np.random.default_rng(modes).normal(scale=0.3, size=formulation.size)
+    end, q = formulation.at([2.0]), motion[np.newaxis, 3:3 + modes]
+    along, across, rotation = formulation.tip(motion)
+    # Both sum the same few terms in another order.
+    assert (along, across) == pytest.approx(formulation.centre_line(q, end)[0, 0], abs=1e-14)
+    assert rotation == pytest.approx(formulation.section_rotation(q, end)[0, 0], abs=1e-14)
+
+
+def test_a_load_on_the_tip_does_its_work_and_gives_its_momentum():
+    """Constant force and torque on the end effector of an arm that turns and bends far."""
+    force, torque = np.array([6.0, -4.0]), 3.0
+    scene = timo_sim.load_scene({
+        'initial.shaft_velocity': 1.0, 'initial.modal_rates': [4.0, 1.0, 0.0],
+        **{f'load.tip_{name}.piecewise.{key}': [value] for name, size in (
+            ('force_x', force[0]), ('force_y', force[1]), ('torque', torque))
+           for key, value in (('time', 0.0), ('value', size))}})
+    run = timo_sim.simulate(scene, 2.0, estimate=False)
+    tip = run.position(2.0)
+    turn = run.shaft + run.rotation(2.0)
+    assert np.abs(run.deflection(2.0)[:, 1]).max() > 0.08
+    # The work of a constant load depends on its end points only; measured: 3e-12.
+    work = (tip - tip[0]) @ force + torque * (turn - turn[0])
+    energy = run.energy()
+    assert np.abs(energy - energy[0] - work).max() < 1e-10 * energy.max()
+    momentum = run.momentum() - run.momentum()[0]
+    # Measured: 2e-12, the round-off of momenta computed from the motion.
+    assert np.abs(momentum[:, :2] - np.outer(run.t, force)).max() < 1e-11
+    moment = tip[:, 0] * force[1] - tip[:, 1] * force[0] + torque
+    # Boole's rule over four steps.
+    gained = sum(weight * moment[k:len(moment) - 4 + k:4] for k, weight in enumerate(
+        (7.0, 32.0, 12.0, 32.0))) + 7.0 * moment[4::4]
+    gained = np.cumsum(gained) * 4.0 * scene.step / 90.0
+    assert np.abs(momentum[4::4, 2] - gained).max() < 1e-9
+
+
+# Deflections far from small: a tip turned by more than 60 degrees, against the elastica.
+
+BENT = 3.2  # P l^2 / (E I)
+
+
+def test_the_boundary_value_solver_gives_the_closed_form():
+    section = timo_sim.load_scene(elastica.ARM).manipulator.arm.section
+    load = BENT * section.bending_stiffness / elastica.LENGTH**2
+    found, closed = elastica.boundary_value(section, load, 0.0), elastica.elastica(BENT)
+    # Shear adds EI / (kappa G A l^2) = 1.6e-6 of the deflection.
+    assert np.abs(found - closed).max() < 5e-6
+
+
+@pytest.mark.parametrize('modes, rotation, deflection', [
+    (3, 5e-2, 5e-5), (5, 5e-3, 2e-6)])
+def test_exact_agrees_with_the_elastica(modes, rotation, deflection):
+    run, truth = elastica.compare(modes, BENT)
+    assert np.degrees(truth[0]) > 60.0
+    error = np.abs(run - truth)
+    assert np.degrees(error[0]) < rotation
+    assert elastica.LENGTH * error[1] < deflection
+    assert elastica.LENGTH * error[2] < 2.0 * deflection + 2e-6
+
+
+def test_newton_does_not_agree_with_the_elastica_and_warns():
+    with pytest.warns(timo_sim.ModelWarning, match='take model.formulation exact'):
+        run, truth = elastica.compare(3, BENT, 'newton')
+    assert elastica.LENGTH * np.abs(run - truth)[1] > 0.5

@@ -253,17 +253,6 @@ def test_modes_of_another_end_effector(formulation, static, bound):
     assert np.abs(found[:3] / truth - 1.0).max() < bound
 
 
-@pytest.mark.parametrize('values, words', [
-    ({**PICKED, 'model.formulation': 'newton_root_stress'}, 'must be empty with'),
-    ({**PICKED, 'payload.mass': []}, 'must have the same length'),
-    ({**PICKED, 'payload.time': [0.3005]}, 'whole multiple'),
-    ({**PICKED, 'payload.time': [0.0]}, 'payload.time must be'),
-    ({**BOTH, 'payload.time': [0.5, 0.2]}, 'payload.time must ascend')])
-def test_what_is_refused(values, words):
-    with pytest.raises(timo_sim.ParameterError, match=words):
-        timo_sim.load_scene(values)
-
-
 def test_the_refused_load_of_a_simulator_leaves_it_as_it_was():
     simulator = Simulator({**FREE, 'model.formulation': 'newton_root_stress'})
     simulator.advance(10)

@@ -92,16 +92,6 @@ def test_commands_push_as_loads_do_also_in_a_batch():
     assert np.abs(found[1] - wanted).max() > 1e-4
 
 
-@pytest.mark.parametrize('values, words', [
-    (pushed('push'), 'load.push_x.piecewise.time needs push.position > 0, got 0'),
-    ({'push.position': 2.5}, 'push.position must be at most arm.length = 2 m, got 2.5'),
-    ({'push.position': 1.0, 'model.formulation': 'newton_root_stress'},
-     'push.position must be 0 with model.formulation = newton_root_stress')], ids=str)
-def test_scenes_that_are_refused(values, words):
-    with pytest.raises(timo_sim.ParameterError, match=words):
-        timo_sim.load_scene(values)
-
-
 def test_commands_without_a_place_are_refused():
     with pytest.raises(timo_sim.ParameterError, match='push_y = 1 N needs push.position > 0'):
         timo_sim.Simulator({}).step(push=(0.0, 1.0))

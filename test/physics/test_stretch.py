@@ -148,13 +148,6 @@ def test_spectral_elements_are_the_stored_reference_but_for_the_stretch(spin_up)
     assert off[1] == pytest.approx(0.3 * off[0], rel=0.03)
 
 
-@pytest.mark.parametrize('formulation', ['newton', 'newton_root_stress'])
-def test_axial_modes_are_refused_where_the_arm_cannot_stretch(formulation):
-    with pytest.raises(timo_sim.ParameterError, match='model.axial_modes must be 0 with '
-                       f'model.formulation = {formulation}, got 1'):
-        scene_of(**{'model.formulation': formulation})
-
-
 def test_axial_coordinates_are_the_last_of_all_lists():
     last = [0.0] * 5
     scene = scene_of(**{'model.modes': 5, 'initial.modal_coordinates': [*last, 1e-3],
