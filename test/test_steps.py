@@ -134,6 +134,48 @@ def test_skipped_steps_give_the_same_bits_as_computed_ones(formulation, held, mo
     assert skipped[LONG + 1, 2] != skipped[LONG, 2] != skipped[-1, 2]
 
 
+SPINNING = {'carrier.held': 'y', 'integrator.step': 0.002, 'initial.shaft_velocity': 10.0,
+            'initial.modal_rates': [0.5, 0.0, 0.0]}  # through all sectors
+DRIVEN = {'motor.shaft': 'driven', 'initial.shaft_velocity': 0.0, 'motor.drive.time': [0.0, 0.4],
+          'motor.drive.angle': [0.0, 4.0], 'motor.drive.speed': [0.0, 5.0],
+          'motor.drive.acceleration': [0.0, 0.0]}
+# All three joints slide, stop, stick and break away, and the arm vibrates.
+RUBBING = {
+    'carrier.coulomb_friction': 12.0, 'motor.coulomb_friction': 15.0, 'integrator.step': 0.005,
+    'initial.carrier_x_velocity': 0.1, 'initial.carrier_y_velocity': -0.05,
+    'initial.shaft_velocity': 0.1, 'initial.modal_coordinates': [0.1, 0.01, 0.0],
+    **{f'load.{name}.piecewise': {'time': [0.0], 'value': [value]}
+       for name, value in (('force_x', 6.0), ('force_y', -7.0), ('torque', 9.0))}}
+PICKED = {'payload.time': [0.2, 0.5], 'payload.mass': [5.0, 1.0], 'payload.inertia': [0.5, 0.5],
+          'end_effector.pick_up': 'at_rest', 'load.torque.harmonic.amplitude': [5.0],
+          'load.torque.harmonic.frequency': [1.0]}
+
+
+@pytest.mark.parametrize('values', [
+    SPINNING, {**SPINNING, 'motor.coulomb_friction': 1.0}, {**SPINNING, **DRIVEN},
+    {**SPINNING, 'model.axial_modes': 1, 'initial.modal_rates': [0.5, 0.0, 0.0, 0.0]}, RUBBING,
+    {**PICKED, 'initial.shaft_velocity': 1.0},
+    {**PICKED, 'carrier.held': 'both', 'gravity': [0.0, -9.81]}],
+    ids=['sectors', 'sectors, friction', 'sectors, driven', 'sectors, stretch', 'friction',
+         'payload', 'payload, held'])
+def test_bits_do_not_depend_on_how_many_steps_are_done_at_once(values):
+    """Of motions and of the heat of friction, also after a reset."""
+    scene = timo_sim.load_scene(values)
+    whole, parts = Simulator(scene), Simulator(scene)
+    motions, heat = whole.advance(630, sample_every=7)
+    found, heats = [parts.motion.values], [parts.integration.heat]
+    for k in range(90):
+        for count in (1, 4, 2) if k % 2 else (7,):
+            samples, _ = parts.advance(count, sample_every=count)
+        found.append(samples[-1])
+        heats.append(parts.integration.heat)
+    assert np.array(found).tobytes() == motions.tobytes()
+    assert np.array(heats).tobytes() == heat.tobytes()
+    assert np.ptp(motions[:, 2]) > 0.02
+    whole.reset()
+    assert whole.advance(630, sample_every=7)[0].tobytes() == motions.tobytes()
+
+
 def test_no_step_is_computed_at_rest(monkeypatch):
     computed = []
     advance = Steps.advance

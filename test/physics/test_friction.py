@@ -242,20 +242,6 @@ def test_each_step_obeys_the_law():
     assert np.all(seen >= 5), 'joints of this scene do not slide, stop and break away often enough'
 
 
-def test_bits_do_not_depend_on_batches():
-    scene = timo_sim.load_scene({**LIVELY, 'integrator.step': 0.005})
-    pieces = Simulator(scene)
-    motions, whole = Simulator(scene).advance(630, loaded(PUSHES), 7)
-    found, heats = [pieces.motion.values], [pieces.integration.heat]
-    for k in range(90):
-        for count in (1, 4, 2) if k % 2 else (7,):
-            pieces.advance(count, loaded(PUSHES))
-        found.append(pieces.motion.values)
-        heats.append(pieces.integration.heat)
-    assert np.array(found).tobytes() == motions.tobytes()
-    assert np.array(heats).tobytes() == whole.tobytes()
-
-
 def test_a_run_has_the_heat_of_its_samples():
     scene = timo_sim.load_scene({**LIVELY, 'integrator.step': 0.005})
     fine, coarse = (timo_sim.simulate(scene, 6.0, every, estimate=False) for every in (1, 8))

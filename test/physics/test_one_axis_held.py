@@ -106,23 +106,6 @@ def test_steps_are_of_fourth_order_through_the_sectors():
     assert 9.0 < errors[0] / errors[1] < 40.0
 
 
-@pytest.mark.parametrize('values', [
-    {}, {'motor.coulomb_friction': 1.0},
-    {'model.axial_modes': 1, 'initial.modal_rates': [0.5, 0.0, 0.0, 0.0]},
-    {'motor.shaft': 'driven', 'initial.shaft_velocity': 0.0, 'motor.drive.time': [0.0, 0.2],
-     'motor.drive.angle': [0.0, 2.0], 'motor.drive.speed': [0.0, 5.0],
-     'motor.drive.acceleration': [0.0, 0.0]},
-], ids=['steps', 'friction', 'stretch', 'driven'])
-def test_motions_do_not_depend_on_batches(values):
-    scene = scene_of('y', 0.002, {**SPINNING, **values})
-    whole, single = timo_sim.Simulator(scene), timo_sim.Simulator(scene)
-    motions, _ = whole.advance(200, sample_every=1)
-    for expected in motions[1:]:
-        single.advance(1)
-        np.testing.assert_array_equal(single.motion.values, expected)
-    assert np.ptp(motions[:, 2]) > 1.0  # through five sectors at least
-
-
 def test_a_state_that_is_not_finite_is_no_crash():
     """Found by `make stress`: a finer run diverged, and its error was estimated before that."""
     model = timo_sim.load_scene({'carrier.held': 'y'}).build()

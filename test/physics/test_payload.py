@@ -147,20 +147,6 @@ def test_nothing_is_lost_by_loads_that_move_with_the_tip():
     assert simulator.tip_load.lost == 0.0
 
 
-@pytest.mark.parametrize('values', [{**FREE, **BOTH}, {**HELD, **BOTH, 'gravity': [0.0, -9.81]}],
-                         ids=['free', 'held'])
-def test_how_many_steps_are_done_at_once_does_not_matter(values):
-    scene = timo_sim.load_scene(values)
-    whole, parts = Simulator(scene), Simulator(scene)
-    samples, _ = whole.advance(700, sample_every=10)
-    found = [parts.advance(10, sample_every=10)[0] for _ in range(70)]
-    np.testing.assert_array_equal(samples[1:], [each[1] for each in found])
-    np.testing.assert_array_equal(samples[:-1], [each[0] for each in found])
-    # Reset brings the first end effector back, and the changes again.
-    whole.reset()
-    np.testing.assert_array_equal(whole.advance(700, sample_every=10)[0], samples)
-
-
 def test_a_change_by_hand_is_that_of_the_scene():
     scene = timo_sim.load_scene({**FREE, **PICKED})
     by_hand = Simulator(scene.vary({'payload.time': [], 'payload.mass': [],
