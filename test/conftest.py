@@ -46,10 +46,10 @@ def pytest_collection():
 
 # The longest files begin first; files that wait for nodes stand between those that compute.
 LONGEST = [f'test_{name}.py' for name in (
-    'project examples equations accuracy lock_step process stress node batch stretch compiled '
-    'tutorial sweep_command estimated_error same_bits smooth_friction recover formulations '
-    'payload ros2_control fit friction topics gravity view sensitivities sweep one_axis_held '
-    'fit_statistics parameters peers looking steps').split()]
+    'project examples compiled accuracy lock_step process stress node fit equations api stretch '
+    'tutorial sweep_command fit_statistics same_bits estimated_error recover extending batch '
+    'payload ros2_control friction topics gravity view sensitivities sweep '
+    'parameters peers looking steps').split()]
 
 
 def pytest_collection_modifyitems(items):

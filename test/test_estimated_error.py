@@ -46,15 +46,9 @@ SCENES = {'stretch': {'initial.shaft_velocity': 20.0}, 'modes': {'model.modes': 
           'formulation': PULL}
 
 
-# The arm buckles under a force along it, grows soft near its critical load, or stands near it.
+# The arm buckles under a force along it, or stands near its critical load.
 GROWS = {
     'buckles': ({
-        'carrier.held': 'both', 'motor.shaft': 'locked', 'initial.shaft': 0.0, 'model.modes': 5,
-        'load.tip_force_x.table.time': [0.0, 1.0],
-        'load.tip_force_x.table.value': [0.0, -900.0],
-        'load.tip_force_y.piecewise.time': [0.0],
-        'load.tip_force_y.piecewise.value': [2.0]}, 3000),
-    'buckles on a carrier': ({
         'arm.length': 2.2482, 'arm.height': 0.066878, 'arm.width': 0.16744, 'arm.density': 1600.0,
         'arm.young_modulus': 60000000000.0, 'arm.shear_modulus': 4000000000.0,
         'carrier.mass': 149.05, 'motor.mass': 24.856, 'motor.shaft_inertia': 18.618,
@@ -94,8 +88,8 @@ def test_the_error_is_the_distance_from_finite_elements(name):
 
 
 def test_steps_that_do_not_resolve_axial_vibrations():
-    run = quietly(ABRUPT, 2.0)
-    tip = spectral_elements.simulate(run.scene, 0.025, 80, order=8, courant=0.9)[2]
+    run = quietly(ABRUPT, 1.0)
+    tip = spectral_elements.simulate(run.scene, 0.025, 40, order=8, courant=0.9)[2]
     error = np.linalg.norm(run.position(2.0) - tip, axis=1).max()
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.5)
 
