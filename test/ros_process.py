@@ -81,13 +81,14 @@ class Client(Node):
         return messages
 
     def command(self, message_type, topic):
-        """Return a publisher that the node under test is connected to."""
+        """Return a publisher of commands, each of which reaches the node under test."""
         publisher = self.create_publisher(message_type, topic, 10)
         self.wait(lambda: publisher.get_subscription_count() > 0, f'a subscriber of {topic}')
+        self.wait_until_known_to(topic.rpartition('/')[0])
         return publisher
 
     def service(self, service_type, name):
-        """Return a function that calls a service of the node under test and returns its response."""
+        """Return a function that calls a service of the node under test and returns the answer."""
         client = self.create_client(service_type, name)
         assert client.wait_for_service(PATIENCE), f'no service {name}'
         self.wait_until_known_to(name.rpartition('/')[0])
@@ -96,11 +97,12 @@ class Client(Node):
 
     def wait_until_known_to(self, node):
         """
-        Wait until a node knows the clients that this process has made.
+        Wait until a node knows all that this process has made: clients, publishers, subscribers.
 
-        The middleware drops an answer whose reader the server has not discovered. A question that
-        changes nothing is repeated until it is answered; a server discovers the readers of a
-        process in the order in which they are made, so it knows the earlier ones, too.
+        The middleware drops messages of a writer that the reader's process has not discovered,
+        and answers to a reader that the server has not. A question that changes nothing is
+        repeated until it is answered. A node discovers writers and readers of another process in
+        the order in which they were made, so that it then knows the earlier ones, too.
         """
         client = self.create_client(GetParameterTypes, f'{node}/get_parameter_types')
         assert client.wait_for_service(PATIENCE), f'no service {client.srv_name}'

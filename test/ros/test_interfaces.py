@@ -46,6 +46,7 @@ class Simulator:
                       for name, kind in kinds.items()}
         self._action = ActionClient(client, SimulateSteps, '/timo_sim/simulate_steps')
         assert self._action.wait_for_server(PATIENCE)
+        client.wait_until_known_to('/timo_sim')
 
     def close(self):
         """Destroy the action's client, which would otherwise live on with the client node."""

@@ -10,7 +10,6 @@
 
 import shutil
 import signal
-import time
 
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
@@ -19,7 +18,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from ros_process import replayed
+from ros_process import nanoseconds, replayed
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
@@ -147,22 +146,28 @@ def test_a_run_that_diverged_was_reset_and_killed_replays(start, client):
 
 def test_parameters_that_change_and_a_log_of_a_replay(start, client, paper, tmp_path):
     """The log of a replay has the node's messages, and can be replayed, too."""
-    node = start('--params-file', str(paper), **{
+    node = start('--params-file', str(paper), real_time_factor=4.0, **{
         'rate.joint_states': 1000.0, 'rate.modal_state': 1000.0, **TURNING})
+    states = client.collect(JointState, '/joint_states')
     torque = client.command(Float64, '/timo_sim/motor_torque')
     torque.publish(Float64(data=1.0))
     change = client.service(SetParameters, '/timo_sim/set_parameters')
     reset = client.service(Trigger, '/timo_sim/reset')
+
+    def later(steps):
+        until = len(states) and nanoseconds(states[-1]) + 1000000 * steps
+        client.wait(lambda: states and nanoseconds(states[-1]) >= until, f'{steps} steps')
+
     for values in ({'rate.tip_pose': 500.0},
                    {'end_effector.mass': 5.0, 'end_effector.inertia': 0.6},
                    {'end_effector.mass': 8.0, 'end_effector.pick_up': 'at_rest'}):
-        time.sleep(0.2)
+        later(200)
         answer = change(parameters=[Parameter(name, value=value).to_parameter_msg()
                                     for name, value in values.items()])
         assert all(result.successful for result in answer.results)
-    time.sleep(0.2)
+    later(200)
     assert reset().success
-    time.sleep(0.4)
+    later(400)
     assert node.end()[0] == 0
     replayed(node.log, output=tmp_path / 'again.mcap')
     first, second = (Recording(path) for path in (node.log, tmp_path / 'again.mcap'))
@@ -229,6 +234,7 @@ def test_a_player_by_the_rules_of_rosbag2_drives_a_live_node(start, client, tmp_
                     depth=qos.depth, reliability=ReliabilityPolicy(qos.reliability.value),
                     durability=DurabilityPolicy(qos.durability.value)))
             client.wait(lambda: publisher.get_subscription_count() > 0, 'the node')
+            client.wait_until_known_to('/timo_sim')
             publisher.publish(bytes(data))
     client.wait(lambda: states and states[-1].effort.tolist() == [3.0, 0.0, 0.75], 'the commands')
 
