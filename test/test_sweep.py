@@ -56,22 +56,21 @@ def test_rows_are_those_of_simulate_to_the_bit_for_one_worker_and_two(scene, pap
     random = np.random.default_rng(3)
     variations = [{'end_effector.mass': random.uniform(0.5, 5.0), 'initial': {
         'shaft_velocity': random.uniform(-1.0, 1.0), 'carrier_x': 1.0},
-        'load.torque.harmonic.amplitude': [random.uniform(1.0, 8.0)]} for _ in range(35)]
+        'load.torque.harmonic.amplitude': [random.uniform(1.0, 8.0)]} for _ in range(9)]
     variations += [{'model.formulation': 'newton', 'end_effector.mass': 1.0},
-                   {'payload': {'time': [1.0, 3.0], 'mass': [2.1, 1.9], 'inertia': [0.51, 0.5]}},
+                   {'payload': {'time': [0.5, 1.5], 'mass': [2.1, 1.9], 'inertia': [0.51, 0.5]}},
                    {'model.modes': 0}, {'carrier.held': 'x'}, {'integrator.step': 0.004}, {},
                    {'load.torque.harmonic.amplitude': [], 'load.torque.harmonic.frequency': [],
                     'load.torque.harmonic.phase': []}]
-    tables = [timo_sim.simulate_many(scene, iter(variations), 5.0, workers=workers)
+    tables = [timo_sim.simulate_many(scene, iter(variations), DURATION, workers=workers)
               for workers in (1, 2)]
-    for table in tables:
-        assert table['run'].tolist() == list(range(len(variations)))
-        assert not any(table['reason']) and not any(table['warning'])
-        for row, variation in enumerate(variations):
-            run = timo_sim.simulate(timo_sim.load_scene(scene.values, variation), 5.0,
-                                    estimate=False)
-            assert numbers(table, row) == expected(run), variation
     one, two = tables
+    assert one['run'].tolist() == list(range(len(variations)))
+    assert not any(one['reason']) and not any(one['warning'])
+    for row, variation in enumerate(variations):
+        run = timo_sim.simulate(timo_sim.load_scene(scene.values, variation), DURATION,
+                                estimate=False)
+        assert numbers(one, row) == expected(run), variation
     assert list(one) == list(two)
     for name in one:
         np.testing.assert_array_equal(one[name], two[name])
