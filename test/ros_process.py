@@ -68,7 +68,6 @@ class Client(Node):
                 pass
 
     def close(self):
-        """End the executor's thread and the node."""
         self._executor.shutdown()
         self._thread.join()
         self.destroy_node()
@@ -121,7 +120,6 @@ class Client(Node):
 
     @staticmethod
     def wait(condition, what):
-        """Wait until a condition holds."""
         end = time.monotonic() + PATIENCE
         while not condition():
             assert time.monotonic() < end, f'waited in vain for {what}'
@@ -130,7 +128,6 @@ class Client(Node):
 
 @pytest.fixture(scope='session')
 def ros():
-    """Start rclpy once."""
     rclpy.init()
     yield
     rclpy.try_shutdown()
@@ -138,7 +135,6 @@ def ros():
 
 @pytest.fixture
 def client(ros):
-    """Return a client node of this process."""
     node = Client()
     yield node
     node.close()
@@ -168,11 +164,9 @@ class Process:
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, preexec_fn=preexec_fn)
 
     def send(self, number):
-        """Send a signal."""
         self._process.send_signal(number)
 
     def runs(self):
-        """Return whether the process has not ended yet."""
         return self._process.poll() is None
 
     def _status(self, name):
@@ -197,7 +191,6 @@ class Process:
             time.sleep(0.002)
 
     def end(self, number=signal.SIGINT):
-        """Send a signal; return exit code and output."""
         self._process.send_signal(number)
         return self.wait()
 
@@ -207,7 +200,6 @@ class Process:
         return self._process.returncode, output
 
     def kill(self):
-        """End the process if it still runs."""
         if self.runs():
             self._process.send_signal(signal.SIGINT)  # it leaves the graph, unlike when killed
             try:

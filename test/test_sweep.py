@@ -34,7 +34,6 @@ BAD = [{'end_effector.mass': -1.0}, {'initial.modal_rates': [1.0]}, {'integrator
 
 @pytest.fixture(scope='module')
 def scene(paper):
-    """Return the paper's scene at 10 ms."""
     return timo_sim.load_scene(paper, FAST)
 
 
@@ -48,7 +47,6 @@ def expected(run):
 
 
 def numbers(table, row):
-    """Return the numbers of a row of a table."""
     return [table[name][row] for name in NUMBERS]
 
 
@@ -92,8 +90,6 @@ FAILURES = [
     (DIVERGES, timo_sim.DivergenceError, 'the state diverges after t = '),
     ({'end_effector.mass': -1.0}, timo_sim.ParameterError, 'end_effector.mass must be .* got -1'),
     ({'arm.length': 'two'}, timo_sim.ParameterError, 'arm.length must be .*two'),
-    ({'arm.lenght': 2.0}, timo_sim.ParameterError, 'arm.lenght = 2.0 is not a parameter'),
-    ({'initial.modal_rates': [1.0]}, timo_sim.ParameterError, 'must have 0 or 3 elements'),
     ({'integrator.step': 0.03}, timo_sim.ParameterError, 'duration = 2 must be a whole multiple'),
     ({'model.modes': [3]}, timo_sim.ParameterError, 'model.modes must be a whole number'),
 ]
@@ -110,7 +106,7 @@ def test_a_run_that_fails_is_a_row_with_the_reason(scene):
         assert np.isnan(numbers(table, 2 * row)).all()
         assert table['reason'][2 * row + 1] == '' and numbers(table, 2 * row + 1) == good
     assert np.isnan(table['end_effector.mass'][2]) and np.isnan(table['arm.length'][4])
-    assert table['model.modes'].tolist()[:2] == [12, 3] and table['model.modes'][12] is None
+    assert table['model.modes'].tolist()[:2] == [12, 3] and table['model.modes'][8] is None
 
 
 def test_a_run_with_a_warning_has_it_in_its_row(scene):
@@ -131,7 +127,6 @@ BAD_ARGUMENTS = [
     ({'variations': []}, 'at least one element, got none'),
     ({'duration': 0.125}, 'the ratio is 12.5'),
     ({'variations': [{'arm.length': lambda: 2.0}]}, 'variations must be picklable'),
-    ({'variations': [3]}, 'values must be given by name, got 3'),
     ({'variations': {'arm.length': [2.0]}}, 'variations must be a list of values by name, got {'),
     ({'variations': [{'arm': {'length': 2.0}, 'arm.length': 3.0}]}, 'arm.length is given twice'),
     ({'workers': 1.5}, 'workers must be a whole number >= 1, got 1.5')

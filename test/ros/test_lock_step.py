@@ -97,7 +97,7 @@ def pace_of(step, factor=1.0, limit=0.1):
 
 def test_every_deadline_gives_one_step_without_drift():
     pace, steps = pace_of(0.001), 0
-    for tick in range(1, 100001):
+    for tick in range(1, 20001):
         assert pace.deadline(steps) == pytest.approx(100.0 + tick * 0.001, abs=1e-9)
         assert pace.due(steps, pace.deadline(steps)) == 1
         steps += 1
@@ -143,7 +143,7 @@ def test_a_new_limit_alone_keeps_the_deadlines():
 
 EXAMPLE = Path(__file__).resolve().parents[2] / 'example'
 sys.path.append(str(EXAMPLE))
-SCENE, DURATION = EXAMPLE / 'slew.yaml', 0.3
+SCENE, DURATION = EXAMPLE / 'slew.yaml', 0.2
 
 
 @contextmanager
@@ -184,7 +184,7 @@ def test_a_controlled_run_has_the_bits_of_a_loop_also_on_a_busy_machine(start, n
             hinder(node, process)
         assert node.wait()[0] == 0
     recording = Recording(node.log)
-    assert np.array_equal(recording.topics['~/joint_command'].step, np.arange(0, 300, 2))
+    assert np.array_equal(recording.topics['~/joint_command'].step, np.arange(0, 200, 2))
     assert recording.summary['missed_commands'] == '0'
     replayed(node.log)
     record = in_a_loop(known.vary(stroke), {'lqr': LQR, 'mppi': MPPI}[name](known), DURATION)

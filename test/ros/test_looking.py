@@ -34,7 +34,6 @@ from timo_sim.topics.outputs import TRANSFORMS
 
 
 def free_port():
-    """Return an unused port."""
     with socket.socket() as sock:
         sock.bind(('127.0.0.1', 0))
         return sock.getsockname()[1]
@@ -143,11 +142,9 @@ class Terminal:
             **{'stdin': self.slave, 'stdout': self.slave, 'stderr': self.slave, **streams})
 
     def press(self, key):
-        """Press a key once."""
         os.write(self.master, key)
 
     def shown(self):
-        """Return all that was shown so far."""
         try:
             while part := os.read(self.master, 65536):
                 self._output += part
@@ -166,7 +163,6 @@ class Terminal:
         return code, termios.tcgetattr(self.slave) == self.before
 
     def close(self):
-        """End the process if it still runs."""
         self.process.kill()
         self.process.wait()
         for number in (self.master, self.slave):
@@ -175,7 +171,6 @@ class Terminal:
 
 @pytest.fixture
 def terminal():
-    """Return a function that starts teleop in a terminal."""
     terminals = []
 
     def start(*arguments, **streams):

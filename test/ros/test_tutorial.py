@@ -75,7 +75,6 @@ class Reader:
 
 @pytest.fixture
 def reader(tmp_path):
-    """Return a function that returns a Reader of a page."""
     readers = []
 
     def read(page):
