@@ -68,7 +68,6 @@ class Client(Node):
                 pass
 
     def close(self):
-        """End the executor's thread and the node."""
         self._executor.shutdown()
         self._thread.join()
         self.destroy_node()
@@ -81,13 +80,14 @@ class Client(Node):
         return messages
 
     def command(self, message_type, topic):
-        """Return a publisher that the node under test is connected to."""
+        """Return a publisher of commands, each of which reaches the node under test."""
         publisher = self.create_publisher(message_type, topic, 10)
         self.wait(lambda: publisher.get_subscription_count() > 0, f'a subscriber of {topic}')
+        self.wait_until_known_to(topic.rpartition('/')[0])
         return publisher
 
     def service(self, service_type, name):
-        """Return a function that calls a service of the node under test and returns its response."""
+        """Return a function that calls a service of the node under test and returns the answer."""
         client = self.create_client(service_type, name)
         assert client.wait_for_service(PATIENCE), f'no service {name}'
         self.wait_until_known_to(name.rpartition('/')[0])
@@ -96,11 +96,12 @@ class Client(Node):
 
     def wait_until_known_to(self, node):
         """
-        Wait until a node knows the clients that this process has made.
+        Wait until a node knows all that this process has made: clients, publishers, subscribers.
 
-        The middleware drops an answer whose reader the server has not discovered. A question that
-        changes nothing is repeated until it is answered; a server discovers the readers of a
-        process in the order in which they are made, so it knows the earlier ones, too.
+        The middleware drops messages of a writer that the reader's process has not discovered,
+        and answers to a reader that the server has not. A question that changes nothing is
+        repeated until it is answered. A node discovers writers and readers of another process in
+        the order in which they were made, so that it then knows the earlier ones, too.
         """
         client = self.create_client(GetParameterTypes, f'{node}/get_parameter_types')
         assert client.wait_for_service(PATIENCE), f'no service {client.srv_name}'
@@ -119,7 +120,6 @@ class Client(Node):
 
     @staticmethod
     def wait(condition, what):
-        """Wait until a condition holds."""
         end = time.monotonic() + PATIENCE
         while not condition():
             assert time.monotonic() < end, f'waited in vain for {what}'
@@ -128,7 +128,6 @@ class Client(Node):
 
 @pytest.fixture(scope='session')
 def ros():
-    """Start rclpy once."""
     rclpy.init()
     yield
     rclpy.try_shutdown()
@@ -136,7 +135,6 @@ def ros():
 
 @pytest.fixture
 def client(ros):
-    """Return a client node of this process."""
     node = Client()
     yield node
     node.close()
@@ -166,11 +164,9 @@ class Process:
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, preexec_fn=preexec_fn)
 
     def send(self, number):
-        """Send a signal."""
         self._process.send_signal(number)
 
     def runs(self):
-        """Return whether the process has not ended yet."""
         return self._process.poll() is None
 
     def _status(self, name):
@@ -195,7 +191,6 @@ class Process:
             time.sleep(0.002)
 
     def end(self, number=signal.SIGINT):
-        """Send a signal; return exit code and output."""
         self._process.send_signal(number)
         return self.wait()
 
@@ -205,7 +200,6 @@ class Process:
         return self._process.returncode, output
 
     def kill(self):
-        """End the process if it still runs."""
         if self.runs():
             self._process.send_signal(signal.SIGINT)  # it leaves the graph, unlike when killed
             try:

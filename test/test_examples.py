@@ -84,18 +84,6 @@ def test_a_shaper_leaves_the_share_of_a_vibration_that_its_impulses_predict(scen
         assert expected['ZV'] > 0.07 and expected['ZVD'] < 0.01
 
 
-def test_shaped_slews_leave_little_and_zvd_tolerates_a_heavier_tip(scene):
-    """With noise and limits, and a tip that is 10 % heavier; all take the same time."""
-    from loop import in_a_loop
-    from shaping import shaped
-    from slew import score
-    heavy = scene.vary({'end_effector.mass': 2.2})
-    none, zv, zvd = (score(in_a_loop(heavy, shaped(scene, kind), LONG)).residual
-                     for kind in ('none', 'ZV', 'ZVD'))
-    # Measured: 10.8, 1.5, 0.24 mm.
-    assert none > 5.0 * zv > 20.0 * zvd
-
-
 def test_the_plan_of_a_rigid_arm_is_the_motion_of_least_jerk(scene):
     """Held torques delay it by half a period; the remaining difference is of second order."""
     from slew import GOAL, PERIOD, rest_to_rest, smooth
@@ -131,16 +119,6 @@ def test_lqr_leaves_less_vibration_than_pd(scene, seed, other, left):
     ours, theirs = (score(in_a_loop(plant, controller, LONG)).residual
                     for controller in (LQR(known), PD(turn)))
     assert ours < left * theirs
-
-
-def test_an_lqr_that_knows_its_payload_leaves_less_vibration(scene):
-    """Measured with 2 kg more at the tip: 10.8 mm without, 0.06 mm with that in its model."""
-    from loop import in_a_loop
-    from lqr import LQR
-    from slew import score
-    loaded = scene.vary({'end_effector.mass': 4.0})
-    without, knowing = (score(in_a_loop(loaded, LQR(known), LONG)) for known in (scene, loaded))
-    assert without.residual > 100.0 * knowing.residual and knowing.settled < 2.0
 
 
 def test_rollouts_respect_a_limit_that_the_plan_of_an_lqr_cannot(scene):
@@ -185,16 +163,22 @@ def test_the_observer_predicts_the_strain_gauge(scene):
     assert np.std(surprises[:1000]) < 1.15e-6
 
 
+IN_A_LOOP = """
+import loop, runpy, sys
+sys.modules.update(dict.fromkeys(['rclpy', 'geometry_msgs', 'sensor_msgs']))
+names, sys.argv[1:] = sys.argv[1:], ['--loop']
+for name in names:
+    loop.in_a_loop.__defaults__ = (3.0 if name == 'pd.py' else 0.1,)
+    runpy.run_path(name, run_name='__main__')
+"""
+
+
 def test_examples_need_no_ros_in_a_loop():
-    code = (f'import loop, runpy, sys; loop.in_a_loop.__defaults__ = {LONG},; '
-            'sys.modules.update(dict.fromkeys(["rclpy", "geometry_msgs", "sensor_msgs"])); '
-            'names, sys.argv[1:] = sys.argv[1:], ["--loop"]; '
-            '[runpy.run_path(name, run_name="__main__") for name in names]')
     output = subprocess.run(
-        [sys.executable, '-c', code, 'pd.py', 'lqr.py', 'shaping.py', 'carrier.py'], cwd=EXAMPLE,
-        check=True, capture_output=True, text=True).stdout.splitlines()
-    for line, said in zip(output, ('PD: 1501 states answered; tip within 1 mm', 'LQR: 1501 ',
-                                   'ZVD: 1501 ', 'flexible: 1501 '), strict=True):
+        [sys.executable, '-c', IN_A_LOOP, 'pd.py', 'lqr.py', 'shaping.py', 'carrier.py'],
+        cwd=EXAMPLE, check=True, capture_output=True, text=True).stdout.splitlines()
+    for line, said in zip(output, ('PD: 1501 states answered; tip within 1 mm', 'LQR: 51 ',
+                                   'ZVD: 51 ', 'flexible: 51 '), strict=True):
         assert line.startswith(said)
 
 

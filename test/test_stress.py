@@ -120,7 +120,6 @@ def test_errors_of_steps_give_a_warning():
 
 
 def without_warnings(monkeypatch):
-    """Remove the warnings of runs."""
     speaking = truth.run_scene
     monkeypatch.setattr(truth, 'run_scene', lambda *arguments: replace(
         speaking(*arguments), warning=None))
@@ -143,7 +142,7 @@ def test_the_two_references_agree_and_see_too_few_modes_and_stretch(monkeypatch)
     """The errors of a spinning arm under a push are far larger than the references' distance."""
     push = {'load.tip_force_y.piecewise.time': [0.0, 0.1],
             'load.tip_force_y.piecewise.value': [20.0, 0.0], 'initial.shaft_velocity': 10.0}
-    cell = plain(step=0.005, steps=200, bend=0.0, **push)._replace(elements=True)
+    cell = plain(step=0.005, steps=120, bend=0.0, **push)._replace(elements=True)
     finer = truth._Finer(cell)
     elements = truth._Elements(cell, finer)
     assert elements.distance(finer.path) < 2e-6

@@ -48,7 +48,6 @@ def write(tmp_path, paper):
 
 
 def start(folder, *arguments):
-    """Start `timo_sim sweep` in a folder."""
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
     return subprocess.Popen([*COMMAND, 'sweep', *map(str, arguments)], cwd=folder, text=True,
                             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -56,7 +55,6 @@ def start(folder, *arguments):
 
 
 def end(command):
-    """Wait for a command; return its exit code, output and errors."""
     output, errors = command.communicate(timeout=PATIENCE)
     return command.returncode, output, errors
 
@@ -70,7 +68,6 @@ def refused(path, folder):
 
 
 def rows(path):
-    """Return the columns of a Parquet file or folder by name."""
     return parquet.read_table(path).to_pydict()
 
 
@@ -84,15 +81,25 @@ def wait_for_parts(folder, count):
     raise TimeoutError(f'{len(parts)} parts')
 
 
+TABLES = {}  # of `many`, by the text of the file
+
+
 def many(path):
     """Return what `simulate_many` gives for the file of a sweep."""
-    plan = read_plan(path)
-    table = timo_sim.simulate_many(plan.scene, plan.variations(), plan.duration)
-    return {name: [list(cell) if isinstance(cell, tuple) else cell for cell in column.tolist()]
-            for name, column in table.items()}
+    text = path.read_text()
+    if text not in TABLES:
+        plan = read_plan(path)
+        table = timo_sim.simulate_many(plan.scene, plan.variations(), plan.duration, workers=1)
+        TABLES[text] = {name: [list(cell) if isinstance(cell, tuple) else cell
+                               for cell in column.tolist()] for name, column in table.items()}
+    return TABLES[text]
 
 
 def test_file_in_parquet_out(write, tmp_path):
+    """Modules of the working directory are not executed."""
+    (tmp_path / 'timo_sim').mkdir()
+    for name in ('yaml.py', 'socket.py', 'timo_sim/__init__.py'):
+        (tmp_path / name).write_text('raise SystemExit("foreign code")')
     path = write(grid={'end_effector.mass': [1.0, 2.0],
                        'initial.shaft_velocity': [0.0, 20.0],
                        'initial.modal_rates': [[1.0, 0.0, 0.0], [1e200, 0.0, 0.0]]},
@@ -121,15 +128,6 @@ def test_file_in_parquet_out(write, tmp_path):
 
     assert refused(path, tmp_path) == (
         'timo_sim: study.parquet exists: remove it or choose another --output\n')
-
-
-def test_modules_of_the_working_directory_are_not_executed(write, tmp_path):
-    path = write(grid={'end_effector.mass': [1.0, 2.0]})
-    (tmp_path / 'timo_sim').mkdir()
-    for name in ('yaml.py', 'socket.py', 'timo_sim/__init__.py'):
-        (tmp_path / name).write_text('raise SystemExit("foreign code")')
-    code, output, errors = end(start(tmp_path, path, '--workers', '1'))
-    assert (code, errors) == (0, '') and '2 runs in ' in output
 
 
 def test_the_example_can_be_read_as_it_is_and_with_each_of_its_ways_to_vary(write):
@@ -171,17 +169,12 @@ BAD_FILES = [
     ({'scene': None, 'runs': [{}]}, 'must have a scene'),
     ({'scene': 'none.yaml', 'runs': [{}]}, 'none.yaml'),
     ({'scene': [3] * 99, 'runs': [{}]}, 'scene must be the name of a file, or parameters, got [3'),
-    ({'parameters': [1], 'runs': [{}]}, 'parameters must be parameters with values, got [1]'),
     ({'duration': -1.0, 'runs': [{}]}, 'duration must be a finite number > 0 s, got -1.0'),
-    ({'duration': 0.125, 'runs': [{}]}, 'the ratio is 12.5'),
     ({'runs': 'all' * 99}, "runs must be a list of sets of parameters, got 'all"),
-    ({'runs': [{}, 1]}, 'runs[1] must be parameters with values, got 1'),
     ({'runs': [{'arm.lenght': 1.0}]}, 'arm.lenght = 1.0 is not a parameter of timo_sim (runs[0])'),
     ({'runs': [{'record': True}]}, 'record is a parameter of the node, not of the scene'),
     ({'grid': {'model.modes': 3}}, 'grid: model.modes must be a list of values, got 3'),
-    ({'grid': {'model.modes': [3, 41]}}, 'model.modes must be a whole number >= 0 and <= 40'),
     ({'random': {'seed': 1}}, "random must have seed, count and ranges, got ['seed']"),
-    ({'random': {**RANDOM, 'count': 0}}, 'random: count must be a whole number >= 1, got 0'),
     ({'random': {**RANDOM, 'ranges': {'end_effector.mass': [5.0, 0.5]}}}, 'in ascending order'),
     ({'random': {**RANDOM, 'ranges': {'arm.length': [1.0] * 99}}}, 'a lower and an upper end'),
     ({'random': {**RANDOM, 'ranges': {'model.modes': [1.5, 3]}}}, 'model.modes must be a whole')
@@ -196,12 +189,6 @@ def test_files_that_are_refused_in_a_short_line(write):
         told = str(caught.value)
         assert words in told and 'yaml' in told
         assert len(told.removesuffix(f' ({path})')) < 250 and '\n' not in told
-
-
-def test_bad_input_ends_with_one_line_and_code_2(write, tmp_path):
-    told = refused(write(grid={'model.modes': [-1]}), tmp_path)
-    assert told.startswith('timo_sim: ') and told.count('\n') == 1
-    assert 'model.modes must be' in told
 
 
 def test_a_killed_sweep_is_resumed_and_repeats_only_damaged_parts(write, tmp_path):

@@ -30,7 +30,7 @@ import time
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, Vector3Stamped, WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterValue
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameterTypes, SetParameters
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -118,8 +118,17 @@ class Attacker(Node):
             self.publishers_by_topic[topic] = publisher
             while publisher.get_subscription_count() == 0 and not END.is_set():
                 time.sleep(0.01)
-            time.sleep(0.5)  # until the other side knows us, too
+            self._wait_until_known()
         self.publishers_by_topic[topic].publish(message)
+
+    def _wait_until_known(self):
+        # A node that answers knows what this process has made before the question.
+        client = self.create_client(GetParameterTypes, 'timo_sim/get_parameter_types')
+        answer = None
+        while not (answer and answer.done() or END.is_set()):
+            answer = client.call_async(GetParameterTypes.Request())
+            rclpy.spin_until_future_complete(self, answer, timeout_sec=0.5)
+        self.destroy_client(client)
 
 
 END = threading.Event()
@@ -135,10 +144,11 @@ def storm(node):
 
 
 def bad(node, number=100):
-    """Send what must be refused, slowly enough for all of it to arrive."""
-    commands = itertools.cycle(bad_commands())
-    for _ in range(number):
-        node.send(*next(commands))
+    """Send what must be refused, slowly enough for all of it to arrive: queues hold ten."""
+    commands = bad_commands()
+    random.Random(1).shuffle(commands)  # or a dozen in a row would be of one topic
+    for command in itertools.islice(itertools.cycle(commands), number):
+        node.send(*command)
         time.sleep(0.03)
     print('sent', number, flush=True)
     END.wait()

@@ -61,7 +61,6 @@ def log(tmp_path_factory, paper):
 
 @pytest.fixture(scope='module')
 def run(paper):
-    """Return the same run, every 10 ms."""
     return timo_sim.simulate(timo_sim.load_scene(paper), 2.0, sample_every=10)
 
 

@@ -52,7 +52,6 @@ def intact(tmp_path_factory):
 
 @pytest.fixture
 def log(tmp_path, intact):
-    """Return the path of a copy of that log."""
     path = tmp_path / 'run.mcap'
     path.write_bytes(intact)
     return path
@@ -158,7 +157,6 @@ def test_no_file_is_overwritten(log, intact):
 
 @pytest.fixture
 def no_sync(monkeypatch):
-    """Skip fsync, to save time with hundreds of logs."""
     monkeypatch.setattr(os, 'fsync', lambda number: None)
 
 
@@ -272,7 +270,6 @@ def written(*records):
 
 
 def message(channel=1):
-    """Return a message record."""
     return Message(channel_id=channel, log_time=5, publish_time=6, sequence=1, data=payload(1.0))
 
 
@@ -405,5 +402,4 @@ def test_a_log_that_is_still_being_written_is_called_that(start, client, tmp_pat
 
 
 def time_of(state):
-    """Return the stamp of a message [s]."""
     return state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec

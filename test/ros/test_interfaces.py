@@ -46,33 +46,29 @@ class Simulator:
                       for name, kind in kinds.items()}
         self._action = ActionClient(client, SimulateSteps, '/timo_sim/simulate_steps')
         assert self._action.wait_for_server(PATIENCE)
+        client.wait_until_known_to('/timo_sim')
 
     def close(self):
         """Destroy the action's client, which would otherwise live on with the client node."""
         self._action.destroy()
 
     def features(self):
-        """Return the features."""
         return self._call['get_simulator_features']().features
 
     def state(self):
-        """Return the state."""
         response = self._call['get_simulation_state']()
         assert response.result.result == OK
         return response.state.state
 
     def set(self, state):
-        """Set a state; return the result's code and text."""
         result = self._call['set_simulation_state'](state=SimulationState(state=state)).result
         return result.result, result.error_message
 
     def step(self, steps):
-        """Do steps; return the result's code and text."""
         result = self._call['step_simulation'](steps=steps).result
         return result.result, result.error_message
 
     def reset(self, scope):
-        """Reset; return the result's code and text."""
         result = self._call['reset_simulation'](scope=scope).result
         return result.result, result.error_message
 
@@ -87,7 +83,6 @@ class Simulator:
         return response.status, response.result.result.result, response.result.result.error_message
 
     def cancel(self, goal):
-        """Cancel an action."""
         self._wait(goal.cancel_goal_async())
 
     def at(self, step):

@@ -13,15 +13,13 @@ The tests use rclpy's AsyncParameterClient and `get_parameter_value`, as `ros2 p
 """
 
 import math
-from pathlib import Path
 import re
 import sys
 
 import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParametersAtomically
+from rcl_interfaces.msg import ParameterType
 import rclpy
 from rclpy.node import Node
 from rclpy.parameter import get_parameter_value, Parameter, parameter_value_to_python
@@ -38,7 +36,6 @@ from timo_sim.log.tables import Recording
 from timo_sim.scene.files import flatten, read_parameter_file, read_sections
 from timo_sim.scene.parameters import check, PARAMETERS
 
-CONTROL = Path(__file__).resolve().parents[2] / 'doc' / 'control.md'
 TYPES = {bool: ParameterType.PARAMETER_BOOL, int: ParameterType.PARAMETER_INTEGER,
          float: ParameterType.PARAMETER_DOUBLE, str: ParameterType.PARAMETER_STRING,
          tuple: ParameterType.PARAMETER_DOUBLE_ARRAY}
@@ -130,11 +127,9 @@ class Parameters:
         client.wait_until_known_to(node)
 
     def __call__(self, method, *arguments):
-        """Call a method of the parameter client; return the answer."""
         return self._client.answer(lambda: getattr(self._remote, method)(*arguments), method)
 
     def wait_for_end(self):
-        """Wait until the node has left."""
         self._client.wait(lambda: not self._remote.services_are_ready(), 'the end')
 
     def dump(self):
@@ -155,12 +150,10 @@ class Parameters:
         return self('set_parameters', [parameter]).results[0]
 
     def set_each(self, values):
-        """Set values one by one; return the results."""
         return self('set_parameters', [
             Parameter(name, value=value) for name, value in values.items()]).results
 
     def value(self, name):
-        """Return type and value of a parameter."""
         value, = self('get_parameters', [name]).values
         return value.type, parameter_value_to_python(value)
 
@@ -226,24 +219,6 @@ def test_types_and_ranges_are_those_of_the_rules(running):
             assert ranges == []
     modes = found[[*PARAMETERS].index('model.modes')].integer_range[0]
     assert (modes.from_value, modes.to_value) == (0, 40)
-
-
-def test_the_line_of_the_page_sets_two_lists_at_once(running):
-    client, states, parameters = running
-    line, = re.findall(r'set_parameters_atomically rcl_interfaces/srv/SetParametersAtomically \\\n'
-                       r' *"(.*)"$', CONTROL.read_text(), re.MULTILINE)
-    together = client.service(
-        SetParametersAtomically, f'{parameters.node}/set_parameters_atomically')
-    given = [ParameterMessage(name=each['name'], value=ParameterValue(**each['value']))
-             for each in yaml.safe_load(line)['parameters']]
-    assert together(parameters=given).result.successful
-    assert [each.name for each in given] == [TIME, VALUE]
-    assert parameters.value(VALUE)[1] == [*given[1].value.double_array_value]
-    client.wait(lambda: states and states[-1].effort[2] != 0.0, 'the torque')
-    none = [ParameterMessage(name=name, value=get_parameter_value('[]')) for name in (TIME, VALUE)]
-    assert not together(parameters=given[:1] + none[1:]).result.successful
-    assert together(parameters=none).result.successful
-    client.wait(lambda: states[-1].effort[2] == 0.0, 'no torque')
 
 
 def test_lists_that_belong_together_are_loaded_and_set(running, tmp_path):

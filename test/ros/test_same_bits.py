@@ -10,17 +10,13 @@
 
 import shutil
 import signal
-import time
 
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
-from ros_process import replayed
-from rosbags.highlevel import AnyReader
+from ros_process import nanoseconds, replayed
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
@@ -29,9 +25,7 @@ import timo_sim
 from timo_sim.log.info import info
 from timo_sim.log.read import recover
 from timo_sim.log.tables import export, Recording
-from timo_sim.log.write import Channel, Recorder
 from timo_sim.runs.replay import Replay, segments_of
-from timo_sim.topics.commands import COMMANDS
 from timo_sim.view.track import track_of_run
 
 TURNING = {'initial.shaft_velocity': 1.0}
@@ -147,22 +141,28 @@ def test_a_run_that_diverged_was_reset_and_killed_replays(start, client):
 
 def test_parameters_that_change_and_a_log_of_a_replay(start, client, paper, tmp_path):
     """The log of a replay has the node's messages, and can be replayed, too."""
-    node = start('--params-file', str(paper), **{
+    node = start('--params-file', str(paper), real_time_factor=4.0, **{
         'rate.joint_states': 1000.0, 'rate.modal_state': 1000.0, **TURNING})
+    states = client.collect(JointState, '/joint_states')
     torque = client.command(Float64, '/timo_sim/motor_torque')
     torque.publish(Float64(data=1.0))
     change = client.service(SetParameters, '/timo_sim/set_parameters')
     reset = client.service(Trigger, '/timo_sim/reset')
+
+    def later(steps):
+        until = len(states) and nanoseconds(states[-1]) + 1000000 * steps
+        client.wait(lambda: states and nanoseconds(states[-1]) >= until, f'{steps} steps')
+
     for values in ({'rate.tip_pose': 500.0},
                    {'end_effector.mass': 5.0, 'end_effector.inertia': 0.6},
                    {'end_effector.mass': 8.0, 'end_effector.pick_up': 'at_rest'}):
-        time.sleep(0.2)
+        later(200)
         answer = change(parameters=[Parameter(name, value=value).to_parameter_msg()
                                     for name, value in values.items()])
         assert all(result.successful for result in answer.results)
-    time.sleep(0.2)
+    later(200)
     assert reset().success
-    time.sleep(0.4)
+    later(400)
     assert node.end()[0] == 0
     replayed(node.log, output=tmp_path / 'again.mcap')
     first, second = (Recording(path) for path in (node.log, tmp_path / 'again.mcap'))
@@ -203,34 +203,6 @@ def look_at_loads(log, paper):
     np.testing.assert_array_equal(track.trace('energy').values[:, 0], energy)
     export(log, log.with_suffix('.csv'))
     assert len(log.with_suffix('.csv').read_text().splitlines()) == 1 + len(run.t)
-
-
-def test_a_player_by_the_rules_of_rosbag2_drives_a_live_node(start, client, tmp_path):
-    """
-    Publish as `ros2 bag play RUN.mcap --topics ...` does.
-
-    Like the player it opens the file, offers the QoS of the log, and sends the bytes unchanged.
-    """
-    recorder = Recorder(tmp_path / 'old.mcap', [
-        Channel(f'/timo_sim/{command.name[2:]}', command.type_name) for command in COMMANDS], {})
-    push = WrenchStamped()
-    push.wrench.force.x = 3.0
-    for index, message in enumerate((push, Float64(data=0.75))):
-        recorder.write(index, 10, 10000000, serialize_message(message))
-    recorder.close()
-    start(record=False)
-    states = client.collect(JointState, '/joint_states')
-    with AnyReader([tmp_path / 'old.mcap']) as reader:
-        for connection, _, data in reader.messages():
-            qos, = connection.ext.offered_qos_profiles
-            publisher = client.create_publisher(
-                {'std_msgs/msg/Float64': Float64}.get(connection.msgtype, WrenchStamped),
-                connection.topic, QoSProfile(
-                    depth=qos.depth, reliability=ReliabilityPolicy(qos.reliability.value),
-                    durability=DurabilityPolicy(qos.durability.value)))
-            client.wait(lambda: publisher.get_subscription_count() > 0, 'the node')
-            publisher.publish(bytes(data))
-    client.wait(lambda: states and states[-1].effort.tolist() == [3.0, 0.0, 0.75], 'the commands')
 
 
 def test_commands_after_a_reset_act_in_a_record_when_the_log_says(start, client):

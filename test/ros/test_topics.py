@@ -114,6 +114,7 @@ def test_subscribers_of_sensor_data_receive_every_topic_and_overrides_act(start,
 
     remote = AsyncParameterClient(client, '/timo_sim')
     client.wait(remote.services_are_ready, 'the services of parameters')
+    client.wait_until_known_to('/timo_sim')
     names, values = remote.list_parameters(['qos_overrides'], 10), remote.get_parameters(
         [*OVERRIDES])
     late = 'qos_overrides./joint_states.publisher.depth'

@@ -40,7 +40,6 @@ class Launch:
         return re.findall(words, self._output.read_text())
 
     def wait_for(self, words, count=1):
-        """Wait for so many matches, and return them."""
         end = time.monotonic() + PATIENCE
         while len(self.seen(words)) < count:
             assert time.monotonic() < end, self._output.read_text()
@@ -48,7 +47,6 @@ class Launch:
         return self.seen(words)
 
     def wait(self):
-        """Wait for the end; return exit code and output."""
         return self.process.wait(PATIENCE), self._output.read_text()
 
 

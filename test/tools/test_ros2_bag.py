@@ -36,7 +36,6 @@ class Ros2:
                          'text': True}
 
     def __call__(self, *command):
-        """Return what a command prints."""
         done = subprocess.run(['ros2', *map(str, command)], stdout=subprocess.PIPE,
                               timeout=PATIENCE, **self._options)
         assert done.returncode == 0, done.stdout
@@ -44,7 +43,6 @@ class Ros2:
 
     @contextmanager
     def running(self, *command):
-        """Run a command until Ctrl-C."""
         process = subprocess.Popen(['ros2', *command], start_new_session=True, **self._options)
         try:
             yield

@@ -43,7 +43,6 @@ ARM, TIP, GRID = (86, 180, 233), (213, 94, 0), (50, 50, 50)
 
 @pytest.fixture(scope='module')
 def run(paper):
-    """Return 3 s of the paper's scene."""
     return timo_sim.simulate(timo_sim.load_scene(paper), 3.0, sample_every=2)
 
 
@@ -288,7 +287,6 @@ def test_two_runs_share_panels_and_have_their_difference(run, paper, tmp_path):
 
 @pytest.fixture(scope='module')
 def log(tmp_path_factory, paper):
-    """Log a second of the paper's scene."""
     node = Process(tmp_path_factory.mktemp('log'), '--params-file', str(paper),
                    real_time_factor=0.0, duration=1.0, **{'rate.modal_state': 50.0})
     assert node.wait()[0] == 0
@@ -322,19 +320,15 @@ def test_work_stops_at_a_reset(log):
     assert balance[half] == balance[half - 1]
 
 
-def test_bad_input_and_a_missing_viewer_are_one_line(log, tmp_path):
+def test_bad_input_and_a_missing_screen_are_one_line(log, tmp_path):
     junk = tmp_path / 'junk.mcap'
     junk.write_text('junk')
     result = CliRunner().invoke(main, ['view', str(junk)])
     assert result.exit_code == 2 and result.output.count('\n') == 1
-    code = ('import sys; sys.modules["rerun"] = None; from timo_sim.cli import main; '
-            f'main(["view", {str(log)!r}])')
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
-    assert done.returncode == 1
-    assert done.stderr == "timo_sim: rerun is missing: pip install 'timo_sim[view]'\n"
-    code = code.replace('sys.modules["rerun"] = None', 'import os; os.environ.pop("DISPLAY", 0); '
-                        'os.environ.pop("WAYLAND_DISPLAY", 0)')
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    screen = 'DISPLAY', 'WAYLAND_DISPLAY'
+    done = subprocess.run(
+        [sys.executable, '-m', 'timo_sim', 'view', log], capture_output=True, text=True,
+        env={name: value for name, value in os.environ.items() if name not in screen})
     assert done.returncode == 1 and done.stderr.count('\n') == 1
     assert 'there is no screen' in done.stderr
 
@@ -349,10 +343,8 @@ def test_names_of_runs_become_unique():
     (['--save', 'a.rrd', '--at', '99'], '--at = 99 s is not in the run, which is from 0 to'),
     (['--save', 'a.png'], 'the path of --save, a rerun file, must end with .rrd, got a.png'),
     (['--gif', 'a.gif', '--at', '1'], '--at is the time of a picture: it needs --png or --save'),
-    (['--web', '--at', '1'], '--at is the time of a picture: it needs --png or --save'),
     (['--gif', 'a.png'], 'the path of an animation must end with .gif, got a.png'),
     (['--gif', 'a.gif', '--fps', 'nan'], '--fps must be a finite number > 0'),
-    (['--save', 'none/a.rrd'], 'none/a.rrd'),
     (['--png', 'none/a.png'], '--png none/a.png cannot be written')])
 def test_invalid_views_are_refused_in_one_line(log, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
@@ -396,7 +388,7 @@ def test_a_viewer_that_does_not_end_is_killed(monkeypatch):
     ('export', 'bag', '-o'), ('simulate', 'run.png', '--png')])
 def test_a_full_disk_leaves_no_file_that_looks_whole(log, tmp_path, command, name, option):
     more = [str(log) if command in ('view', 'export') else 'paper']
-    more += ['--duration', '1'] if command == 'simulate' else []
+    more += ['--duration', '0.1'] if command == 'simulate' else []
     more += ['--bag'] if name == 'bag' else []
     whole, cut = tmp_path / 'whole' / name, tmp_path / 'cut' / name
     whole.parent.mkdir()
