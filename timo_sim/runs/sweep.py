@@ -48,10 +48,8 @@ from timo_sim.scene.files import flatten, read_yaml, whole_file
 from timo_sim.scene.parameters import (
     check, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
-from timo_sim.simulation.batch import LaneLoads, refusal
-from timo_sim.simulation.simulator import MOST_BENT
-from timo_sim.simulation.warnings import divergence, unseen_load
-from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
+from timo_sim.simulation.batch import Batch, refusal
+from timo_sim.simulation.warnings import unseen_load
 from timo_sim.steps.steps import CHUNK
 from timo_sim.version import __version__
 
@@ -312,52 +310,26 @@ class LaneRuns:
     """
 
     def __init__(self, scenes: list[Scene], kind: LaneKind) -> None:
-        self._scenes, self._models = scenes, [scene.build() for scene in scenes]
-        self._lanes = LaneSteps(self._models, kind.step, MOST_BENT)
-        self._lanes.state[:] = to_lanes(np.array([
-            model.state(scene.initial_motion())
-            for scene, model in zip(scenes, self._models)]))
-        self._loads = LaneLoads(scenes)
-        self._origin = np.zeros(len(scenes), dtype=int)
-        self._lanes.advance(self._loads.columns, self._loads.varying(0, 0, self._origin))
+        batch = Batch(scenes)
         self.warnings = [unseen_load(scene) for scene in scenes]
-        self.peak, self.rotation, self.squares = np.zeros((3, len(scenes)))
-        self.peak_time = np.zeros(len(scenes))
-        self._summarise(0, self._tips(self._lanes.tip[:, np.newaxis]))
+        self.peak, self.peak_time, self.rotation, self.squares = np.zeros((4, batch.n))
+        self._summarise(np.zeros(1), batch.tip[:, np.newaxis])
         for first in range(0, kind.steps, CHUNK):
             count = min(CHUNK, kind.steps - first)
-            tips = self._lanes.room(count, 3)
-            self._lanes.advance(self._loads.columns,
-                                self._loads.varying(first, count, self._origin), tips=tips)
-            self._summarise(first + 1, self._tips(np.concatenate(
-                [tips[:, 1:], self._lanes.tip[:, np.newaxis]], axis=1)))
-        self.motion = from_lanes(self._lanes.motion, len(scenes))
-        self.deflection = from_lanes(self._lanes.tip, len(scenes))[:, 1]
-        self.reasons = [self._reason(number) for number in range(len(scenes))]
+            times = kind.step * np.arange(first + 1, first + count + 1)
+            self._summarise(times, batch.advance_tips(count))
+        self.motion, self.deflection = batch.motion.values, batch.tip[:, 1]
+        self.reasons = [batch.reason(number) for number in range(batch.n)]
 
-    def _tips(self, places):
+    def _summarise(self, times, tips):
         # The order in memory is always the same, because the last bits of sums depend on it.
-        return np.ascontiguousarray(from_lanes(places, len(self._scenes)))
-
-    def _summarise(self, first, tips):
-        # `tips` are those after the steps `first`, `first` + 1, ..., shape (n, k, 3).
-        size = np.abs(tips[:, :, 1])
+        size = np.abs(np.ascontiguousarray(tips)[:, :, 1])
         at = np.argmax(size, axis=1)
         found = size[np.arange(len(size)), at]
-        self.peak_time = np.where(found > self.peak, (first + at) * self._lanes.step,
-                                  self.peak_time)
+        self.peak_time = np.where(found > self.peak, times[at], self.peak_time)
         self.peak = np.maximum(self.peak, found)
         self.rotation = np.maximum(self.rotation, np.abs(tips[:, :, 2]).max(axis=1))
         self.squares += np.sum(size**2, axis=1)
-
-    def _reason(self, number):
-        alive, done = from_lanes(self._lanes.progress, len(self._scenes))[number]
-        if alive:
-            return ''
-        model, motion = self._models[number], self.motion[number]
-        bend = np.abs(motion[3:model.size // 2]) @ model.tip_travel[3:]
-        return divergence(self._scenes[number], round(done), motion, model.tip_travel, bend,
-                          self.warnings[number])
 
 
 _WORKERS = Parameter('workers', 1, '', 'processes', low=1)

@@ -23,20 +23,13 @@ from timo_sim.scene.parameters import Parameter, ParameterError, steps_in
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.loads import Actuators, commanded_load
 from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY
-from timo_sim.simulation.warnings import divergence
+from timo_sim.simulation.warnings import divergence, unseen_load
 from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
 from timo_sim.steps.steps import CHUNK
 
 
 class LaneLoads:
-    """
-    Loads of n scenes with the same time step.
-
-    Parameters
-    ----------
-    scenes : list of Scene
-
-    """
+    """Loads of n scenes with the same time step."""
 
     def __init__(self, scenes: list[Scene]) -> None:
         self._step, self._scenes = scenes[0].step, scenes
@@ -65,19 +58,9 @@ class LaneLoads:
 
     def command(self, commanded: np.ndarray, first: int) -> np.ndarray:
         """
-        Take the commands from step `first` on.
+        Take the commands, shape (n, LOADS), from step `first` on.
 
-        Parameters
-        ----------
-        commanded : ndarray, shape (n, LOADS)
-            See `model.layout`.
-        first : int
-
-        Returns
-        -------
-        ndarray, shape (n, LOADS)
-            What acts of them and does not vary with time.
-
+        Return what acts of them and does not vary with time, of the same shape.
         """
         acting = np.clip(commanded, -self._limit, self._limit)
         acting[:, TORQUE] += self._gain * acting[:, VOLTAGE]
@@ -88,20 +71,10 @@ class LaneLoads:
 
     def varying(self, first: int, count: int, origin: np.ndarray) -> np.ndarray:
         """
-        Return what varies with time of the loads of some steps.
+        Return what varies with time of the loads of some steps, see `LaneSteps.advance`.
 
-        Parameters
-        ----------
-        first, count : int
-            Number of the first step, and number of steps.
-        origin : ndarray, shape (n,)
-            Number of the step at which the scene's own loads begin, in each lane.
-
-        Returns
-        -------
-        ndarray, shape (groups, 1 + count, 4, len(columns), WIDTH)
-            See `steps.lanes.advance_each`.
-
+        `origin`, shape (n,), is the number of the step at which the scene's own loads begin, in
+        each lane. The shape is (groups, 1 + count, 4, len(columns), WIDTH).
         """
         shape = 1 + count, STEP_LOADS, len(self.columns)
         if not len(self.columns):
@@ -233,7 +206,7 @@ class Batch:
         motion = self.motion.values[number]
         bend = np.abs(motion[3:model.size // 2]) @ model.tip_travel[3:]
         return divergence(scene, round(self.t[number] / scene.step), motion, model.tip_travel,
-                          bend, None)
+                          bend, unseen_load(scene))
 
     def reset(self, mask: Any = None, motion: Any = None) -> None:
         """
@@ -338,9 +311,14 @@ class Batch:
         if not (type(count) is type(sample_every) is int and min(count, sample_every) >= 0):
             count, sample_every = COUNT.check(count), SAMPLE_EVERY.check(sample_every)
         with self._lock:
-            return self._advance(count, commanded, sample_every)
+            return self._advance(count, commanded, sample_every)[0]
 
-    def _advance(self, count, commanded, sample_every):
+    def advance_tips(self, count: int) -> np.ndarray:
+        """Advance by `count` > 0 steps; return the tip after each, (n, count, 3), as `tip`."""
+        with self._lock:
+            return self._advance(count, None, 0, with_tips=True)[1]
+
+    def _advance(self, count, commanded, sample_every, with_tips=False):
         lanes, loads = self._lanes, self._loads
         commanded = np.broadcast_to(0.0 if commanded is None else commanded, (self.n, LOADS))
         acting = loads.command(commanded, self.steps)
@@ -351,12 +329,16 @@ class Batch:
         if not self._warm:
             lanes.advance(loads.columns, loads.varying(self.steps, 0, self._origin))
             self._warm = True
+        tips = [lanes.room(0, 3)]
         for first in range(0, count, most):
             part = min(most, count - first)
             varying = loads.varying(self.steps + first, part, self._origin)
-            lanes.advance(loads.columns, varying, sample_every, first, samples)
+            at_starts = lanes.room(part if with_tips else 0, 3)
+            lanes.advance(loads.columns, varying, sample_every, first, samples, at_starts)
+            if with_tips:
+                tips += [at_starts[:, 1:], lanes.tip[:, np.newaxis].copy()]
         self.steps += count
-        return from_lanes(samples, self.n)
+        return from_lanes(samples, self.n), from_lanes(np.concatenate(tips, axis=1), self.n)
 
 
 def _check(scenes):
