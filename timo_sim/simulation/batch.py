@@ -100,7 +100,7 @@ class LaneLoads:
 
 
 _COUNT = Parameter('n', 1, '', 'number of manipulators', low=1)
-_ROOM = 2**22  # most numbers that the loads of a call to compiled code take
+_MAX_NUMBERS = 2**22  # most numbers that the loads of a call to compiled code take
 
 
 class Batch:
@@ -202,11 +202,9 @@ class Batch:
         """Return why a manipulator has failed, as the text of a DivergenceError, or ''."""
         if not self.failed[number]:
             return ''
-        scene, model = self.scenes[number], self._models[number]
-        motion = self.motion.values[number]
-        bend = np.abs(motion[3:model.size // 2]) @ model.tip_travel[3:]
-        return divergence(scene, round(self.t[number] / scene.step), motion, model.tip_travel,
-                          bend, unseen_load(scene))
+        scene = self.scenes[number]
+        return divergence(scene, self._models[number], round(self.t[number] / scene.step),
+                          self.motion.values[number], unseen_load(scene))
 
     def reset(self, mask: Any = None, motion: Any = None) -> None:
         """
@@ -325,7 +323,7 @@ class Batch:
         lanes.constant_load[:] = to_lanes(acting)
         samples = lanes.room(1 + count // sample_every if sample_every else 0,
                              lanes.motion.shape[1])
-        most = max(1, min(CHUNK, _ROOM // (4 * self.n * max(1, len(loads.columns)))))
+        most = max(1, min(CHUNK, _MAX_NUMBERS // (4 * self.n * max(1, len(loads.columns)))))
         if not self._warm:
             lanes.advance(loads.columns, loads.varying(self.steps, 0, self._origin))
             self._warm = True
