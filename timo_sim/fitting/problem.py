@@ -662,55 +662,46 @@ class Search:
     def _jacobian(self, x, step=_FORWARD, central=False):
         """Return the derivatives of the residuals by x, from differences of runs."""
         problem = self.problem
-        count, states = len(problem.free), self.split(x)[1]
-        here = self._residuals(x)
+        count, here = len(problem.free), self._residuals(x)
         sizes = [sum(map(len, problem.measurements(window).values())) for window in self._windows]
         edges = np.concatenate([[0], np.cumsum(sizes)])
         found = np.zeros((len(here), len(x)))
+        # All windows depend on the free parameters, and one on its initial state.
+        windows = count * [range(len(self._windows))] + [
+            [w] for w, state in enumerate(self._states) for _ in state]
 
-        def difference(k, windows):
+        def residuals(x, w):
+            values, states = self.split(x)
+            return problem.residuals(values, self.deviations, self._windows[w], states[w])
+
+        for k in range(len(x)):
             size = step
             if central and k < count and problem.free[k].name.endswith('.delay'):
                 # A delay is varied by whole steps: within a step the run depends on it only
                 # through the interpolation of the load.
                 size = problem.scene.step / problem.free[k].scale * (step / _CENTRAL)
-            up = size if x[k] + size <= self._high[k] else -size
-            ends = [(x + up * (np.arange(len(x)) == k), up)]
-            down = x - up * (np.arange(len(x)) == k)
-            if central and self._low[k] <= down[k] <= self._high[k]:
-                ends.append((down, -up))
-            for w in windows:
+            size = size if x[k] + size <= self._high[k] else -size
+            shift = size * (np.arange(len(x)) == k)
+            two_sided = central and self._low[k] <= x[k] - size <= self._high[k]
+            for w in windows[k]:
                 rows = slice(edges[w], edges[w + 1])
-                values = []
-                for at, _ in ends:
-                    free, own = self.split(at)
-                    values.append(problem.residuals(free, self.deviations, self._windows[w],
-                                                    own[w]))
-                values.append(here[rows])
-                found[rows, k] = (values[0] - values[1]) / (2.0 * up if len(ends) == 2 else up)
-
-        for k in range(count):
-            difference(k, range(len(self._windows)))
-        k = count
-        for w, every in enumerate(states):
-            for _ in every:
-                difference(k, [w])
-                k += 1
+                other = residuals(x - shift, w) if two_sided else here[rows]
+                found[rows, k] = (residuals(x + shift, w) - other) / (
+                    2.0 * size if two_sided else size)
         found[edges[-1]:, count:] = np.eye(len(x) - count) / _PRIOR_DEVIATION
         return found
 
+    def _split_rows(self, rows):
+        """Return the rows of each output in each window, and those of the initial states."""
+        sizes = [len(values) for window in self._windows
+                 for values in self.problem.measurements(window).values()]
+        return np.split(rows, np.cumsum(sizes))
+
     def _estimate_deviations(self):
         """Estimate the standard deviations of the sensors; return the largest relative change."""
-        values, states = self.split(self.x)
-        apart = {name: [] for name in self.deviations}
-        for window, state in zip(self._windows, states):
-            residuals, first = self.problem.residuals(values, self.deviations, window, state), 0
-            for name, measured in self.problem.measurements(window).items():
-                apart[name].append(residuals[first:first + len(measured)])
-                first += len(measured)
-        change = 0.0
-        for name, parts in apart.items():
-            r = np.concatenate(parts)
+        series, change = self._split_rows(self._residuals(self.x))[:-1], 0.0
+        for place, name in enumerate(self.deviations):
+            r = np.concatenate(series[place::len(self.deviations)])
             size = math.sqrt(np.mean(r**2)) if self.loss == 'linear' else (
                 _MAD * float(np.median(np.abs(r))))
             known = self.problem.record.outputs[name].noise
@@ -741,18 +732,13 @@ class Search:
         weight = {'linear': lambda z: np.ones_like(z), 'soft_l1': lambda z: (1.0 + z)**-0.5,
                   'huber': lambda z: np.where(z <= 1.0, 1.0, 1.0 / np.sqrt(np.maximum(z, 1.0))),
                   'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
-        root, jacobians, parts, first = np.sqrt(weight), [], [], 0
+        root = np.sqrt(weight)
         friction = self._friction(jacobian * root[:, np.newaxis], residuals, root)
-        for window in self._windows:
-            for measured in self.problem.measurements(window).values():
-                rows = slice(first, first + len(measured))
-                jacobians.append(jacobian[rows] * root[rows, np.newaxis])
-                parts.append(residuals[rows] * root[rows])
-                first += len(measured)
-        if first < len(residuals):
-            jacobians.append(jacobian[first:])
-            parts.append(residuals[first:])
-        return jacobians, parts, jumps, friction
+        root[len(root) - len(self._prior):] = 1.0  # the prior has no weights
+        jacobians, parts = (self._split_rows(rows) for rows in (
+            jacobian * root[:, np.newaxis], residuals * root))
+        used = len(parts) - (not len(self._prior))
+        return jacobians[:used], parts[:used], jumps, friction
 
     def _friction(self, jacobian, residuals, root):
         """Return what dry friction would explain beside all that is free, see `derivatives`."""

@@ -157,11 +157,8 @@ class Batch:
         self.n, self._lock = len(self.scenes), threading.Lock()
         _check(self.scenes)
         self._models = [scene.build() for scene in self.scenes]
-        motions = {id(scene): scene.initial_motion() for scene in self.scenes}
-        states = {id(scene): model.state(motions[id(scene)])
-                  for scene, model in zip(self.scenes, self._models)}
-        self._initial = np.array([motions[id(scene)] for scene in self.scenes])
-        self._initial_state = np.array([states[id(scene)] for scene in self.scenes])
+        self._initial = np.array([scene.initial_motion() for scene in self.scenes])
+        self._at_start = self._states_and_tips(self._initial, np.ones(self.n, dtype=bool))
         self._needed = {each.needs: np.array([scene.values[each.needs] for scene in self.scenes])
                         for each in INPUTS if each.needs}
         self._loads = LaneLoads(self.scenes)
@@ -222,42 +219,33 @@ class Batch:
         if chosen.shape != (self.n,) or chosen.dtype != bool:
             raise ParameterError(f'mask must be {self.n} times true or false, got an array of '
                                  f'{chosen.dtype} of shape {chosen.shape}')
-        motions, states = self._initial, self._initial_state
-        if motion is not None:
-            motions, states = self._begin(motion, chosen)
-        lanes = self._lanes
-        for kept, new in ((lanes.state, states), (lanes.motion, motions),
-                          (lanes.progress, np.array([[1.0, 0.0]] * self.n)),
-                          (lanes.tip, self._tips(motions, chosen))):
-            rows = from_lanes(kept, self.n)
-            rows[chosen] = new[chosen]
-            kept[:] = to_lanes(rows)
-        self._origin[chosen] = self.steps
-        self._loads.reset(np.flatnonzero(chosen), self.steps)
-
-    def _begin(self, motion, chosen):
-        motions = np.asarray(motion, dtype=float)
+        motions = self._initial if motion is None else np.asarray(motion, dtype=float)
         if motions.shape not in (self._initial.shape, self._initial.shape[1:]) or not (
                 np.isfinite(motions).all()):
             raise ParameterError(
                 f'motion must be finite and of the shape {self._initial.shape} or '
                 f'{self._initial.shape[1:]}, got {motions.shape}')
-        if motions.ndim == 1 and all(model is self._models[0] for model in self._models):
-            state = self._models[0].state(motions)
-            return np.tile(motions, (self.n, 1)), np.tile(state, (self.n, 1))
-        motions, states = np.broadcast_to(motions, self._initial.shape), self._initial_state.copy()
-        for lane in np.flatnonzero(chosen):
-            states[lane] = self._models[lane].state(motions[lane])
-        return motions, states
+        motions, lanes = np.broadcast_to(motions, self._initial.shape), self._lanes
+        states, tips = self._at_start if motion is None else self._states_and_tips(motions, chosen)
+        for field, new in ((lanes.state, states), (lanes.motion, motions), (lanes.tip, tips),
+                           (lanes.progress, np.array([[1.0, 0.0]] * self.n))):
+            rows = from_lanes(field, self.n)
+            rows[chosen] = new[chosen]
+            field[:] = to_lanes(rows)
+        self._origin[chosen] = self.steps
+        self._loads.reset(np.flatnonzero(chosen), self.steps)
 
-    def _tips(self, motions, chosen):
-        tips, found = np.zeros((self.n, 3)), {}
+    def _states_and_tips(self, motions, chosen):
+        # Each is made once for equal motions of a model.
+        states, tips = np.zeros((self.n, len(self._models[0].linear))), np.zeros((self.n, 3))
+        found = {}
         for lane in np.flatnonzero(chosen):
-            key = id(self._models[lane]), motions[lane].tobytes()
+            model, motion = self._models[lane], motions[lane]
+            key = id(model), motion.tobytes()
             if key not in found:
-                found[key] = self._models[lane].tip(motions[lane])
-            tips[lane] = found[key]
-        return tips
+                found[key] = model.state(motion), model.tip(motion)
+            states[lane], tips[lane] = found[key]
+        return states, tips
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """
