@@ -378,9 +378,9 @@ def test_loads_of_a_record_add_to_those_of_the_scene():
     scene = timo_sim.load_scene(ARM, {'load.torque.harmonic': {'amplitude': [1.0],
                                                                'frequency': [2.0]}})
     record = timo_sim.Record.of({'torque': ([0.0, 1.0], [0.5, 0.7])}, {'shaft': (T, T)})
-    sensor = {'gain': 2.0, 'bias': 0.1, 'delay': 0.0}
+    sensor = {'torque.gain': 2.0, 'torque.bias': 0.1}
     own = scene.load.stages(0, 10, scene.step)
-    both = loads_of(record, scene, lambda name, kind: sensor[kind]).stages(0, 10, scene.step)
+    both = loads_of(record, scene, sensor).stages(0, 10, scene.step)
     assert (both - own)[..., 4] == pytest.approx(np.full((10, 4), 1.1))
 
 

@@ -40,7 +40,7 @@ _COUNT = Parameter('num_envs', 1, '', 'number of manipulators', low=1)
 _FORCE = Parameter('force', 0.0, 'N', 'force on the carrier at an action of 1', low=0.0)
 _DURATION = Parameter('duration', 4.0, 's', 'of an episode', low=0.0, open_low=True)
 _PERIOD = Parameter('period', 0.02, 's', 'from one action to the next', low=0.0, open_low=True)
-_FARTHEST = Parameter('farthest_goal', 1.0, 'rad', 'largest angle to a goal', low=0.0)
+_FARTHEST_GOAL = Parameter('farthest_goal', 1.0, 'rad', 'largest angle to a goal', low=0.0)
 _SPEED, _EFFORT = 0.1, 0.01  # what speed [s] and squared action [rad] cost beside a distance
 
 
@@ -110,7 +110,7 @@ class ReachVectorEnv(VectorEnv):
             scene.vary(values) for values in variations]
         self._force, self._duration = _FORCE.check(force), _DURATION.check(duration)
         self._torque = np.array([each.values['motor.torque_limit'] for each in scenes])
-        self._farthest = _FARTHEST.check(farthest_goal)
+        self._farthest = _FARTHEST_GOAL.check(farthest_goal)
         if np.isinf(self._torque).any():
             raise ParameterError('motor.torque_limit must be finite, for it is the torque at an '
                                  'action of 1; got .inf')

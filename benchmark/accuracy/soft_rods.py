@@ -64,11 +64,6 @@ def rod(scene, order, driven):
                              base_pose=jnp.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
 
 
-def _acceleration():
-    # That of `oracles.references.spin_up`, for JAX.
-    return lambda t: jnp.where(t < 15, 0.4 * (1 - jnp.cos(2.0 * jnp.pi / 15.0 * t)), 0.0)
-
-
 def soft_rod(scene, order, step, duration, every, drive=None):
     """
     Simulate a scene by soromox, straight and at rest at first, in explicit steps (Tsit5).
@@ -79,7 +74,7 @@ def soft_rod(scene, order, step, duration, every, drive=None):
     model = rod(scene, order, bool(drive))
     times = jnp.arange(1, round(duration / step / every) + 1) * (step * every)
     count = 2 * (model.num_velocities if drive else model.num_internal_dofs)
-    shaft, acceleration = jnp.zeros(model.num_velocities).at[0].set(_DRIVEN), _acceleration()
+    shaft = jnp.zeros(model.num_velocities).at[0].set(_DRIVEN)
 
     def rate(t, y, _):
         if not drive:
@@ -87,8 +82,10 @@ def soft_rod(scene, order, step, duration, every, drive=None):
         q, v, _ = model.split_state(y)
         mass, turning, weight = model.dynamics_terms(q, v)
         force = -turning - weight - model.elastic_force(q)
+        # That of `oracles.references.spin_up`, for JAX.
+        acceleration = jnp.where(t < 15, 0.4 * (1 - jnp.cos(2.0 * jnp.pi / 15.0 * t)), 0.0)
         return jnp.concatenate([v, jnp.linalg.solve(
-            mass + jnp.diag(shaft), force.at[0].add(_DRIVEN * acceleration(t)))])
+            mass + jnp.diag(shaft), force.at[0].add(_DRIVEN * acceleration))])
 
     @jax.jit
     def run(start):

@@ -121,17 +121,17 @@ def resonance():
             'arm.damping_ratio': [damping], 'load.torque.harmonic.amplitude': [0.5],
             'load.torque.harmonic.frequency': [ratio * first]}), 20.0)
 
-    cases = [(driven(1.0, 0.0), RED, 'at it, undamped', '-'),
-             (driven(1.0, 0.01), BLUE, 'at it, damping ratio 0.01', '-'),
-             (driven(0.9, 0.0), GREEN, '10 % below, undamped', '-')]
+    cases = [(driven(1.0, 0.0), RED, 'at it, undamped'),
+             (driven(1.0, 0.01), BLUE, 'at it, damping ratio 0.01'),
+             (driven(0.9, 0.0), GREEN, '10 % below, undamped')]
     figure, plane, time = sheet(f'Resonance: 0.5 N m at the first frequency, {first:.2f} Hz')
     tops = []
-    for run, colour, label, style in cases:
+    for run, colour, label in cases:
         across = run.deflection(LENGTH)[:, 1]
         tops.append(np.abs(across).max())
-        time.plot(run.t, 1e3 * across, style, color=colour, lw=1.2, label=label)
+        time.plot(run.t, 1e3 * across, color=colour, lw=1.2, label=label)
     xi = np.linspace(0.0, LENGTH, 41)
-    for run, colour, label, _ in cases[::2]:
+    for run, colour, label in cases[::2]:
         cycle = round(1e3 / first)
         shapes = np.stack([run.deflection(x)[-cycle::cycle // 12, 1] for x in xi], axis=1)
         plane.plot(xi, 1e3 * shapes.T, color=colour, lw=1.5)
@@ -206,8 +206,7 @@ def vibration_control():
     goal, duration = 0.25 * np.pi, 1.5
 
     def smooth(order):
-        curve = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6]).deriv(order) if order else (
-            np.polynomial.Polynomial([0, 0, 0, 10, -15, 6]))
+        curve = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6]).deriv(order)
         return lambda t: goal * curve(np.minimum(t / duration, 1.0)) / duration**order
 
     step = slew(scene, (lambda t: goal + 0 * t, np.zeros_like, np.zeros_like), 0.0)

@@ -78,31 +78,22 @@ class Bare(Node):
         self.count += 1
         value = 1e-6 * self.count
 
-        joints = self._stamped(JointState())
-        joints.name = ['carrier_x', 'carrier_y', 'shaft']
-        joints.position = [value, value, value]
-        joints.velocity = [value, value, value]
-        joints.effort = [value, value, value]
-        self._joints.publish(joints)
-
-        modes = self._stamped(JointState())
-        modes.name = ['mode_1', 'mode_2', 'mode_3']
-        modes.position = [value, value, value]
-        modes.velocity = [value, value, value]
-        self._modes.publish(modes)
-
+        numbers = [value, value, value]
+        self._joints.publish(self._stamped(JointState(
+            name=['carrier_x', 'carrier_y', 'shaft'], position=numbers, velocity=numbers,
+            effort=numbers)))
+        self._modes.publish(self._stamped(JointState(
+            name=['mode_1', 'mode_2', 'mode_3'], position=numbers, velocity=numbers)))
         deflection = self._stamped(Vector3Stamped())
         deflection.header.frame_id = 'arm'
         deflection.vector.x, deflection.vector.y = value, value
         self._deflection.publish(deflection)
-
         for publisher in self._tip, self._carrier:
             pose = self._stamped(PoseStamped())
             pose.header.frame_id = 'world'
             pose.pose.position.x, pose.pose.position.y = value, value
             pose.pose.orientation.z, pose.pose.orientation.w = value, value
             publisher.publish(pose)
-
         clock = Clock()
         clock.clock.sec, clock.clock.nanosec = divmod(self.count * 1000000, 1000000000)
         self._time.publish(clock)

@@ -14,7 +14,7 @@ The closest parameters have the least sum of squares of residuals in standard de
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
 import math
@@ -23,7 +23,7 @@ import warnings
 
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline, make_lsq_spline
-from scipy.linalg import matmul_toeplitz
+from scipy.linalg import matmul_toeplitz, solve_toeplitz
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
@@ -38,7 +38,7 @@ from timo_sim.simulation.warnings import DivergenceError
 
 # What a quantity of the record is multiplied by, added to and late by; only an output has a lag.
 SENSOR = {'gain': 1.0, 'bias': 0.0, 'delay': 0.0, 'lag': 0.0}
-_MOST_FACTOR = 1e3  # by which a positive parameter may differ from its start
+_MAX_FACTOR = 1e3  # by which a positive parameter may differ from its start
 
 
 @dataclass(frozen=True)
@@ -125,14 +125,14 @@ def _free(name, bounds, scene, record):
                              f'{short(bounds)}')
     low, high = max(low, given[0]), min(high, given[1])
     if log:
-        low, high = max(low, start / _MOST_FACTOR), min(high, start * _MOST_FACTOR)
+        low, high = max(low, start / _MAX_FACTOR), min(high, start * _MAX_FACTOR)
     if not low <= start <= high:
         raise ParameterError(f'{name} = {start:g} must be within its bounds, {low:g} to {high:g}, '
                              'where the fit begins')
     return Free(name, start, low, high, scale, log, unit)
 
 
-_NEAREST = 5  # samples to each side from which the angle and speed of the shaft are taken
+_SAMPLES_AROUND = 5  # samples to each side from which the angle and speed of the shaft are taken
 
 
 def initial_states(problem: Problem, values: Mapping[str, float]) -> list[list[Free]]:
@@ -152,12 +152,11 @@ def initial_states(problem: Problem, values: Mapping[str, float]) -> list[list[F
         guess = dict(zip(('initial.carrier_x', 'initial.carrier_y', 'initial.shaft'), motion))
         guess |= dict(zip((f'{name}_velocity' for name in [*guess]), motion[half:half + 3]))
         if (channel := problem.record.outputs.get('shaft')) is not None:
-            sensor = problem.sensor(values)
-            t = channel.t - window.begin - sensor('shaft', 'delay')
+            gain, bias, delay, _ = sensor_of(values, 'shaft')
+            t = channel.t - window.begin - delay
             place = np.searchsorted(t, 0.0)
-            near = slice(max(0, place - _NEAREST), place + _NEAREST + 1)
-            speed, angle = np.polyfit(t[near], (channel.values[near] - sensor('shaft', 'bias'))
-                                      / sensor('shaft', 'gain'), 1)
+            near = slice(max(0, place - _SAMPLES_AROUND), place + _SAMPLES_AROUND + 1)
+            speed, angle = np.polyfit(t[near], (channel.values[near] - bias) / gain, 1)
             guess |= {'initial.shaft': angle, 'initial.shaft_velocity': speed}
         scene = problem.scene.vary({
             **{name: float(value) for name, value in guess.items() if name in window.names},
@@ -225,17 +224,22 @@ class Driven(Term):
         return np.stack([motion[:-2:2], motion[1::2], motion[2::2]], axis=1)
 
 
-def loads_of(record: Record, scene: Scene, sensors: Callable[[str, str], float],
+def sensor_of(values: Mapping[str, float], quantity: str) -> list[float]:
+    """Return gain, bias, delay and lag of the sensor of a quantity, from values by name."""
+    return [values.get(f'{quantity}.{kind}', usual) for kind, usual in SENSOR.items()]
+
+
+def loads_of(record: Record, scene: Scene, values: Mapping[str, float],
              shift: float = 0.0) -> Load:
     """
-    Return the Load of a scene and of a record's inputs, with `sensors(quantity, kind)`.
+    Return the Load of a scene and of a record's inputs, whose sensors have these values by name.
 
     `shift` is the time in the record at which the scene's begins [s].
     """
     terms: dict[str, list[Term]] = {name: [*own] for name, own in scene.load.terms.items()}
     drive: Any = scene.load.drive
     for name, channel in record.inputs.items():
-        gain, bias, delay = (sensors(name, kind) for kind in ('gain', 'bias', 'delay'))
+        gain, bias, delay, _ = sensor_of(values, name)
         if name == DRIVE:
             drive = Driven(channel, gain, bias, delay, shift)
             continue
@@ -301,9 +305,9 @@ def _spline(t, angle, knots):
                              f'where these have gaps, got {knots:g} s') from None
 
 
-_AT_STEP = 1e-6   # [steps] distance from a step within which a sample is taken at it
-_MOST_STEPS = 1e7
-_DIVERGED = 1e3   # residual, in standard deviations, of a run that diverges
+_AT_STEP = 1e-6  # [steps] distance from a step within which a sample is taken at it
+_MAX_STEPS = 1e7
+_DIVERGED = 1e3  # residual, in standard deviations, of a run that diverges
 
 
 @dataclass(frozen=True)
@@ -333,9 +337,9 @@ class Problem:
         if DRIVE not in record.inputs and scene.values['motor.shaft'] == 'driven' and (
                 window or not scene.load.drive):
             raise ParameterError('motor.shaft = driven needs a record of the input drive')
-        if record.duration > _MOST_STEPS * scene.step:
+        if record.duration > _MAX_STEPS * scene.step:
             raise ParameterError(f'the record lasts {record.duration:g} s, but at most '
-                                 f'{_MOST_STEPS:g} steps of {scene.step:g} s are fitted: cut it, '
+                                 f'{_MAX_STEPS:g} steps of {scene.step:g} s are fitted: cut it, '
                                  'if the unit of its times is right')
         self.scene, self.until = scene, until
         self.record = limit_inputs(record, scene.values)
@@ -389,27 +393,22 @@ class Problem:
         DivergenceError if the run diverges, ParameterError if the values do not fit together.
         """
         scene = scene or self.scene_of(values, initial)
-        scene = scene.with_load(loads_of(self.record, scene, self.sensor(values), begin))
+        scene = scene.with_load(loads_of(self.record, scene, values, begin))
         duration = (self.record.duration if end is None else end) - begin + max(
             0.0, *(-values.get(f'{name}.delay', 0.0) for name in self.record.outputs))
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', ModelWarning)
             return run_scene(scene, max(1, math.ceil(duration / scene.step - _AT_STEP)))
 
-    @staticmethod
-    def sensor(values: Mapping[str, float]) -> Callable[[str, str], float]:
-        """Return a function of quantity and kind: the gain, bias or delay of a sensor."""
-        return lambda name, kind: values.get(f'{name}.{kind}', SENSOR[kind])
-
     def predictions(self, run: Run, values: Mapping[str, float], begin: float = 0.0,
                     end: float = math.inf) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return what each output should show at its samples in a part: by name, times, values."""
-        sensor, found = self.sensor(values), {}
+        found = {}
         for name, channel in self.record.outputs.items():
+            gain, bias, delay, lag = sensor_of(values, name)
             t = channel.t[_is_within(channel.t, begin, end, self.until)]
-            seen = _with_lag(OUTPUTS[name].of_run(run), sensor(name, 'lag') / run.scene.step)
-            found[name] = t, sensor(name, 'gain') * _interpolate(
-                t - begin - sensor(name, 'delay'), run, seen) + sensor(name, 'bias')
+            seen = _with_lag(OUTPUTS[name].of_run(run), lag / run.scene.step)
+            found[name] = t, gain * _interpolate(t - begin - delay, run, seen) + bias
         return found
 
     def residuals(self, values: Mapping[str, float], deviations: Mapping[str, float],
@@ -432,7 +431,7 @@ class Problem:
 
 def _is_within(t, begin, end, until):
     """Return which times are from `begin` to `end`; `end` itself counts only at `until`."""
-    return (t >= begin) & ((t < end) | (t <= end if end == until else False))
+    return (t >= begin) & ((t <= end) if end == until else (t < end))
 
 
 def _with_lag(values, lag):
@@ -459,14 +458,14 @@ def _interpolate(times, run, values):
 
 WHITE = 0.01         # probability below which residuals do not count as white
 NORMAL = 1.959964    # standard deviations of a 95 % interval
-_LAGS = 20           # of the test for whiteness
-_ORDER = 12          # largest of an autoregressive process
-_NOTHING = 1e-30     # sensitivity of residuals that counts as none
-_FAR = 1e3           # deviation of a combination on which residuals do not depend
-_ROUND_OFF = 1e-9    # singular value, relative to the largest, below which it is that of noise
+_LAGS = 20  # of the test for whiteness
+_MAX_ORDER = 12  # largest of an autoregressive process
+_MIN_SENSITIVITY = 1e-30  # sensitivity of residuals that counts as none
+_UNKNOWN_DEVIATION = 1e3  # deviation of a combination on which residuals do not depend
+_ROUND_OFF = 1e-9  # singular value, relative to the largest, below which it is that of noise
 # Parts of the largest in a combination, above which a parameter is named: any, or one that is
 # not identified.
-_PART, _SMALL = 0.25, 0.02
+_MIN_PART, _MIN_PART_UNIDENTIFIED = 0.25, 0.02
 
 
 def whiteness(residuals: np.ndarray) -> float:
@@ -495,40 +494,39 @@ def covariance(jacobians: Sequence[np.ndarray],
     deviations.
     """
     whole = np.concatenate(jacobians)
-    norms = np.maximum(np.linalg.norm(whole, axis=0), _NOTHING)
+    norms = np.maximum(np.linalg.norm(whole, axis=0), _MIN_SENSITIVITY)
     u, s, vt = np.linalg.svd(whole / norms, full_matrices=False)
     root = vt.T / norms[:, np.newaxis]
     # Singular values below the errors of the derivatives may be zero.
-    s = np.where(s < _ROUND_OFF * s[0], np.minimum(s, np.abs(root).max(axis=0) / _FAR), s)
-    root /= np.maximum(s, _NOTHING)
+    most = np.abs(root).max(axis=0) / _UNKNOWN_DEVIATION
+    s = np.where(s < _ROUND_OFF * s[0], np.minimum(s, most), s)
+    root /= np.maximum(s, _MIN_SENSITIVITY)
     white = all(whiteness(each) >= WHITE for each in residuals if len(each) > 4)
     if not white:
         # It is computed for orthonormal columns, because for the parameters themselves round-off
         # may exceed its smallest eigenvalue.
         parts = np.split(u, np.cumsum([len(each) for each in residuals])[:-1])
-        size, axes = np.linalg.eigh(sum(map(_of_sums, parts, residuals)))
+        size, axes = np.linalg.eigh(sum(map(_covariance_of_sums, parts, residuals)))
         root = root @ (axes * np.sqrt(np.maximum(size, 1.0)))
     return root @ root.T, white
 
 
-def _of_sums(columns, residuals):
+def _covariance_of_sums(columns, residuals):
     """Return the covariance, shape (p, p), of sums of residuals weighted by columns, (n, p)."""
     n = len(residuals)
-    lags = range(min(_ORDER, n // 10) + 1)
+    lags = range(min(_MAX_ORDER, n // 10) + 1)
+    # The equations of Yule and Walker, from the autocovariances.
     found = np.array([residuals[k:] @ residuals[:n - k] for k in lags]) / n
-    # Levinson and Durbin: each order follows from the one before.
-    past, rest, best = np.zeros(0), found[0], (np.inf, np.zeros(0), found[0])
+    best = np.inf, np.zeros(0), found[0]  # criterion, coefficients, variance of the innovations
     for order in lags:
-        if order:
-            last = (found[order] - past @ found[order - 1:0:-1]) / rest
-            past = np.append(past - last * past[::-1], last)
-            rest *= 1.0 - last**2
-        if not rest > _ROUND_OFF * found[0]:
+        past = solve_toeplitz(found[:order], found[1:order + 1]) if order else np.zeros(0)
+        left = found[0] - past @ found[1:order + 1]
+        if not left > _ROUND_OFF * found[0]:
             break
-        best = min(best, (n * np.log(rest) + order * np.log(n), past, rest), key=lambda it: it[0])
-    _, past, rest = best
+        best = min(best, (n * np.log(left) + order * np.log(n), past, left), key=lambda it: it[0])
+    _, past, left = best
     response = np.fft.rfft(np.append(1.0, -past), 4 * n)
-    covariances = np.fft.irfft(rest / np.abs(response)**2, 4 * n)[:n]
+    covariances = np.fft.irfft(left / np.abs(response)**2, 4 * n)[:n]
     return columns.T @ matmul_toeplitz(covariances, columns)
 
 
@@ -548,10 +546,10 @@ def unidentified_combinations(jacobian: np.ndarray, names: Sequence[str],
     for value, parts in zip(s, vt):
         if value * most < NORMAL or value < _ROUND_OFF * s[0]:
             share = np.abs(parts) / np.abs(parts).max()
-            large = (share > _PART) | (share > _SMALL) & [name in doubtful for name in names]
+            least = [_MIN_PART_UNIDENTIFIED if name in doubtful else _MIN_PART for name in names]
             sign = np.sign(parts[np.argmax(np.abs(parts))])
             found.append({name: float(sign * part)
-                          for name, part, kept in zip(names, parts, large) if kept})
+                          for name, part, kept in zip(names, parts, share > least) if kept})
     return [parts for parts in found if not parts.keys().isdisjoint(doubtful)]
 
 
@@ -564,17 +562,17 @@ def r_squared(measured: np.ndarray, predicted: np.ndarray) -> float:
 LOSSES = 'linear', 'soft_l1', 'huber', 'cauchy'
 # Steps of differences in coordinates of the fit: one for the search, two for the intervals.
 _FORWARD, _CENTRAL, _WIDE = 1e-6, 3e-4, 1e-3
-_ROUGH = 0.3         # relative difference of derivatives by two steps, above which a run jumps
-_FIRST = 0.25        # part of the record that is fitted first: early, runs are closer to it
-_LEAST = 1e-5        # least standard deviation, relative to the first
-_GUESS = 0.1         # first standard deviation, relative to that of an output's values
-_LOOSE, _TIGHT = 1e-4, 1e-7      # relative changes of the sum of squares at which a search ends
-_ROUNDS = 6          # most searches with standard deviations from the one before
-_SETTLED = 0.01      # relative change of standard deviations that counts as none
-_PRIOR = 10.0        # standard deviation of initial states of windows, in their scales
+_MAX_DIFFERENCE = 0.3  # relative difference of derivatives by two steps, above which a run jumps
+_FIRST_PART = 0.25  # part of the record that is fitted first: early, runs are closer to it
+_MIN_DEVIATION = 1e-5  # least standard deviation, relative to the first
+_FIRST_DEVIATION = 0.1  # first standard deviation, relative to that of an output's values
+_LOOSE, _TIGHT = 1e-4, 1e-7  # relative changes of the sum of squares at which a search ends
+_MAX_SEARCHES = 6  # most searches with standard deviations from the one before
+_SETTLED_CHANGE = 0.01  # relative change of standard deviations that counts as none
+_PRIOR_DEVIATION = 10.0  # standard deviation of initial states of windows, in their scales
 # Sizes of dry friction that are tried, as shares of the force that accelerates the free body.
-_TRIED = 0.01, 0.1, 1.0
-_MAD = 1.4826        # standard deviations in a median absolute deviation
+_FRICTION_SHARES = 0.01, 0.1, 1.0
+_MAD = 1.4826  # standard deviations in a median absolute deviation
 
 
 class Search:
@@ -583,11 +581,11 @@ class Search:
     def __init__(self, problem: Problem, loss: str) -> None:
         self.problem, self.loss, record = problem, loss, problem.record
         self.deviations = {
-            name: channel.noise or _GUESS * float(np.std(
+            name: channel.noise or _FIRST_DEVIATION * float(np.std(
                 channel.values[channel.t <= problem.until])) or 1.0
             for name, channel in record.outputs.items()}
         # Deviations have a lower bound: without noise they would fall until squares overflow.
-        self._least = {name: _LEAST * each for name, each in self.deviations.items()}
+        self._least = {name: _MIN_DEVIATION * each for name, each in self.deviations.items()}
         free = problem.free
         self.x = np.array([each.coordinate(each.start) for each in free])
         self._low = np.array([each.coordinate(each.low) for each in free])
@@ -602,7 +600,7 @@ class Search:
         self._check_start()
         whole = self.problem.windows
         if not whole[0].names:
-            self._windows = [Window(0.0, _FIRST * self.problem.until, ())]
+            self._windows = [Window(0.0, _FIRST_PART * self.problem.until, ())]
             self._solve(_LOOSE)
             self._windows = whole
             self._solve(_LOOSE)
@@ -613,9 +611,9 @@ class Search:
             self.x, self._prior = np.concatenate([self.x, start]), start
             self._low = np.concatenate([self._low, np.full(len(every), -np.inf)])
             self._high = np.concatenate([self._high, np.full(len(every), np.inf)])
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_SEARCHES):
             self._solve(_LOOSE)
-            if self._estimate_deviations() < _SETTLED:
+            if self._estimate_deviations() < _SETTLED_CHANGE:
                 break
         self._solve(_TIGHT)
         self._estimate_deviations()
@@ -629,7 +627,7 @@ class Search:
             every = problem.measurements(Window(0.0, problem.until, ()))
             # The least correlation of all samples and of those of the first part.
             for name, (t, seen) in predicted.items():
-                for part in (t <= problem.until, t <= _FIRST * problem.until):
+                for part in (t <= problem.until, t <= _FIRST_PART * problem.until):
                     if part.sum() > 2 and np.ptp(seen[part]) and np.ptp(every[name][part]):
                         each = float(np.corrcoef(seen[part], every[name][part])[0, 1])
                         self.against[name] = min(each, self.against.get(name, 0.0))
@@ -658,60 +656,52 @@ class Search:
         values, states = self.split(x)
         parts = [self.problem.residuals({**values, **(more or {})}, self.deviations, window, state)
                  for window, state in zip(self._windows, states)]
-        return np.concatenate([*parts, (x[len(self.problem.free):] - self._prior) / _PRIOR])
+        states = x[len(self.problem.free):]
+        return np.concatenate([*parts, (states - self._prior) / _PRIOR_DEVIATION])
 
     def _jacobian(self, x, step=_FORWARD, central=False):
         """Return the derivatives of the residuals by x, from differences of runs."""
         problem = self.problem
-        count, states = len(problem.free), self.split(x)[1]
-        here = self._residuals(x)
+        count, here = len(problem.free), self._residuals(x)
         sizes = [sum(map(len, problem.measurements(window).values())) for window in self._windows]
         edges = np.concatenate([[0], np.cumsum(sizes)])
         found = np.zeros((len(here), len(x)))
+        # All windows depend on the free parameters, and one on its initial state.
+        windows = count * [range(len(self._windows))] + [
+            [w] for w, state in enumerate(self._states) for _ in state]
 
-        def difference(k, windows):
+        def residuals(x, w):
+            values, states = self.split(x)
+            return problem.residuals(values, self.deviations, self._windows[w], states[w])
+
+        for k in range(len(x)):
             size = step
             if central and k < count and problem.free[k].name.endswith('.delay'):
                 # A delay is varied by whole steps: within a step the run depends on it only
                 # through the interpolation of the load.
                 size = problem.scene.step / problem.free[k].scale * (step / _CENTRAL)
-            up = size if x[k] + size <= self._high[k] else -size
-            ends = [(x + up * (np.arange(len(x)) == k), up)]
-            down = x - up * (np.arange(len(x)) == k)
-            if central and self._low[k] <= down[k] <= self._high[k]:
-                ends.append((down, -up))
-            for w in windows:
+            size = size if x[k] + size <= self._high[k] else -size
+            shift = size * (np.arange(len(x)) == k)
+            two_sided = central and self._low[k] <= x[k] - size <= self._high[k]
+            for w in windows[k]:
                 rows = slice(edges[w], edges[w + 1])
-                values = []
-                for at, _ in ends:
-                    free, own = self.split(at)
-                    values.append(problem.residuals(free, self.deviations, self._windows[w],
-                                                    own[w]))
-                values.append(here[rows])
-                found[rows, k] = (values[0] - values[1]) / (2.0 * up if len(ends) == 2 else up)
-
-        for k in range(count):
-            difference(k, range(len(self._windows)))
-        k = count
-        for w, every in enumerate(states):
-            for _ in every:
-                difference(k, [w])
-                k += 1
-        found[edges[-1]:, count:] = np.eye(len(x) - count) / _PRIOR
+                other = residuals(x - shift, w) if two_sided else here[rows]
+                found[rows, k] = (residuals(x + shift, w) - other) / (
+                    2.0 * size if two_sided else size)
+        found[edges[-1]:, count:] = np.eye(len(x) - count) / _PRIOR_DEVIATION
         return found
+
+    def _split_rows(self, rows):
+        """Return the rows of each output in each window, and those of the initial states."""
+        sizes = [len(values) for window in self._windows
+                 for values in self.problem.measurements(window).values()]
+        return np.split(rows, np.cumsum(sizes))
 
     def _estimate_deviations(self):
         """Estimate the standard deviations of the sensors; return the largest relative change."""
-        values, states = self.split(self.x)
-        apart = {name: [] for name in self.deviations}
-        for window, state in zip(self._windows, states):
-            residuals, first = self.problem.residuals(values, self.deviations, window, state), 0
-            for name, measured in self.problem.measurements(window).items():
-                apart[name].append(residuals[first:first + len(measured)])
-                first += len(measured)
-        change = 0.0
-        for name, parts in apart.items():
-            r = np.concatenate(parts)
+        series, change = self._split_rows(self._residuals(self.x))[:-1], 0.0
+        for place, name in enumerate(self.deviations):
+            r = np.concatenate(series[place::len(self.deviations)])
             size = math.sqrt(np.mean(r**2)) if self.loss == 'linear' else (
                 _MAD * float(np.median(np.abs(r))))
             known = self.problem.record.outputs[name].noise
@@ -735,25 +725,20 @@ class Search:
         jacobian, residuals = self._jacobian(self.x, _CENTRAL, True), self._residuals(self.x)
         wide, count = self._jacobian(self.x, _WIDE, True), len(self.problem.free)
         size, other = np.linalg.norm(jacobian, axis=0), np.linalg.norm(wide, axis=0)
-        rough = np.linalg.norm(jacobian - wide, axis=0) > _ROUGH * np.minimum(size, other)
+        rough = np.linalg.norm(jacobian - wide, axis=0) > _MAX_DIFFERENCE * np.minimum(size, other)
         # Where a run jumps, the smaller derivative is taken: it makes the interval wider.
         jacobian[:, rough & (other < size)] = wide[:, rough & (other < size)]
         jumps = [free.name for free, jumps in zip(self.problem.free, rough[:count]) if jumps]
         weight = {'linear': lambda z: np.ones_like(z), 'soft_l1': lambda z: (1.0 + z)**-0.5,
                   'huber': lambda z: np.where(z <= 1.0, 1.0, 1.0 / np.sqrt(np.maximum(z, 1.0))),
                   'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
-        root, jacobians, parts, first = np.sqrt(weight), [], [], 0
+        root = np.sqrt(weight)
         friction = self._friction(jacobian * root[:, np.newaxis], residuals, root)
-        for window in self._windows:
-            for measured in self.problem.measurements(window).values():
-                rows = slice(first, first + len(measured))
-                jacobians.append(jacobian[rows] * root[rows, np.newaxis])
-                parts.append(residuals[rows] * root[rows])
-                first += len(measured)
-        if first < len(residuals):
-            jacobians.append(jacobian[first:])
-            parts.append(residuals[first:])
-        return jacobians, parts, jumps, friction
+        root[len(root) - len(self._prior):] = 1.0  # the prior has no weights
+        jacobians, parts = (self._split_rows(rows) for rows in (
+            jacobian * root[:, np.newaxis], residuals * root))
+        used = len(parts) - (not len(self._prior))
+        return jacobians[:used], parts[:used], jumps, friction
 
     def _friction(self, jacobian, residuals, root):
         """Return what dry friction would explain beside all that is free, see `derivatives`."""
@@ -774,7 +759,7 @@ class Search:
                            ('motor.coulomb_friction', needed[2])):
             if not size or scene.values[name]:
                 continue
-            for each in _TRIED:
+            for each in _FRICTION_SHARES:
                 try:
                     scene.vary({name: each * size})
                 except ParameterError:

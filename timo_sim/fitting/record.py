@@ -57,7 +57,7 @@ def _place(run, axis):
     return run.position(run.scene.manipulator.arm.length)[:, axis]
 
 
-def _rate(run, values):
+def _derivative(run, values):
     # A spline through the samples is differentiated: a run has thousands, and its friction need
     # not be known.
     return CubicSpline(run.t, values).derivative()(run.t) if len(run.t) > 3 else np.gradient(
@@ -73,7 +73,7 @@ def _root_strain(run):
     angular = (_cross(place, velocity) @ model.point_mass + turning @ model.point_inertia)
     load = run.loads()
     tip = np.column_stack([load[:, TIP_X], load[:, TIP_Y]])
-    moment = (_rate(run, angular) + _cross(run.motion[:, half:half + 2], linear)
+    moment = (_derivative(run, angular) + _cross(run.motion[:, half:half + 2], linear)
               - _cross(np.einsum('p,npi->ni', model.point_mass, place), model.gravity)
               - _cross(place[:, -1], tip) - load[:, TIP_TORQUE])
     if model.push_point:
@@ -85,7 +85,7 @@ def _root_strain(run):
 def _tip_acceleration(run):
     """Return the specific force across the tip, shape (n,) [m/s2]."""
     model = run.model
-    x, y = (_rate(run, model.velocities(run.motion, model.tip_point)[0][:, 0])
+    x, y = (_derivative(run, model.velocities(run.motion, model.tip_point)[0][:, 0])
             - model.gravity).T
     turned = run.shaft + run.rotation(run.scene.manipulator.arm.length)
     return rotate(-turned, x, y)[1]
@@ -140,8 +140,8 @@ def unit_of(name: str) -> str:
 
 HOLDS = 'zero', 'linear'
 # Limits of values, and of noise relative to them, that keep squares of residuals finite.
-_LARGEST, _LEAST_NOISE = 1e100, 1e-12
-_FEWEST = 20  # samples of an output, or of a drive
+_MAX_VALUE, _MIN_NOISE = 1e100, 1e-12
+_MIN_SAMPLES = 20  # samples of an output, or of a drive
 
 
 class Channel(NamedTuple):
@@ -215,12 +215,12 @@ class Record:
                     raise ParameterError(f'{short(name, str)} is no {kind} of a record, but '
                                          f'{", ".join(known)}{did_you_mean(name, known)} '
                                          f'({source})')
-                kept[name] = _checked(name, channel, source, kind == 'output')
+                kept[name] = _check_channel(name, channel, source, kind == 'output')
         for name, deviation in (noise or {}).items():
-            least = _LEAST_NOISE * np.abs(outs[name].values).max() if name in outs else 0.0
-            if name not in outs or not max(least, np.finfo(float).tiny) < deviation < _LARGEST:
+            least = _MIN_NOISE * np.abs(outs[name].values).max() if name in outs else 0.0
+            if name not in outs or not max(least, np.finfo(float).tiny) < deviation < _MAX_VALUE:
                 raise ParameterError(f'noise of {short(name, str)} must be > 0 and at least '
-                                     f'{_LEAST_NOISE:g} of the largest value, of one of '
+                                     f'{_MIN_NOISE:g} of the largest value, of one of '
                                      f'{", ".join(outs)}, got {short(deviation)} ({source})')
             outs[name] = outs[name]._replace(noise=float(deviation))
         if not outs:
@@ -276,13 +276,13 @@ class Record:
 
 
 def _check_count(name, count, is_output, place):
-    fewest = _FEWEST if is_output or name == DRIVE else 1
+    fewest = _MIN_SAMPLES if is_output or name == DRIVE else 1
     if count < fewest:
         raise ParameterError(f'{name} must have at least {fewest} finite samples, got {count} '
                              f'({place})')
 
 
-def _checked(name, channel, source, is_output):
+def _check_channel(name, channel, source, is_output):
     t, values, *more = channel
     try:
         # Converted to floats, complex values would lose a part, and stamps their unit.
@@ -297,8 +297,8 @@ def _checked(name, channel, source, is_output):
     kept = np.isfinite(t) & np.isfinite(values)
     t, values = t[kept], values[kept]
     _check_count(name, len(t), is_output, source)
-    if np.abs(values).max() > _LARGEST:
-        raise ParameterError(f'values of {name} must be at most {_LARGEST:g} in size, got '
+    if np.abs(values).max() > _MAX_VALUE:
+        raise ParameterError(f'values of {name} must be at most {_MAX_VALUE:g} in size, got '
                              f'{np.abs(values).max():g} ({source})')
     late = np.flatnonzero(np.diff(t) <= 0.0)
     if len(late):
@@ -357,11 +357,8 @@ def read_table(path: Path) -> Table:
     """Return the Table in a file, or raise ParameterError."""
     if path.exists() and not path.is_file():  # a pipe or device may have no end
         raise ParameterError(f'{path} is not a file')
-    if path.suffix == '.parquet':
-        return Table(_parquet(path))
-    if path.suffix == '.mat':
-        return Table(_mat(path))
-    return _text(path)
+    readers = {'.parquet': _read_parquet, '.mat': _read_mat}
+    return readers.get(path.suffix, _read_text)(path)
 
 
 def _series(matrix):
@@ -369,19 +366,19 @@ def _series(matrix):
     return matrix if matrix.shape[0] < matrix.shape[1] else matrix.T
 
 
-def _parquet(path):
+def _read_parquet(path):
     with optional():
         import pyarrow
         import pyarrow.parquet
     try:
         found = pyarrow.parquet.read_table(path).flatten()
-        return [([name], values.to_numpy())
-                for name, values in zip(found.column_names, found.columns)]
+        return Table([([name], values.to_numpy())
+                      for name, values in zip(found.column_names, found.columns)])
     except (pyarrow.ArrowException, ValueError) as error:
         raise ParameterError(f'{path} cannot be read: {error}') from None
 
 
-def _mat(path):
+def _read_mat(path):
     from scipy.io import loadmat
     try:
         found = loadmat(path, simplify_cells=True)
@@ -389,38 +386,38 @@ def _mat(path):
         raise
     except Exception as error:  # of many types, for damaged files
         raise ParameterError(f'{path} cannot be read, save it with -v7: {error}') from None
-    columns = [([name], values) for name, values in _flat(found, '')]
+    columns = [([name], values) for name, values in _flatten_arrays(found, '')]
     if not columns:
         raise ParameterError(f'{path} has no arrays of numbers; save timeseries and other objects '
                              'as arrays or structs')
-    return columns
+    return Table(columns)
 
 
-def _flat(value, name):
+def _flatten_arrays(value, name):
     """Yield names, with .FIELD for a struct and [k] for an element of an array, and arrays."""
     if isinstance(value, dict):
         for field, each in value.items():
             if not field.startswith('__'):
-                yield from _flat(each, f'{name}.{field}'.lstrip('.'))
+                yield from _flatten_arrays(each, f'{name}.{field}'.lstrip('.'))
     elif isinstance(value, list) or isinstance(value, np.ndarray) and value.dtype == object:
         for k, each in enumerate(value):
-            yield from _flat(each, f'{name}[{k}]')
+            yield from _flatten_arrays(each, f'{name}[{k}]')
     elif isinstance(value, np.ndarray) and value.dtype.kind in 'biufc' and value.ndim in (1, 2):
         yield name, value
 
 
-def _text(path):
+def _read_text(path):
     """Return the Table in a text; names are in lines above the numbers, or begin its rows."""
     content = path.read_bytes()
     wide = content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     text = content.decode('utf-16' if wide else 'utf-8', errors='replace')
     try:
-        return _of_lines(text.lstrip('\ufeff').splitlines(), path)
+        return _parse_lines(text.lstrip('\ufeff').splitlines(), path)
     except csv.Error as error:
         raise ParameterError(f'{path} is not a table: {error}') from None
 
 
-def _of_lines(lines, path):
+def _parse_lines(lines, path):
     good = [line for line in lines if line.strip() and line.strip()[0] not in _COMMENT]
     named, found = 0, _first_numbers(good, 0)
     if found is None:
@@ -449,10 +446,10 @@ def _of_lines(lines, path):
     above = [line.strip(_COMMENT + ' \t') if line.strip()[:1] in [*_COMMENT] else line
              for line in lines[:lines.index(good[first])]]
     heads = [[name.strip() for name in head] for head in _cells(above, separator)]
-    return _named(values, heads, separator)
+    return _name_columns(values, heads, separator)
 
 
-def _named(values, heads, separator):
+def _name_columns(values, heads, separator):
     """Return the Table of a matrix with lines of names or units above it."""
     width, hint, kept = values.shape[1], '', []
     blank = width - len(np.trim_zeros(~np.isnan(values).all(axis=0), 'b'))
@@ -626,7 +623,7 @@ def read_record(path: str | Path,
     if mapping is None and path.suffix not in SUFFIXES:
         return read_log(path)[1]
     if mapping is None:
-        mapping, source = _by_names(read_table(path)), str(path)
+        mapping, source = _map_by_names(read_table(path)), str(path)
     elif isinstance(mapping, Mapping):
         source = str(path)
     else:
@@ -740,11 +737,11 @@ def _check_keys(place, entry, known):
                                  f'{", ".join(known)}{did_you_mean(key, known)}')
 
 
-def _by_names(table):
+def _map_by_names(table):
     """Return the mapping of a table whose columns are named as `timo_sim export` names them."""
     columns = {}
     for column in table.names:
-        name = _quantity(column)
+        name = _quantity_of_column(column)
         if name and name not in columns.values():
             columns[column] = name
     if 'time_s' not in table.names or not any(name in OUTPUTS for name in columns.values()):
@@ -754,7 +751,7 @@ def _by_names(table):
     return {'time': {'column': 'time_s'}, 'columns': columns}
 
 
-def _quantity(column):
+def _quantity_of_column(column):
     plain = re.sub(r'^(tip_deflection_|encoder_|motor_torque_|motor_voltage_|carrier_wrench_|'
                    r'tip_wrench_)', '', column)
     plain = {'transverse_m': 'tip_transverse_m', 'tip_pose_x_m': 'tip_x_m',

@@ -34,7 +34,7 @@ from timo_sim.simulation.warnings import DivergenceError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_CLOSE = 0.95        # correlation from which on a pair of parameters is named
+_HIGH_CORRELATION = 0.95  # correlation from which on a pair of parameters is named
 _RUN_HEAD = 'rms error and R^2 of one run from the beginning of the record, without feedback:'
 
 
@@ -138,7 +138,7 @@ class Fit:
                  for j, second in enumerate(self.estimates)
                  for i, first in enumerate([*self.estimates][:j])
                  if first in self.values and second in self.values
-                 and abs(self.correlation[i, j]) > _CLOSE]
+                 and abs(self.correlation[i, j]) > _HIGH_CORRELATION]
         lines += ['', 'correlation above 0.95: ' + (', '.join(pairs) or 'none')]
         lines += ['not identified: ' + ' '.join(
             f'{part:+.2f} {name}' for name, part in parts.items()) for parts in self.unidentified]
@@ -176,8 +176,8 @@ class Fit:
                                    height_ratios=heights)[:, 0]
         for axes, name in zip(all_axes, rows):
             unit = unit_of(name)
-            axes.set(ylabel=f'{_LABELS.get(name, name.replace("_", " "))}' + (
-                f' [{unit}]' if unit else ''), xlim=(0.0, record.duration))
+            label = 'tip deflection' if name == 'tip_transverse' else name.replace('_', ' ')
+            axes.set(ylabel=f'{label} [{unit}]' if unit else label, xlim=(0.0, record.duration))
             axes.grid(alpha=0.3)
             if self.until < record.duration:
                 axes.axvspan(self.until, record.duration, color='0.93', zorder=0)
@@ -220,10 +220,6 @@ class Fit:
             part.write_text(head + yaml.safe_dump(
                 {'/**': {'ros__parameters': nested}}, sort_keys=False), encoding='utf-8')
         return path
-
-
-_LABELS = {'tip_transverse': 'tip deflection', 'tip_angle': 'tip angle',
-           'tip_acceleration': 'tip acceleration'}
 
 
 _HOLD_OUT = Parameter('hold_out', 0.0, '', '', low=0.0, high=0.95)
@@ -332,8 +328,8 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     except DivergenceError as error:
         doubts.append(f'one run of the whole record diverges: {error}')
     errors = _errors(problem, predicted, residuals, search.deviations)
-    doubts += _suspects(errors, search.against, {} if white else friction)
-    doubts += _doubts(problem, fitted, estimates, errors, values, run, predicted)
+    doubts += _possible_causes(errors, search.against, {} if white else friction)
+    doubts += _find_doubts(problem, fitted, estimates, errors, values, run, predicted)
     # The derivatives by the parameters that initial states of windows cannot make up for.
     whole = np.concatenate(jacobians)
     q, _ = np.linalg.qr(whole[:, count:])
@@ -363,27 +359,28 @@ def read_scene_and_record(
     return read_log(record, None if scene is None else load_scene(scene))
 
 
-_AT_BOUND = 1e-3     # distance from a bound, in coordinates of the fit, that counts as none
-_FEWEST = 10         # samples of a part whose errors are worth a number
-_MORE_MODES = 2      # of the finer run that shows the numerical error
-_AGAINST = -0.5      # correlation below which a sign may be the other one
-_POOR = 0.5          # R^2 below which an output is not predicted
-_EXACT = 1e-9        # 1 - R^2 below which only numerical errors are left
-_EXPLAINED = 0.2     # part of the squares of residuals from which on its cause is named
-_NOISY = 2.0         # ratio of a residual to the known noise, above which there is a warning
-_MOST_NUMERICAL = 0.2    # part of a residual that may be numerical error
+_AT_BOUND = 1e-3  # distance from a bound, in coordinates of the fit, that counts as none
+_MIN_SAMPLES = 10  # samples of a part whose errors are worth a number
+_MORE_MODES = 2  # of the finer run that shows the numerical error
+_ANTICORRELATED = -0.5  # correlation below which a sign may be the other one
+_MIN_R_SQUARED = 0.5  # R^2 below which an output is not predicted
+_NUMERICAL_RESIDUAL = 1e-9  # 1 - R^2 below which only numerical errors are left
+_MIN_EXPLAINED = 0.2  # part of the squares of residuals from which on its cause is named
+_MAX_NOISE_RATIO = 2.0  # ratio of a residual to the known noise, above which there is a warning
+_MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
 
 
-def _suspects(errors, against, friction):
+def _possible_causes(errors, against, friction):
     """Yield what may be wrong with a record or a scene that do not agree."""
-    if not all(each.r_squared > _POOR for each in errors.values()):
+    if not all(each.r_squared > _MIN_R_SQUARED for each in errors.values()):
         for name, correlation in against.items():
-            if correlation < _AGAINST:
+            if correlation < _ANTICORRELATED:
                 yield (f'{name} is anticorrelated with a run of the first guess '
                        f'({correlation:.2f}): its sign, or that of an input, may be the other one '
                        '(scale: -1 in the mapping)')
     for name, (share, value) in friction.items():
-        if share > _EXPLAINED and any(1.0 - each.r_squared > _EXACT for each in errors.values()):
+        if share > _MIN_EXPLAINED and any(1.0 - each.r_squared > _NUMERICAL_RESIDUAL
+                                          for each in errors.values()):
             yield (f'dry friction, which the scene has not got, would explain {100.0 * share:.0f} '
                    f'% of the squares of the residuals: set {name} to about {value:.2g}, and free '
                    'it')
@@ -395,7 +392,7 @@ def _errors(problem, predicted, residuals, deviations):
         channel = problem.record.outputs[name]
         parts = []
         for part in (channel.t <= problem.until, channel.t > problem.until):
-            enough = part.sum() >= _FEWEST and name in predicted
+            enough = part.sum() >= _MIN_SAMPLES and name in predicted
             measured = channel.values[part]
             parts += [float(np.sqrt(np.mean((predicted[name][part] - measured)**2))),
                       r_squared(measured, predicted[name][part])] if enough else [math.nan] * 2
@@ -406,7 +403,7 @@ def _errors(problem, predicted, residuals, deviations):
     return found
 
 
-def _doubts(problem, scene, estimates, errors, values, run, predicted):
+def _find_doubts(problem, scene, estimates, errors, values, run, predicted):
     at_bound = [name for name, each in estimates.items() if each.bound]
     if at_bound:
         yield f'at a bound, so that intervals do not hold: {", ".join(at_bound)}'
@@ -416,7 +413,7 @@ def _doubts(problem, scene, estimates, errors, values, run, predicted):
                'record more outputs or another motion')
     for name, each in errors.items():
         noise = problem.record.outputs[name].noise
-        if noise and each.residual_rms > _NOISY * noise:
+        if noise and each.residual_rms > _MAX_NOISE_RATIO * noise:
             yield (f'{name} is off by {each.residual_rms / noise:.1f} times its noise: the model '
                    'lacks something, or this is not the best minimum: try other first guesses')
     if run is None:
@@ -431,7 +428,7 @@ def _doubts(problem, scene, estimates, errors, values, run, predicted):
         return
     for name, (_, found) in again.items():
         apart = float(np.sqrt(np.mean((found - predicted[name])**2)))
-        if apart > _MOST_NUMERICAL * errors[name].rms:
+        if apart > _MAX_NUMERICAL * errors[name].rms:
             yield (f'{name} differs by {apart:.2g} from that of a run with more modes and half '
                    f'the step, a large part of its error of {errors[name].rms:.2g}: take more '
                    'model.modes or a smaller integrator.step')

@@ -29,12 +29,7 @@ class Health:
     """
     Collects the counters of a node's faults and publishes them; one that has grown is a warning.
 
-    Attributes
-    ----------
-    outlet : Outlet
-    failed_calls : int
-        Callbacks that raised an exception.
-
+    `failed_calls` counts callbacks that raised an exception.
     """
 
     def __init__(self, node: Node, simulator: Simulator, loop: Loop, commands: Commands,
@@ -58,12 +53,12 @@ class Health:
         return {
             'overruns': pace.overruns,
             'dropped_time_s': pace.dropped_steps * self._simulator.scene.step,
-            'refused_commands': self._commands.refused,
+            'refused_commands': self._commands.count('refused'),
             'stale_commands': self._commands.stale,
             'failed_calls': self.failed_calls,
             'missed_commands': self._loop.gate.missed,
-            'mismatched_commands': self._commands.mismatched,
-            'foreign_joints': self._commands.foreign}
+            'mismatched_commands': self._commands.count('mismatched'),
+            'foreign_joints': self._commands.count('foreign')}
 
     def report(self, now: float) -> None:
         """Publish the health if a period is over at a wall time [s]."""
@@ -71,7 +66,7 @@ class Health:
         if now - before < _PERIOD:
             return
         self.start(now)
-        self._log.look()
+        self._log.check()
         self.pass_on_warning()
         self._check_surroundings()
         if self.outlet.wanted:

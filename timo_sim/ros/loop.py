@@ -24,7 +24,7 @@ from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.topics.commands import acting, COMMANDED, turns
 from timo_sim.topics.outputs import NANOSECONDS
 
-_TICK = 1e-3          # [s] of wall time; shorter steps are done several at a time
+_TICK_TIME = 1e-3          # [s] of wall time; shorter steps are done several at a time
 _PAUSED_POLL = 0.01   # [s] of wall time between two checks of a paused loop
 _COMMAND_POLL = 1e-4  # [s] of wall time between two checks for the command that a step waits for
 _REPETITION = 0.2     # [s] of wall time after which a state is published again while time stands
@@ -39,27 +39,11 @@ class StateError(Exception):
 
 class Loop:
     """
-    Advances a simulator; its caller must hold the node's lock.
+    Advances a simulator until step `end`; its caller must hold the node's lock.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    values : dict
-        Parameters of the node.
-    commands : Commands
-    outlets : list of Outlet
-        Publishers of the topics that are sent at steps.
-    log : RunLog
-    logger
-        A logger of rclpy.
-    end : int
-        Step at which the run ends.
-
-    Attributes
-    ----------
-    diverged : str or None
-        Why the simulation diverged; it then stays paused until a reset.
-
+    `values` are the node's parameters, `outlets` the publishers of the topics that are sent at
+    steps, `logger` is one of rclpy. `diverged` is None, or says why the simulation diverged; it
+    then stays paused until a reset.
     """
 
     def __init__(self, simulator: Simulator, values: dict[str, Any], commands: Commands,
@@ -208,7 +192,7 @@ class Loop:
     def check_subscribers(self) -> None:
         """Ask who subscribes: a service call may overtake the event of a new subscriber."""
         for outlet in self._outlets:
-            outlet.look()
+            outlet.check_subscribers()
 
     def snapshot(self) -> Snapshot:
         """Return the Snapshot of the present motion, from which messages are made."""
@@ -270,36 +254,24 @@ class Loop:
 
 class Pace:
     """
-    Paces sim time by wall time and the real-time factor.
+    Paces sim time by wall time and the real-time factor; `step` is in [s].
 
-    Parameters
-    ----------
-    step : float
-        [s]
-    waits : bool
-        Whether steps wait for commands, so that late and dropped steps are not counted.
-
-    Attributes
-    ----------
-    overruns : int
-        Ticks that came later than the deadline of the next one.
-    dropped_steps : int
-        Steps that were given up because they were beyond the catch-up limit.
-
+    `overruns` counts ticks that came later than the deadline of the next one, `dropped_steps`
+    steps that were given up because they were beyond the catch-up limit. Neither is counted if
+    the loop `waits` for commands.
     """
 
     def __init__(self, step: float, waits: bool = False) -> None:
         self._step, self._waits = step, waits
         self._factor = math.nan  # not set yet
-        self.overruns = 0
-        self.dropped_steps = 0
+        self.overruns = self.dropped_steps = 0
 
     def set(self, factor: float, limit: float, steps: int, now: float) -> None:
         """Set the real-time factor, 0 for as fast as possible, and the catch-up limit [s]."""
         self._limit = limit
         if factor != self._factor:  # else keep the part of a step that has passed
             self._factor = factor
-            self._tick_steps = max(1, math.floor(_TICK * factor / self._step))
+            self._tick_steps = max(1, math.floor(_TICK_TIME * factor / self._step))
             self.start(steps, now)
 
     @property
@@ -343,28 +315,15 @@ class Gate:
     Where any command is an answer, a wait for the first one also ends once somebody publishes
     commands: a controller manager on sim time sends none before its clock has gone on by a period.
 
-    Parameters
-    ----------
-    period : int
-        Steps from one wait to the next; 0 without lock step.
-    patience : float
-        Longest wait once the first command has come [s of wall time].
-    stamped : bool
-        Whether an answer has the stamp of the state; if not, any command is an answer.
-
-    Attributes
-    ----------
-    missed : int
-        Waits that ended without a command.
-    awaits_first : bool
-        Whether the first command since the start or a reset has not come yet.
-    abandoned : bool
-        Whether time stands because nobody publishes commands any more.
-
+    `period` is the number of steps from one wait to the next, 0 without lock step; `timeout` the
+    longest wait once the first command has come [s of wall time]. An answer has the stamp of the
+    state if `stamped`; if not, any command is an answer. `missed` counts waits that ended without
+    a command. `awaits_first` says that the first command since the start or a reset has not come
+    yet, `abandoned` that time stands because nobody publishes commands any more.
     """
 
-    def __init__(self, period: int, patience: float, stamped: bool = True) -> None:
-        self.period, self._patience, self.stamped = period, patience, stamped
+    def __init__(self, period: int, timeout: float, stamped: bool = True) -> None:
+        self.period, self._timeout, self.stamped = period, timeout, stamped
         self.missed = 0
         self._begin, self._late = 0, 0
         self.restart(0)
@@ -414,10 +373,10 @@ class Gate:
         if answered:
             self.awaits_first = False
         else:
-            patience = self._patience
+            timeout = self._timeout
             if self.awaits_first:
-                patience = math.inf if self.stamped else _REPETITION
-            if now - self._since < patience:
+                timeout = math.inf if self.stamped else _REPETITION
+            if now - self._since < timeout:
                 return True
             if not expected():
                 self._since, self.abandoned = now, not self.awaits_first

@@ -25,10 +25,11 @@ from std_srvs.srv import SetBool, Trigger
 from timo_sim.log.write import CHANGE, change_note, Peak, RESET, start_note
 from timo_sim.ros.diagnostics import Health
 from timo_sim.ros.loop import Loop, StateError
-from timo_sim.ros.parameters import ParameterNode, resolve_accuracy, steps_between_messages
+from timo_sim.ros.parameters import ParameterNode, steps_between_messages
 from timo_sim.ros.topics import Commands, LateOutlet, MotionOutlet, RunLog
+from timo_sim.runs.simulate import resolve
 from timo_sim.scene.parameters import (
-    changed, frame_names, LATEST, ParameterError, PARAMETERS, SCENE, short, whole_ratio)
+    changed, frame_names, LATEST, ParameterError, PARAMETERS, SCENE, short)
 from timo_sim.scene.scene import find_implausible, Scene, scene_from
 from timo_sim.simulation.simulator import Simulator, STEPS_BEHIND
 from timo_sim.topics.outputs import outputs, TRANSFORMS
@@ -62,22 +63,22 @@ def _undiscovered(args, options):
         yield node
 
 
-def _prepared(node):
+def _prepare(node):
     """
     Return a simulator, compiled, and its settings from the parameters of a node.
 
     The settings are values by name, steps between messages by rate, and the last step.
     """
-    values = node.given()
-    scene = scene_from(values)
-    if scene.values['model.accuracy']:
-        scene = resolve_accuracy(node, scene, values)
+    values, tell = node.given(), node.get_logger().info
+    if values['model.accuracy']:
+        tell('choosing modes and step for model.accuracy')
+    scene, steps = resolve(scene_from(values), values['duration'], tell,
+                           partial(steps_between_messages, values))
+    values.update(scene.values)
     steps_each = steps_between_messages(values, scene.step)
-    end = whole_ratio('duration', values['duration'], 'integrator.step',
-                      scene.step) or math.floor(LATEST / scene.step)
     simulator = Simulator(scene, values['estimate_error'])
-    simulator.warm_up(node.get_logger().info, messages=True)
-    return simulator, values, steps_each, end
+    simulator.warm_up(tell, messages=True)
+    return simulator, values, steps_each, steps or math.floor(LATEST / scene.step)
 
 
 class SimNode(ParameterNode):
@@ -85,31 +86,18 @@ class SimNode(ParameterNode):
     Integrates a scene in step with the wall clock.
 
     `run` is called by the main thread, callbacks by the executor's. Both touch the simulation only
-    under `_lock`.
-
-    Parameters
-    ----------
-    stop : StopRequest
-    live_feed : function(Scene, str, str) -> object, optional
-        Returns a stream of a scene to a viewer, given its address and the name of the node. Its
-        `offer(now, simulator, effort)` is called at each tick, its `close()` at the end; its
-        attribute `doubt` is a warning or None.
-    args : list of str, optional
-        Command line with parameters; by default that of the process.
-    **options
-        Of rclpy.node.Node, such as the namespace of one of several nodes in a process.
-
-    Raises
-    ------
-    ParameterError
-
+    under `_lock`. `stop` is a StopRequest, `args` a command line with parameters, by default that
+    of the process; `options` are those of rclpy.node.Node, such as the namespace of one of several
+    nodes in a process. `live_feed` returns a stream of a scene to a viewer, given its address and
+    the name of the node: `offer(now, simulator, effort)` is called at each tick, `close()` at the
+    end; its attribute `doubt` is a warning or None. Raises ParameterError.
     """
 
     def __init__(self, stop: Any, live_feed: Callable[[Scene, str, str], Any] = no_live_feed,
                  args: list[str] | None = None, **options: Any) -> None:
         # Compiling takes seconds: it is done before others see the node and wait for its answers.
         with _undiscovered(args, options) as node:
-            self._simulator, values, steps_each, end = _prepared(node)
+            self._simulator, values, steps_each, end = _prepare(node)
         self._frames = frame_names(values)
         super().__init__('timo_sim', **options)
         self._stop, self._values, scene = stop, values, self._simulator.scene
@@ -120,7 +108,7 @@ class SimNode(ParameterNode):
         self._step = scene.step
         self._log, self._peak = RunLog(self.get_logger()), Peak()
         self._commands = Commands(self, values['motor.dc.resistance'] > 0.0, self._frames)
-        self._outlets = self._made_outlets(scene)
+        self._outlets = self._make_outlets(scene)
         self._loop = Loop(self._simulator, values, self._commands, self._outlets, self._log,
                           self.get_logger(), end)
         self._health = Health(self, self._simulator, self._loop, self._commands, self._log,
@@ -138,8 +126,8 @@ class SimNode(ParameterNode):
         """Subscriptions that an executor serves: all but the commands, which the loop polls."""
         return (entry for entry in super().subscriptions if not entry.raw)
 
-    def _made_outlets(self, scene):
-        outlets = [self._outlet(output) for output in outputs(scene.modal_count)
+    def _make_outlets(self, scene):
+        outlets = [self._make_outlet(output) for output in outputs(scene.modal_count)
                    if output.name != '/clock' or self._values['publish_clock']]
         try:
             if self._values['publish_arm_shape']:
@@ -155,11 +143,11 @@ class SimNode(ParameterNode):
                                  f'apt-get install ros-jazzy-{remedy[1]}') from None
         return outlets
 
-    def _outlet(self, output):
+    def _make_outlet(self, output):
         delay = output.delay and round(self._values[output.delay] / self._step)
         outlet = LateOutlet(self, output, self._frames, delay) if delay else MotionOutlet(
             self, output, self._frames)
-        outlet.asks = not output.delay or self._values['record_sensors']
+        outlet.always_logged = not output.delay or self._values['record_sensors']
         return outlet
 
     def _offer_services(self):
@@ -234,7 +222,7 @@ class SimNode(ParameterNode):
 
     # Called by the executor.
 
-    def survive(self, error: Exception) -> None:
+    def count_failure(self, error: Exception) -> None:
         """Count and log an error of a callback, for example of rclpy's at a malformed request."""
         self._health.failed_calls += 1
         self.get_logger().error(f'a callback failed: {error!r}', throttle_duration_sec=5.0)

@@ -26,11 +26,9 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 
-from timo_sim.runs.simulate import choose_resolution
 from timo_sim.scene.files import is_of_rclpy, QOS
 from timo_sim.scene.parameters import (
     check, did_you_mean, Parameter as Rule, ParameterError, PARAMETERS, RATES, short, whole_ratio)
-from timo_sim.scene.scene import Scene
 
 _SOURCE = 'set at run time'
 # QoS policies that can be set. With history keep_all a slow subscriber would hold up the node.
@@ -189,24 +187,6 @@ def steps_between_messages(values: dict[str, Any], step: float) -> dict[str, int
     """
     return {rate: whole_ratio('1/integrator.step', 1.0 / step, rate, values[rate])
             for rate in RATES if values.get(f'publish_{rate.removeprefix("rate.")}', True)}
-
-
-def resolve_accuracy(node: Node, scene: Scene, values: dict[str, Any]) -> Scene:
-    """Return a scene with the modes and step that `model.accuracy` needs; update `values`."""
-    def suits(step):
-        try:
-            steps_between_messages(values, step)
-            whole_ratio('duration', values['duration'], 'integrator.step', step)
-        except ParameterError:
-            return False
-        return True
-
-    logger = node.get_logger()
-    logger.info('choosing modes and step for model.accuracy')
-    chosen = choose_resolution(scene, values['duration'], suits)
-    logger.info(f'model.accuracy = {scene.values["model.accuracy"]:g} m: {chosen}')
-    values.update(chosen.scene.values)
-    return chosen.scene
 
 
 def _descriptor(parameter):

@@ -59,7 +59,7 @@ def _refuse(error, code=2):
     return code
 
 
-def _say_if_for_others(node, file, sections):
+def _warn_of_unused_file(node, file, sections):
     name = node.get_fully_qualified_name()
     names = [section for section, values in sections.items() if values]
     if not any(is_for(section, name) for section in names):
@@ -69,21 +69,10 @@ def _say_if_for_others(node, file, sections):
 
 def run(stop: Any, args: list[str] | None, **options: Any) -> int:
     """
-    Start ROS, run the node, end ROS.
+    Start ROS, run the node with its options until a StopRequest, end ROS; return the exit code.
 
-    Parameters
-    ----------
-    stop : StopRequest
-    args : list of str or None
-        Command line; None means that of the process.
-    **options
-        Of `SimNode`.
-
-    Returns
-    -------
-    int
-        Exit code: 0, 1 if the middleware refuses, or 2 for a parameter that breaks its rule.
-
+    It is 0, 1 if the middleware refuses, or 2 for a parameter that breaks its rule. `args` is the
+    command line, by default that of the process.
     """
     sys.setswitchinterval(SWITCH_INTERVAL)
     done = threading.Event()
@@ -96,7 +85,7 @@ def run(stop: Any, args: list[str] | None, **options: Any) -> int:
                 stop.set = True
                 return
             except Exception as error:  # one client's request must not end the node for all
-                node.survive(error)
+                node.count_failure(error)
 
     stop.building()
     use_profiles()
@@ -116,7 +105,7 @@ def run(stop: Any, args: list[str] | None, **options: Any) -> int:
     except RCLError as error:  # the middleware refuses
         return _refuse(error, code=1)
     for file, sections in files.items():
-        _say_if_for_others(node, file, sections)
+        _warn_of_unused_file(node, file, sections)
     stop.running()
     gc.freeze()  # objects made so far last: the collector need not scan them while ticking
     executor = Executor()

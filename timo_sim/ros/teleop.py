@@ -36,9 +36,9 @@ _PUSHES = {'C': (0, 1.0), 'D': (0, -1.0), 'A': (1, 1.0), 'B': (1, -1.0),
 _QUIT = 'q', '\x03', '\x04'  # Ctrl-C and Ctrl-D
 # A terminal repeats a key that is held and does not say when it is released. The first push of a
 # key therefore lasts until the first repetition, and each repetition prolongs it a little [s].
-_FIRST, _REPEATED = 0.6, 0.2
+_FIRST_PUSH, _REPEATED_PUSH = 0.6, 0.2
 _PERIOD = 0.05  # [s] between commands, and between lines
-_STANDS = 0.3   # [s] without a new stamp after which time is said to stand
+_STANDING_AFTER = 0.3   # [s] without a new stamp after which time is said to stand
 _LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -103,7 +103,8 @@ class _Teleop:
             push = sign * self._sizes[place]
             repeated = push == self._push[place] and now < self._until[place]
             self._push[place] = push
-            self._until[place] = max(self._until[place], now + (_REPEATED if repeated else _FIRST))
+            lasts = _REPEATED_PUSH if repeated else _FIRST_PUSH
+            self._until[place] = max(self._until[place], now + lasts)
         elif key == ' ':
             self._call(self._pause, SetBool.Request(data=not self._stands(now)))
         elif key == 'r':
@@ -120,9 +121,9 @@ class _Teleop:
 
     def _call(self, client, request):
         self._answer = ''
-        client.call_async(request).add_done_callback(self._hear)
+        client.call_async(request).add_done_callback(self._show_answer)
 
-    def _hear(self, future):
+    def _show_answer(self, future):
         self._answer = future.result().message
 
     def _see_joints(self, message):
@@ -135,7 +136,7 @@ class _Teleop:
         self._tip = message.vector.y
 
     def _stands(self, now):
-        return now > self._moved + _STANDS
+        return now > self._moved + _STANDING_AFTER
 
     def _show(self, now):
         if self._stamp and self._torque.get_subscription_count():
@@ -157,20 +158,9 @@ def teleop(name: str, force: float, torque: float) -> None:
     """
     Let keys of the terminal, which is standard input, push a node until q or a signal.
 
-    Parameters
-    ----------
-    name : str
-        Full name of the node.
-    force, torque : float
-        Sizes of pushes [N], [N m].
-
-    Raises
-    ------
-    ParameterError
-        If standard input is no terminal, or an argument breaks its rule.
-    OSError
-        If standard output cannot be written.
-
+    `name` is its full name, `force` [N] and `torque` [N m] are the sizes of pushes. Raises
+    ParameterError if standard input is no terminal, or an argument breaks its rule; OSError if
+    standard output cannot be written.
     """
     if not os.isatty(0):
         raise ParameterError('teleop needs a terminal as its standard input, to read keys from')

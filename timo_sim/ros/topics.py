@@ -28,7 +28,7 @@ from timo_sim.topics.cdr import Serializer
 from timo_sim.topics.commands import COMMANDS, GROUPS, JOINTS, LARGEST, Refused
 from timo_sim.topics.outputs import in_frames, NANOSECONDS
 
-_NEW = 10.0  # [s] of wall time in which a new subscriber discovers the publisher, too
+_DISCOVERY_TIME = 10.0  # [s] of wall time in which a new subscriber discovers the publisher, too
 
 
 def message_class(type_name: str) -> type:
@@ -47,24 +47,12 @@ class Outlet:
     """
     A publisher that also hands its messages to the log, and knows whether anybody wants them.
 
-    Attributes
-    ----------
-    subscribed : bool
-        Whether anybody subscribes.
-    logged : bool
-        Whether its messages are for the log, too.
-    asks : bool
-        Whether the log wants messages that nobody else receives.
-    channel : Channel
-        Of the log.
-    recorder : Recorder or None
-        The open log.
-    index : int or None
-        Of the channel in the log.
-
+    `subscribed` says whether anybody subscribes. If it is `logged`, its messages go to the
+    `channel` with an `index` in the log, once this has a `recorder`; with `always_logged` also
+    those that nobody receives.
     """
 
-    logged = asks = True
+    logged = always_logged = True
 
     def __init__(self, node, topic, type_name):
         self.subscribed, self._joined = False, -math.inf
@@ -75,15 +63,15 @@ class Outlet:
         self.recorder, self.index = None, None
 
     def _matched(self, event):
-        self.look()
+        self.check_subscribers()
         if event.total_count_change:
             self._joined = time.monotonic()
 
     def watched_anew(self, now: float) -> bool:
         """Return whether somebody has subscribed shortly before a wall time [s]."""
-        return self.subscribed and now < self._joined + _NEW
+        return self.subscribed and now < self._joined + _DISCOVERY_TIME
 
-    def look(self) -> None:
+    def check_subscribers(self) -> None:
         """Ask the middleware whether anybody subscribes; this is also done at every change."""
         self.subscribed = self._publisher.get_subscription_count() > 0
 
@@ -91,7 +79,7 @@ class Outlet:
     def wanted(self) -> bool:
         """Whether a message would reach a subscriber or the log."""
         return self.subscribed or (
-            self.asks and self.recorder is not None and self.recorder.error is None)
+            self.always_logged and self.recorder is not None and self.recorder.error is None)
 
     def send(self, data: bytes, step: int, nanoseconds: int, again: bool = False) -> None:
         """
@@ -191,16 +179,10 @@ class Inlet:
     The subscription to a command topic; the loop polls it under the node's lock.
 
     No executor serves it: the EventsExecutor's queue is unbounded, the middleware's is not.
-
-    Attributes
-    ----------
-    pending : tuple or None
-        The command that will act next: its row and its message, serialised.
-    refused, mismatched : int
-        Number of commands refused, and of those dropped because they answer another state.
-    foreign : int
-        Number of names in commands that are no joints here, such as those of other robots.
-
+    `pending` is the command that will act next, its row and its serialised message, or None. Its
+    numbers are those of commands `refused`, of commands dropped because they answer another state
+    (`mismatched`), and of names that are no joints here, such as those of other robots
+    (`foreign`).
     """
 
     def __init__(self, node, command, frames):
@@ -269,17 +251,10 @@ class Commands:
     """
     All command topics of a node, and which of them each group of inputs follows.
 
-    `voltage` says whether there is a motor that takes one, `frames` names each frame.
-
-    Attributes
-    ----------
-    channels : list of Channel
-        Of the log, in the order of COMMANDS.
-    stale : int
-        How often a group of inputs fell to zero because its command was too old.
-    received : bool
-        Whether a command has come since the last call of `apply`, or since this was set to False.
-
+    `voltage` says whether there is a motor that takes one, `frames` names each frame. `channels`
+    are those of the log, in the order of COMMANDS. `stale` counts how often a group of inputs fell
+    to zero because its command was too old; `received` says whether a command has come since the
+    last call of `apply`, or since this was set to False.
     """
 
     def __init__(self, node, voltage, frames):
@@ -290,20 +265,9 @@ class Commands:
         # Of each group that follows a command: the command's inlet, and the step when it began.
         self._followed = {}
 
-    @property
-    def refused(self) -> int:
-        """Number of commands refused."""
-        return sum(inlet.refused for inlet in self._inlets)
-
-    @property
-    def mismatched(self) -> int:
-        """Number of commands dropped in lock step, because they answer another state."""
-        return sum(inlet.mismatched for inlet in self._inlets)
-
-    @property
-    def foreign(self) -> int:
-        """Number of names in commands that are no joints here."""
-        return sum(inlet.foreign for inlet in self._inlets)
+    def count(self, fault: str) -> int:
+        """Return the number of commands `refused` or `mismatched`, or `foreign` names in them."""
+        return sum(getattr(inlet, fault) for inlet in self._inlets)
 
     def expected(self) -> bool:
         """Return whether anybody publishes commands."""
@@ -408,7 +372,7 @@ class RunLog:
         if self._recorder is not None:
             self._recorder.note(name, values)
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Ask the recorder whether the log has ended early or was moved."""
         if self._recorder is not None:
             error = self._recorder.error and f'the log ends early: {self._recorder.error}'
@@ -420,7 +384,7 @@ class RunLog:
         if self._recorder is not None:
             self._recorder.note(SUMMARY, summary)
             self._recorder.close()
-            self.look()
+            self.check()
 
     def _fail(self, error):
         self.error = error

@@ -79,8 +79,8 @@ class LinearModel:
 
         Raises ParameterError if a name is none of the model's.
         """
-        u = _places(self.inputs, inputs, 'input')
-        y = _places(self.outputs, outputs, 'output')
+        u = _indices(self.inputs, inputs, 'input')
+        y = _indices(self.outputs, outputs, 'output')
         return replace(self, B=self.B[:, u], C=self.C[y], D=self.D[np.ix_(y, u)],
                        inputs=tuple(self.inputs[place] for place in u),
                        outputs=tuple(self.outputs[place] for place in y))
@@ -137,7 +137,7 @@ class LinearModel:
         return np.abs(poles[poles.imag > 1e-3]) / (2.0 * np.pi)
 
 
-def _places(names, chosen, kind):
+def _indices(names, chosen, kind):
     if chosen is None:
         return list(range(len(names)))
     unknown = [name for name in chosen if name not in names]
@@ -149,11 +149,11 @@ def _places(names, chosen, kind):
 
 # Step of the fourth-order differences: part of the arm's length, or angle of the section that
 # turns most [rad]. The tip's deflection is no measure, since a heavy tip hardly moves.
-_SHIFT = 1e-3
+_DIFFERENCE = 1e-3
 _STENCIL = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
 _INPUTS = {INPUTS[column].column: column for column in CHANNELS.values()}
 # Largest rate of a state that counts as an equilibrium [1/s].
-_STILL = 1e-9
+_MAX_RATE = 1e-9
 
 
 def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
@@ -196,7 +196,7 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     load[ANGLE] = at[2]
     state = formulation.state(at)
     moving, rate = at[half:], np.abs(formulation.rate(state, load))
-    round_off = _STILL * (1.0 + np.abs(formulation.linear) @ np.abs(state))
+    round_off = _MAX_RATE * (1.0 + np.abs(formulation.linear) @ np.abs(state))
     if moving.any() or not (rate <= round_off).all():
         raise ParameterError(
             'a scene is linearised about an equilibrium, where nothing moves; got speeds of up to '
@@ -205,12 +205,12 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     free = np.array([*axes, *range(2 + driven, half)], dtype=int)
     free, half = np.concatenate([free, half + free]), len(free)
     length = formulation.manipulator.arm.length
-    steps = np.tile(_SHIFT * np.concatenate(
+    steps = np.tile(_DIFFERENCE * np.concatenate(
         [[length, length, 1.0], 1.0 / formulation.section_turn_bound]), 2)
     # Coulomb friction must be linear within the differences of speeds.
     joints = formulation.size // 2 + np.arange(3)
     speeds = np.array(formulation.manipulator.coulomb)[[0, 0, 1], 1]
-    steps[joints] = np.minimum(steps[joints], _SHIFT * speeds)
+    steps[joints] = np.minimum(steps[joints], _DIFFERENCE * speeds)
 
     def jacobian(function):
         return _jacobian(function, at, steps, free)

@@ -26,9 +26,9 @@ from timo_sim.simulation.loads import ARGUMENTS, check_arguments
 from timo_sim.simulation.warnings import DivergenceError
 
 _LEVELS, _RATIO = 8, 4.0  # differences for each input, and the ratio of their steps
-_LARGEST = 0.05           # the largest of these steps, in scales of the input
-_ROUND_OFF = 1e-15        # of an output, relative
-_DOUBT = 1e-3             # estimated error that is warned of, in the largest of the derivatives
+_FIRST_STEP = 0.05  # the largest of these steps, in scales of the input
+_ROUND_OFF = 1e-15  # of an output, relative
+_MAX_ERROR = 1e-3  # estimated error that is warned of, in the largest of the derivatives
 _SAMPLES = Parameter('samples', 1, '', 'times at which the output is taken', low=1)
 
 
@@ -114,14 +114,15 @@ def sensitivities(scene: SceneLike, duration: float,
     """
     scene = load_scene(scene)
     steps = steps_in(duration, scene.step)
-    commanded = _checked(commands or {})
-    inputs = [*_of_scene(scene, parameters), *_of_commands(scene, commanded, duration)]
+    commanded = _check_commands(commands or {})
+    inputs = [*_inputs_of_scene(scene, parameters),
+              *_inputs_of_commands(scene, commanded, duration)]
     if not inputs:
         raise ParameterError('sensitivities need parameters or commands, got none')
-    sampled = _marks(steps, 'samples', _SAMPLES.check(samples))
-    edges = {0, *sampled}.union(*(_marks(steps, name, len(values))
+    sampled = _ends_of_parts(steps, 'samples', _SAMPLES.check(samples))
+    edges = {0, *sampled}.union(*(_ends_of_parts(steps, name, len(values))
                                   for name, values in commanded.items()))
-    changes = _LARGEST / _RATIO**np.arange(_LEVELS)
+    changes = _FIRST_STEP / _RATIO**np.arange(_LEVELS)
     runs = [(scene, commanded)]
     for each in inputs:
         runs.extend(each.changed(scene, commanded, sign * change)
@@ -135,16 +136,16 @@ def sensitivities(scene: SceneLike, duration: float,
     jacobian, error = (np.stack(parts, axis=-1) for parts in zip(*found))
     names, outputs = tuple(each.name for each in inputs), tuple(range(jacobian.ndim - 1))
     most, largest = error.max(axis=outputs), np.abs(jacobian).max(axis=outputs)
-    doubtful = np.flatnonzero(~(most <= _DOUBT * largest) & ~(largest == 0.0))
+    doubtful = np.flatnonzero(~(most <= _MAX_ERROR * largest) & ~(largest == 0.0))
     if len(doubtful):
         worst = doubtful[np.argmax(most[doubtful] / largest[doubtful])]
         warn(f'derivatives by {len(doubtful)} of {len(names)} inputs have an estimated error '
-             f'above {_DOUBT:g} of the largest: {most[worst]:.1g} of {largest[worst]:.3g} by '
+             f'above {_MAX_ERROR:g} of the largest: {most[worst]:.1g} of {largest[worst]:.3g} by '
              f'{names[worst]}')
     return Sensitivities(names, scene.step * np.array(sampled), seen[:, 0], jacobian, error)
 
 
-class _Varied(NamedTuple):
+class _Input(NamedTuple):
     """A number of the scene or of a command as an input."""
 
     name: str
@@ -152,7 +153,7 @@ class _Varied(NamedTuple):
     changed: Callable  # (scene, commands, change) -> scene, commands
 
 
-def _checked(commands):
+def _check_commands(commands):
     check_arguments(commands, 'commands')
     found = {}
     for name, values in commands.items():
@@ -168,7 +169,7 @@ def _checked(commands):
     return found
 
 
-def _marks(steps, name, count):
+def _ends_of_parts(steps, name, count):
     # The step at the end of each part.
     if not steps or steps % count:
         raise ParameterError(f'the {steps} steps of the run must be a multiple of the number of '
@@ -176,7 +177,7 @@ def _marks(steps, name, count):
     return range(steps // count, steps + 1, steps // count)
 
 
-def _of_scene(scene, parameters):
+def _inputs_of_scene(scene, parameters):
     given = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
     for name, size in given.items():
         for each in initial_names(scene) if name == INITIAL else [name]:
@@ -187,11 +188,11 @@ def _of_scene(scene, parameters):
             if not scale:
                 raise ParameterError(f'{each} is 0: give the size of a change that matters, as '
                                      f'parameters={{{each!r}: size}}')
-            yield _Varied(each, scale, lambda scene, commands, change, name=each, value=value: (
+            yield _Input(each, scale, lambda scene, commands, change, name=each, value=value: (
                 scene.vary(overrides_of({name: value + change}, scene)), commands))
 
 
-def _of_commands(scene, commanded, duration):
+def _inputs_of_commands(scene, commanded, duration):
     body, model = scene.manipulator, scene.build()
     inertia = (body.shaft_inertia + model.point_inertia.sum()
                + model.point_mass @ model.points.xi**2)
@@ -201,13 +202,13 @@ def _of_commands(scene, commanded, duration):
     scales = {each.argument: of_unit[each.unit] for each in INPUTS if each.argument}
     for name, values in commanded.items():
         for place in np.ndindex(values.shape):
-            yield _Varied(
+            yield _Input(
                 name + ''.join(f'[{k}]' for k in place), scales[name],
                 lambda scene, commands, change, name=name, place=place: (
-                    scene, {**commands, name: _added(commands[name], place, change)}))
+                    scene, {**commands, name: _add_at(commands[name], place, change)}))
 
 
-def _added(values, place, change):
+def _add_at(values, place, change):
     values = values.copy()
     values[place] += change
     return values

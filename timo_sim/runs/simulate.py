@@ -28,7 +28,7 @@ SIZES = (3, 5, 8, 12)  # numbers of modes to choose from
 STEPS = (0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)  # to choose from [s]
 GRID = 0.02            # multiple of all steps, time between positions that are compared [s]
 HORIZON = 10.0         # sim time that is compared by default [s]
-MOST_STEPS = 200_000   # most steps of a run that is compared
+MAX_STEPS = 200_000   # most steps of a run that is compared
 MARGIN = 2.0           # least ratio of the stated error to the estimate of the choice
 _STILL = 1e-13         # travel of a tip that only round-off moves [arm lengths]
 
@@ -194,7 +194,7 @@ def choose_resolution(scene: SceneLike, duration: float = 0.0,
 
 def _run_trial(scene, modes, step, duration):
     """Return a run with samples GRID apart; None if the step does not suit the loads."""
-    samples = min(max(1, round(duration / GRID)), int(MOST_STEPS * step / GRID))
+    samples = min(max(1, round(duration / GRID)), int(MAX_STEPS * step / GRID))
     every = round(GRID / step)
     try:
         scene = scene_from({**scene.values, 'model.accuracy': 0.0, 'model.modes': modes,
@@ -217,18 +217,25 @@ def _stretch_warning(run, goal):
             'more than the stated model.accuracy: take model.axial_modes 1')
 
 
-def resolve(scene: Scene, duration: float,
-            tell: Callable[[str], object] | None = None) -> tuple[Scene, int]:
+def resolve(scene: Scene, duration: float, tell: Callable[[str], object] | None = None,
+            check_step: Callable[[float], object] = lambda step: None) -> tuple[Scene, int]:
     """
     Return the scene, with modes and step chosen if it states an error, and its number of steps.
 
     `tell` is called with the choice; without it a ModelWarning is given if the choice has a
-    warning. Raises ParameterError if the duration does not fit the step, or no choice is accurate
-    enough.
+    warning. `check_step` raises ParameterError for a step [s] that does not suit the caller.
+    Raises ParameterError if the duration does not fit the step, or no choice is accurate enough.
     """
+    def fits(step):
+        try:
+            check_step(step)
+            return steps_in(duration, step) >= 0
+        except ParameterError:
+            return False
+
     goal = scene.values['model.accuracy']
     if goal:
-        choice = choose_resolution(scene, duration, lambda step: _divides(step, duration))
+        choice = choose_resolution(scene, duration, fits)
         if tell:
             tell(f'model.accuracy = {goal:g} m: {choice}')
         elif choice.warning:
@@ -237,15 +244,8 @@ def resolve(scene: Scene, duration: float,
     return scene, steps_in(duration, scene.step)
 
 
-def _divides(step, duration):
-    try:
-        return steps_in(duration, step) >= 0
-    except ParameterError:
-        return False
-
-
 _EVERY = Parameter('sample_every', 1, '', 'steps between samples', low=1)
-_LEAST_COMPARED = 200  # samples at which the tips of two runs are compared
+_MIN_COMPARED = 200  # samples at which the tips of two runs are compared
 
 
 def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
@@ -298,7 +298,7 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
             f'sample_every = {sample_every} must divide the number of steps, {steps}')
     parts = 1
     if estimate:  # samples of a short run are closer, so that enough are compared
-        least = -(-_LEAST_COMPARED * sample_every // max(1, steps))
+        least = -(-_MIN_COMPARED * sample_every // max(1, steps))
         parts = next(k for k in range(min(least, sample_every), sample_every + 1)
                      if sample_every % k == 0)
     from tqdm import tqdm  # a node, which chooses a resolution, needs no progress bar

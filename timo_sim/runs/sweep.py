@@ -48,19 +48,17 @@ from timo_sim.scene.files import flatten, read_yaml, whole_file
 from timo_sim.scene.parameters import (
     check, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
-from timo_sim.simulation.batch import LaneLoads, refusal
-from timo_sim.simulation.simulator import MOST_BENT
-from timo_sim.simulation.warnings import divergence, unseen_load
-from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
+from timo_sim.simulation.batch import Batch, refusal
+from timo_sim.simulation.warnings import unseen_load
 from timo_sim.steps.steps import CHUNK
 from timo_sim.version import __version__
 
 # Most steps and runs of a job, and about the fewest jobs of a sweep. A job takes well below a
 # second, so that little is lost if a worker dies, and all workers end at about the same time.
-_STEPS, _RUNS, _FEWEST_JOBS = 100_000, 96, 32
+_MAX_STEPS, _MAX_RUNS, _MIN_JOBS = 100_000, 96, 32
 _FAILURES = ArithmeticError, ValueError, MemoryError  # of a run, not of the program
 _MEASURED_EVERY = 4096  # runs from one whose error is measured to the next
-_LEAST_FOR_LANES = 64  # runs of a sweep from which on the machine code of lanes pays
+_MIN_FOR_LANES = 64  # runs of a sweep from which on the machine code of lanes pays
 
 
 class Column(NamedTuple):
@@ -180,8 +178,8 @@ class Job(NamedTuple):
 def jobs_of(scene: Scene, duration: float, count: int, variations: Iterable[Mapping[str, Any]],
             names: Iterable[str]) -> Iterator[Job]:
     """Yield the jobs of a sweep of `count` runs, which do not depend on the number of workers."""
-    steps, in_lanes = max(1, steps_in(duration, scene.step)), count >= _LEAST_FOR_LANES
-    length = max(1, min(_RUNS, _STEPS // steps, math.ceil(count / _FEWEST_JOBS)))
+    steps, in_lanes = max(1, steps_in(duration, scene.step)), count >= _MIN_FOR_LANES
+    length = max(1, min(_MAX_RUNS, _MAX_STEPS // steps, math.ceil(count / _MIN_JOBS)))
     if in_lanes:
         length = WIDTH * math.ceil(length / WIDTH)
     remaining = iter(variations)
@@ -196,24 +194,24 @@ def run_job(job: Job) -> dict[str, np.ndarray]:
     table = {'run': job.first + np.arange(len(job.variations))}
     flat = [flatten(variation) for variation in job.variations]
     for name in job.names:
-        table[name] = _cells(PARAMETERS[name], [values.get(name, job.scene.values[name])
-                                                for values in flat])
+        table[name] = _column_of(
+            PARAMETERS[name], [values.get(name, job.scene.values[name]) for values in flat])
     table.update((column.name, numbers[:, k]) for k, column in enumerate(SUMMARY))
     table['warning'], table['reason'] = np.full((2, len(flat)), '', dtype=object)
     found = {}
     with np.errstate(all='ignore'):
         for row, variation in enumerate(job.variations):
-            with _reasons(table['reason'], [row]):
+            with _record_reasons(table['reason'], [row]):
                 scene, steps = resolve(job.scene.vary(variation), job.duration)
                 kind = lane_kind(scene, steps) if job.in_lanes else None
                 found.setdefault((kind, None if kind else row), []).append((row, scene))
         for (kind, _), runs in found.items():
             try:
-                _fill(table, numbers, kind, runs, job.duration)
+                _fill_rows(table, numbers, kind, runs, job.duration)
             except _FAILURES:  # One of them failed: each is done alone, for a reason of its own.
                 for run in runs:
-                    with _reasons(table['reason'], [run[0]]):
-                        _fill(table, numbers, kind, [run], job.duration)
+                    with _record_reasons(table['reason'], [run[0]]):
+                        _fill_rows(table, numbers, kind, [run], job.duration)
         for (kind, _), runs in found.items():
             for row, scene in runs:
                 if (job.first + row) % _MEASURED_EVERY == 0 and not table['reason'][row]:
@@ -226,7 +224,7 @@ def run_job(job: Job) -> dict[str, np.ndarray]:
     return table
 
 
-def _fill(table, numbers, kind, runs, duration):
+def _fill_rows(table, numbers, kind, runs, duration):
     """Do runs, of (row, Scene), together if they are of a LaneKind; fill in their rows."""
     rows, scenes = (list(part) for part in zip(*runs))
     if kind:
@@ -243,7 +241,7 @@ def _fill(table, numbers, kind, runs, duration):
 
 
 @contextmanager
-def _reasons(reasons, rows):
+def _record_reasons(reasons, rows):
     """Keep the text of an error as the reason why the runs of some rows failed."""
     try:
         yield
@@ -251,7 +249,7 @@ def _reasons(reasons, rows):
         reasons[rows] = ' '.join(str(error).split()) or type(error).__name__
 
 
-def _cells(parameter, values):
+def _column_of(parameter, values):
     # A value that breaks its rule becomes NaN or None; the `reason` of its row names it.
     cells = []
     for value in values:
@@ -312,52 +310,26 @@ class LaneRuns:
     """
 
     def __init__(self, scenes: list[Scene], kind: LaneKind) -> None:
-        self._scenes, self._models = scenes, [scene.build() for scene in scenes]
-        self._lanes = LaneSteps(self._models, kind.step, MOST_BENT)
-        self._lanes.state[:] = to_lanes(np.array([
-            model.state(scene.initial_motion())
-            for scene, model in zip(scenes, self._models)]))
-        self._loads = LaneLoads(scenes)
-        self._origin = np.zeros(len(scenes), dtype=int)
-        self._lanes.advance(self._loads.columns, self._loads.varying(0, 0, self._origin))
+        batch = Batch(scenes)
         self.warnings = [unseen_load(scene) for scene in scenes]
-        self.peak, self.rotation, self.squares = np.zeros((3, len(scenes)))
-        self.peak_time = np.zeros(len(scenes))
-        self._summarise(0, self._tips(self._lanes.tip[:, np.newaxis]))
+        self.peak, self.peak_time, self.rotation, self.squares = np.zeros((4, batch.n))
+        self._summarise(np.zeros(1), batch.tip[:, np.newaxis])
         for first in range(0, kind.steps, CHUNK):
             count = min(CHUNK, kind.steps - first)
-            tips = self._lanes.room(count, 3)
-            self._lanes.advance(self._loads.columns,
-                                self._loads.varying(first, count, self._origin), tips=tips)
-            self._summarise(first + 1, self._tips(np.concatenate(
-                [tips[:, 1:], self._lanes.tip[:, np.newaxis]], axis=1)))
-        self.motion = from_lanes(self._lanes.motion, len(scenes))
-        self.deflection = from_lanes(self._lanes.tip, len(scenes))[:, 1]
-        self.reasons = [self._reason(number) for number in range(len(scenes))]
+            times = kind.step * np.arange(first + 1, first + count + 1)
+            self._summarise(times, batch.advance_tips(count))
+        self.motion, self.deflection = batch.motion.values, batch.tip[:, 1]
+        self.reasons = [batch.reason(number) for number in range(batch.n)]
 
-    def _tips(self, places):
+    def _summarise(self, times, tips):
         # The order in memory is always the same, because the last bits of sums depend on it.
-        return np.ascontiguousarray(from_lanes(places, len(self._scenes)))
-
-    def _summarise(self, first, tips):
-        # `tips` are those after the steps `first`, `first` + 1, ..., shape (n, k, 3).
-        size = np.abs(tips[:, :, 1])
+        size = np.abs(np.ascontiguousarray(tips)[:, :, 1])
         at = np.argmax(size, axis=1)
         found = size[np.arange(len(size)), at]
-        self.peak_time = np.where(found > self.peak, (first + at) * self._lanes.step,
-                                  self.peak_time)
+        self.peak_time = np.where(found > self.peak, times[at], self.peak_time)
         self.peak = np.maximum(self.peak, found)
         self.rotation = np.maximum(self.rotation, np.abs(tips[:, :, 2]).max(axis=1))
         self.squares += np.sum(size**2, axis=1)
-
-    def _reason(self, number):
-        alive, done = from_lanes(self._lanes.progress, len(self._scenes))[number]
-        if alive:
-            return ''
-        model, motion = self._models[number], self.motion[number]
-        bend = np.abs(motion[3:model.size // 2]) @ model.tip_travel[3:]
-        return divergence(self._scenes[number], round(done), motion, model.tip_travel, bend,
-                          self.warnings[number])
 
 
 _WORKERS = Parameter('workers', 1, '', 'processes', low=1)
@@ -421,9 +393,9 @@ class _Worker(SpawnProcess):
     def start(self):
         """Start the process."""
         # multiprocessing imports in the new process what is `__main__` here.
-        with (_STARTING, _changed(sys.modules, {'__main__': ModuleType('__main__')}),
-              _changed(os.environ, _ENVIRONMENT),
-              _changed(vars(multiprocessing.current_process())['_config'], {'daemon': False})):
+        with (_STARTING, _temporarily(sys.modules, {'__main__': ModuleType('__main__')}),
+              _temporarily(os.environ, _ENVIRONMENT),
+              _temporarily(vars(multiprocessing.current_process())['_config'], {'daemon': False})):
             super().start()
 
 
@@ -432,7 +404,7 @@ class _Context(SpawnContext):
 
 
 @contextmanager
-def _changed(mapping, values):
+def _temporarily(mapping, values):
     before = {key: mapping[key] for key in values if key in mapping}
     mapping.update(values)
     try:
@@ -505,12 +477,12 @@ def read_plan(path: Path | str) -> Plan:
     """Read and check the file of a sweep; raise OSError or ParameterError."""
     content = read_yaml(path)
     try:
-        return _plan(content, Path(path).parent)
+        return _check_plan(content, Path(path).parent)
     except ParameterError as error:
         raise ParameterError(f'{error} ({path})') from None
 
 
-def _plan(content, folder):
+def _check_plan(content, folder):
     if not isinstance(content, dict) or not set(content) <= set(_ENTRIES):
         shown = [*set(content) - set(_ENTRIES)] if isinstance(content, dict) else content
         raise ParameterError(f'a sweep has the entries {", ".join(_ENTRIES)}; got {short(shown)}')
@@ -523,38 +495,39 @@ def _plan(content, folder):
         raise ParameterError('scene must be the name of a file, or parameters, got '
                              + short(scene))
     scene = load_scene(folder / scene if isinstance(scene, str) else scene,
-                       _mapping('parameters', content.get('parameters') or {}))
+                       _check_mapping('parameters', content.get('parameters') or {}))
     duration = _DURATION.check(content.get('duration'))
     steps_in(duration, scene.step)
-    names, count = {'runs': _runs, 'grid': _grid, 'random': _random}[kind](content[kind])
+    rules = {'runs': _check_runs, 'grid': _check_grid, 'random': _check_random}
+    names, count = rules[kind](content[kind])
     return Plan(scene, duration, names, count, kind, content[kind])
 
 
-def _runs(given):
+def _check_runs(given):
     if not isinstance(given, list) or not given:
         raise ParameterError(f'runs must be a list of sets of parameters, got {short(given)}')
     for run, values in enumerate(given):
-        _check(f'runs[{run}]', flatten(_mapping(f'runs[{run}]', values)))
+        _check_values(f'runs[{run}]', flatten(_check_mapping(f'runs[{run}]', values)))
     names = dict.fromkeys(name for values in given for name in flatten(values))
     return list(names), len(given)
 
 
-def _grid(given):
-    for name, values in _mapping('grid', given).items():
+def _check_grid(given):
+    for name, values in _check_mapping('grid', given).items():
         if not isinstance(values, list) or not values:
             raise ParameterError(f'grid: {short(name, str)} must be a list of values, got '
                                  + short(values))
         for value in values:
-            _check('grid', {name: value})
+            _check_values('grid', {name: value})
     return list(given), math.prod(len(values) for values in given.values())
 
 
-def _random(given):
-    if set(_mapping('random', given)) != {*_RANDOM, 'ranges'}:
+def _check_random(given):
+    if set(_check_mapping('random', given)) != {*_RANDOM, 'ranges'}:
         raise ParameterError(f'random must have seed, count and ranges, got {short(list(given))}')
     for name, parameter in _RANDOM.items():
         parameter.check(given[name])
-    for name, ends in _mapping('random: ranges', given['ranges']).items():
+    for name, ends in _check_mapping('random: ranges', given['ranges']).items():
         try:
             low, high = np.array(ends, dtype=float)
         except (TypeError, ValueError):
@@ -565,17 +538,17 @@ def _random(given):
             raise ParameterError(f'random: {short(name, str)} must have ends in ascending order, '
                                  f'got {short(ends)}')
         for end in ends:
-            _check('random', {name: end})
+            _check_values('random', {name: end})
     return list(given['ranges']), given['count']
 
 
-def _mapping(entry, given):
+def _check_mapping(entry, given):
     if not isinstance(given, dict):
         raise ParameterError(f'{entry} must be parameters with values, got {short(given)}')
     return given
 
 
-def _check(entry, values):
+def _check_values(entry, values):
     check(values, entry)
     for name in values:
         if PARAMETERS[name].scope != SCENE:

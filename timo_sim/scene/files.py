@@ -23,11 +23,11 @@ import yaml
 from timo_sim.scene.parameters import did_you_mean, ParameterError, PARAMETERS, short
 
 QOS = 'qos_overrides.'  # prefix of rclpy's parameters for the QoS of topics
-_DEEPEST = max(name.count('.') for name in PARAMETERS)
+_MAX_DEPTH = max(name.count('.') for name in PARAMETERS)
 # In a clone, config/ and urdf/ are beside the package. Once installed, they are in
 # PREFIX/share/timo_sim, and the package is in PREFIX/lib/python3.x/site-packages.
-_ABOVE = [*Path(__file__).resolve().parents[2:]]
-_SHARED = [_ABOVE[0], *(prefix / 'share/timo_sim' for prefix in _ABOVE[3:4])]
+_PARENTS = [*Path(__file__).resolve().parents[2:]]
+_SHARED = [_PARENTS[0], *(prefix / 'share/timo_sim' for prefix in _PARENTS[3:4])]
 _FOLDERS = [folder / 'config' for folder in _SHARED]
 
 
@@ -179,7 +179,7 @@ def flatten(values: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
     for name, value in _mapping(values).items():
         name = f'{prefix}{name}'
         # No parameter has more dots, so that the recursion is bounded.
-        nested = isinstance(value, Mapping) and prefix.count('.') <= _DEEPEST
+        nested = isinstance(value, Mapping) and prefix.count('.') <= _MAX_DEPTH
         for each, inner in (flatten(value, f'{name}.') if nested else {name: value}).items():
             if each in flat:
                 raise ParameterError(f'{short(each, str)} is given twice')

@@ -37,14 +37,14 @@ from timo_sim.scene.parameters import (
 # Ranges of real solids; `load_scene` warns of values outside.
 _PLAUSIBLE = {'young_modulus': (1e5, 2e12, 'Pa'), 'density': (10.0, 25000.0, 'kg/m3')}
 # Parameters of a load's terms.
-_OF_CHANNELS = {channel: tuple(f'load.{channel}.{name}' for name in (
+_TERM_NAMES = {channel: tuple(f'load.{channel}.{name}' for name in (
     'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
     'piecewise.value', 'table.time', 'table.value')) for channel in CHANNELS}
-_OF_TERMS = ('integrator.step', *(name for names in _OF_CHANNELS.values() for name in names))
-_ORDINARY = 1e20  # numbers below this do not overflow in an energy
-_LONGEST = 30.0  # longest arm that is not taken for one in millimetres [m]
-_LEAST_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
-_OF_SCENE = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
+_ALL_TERM_NAMES = ('integrator.step', *(name for names in _TERM_NAMES.values() for name in names))
+_MAX_WITHOUT_OVERFLOW = 1e20  # numbers below this do not overflow in an energy
+_MAX_LENGTH = 30.0  # longest arm that is not taken for one in millimetres [m]
+_MIN_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
+_SCENE_NAMES = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
 
 
 @dataclass(frozen=True, repr=False)
@@ -259,7 +259,7 @@ def scene_from(values: Mapping[str, Any]) -> Scene:
     """Return the Scene of checked values, or raise ParameterError if they do not fit together."""
     values = MappingProxyType({
         name: tuple(value) if isinstance(value := values[name], list) else value
-        for name in _OF_SCENE})
+        for name in _SCENE_NAMES})
     check_counts(values)
     check_initial(values)
     check_push(values)
@@ -267,7 +267,7 @@ def scene_from(values: Mapping[str, Any]) -> Scene:
     step = values['integrator.step']
     for name in DELAYS:
         whole_ratio(name, values[name], 'integrator.step', step)
-    load = Load(_terms_of(tuple((name, values[name]) for name in _OF_TERMS)), _drive(values))
+    load = Load(_terms_of(tuple((name, values[name]) for name in _ALL_TERM_NAMES)), _drive(values))
     scene = Scene(manipulator_of(values), constraints_of(values), load, step, values)
     check_finite(scene)
     check_slope(scene)
@@ -332,7 +332,7 @@ def _terms_of(items):
     values = dict(items)
     return {channel: tuple(_terms(f'load.{channel}', values, values['integrator.step']))
             if any(values[name] for name in names) else ()
-            for channel, names in _OF_CHANNELS.items()}
+            for channel, names in _TERM_NAMES.items()}
 
 
 def motor_constants(values: Mapping[str, Any]) -> tuple[float, float]:
@@ -473,7 +473,7 @@ def check_push(values: Mapping[str, Any]) -> None:
     """Raise ParameterError if loads lack what they need, or a push is not on the arm."""
     for each in INPUTS:
         if each.prescribed and each.needs and not values[each.needs]:
-            given = [name for name in _OF_CHANNELS[each.name] if values[name]]
+            given = [name for name in _TERM_NAMES[each.name] if values[name]]
             if given:
                 raise ParameterError(f'{given[0]} needs {each.needs} > 0, got '
                                      f'{values[each.needs]:g}')
@@ -511,8 +511,9 @@ def check_finite(scene: Scene) -> None:
     try:
         with np.errstate(over='raise', divide='raise', invalid='raise'):
             formulation, motion = scene.build(), scene.initial_motion()
+            bound = np.maximum(formulation.magnitude_bound, np.abs(motion).max())
             finite = np.isfinite(formulation.linear).all() and (
-                formulation.magnitude_bound < _ORDINARY and np.abs(motion).max() < _ORDINARY
+                bound < _MAX_WITHOUT_OVERFLOW
                 or np.isfinite(formulation.energy(motion[np.newaxis])[0]))
     except ArithmeticError:
         finite = False
@@ -547,8 +548,8 @@ def find_implausible(values: Mapping[str, Any]) -> str | None:
               for stiff, soft in zip(shear * (count // len(shear)), young * (count // len(young)))
               if stiff > soft][:1]
     longest = max(values['arm.length'], *each('width'), height)
-    if longest > _LONGEST:
-        found.append(f'a length of {longest:g} m is more than {_LONGEST:g} m: lengths are in '
+    if longest > _MAX_LENGTH:
+        found.append(f'a length of {longest:g} m is more than {_MAX_LENGTH:g} m: lengths are in '
                      'metres, not in millimetres')
     mass, inertia = values['end_effector.mass'], values['end_effector.inertia']
     if inertia > mass * (0.5 * values['arm.length'])**2 and (mass or inertia == PARAMETERS[
@@ -556,9 +557,9 @@ def find_implausible(values: Mapping[str, Any]) -> str | None:
         found.append(f'{with_value("end_effector.inertia", "kg m2")} is that of '
                      f'{with_value("end_effector.mass", "kg")} at more than half of '
                      f'{with_value("arm.length", "m")} from its centre')
-    if values['arm.length'] < _LEAST_SLENDERNESS * height:
+    if values['arm.length'] < _MIN_SLENDERNESS * height:
         found.append(f'arm.length = {values["arm.length"]:g} m is less than '
-                     f'{_LEAST_SLENDERNESS:g} times arm.height = {height:g} m')
+                     f'{_MIN_SLENDERNESS:g} times arm.height = {height:g} m')
     angle = values['initial.shaft']
     if abs(angle) > 2.0 * math.pi:
         found.append(f'initial.shaft = {angle:g} rad is more than a turn; in degrees it would be '
@@ -601,7 +602,7 @@ def number_of(name: str, scene: Scene, others: str = '',
 
     `others` says for an error what else the caller knows, and `names` names it.
     """
-    base, place = _base(name)
+    base, place = _split_index(name)
     parameter = PARAMETERS.get(base)
     if parameter is None:
         raise ParameterError(f'{short(name, str)} cannot be free: it is '
@@ -627,7 +628,7 @@ def number_of(name: str, scene: Scene, others: str = '',
     return parameter, value
 
 
-def _base(name):
+def _split_index(name):
     match = _INDEXED.fullmatch(name)
     return (match.group(1), int(match.group(2))) if match else (name, None)
 
@@ -645,7 +646,7 @@ def initial_names(scene: Scene) -> list[str]:
 
 def initial_scale(name: str, scene: Scene) -> float:
     """Return what of the initial state moves the tip by a tenth of the arm, or turns it by 0.1."""
-    base, n = _base(name)
+    base, n = _split_index(name)
     model, length = scene.build(), scene.manipulator.arm.length
     if base == 'initial.modal_coordinates':
         return 0.1 * length / model.tip_travel[3 + n]
@@ -658,7 +659,7 @@ def overrides_of(values: Mapping[str, float], scene: Scene) -> dict[str, Any]:
     """Return the overrides of whole parameters that set numbers of a scene, given by name."""
     found: dict[str, Any] = {}
     for name, value in values.items():
-        base, place = _base(name)
+        base, place = _split_index(name)
         if isinstance(scene.values[base], tuple):
             whole = found.get(base) or scene.values[base] or (0.0,) * scene.modal_count
             place = place or 0

@@ -23,20 +23,13 @@ from timo_sim.scene.parameters import Parameter, ParameterError, steps_in
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation.loads import Actuators, commanded_load
 from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY
-from timo_sim.simulation.warnings import divergence
+from timo_sim.simulation.warnings import divergence, unseen_load
 from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
 from timo_sim.steps.steps import CHUNK
 
 
 class LaneLoads:
-    """
-    Loads of n scenes with the same time step.
-
-    Parameters
-    ----------
-    scenes : list of Scene
-
-    """
+    """Loads of n scenes with the same time step."""
 
     def __init__(self, scenes: list[Scene]) -> None:
         self._step, self._scenes = scenes[0].step, scenes
@@ -65,19 +58,9 @@ class LaneLoads:
 
     def command(self, commanded: np.ndarray, first: int) -> np.ndarray:
         """
-        Take the commands from step `first` on.
+        Take the commands, shape (n, LOADS), from step `first` on.
 
-        Parameters
-        ----------
-        commanded : ndarray, shape (n, LOADS)
-            See `model.layout`.
-        first : int
-
-        Returns
-        -------
-        ndarray, shape (n, LOADS)
-            What acts of them and does not vary with time.
-
+        Return what acts of them and does not vary with time, of the same shape.
         """
         acting = np.clip(commanded, -self._limit, self._limit)
         acting[:, TORQUE] += self._gain * acting[:, VOLTAGE]
@@ -88,20 +71,10 @@ class LaneLoads:
 
     def varying(self, first: int, count: int, origin: np.ndarray) -> np.ndarray:
         """
-        Return what varies with time of the loads of some steps.
+        Return what varies with time of the loads of some steps, see `LaneSteps.advance`.
 
-        Parameters
-        ----------
-        first, count : int
-            Number of the first step, and number of steps.
-        origin : ndarray, shape (n,)
-            Number of the step at which the scene's own loads begin, in each lane.
-
-        Returns
-        -------
-        ndarray, shape (groups, 1 + count, 4, len(columns), WIDTH)
-            See `steps.lanes.advance_each`.
-
+        `origin`, shape (n,), is the number of the step at which the scene's own loads begin, in
+        each lane. The shape is (groups, 1 + count, 4, len(columns), WIDTH).
         """
         shape = 1 + count, STEP_LOADS, len(self.columns)
         if not len(self.columns):
@@ -127,7 +100,7 @@ class LaneLoads:
 
 
 _COUNT = Parameter('n', 1, '', 'number of manipulators', low=1)
-_ROOM = 2**22  # most numbers that the loads of a call to compiled code take
+_MAX_NUMBERS = 2**22  # most numbers that the loads of a call to compiled code take
 
 
 class Batch:
@@ -184,11 +157,8 @@ class Batch:
         self.n, self._lock = len(self.scenes), threading.Lock()
         _check(self.scenes)
         self._models = [scene.build() for scene in self.scenes]
-        motions = {id(scene): scene.initial_motion() for scene in self.scenes}
-        states = {id(scene): model.state(motions[id(scene)])
-                  for scene, model in zip(self.scenes, self._models)}
-        self._initial = np.array([motions[id(scene)] for scene in self.scenes])
-        self._initial_state = np.array([states[id(scene)] for scene in self.scenes])
+        self._initial = np.array([scene.initial_motion() for scene in self.scenes])
+        self._at_start = self._states_and_tips(self._initial, np.ones(self.n, dtype=bool))
         self._needed = {each.needs: np.array([scene.values[each.needs] for scene in self.scenes])
                         for each in INPUTS if each.needs}
         self._loads = LaneLoads(self.scenes)
@@ -229,11 +199,9 @@ class Batch:
         """Return why a manipulator has failed, as the text of a DivergenceError, or ''."""
         if not self.failed[number]:
             return ''
-        scene, model = self.scenes[number], self._models[number]
-        motion = self.motion.values[number]
-        bend = np.abs(motion[3:model.size // 2]) @ model.tip_travel[3:]
-        return divergence(scene, round(self.t[number] / scene.step), motion, model.tip_travel,
-                          bend, None)
+        scene = self.scenes[number]
+        return divergence(scene, self._models[number], round(self.t[number] / scene.step),
+                          self.motion.values[number], unseen_load(scene))
 
     def reset(self, mask: Any = None, motion: Any = None) -> None:
         """
@@ -251,42 +219,33 @@ class Batch:
         if chosen.shape != (self.n,) or chosen.dtype != bool:
             raise ParameterError(f'mask must be {self.n} times true or false, got an array of '
                                  f'{chosen.dtype} of shape {chosen.shape}')
-        motions, states = self._initial, self._initial_state
-        if motion is not None:
-            motions, states = self._begin(motion, chosen)
-        lanes = self._lanes
-        for kept, new in ((lanes.state, states), (lanes.motion, motions),
-                          (lanes.progress, np.array([[1.0, 0.0]] * self.n)),
-                          (lanes.tip, self._tips(motions, chosen))):
-            rows = from_lanes(kept, self.n)
-            rows[chosen] = new[chosen]
-            kept[:] = to_lanes(rows)
-        self._origin[chosen] = self.steps
-        self._loads.reset(np.flatnonzero(chosen), self.steps)
-
-    def _begin(self, motion, chosen):
-        motions = np.asarray(motion, dtype=float)
+        motions = self._initial if motion is None else np.asarray(motion, dtype=float)
         if motions.shape not in (self._initial.shape, self._initial.shape[1:]) or not (
                 np.isfinite(motions).all()):
             raise ParameterError(
                 f'motion must be finite and of the shape {self._initial.shape} or '
                 f'{self._initial.shape[1:]}, got {motions.shape}')
-        if motions.ndim == 1 and all(model is self._models[0] for model in self._models):
-            state = self._models[0].state(motions)
-            return np.tile(motions, (self.n, 1)), np.tile(state, (self.n, 1))
-        motions, states = np.broadcast_to(motions, self._initial.shape), self._initial_state.copy()
-        for lane in np.flatnonzero(chosen):
-            states[lane] = self._models[lane].state(motions[lane])
-        return motions, states
+        motions, lanes = np.broadcast_to(motions, self._initial.shape), self._lanes
+        states, tips = self._at_start if motion is None else self._states_and_tips(motions, chosen)
+        for field, new in ((lanes.state, states), (lanes.motion, motions), (lanes.tip, tips),
+                           (lanes.progress, np.array([[1.0, 0.0]] * self.n))):
+            rows = from_lanes(field, self.n)
+            rows[chosen] = new[chosen]
+            field[:] = to_lanes(rows)
+        self._origin[chosen] = self.steps
+        self._loads.reset(np.flatnonzero(chosen), self.steps)
 
-    def _tips(self, motions, chosen):
-        tips, found = np.zeros((self.n, 3)), {}
+    def _states_and_tips(self, motions, chosen):
+        # Each is made once for equal motions of a model.
+        states, tips = np.zeros((self.n, len(self._models[0].linear))), np.zeros((self.n, 3))
+        found = {}
         for lane in np.flatnonzero(chosen):
-            key = id(self._models[lane]), motions[lane].tobytes()
+            model, motion = self._models[lane], motions[lane]
+            key = id(model), motion.tobytes()
             if key not in found:
-                found[key] = self._models[lane].tip(motions[lane])
-            tips[lane] = found[key]
-        return tips
+                found[key] = model.state(motion), model.tip(motion)
+            states[lane], tips[lane] = found[key]
+        return states, tips
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """
@@ -338,25 +297,34 @@ class Batch:
         if not (type(count) is type(sample_every) is int and min(count, sample_every) >= 0):
             count, sample_every = COUNT.check(count), SAMPLE_EVERY.check(sample_every)
         with self._lock:
-            return self._advance(count, commanded, sample_every)
+            return self._advance(count, commanded, sample_every)[0]
 
-    def _advance(self, count, commanded, sample_every):
+    def advance_tips(self, count: int) -> np.ndarray:
+        """Advance by `count` > 0 steps; return the tip after each, (n, count, 3), as `tip`."""
+        with self._lock:
+            return self._advance(count, None, 0, with_tips=True)[1]
+
+    def _advance(self, count, commanded, sample_every, with_tips=False):
         lanes, loads = self._lanes, self._loads
         commanded = np.broadcast_to(0.0 if commanded is None else commanded, (self.n, LOADS))
         acting = loads.command(commanded, self.steps)
         lanes.constant_load[:] = to_lanes(acting)
         samples = lanes.room(1 + count // sample_every if sample_every else 0,
                              lanes.motion.shape[1])
-        most = max(1, min(CHUNK, _ROOM // (4 * self.n * max(1, len(loads.columns)))))
+        most = max(1, min(CHUNK, _MAX_NUMBERS // (4 * self.n * max(1, len(loads.columns)))))
         if not self._warm:
             lanes.advance(loads.columns, loads.varying(self.steps, 0, self._origin))
             self._warm = True
+        tips = [lanes.room(0, 3)]
         for first in range(0, count, most):
             part = min(most, count - first)
             varying = loads.varying(self.steps + first, part, self._origin)
-            lanes.advance(loads.columns, varying, sample_every, first, samples)
+            at_starts = lanes.room(part if with_tips else 0, 3)
+            lanes.advance(loads.columns, varying, sample_every, first, samples, at_starts)
+            if with_tips:
+                tips += [at_starts[:, 1:], lanes.tip[:, np.newaxis].copy()]
         self.steps += count
-        return from_lanes(samples, self.n)
+        return from_lanes(samples, self.n), from_lanes(np.concatenate(tips, axis=1), self.n)
 
 
 def _check(scenes):

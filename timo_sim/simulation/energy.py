@@ -17,7 +17,7 @@ from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import DivergenceError
 from timo_sim.steps.steps import CHUNK
 
-_MOST_DOUBT = 1e-3  # largest difference of integrals by all and by every second sample, relative
+_MAX_DIFFERENCE = 1e-3  # relative, of integrals by all and by every second sample
 
 
 def work(ns: np.ndarray, position: np.ndarray, velocity: np.ndarray, force: np.ndarray,
@@ -27,21 +27,9 @@ def work(ns: np.ndarray, position: np.ndarray, velocity: np.ndarray, force: np.n
 
     Simpson's rule on cubics through neighbouring samples; exact for constant forces. From a jump
     on, the force is the straight line through the next two samples, or the next sample's if the
-    force jumps there, too.
-
-    Parameters
-    ----------
-    ns : ndarray, shape (n,)
-        Times [ns].
-    position, velocity, force : ndarray, shape (n, k)
-    jumps : ndarray of bool, shape (n, 1) or (n, k), or False
-        Whether the force jumps at a sample, whose own force is that before the jump.
-
-    Returns
-    -------
-    ndarray, shape (n - 1,)
-        [J]
-
+    force jumps there, too. `ns`, (n,), are times [ns]; `position`, `velocity` and `force` have the
+    shape (n, k). `jumps`, (n, 1) or (n, k), says where the force jumps at a sample, whose own
+    force is that before the jump. The result has the shape (n - 1,) [J].
     """
     duration = np.diff(ns)[:, np.newaxis] * 1e-9
     still = duration == 0.0
@@ -64,23 +52,10 @@ def work(ns: np.ndarray, position: np.ndarray, velocity: np.ndarray, force: np.n
 
 def integral(ns: np.ndarray, power: np.ndarray) -> np.ndarray:
     """
-    Return the integral of a power from each sample to the next.
+    Return the integral of a power, (n,) [W], from each sample to the next, (n - 1,) [J].
 
     The trapezoidal rule is corrected by the slopes at both ends, which gives fourth order for
-    equally spaced samples.
-
-    Parameters
-    ----------
-    ns : ndarray, shape (n,)
-        Times [ns].
-    power : ndarray, shape (n,)
-        [W]
-
-    Returns
-    -------
-    ndarray, shape (n - 1,)
-        [J]
-
+    equally spaced samples. `ns`, (n,), are their times [ns].
     """
     duration = np.diff(ns) * 1e-9
     done = 0.5 * duration * (power[1:] + power[:-1])
@@ -95,22 +70,9 @@ def dissipated(scene: Scene, t: np.ndarray, motions: np.ndarray) -> tuple[np.nda
     Return what friction that is not dry, and modal damping, dissipate since the first sample.
 
     If samples are some steps apart, the run is repeated and its power integrated over each step.
-    If the repeated motions differ, because commands acted, the given samples are integrated.
-
-    Parameters
-    ----------
-    scene : Scene
-    t : ndarray, shape (n,)
-        [s]
-    motions : ndarray, shape (n, 2 (3 + N))
-
-    Returns
-    -------
-    taken : ndarray, shape (n,)
-        [J]
-    doubt : bool
-        Whether the samples are too far apart for a reliable integral.
-
+    If the repeated motions differ, because commands acted, the given samples are integrated. `t`
+    has the shape (n,) [s], `motions` (n, 2 (3 + N)). The result is the energy, (n,) [J], and
+    whether the samples are too far apart for a reliable integral.
     """
     power, steps = scene.build().dissipation(motions), np.rint(t / scene.step).astype(int)
     every = steps[1] if len(t) > 1 else 1
@@ -121,7 +83,7 @@ def dissipated(scene: Scene, t: np.ndarray, motions: np.ndarray) -> tuple[np.nda
     ns = np.rint(t * 1e9)
     taken, coarse = _since_start(ns, power), _since_start(ns[::2], power[::2])
     doubt = np.diff(steps).max(initial=1) > 1 and (
-        np.abs(taken[::2] - coarse).max() > _MOST_DOUBT * taken.max())
+        np.abs(taken[::2] - coarse).max() > _MAX_DIFFERENCE * taken.max())
     return taken, doubt
 
 

@@ -33,24 +33,11 @@ _LISTS = 'initial.modal_coordinates', 'initial.modal_rates', 'arm.damping_ratio'
 def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE_AXIAL,
            same_equations: bool = False) -> Scene:
     """
-    Return a finer scene.
+    Return a finer scene, with `parts` steps for each step of the scene.
 
-    Parameters
-    ----------
-    scene : Scene
-    parts : int
-        Number of its steps for each step of the scene.
-    modes, axial : int, optional
-        Further modes in bending, by default three, or three times the present ones where loads
-        are picked up, too; further axial modes.
-    same_equations : bool
-        Whether formulation and static modes stay as they are; by default the formulation is
-        `exact`, without static modes.
-
-    Returns
-    -------
-    Scene
-
+    It has so many further `modes` in bending, by default three, or three times the present ones
+    where loads are picked up, too; and so many further `axial` modes. Its formulation is `exact`,
+    without static modes, unless it has the `same_equations`.
     """
     values = scene.values
     bending, stretching = values['model.modes'], values['model.axial_modes']
@@ -107,16 +94,10 @@ def _resolves(scene):
 def tip_distance(model: Formulation, motions: np.ndarray, other: Formulation, others: np.ndarray,
                  in_arm: bool = False) -> float:
     """
-    Return the largest distance between two tips [m].
+    Return the largest distance between the tips of two models in the world [m].
 
-    Parameters
-    ----------
-    model, other : Formulation
-    motions, others : ndarray, shapes (n, 2 (3 + N)) and (n, 2 (3 + M))
-        At the same times.
-    in_arm : bool
-        Whether places in the arm frame are compared, too, not only those in the world.
-
+    Their motions have shapes (n, 2 (3 + N)) and (n, 2 (3 + M)) and are at the same times. With
+    `in_arm`, places in the arm frame are compared, too.
     """
     places = [lambda model, motion: model.world(motion, model.tip_point)]
     if in_arm:

@@ -141,60 +141,45 @@ class Simulator:
         """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
         return self.integration.tip_acceleration(self._state, self.integration.acting(self.load))
 
-    def _bend(self):
-        # Deflection by all modes together [m].
-        modes, half = self.model.tip_travel[3:], len(self._state) // 2
-        return np.abs(self._state[half - len(modes):half]) @ modes
-
     def reset(self) -> None:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
         with self._lock:
-            self._reset()
-
-    def _reset(self):
-        if self.tip_load.reset(self.scene):
-            self._take(self.scene, self.tip_load.model(self.scene))
-        motion = self.scene.initial_motion(self.model)
-        self._state = self.model.state(motion)
-        self.integration.reset()
-        # Without speeds, deflection, loads, drive and gravity nothing changes until a command.
-        self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any()
-                             or self.model.gravity.any())
-        self._origin = self.steps
-        self._table, self._actuators = LoadTable(self.scene), Actuators(self.scene.values)
-        self.load = self._table.at_start()
-        self.warning = warnings.unseen_load(self.scene)
-        self._error, self._behind = 0.0 if self._estimate else math.nan, []
-        if self._finer:
-            self._finer.reset()
-        elif self._estimate:
-            self._parts = choose_parts(self.scene)[0]
-            self._finer = Simulator(refine(self.scene, self._parts))
+            if self.tip_load.reset(self.scene):
+                self._take(self.scene, self.tip_load.model(self.scene))
+            motion = self.scene.initial_motion(self.model)
+            self._state = self.model.state(motion)
+            self.integration.reset()
+            # Without speeds, deflection, loads, drive and gravity nothing changes until a command.
+            self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any()
+                                 or self.model.gravity.any())
+            self._origin = self.steps
+            self._table, self._actuators = LoadTable(self.scene), Actuators(self.scene.values)
+            self.load = self._table.at_start()
+            self.warning = warnings.unseen_load(self.scene)
+            self._error, self._behind = 0.0 if self._estimate else math.nan, []
+            if self._finer:
+                self._finer.reset()
+            elif self._estimate:
+                self._parts = choose_parts(self.scene)[0]
+                self._finer = Simulator(refine(self.scene, self._parts))
 
     def change(self, scene: Scene) -> None:
         """
         Go on with another scene: other loads, damping, viscous friction, limits or end effector.
 
-        Parameters
-        ----------
-        scene : Scene
-            ParameterError is raised if parameters differ that cannot be set while it runs.
-
+        Raises ParameterError if parameters differ that cannot be set while it runs.
         """
         check_runtime(self.scene.values, scene.values)
         with self._lock:
-            self._change(scene)
-
-    def _change(self, scene):
-        self.measure_error()
-        if self._finer:
-            self._finer.change(refine(scene, self._parts))
-        first = self.steps - self._origin
-        self._actuators = Actuators(scene.values, first, self._actuators.reached(first))
-        self._continue_with(scene, self.tip_load.of_change(self.scene, scene))
-        self._resting = self._resting and not scene.load
-        self._table = LoadTable(scene)
-        self.warning = warnings.unseen_load(scene)
+            self.measure_error()
+            if self._finer:
+                self._finer.change(refine(scene, self._parts))
+            first = self.steps - self._origin
+            self._actuators = Actuators(scene.values, first, self._actuators.reached(first))
+            self._continue_with(scene, self.tip_load.of_change(self.scene, scene))
+            self._resting = self._resting and not scene.load
+            self._table = LoadTable(scene)
+            self.warning = warnings.unseen_load(scene)
 
     def _continue_with(self, scene, tip):
         # Go on with another scene, and a mass and inertia at the tip.
@@ -310,15 +295,16 @@ class Simulator:
                 samples.motions[done // sample_every] = sample  # that before the load changes
             self.load = loads[-1, AFTER].copy()
             done += reached
-            if reached < part or not (
-                    self._bend() <= MOST_BENT * self.model.manipulator.arm.length):
+            half, travel = len(self._state) // 2, self.model.tip_travel[3:]
+            bend = np.abs(self._state[half - len(travel):half]) @ travel
+            if reached < part or not bend <= MOST_BENT * self.model.manipulator.arm.length:
                 self._give_up(before, count, commanded)
         self.steps += count
         self._note(count, commanded, sample_every, samples.motions)
         return samples.motions, samples.heat
 
     def _note(self, count, commanded, sample_every, motions):
-        # Look for warnings, and keep what `measure_error` needs.
+        # Check for warnings, and keep what `measure_error` needs.
         if not math.isinf(self.model.speed_limit):
             seen = np.vstack([motions, self.motion.values])
             share = self.model.axial_share(self._state, self.integration.acting(self.load))
@@ -360,17 +346,8 @@ class Simulator:
         """
         Advance the finer run, and measure how far apart the tips of both runs are.
 
-        Parameters
-        ----------
-        steps : int
-            Least number of steps by which the finer run is advanced, if it is that far behind; 0:
-            it is advanced to the present.
-
-        Returns
-        -------
-        bool
-            Whether it was advanced.
-
+        It is advanced by at least `steps` steps, if it is that far behind; with 0 to the present.
+        Return whether it was advanced.
         """
         with self._lock:
             number, found = 0, 0
@@ -417,5 +394,4 @@ class Simulator:
             for part in (count // 2, count - count // 2):
                 self.advance(part, commanded)
         raise DivergenceError(warnings.divergence(
-            self.scene, self.steps, self.motion.values, self.model.tip_travel, self._bend(),
-            self.warning))
+            self.scene, self.model, self.steps, self.motion.values, self.warning))

@@ -57,34 +57,32 @@ def after_steps(scene: Scene, model: Any, share: float, time: float,
     Return the warning that some motions of a run call for, or None.
 
     Only `newton` has conditions of its own: speeds at which it is unstable, and effects that it
-    leaves out.
-
-    Parameters
-    ----------
-    scene : Scene
-    model : Formulation
-    share : float
-        Share by which the axial force changes the stiffness, see `Formulation.axial_share`.
-    time : float
-        Time of the last motion [s].
-    motions : ndarray, shape (n, 2 (3 + N))
-
+    leaves out. `share` is that by which the axial force changes the stiffness, see
+    `Formulation.axial_share`; `time` that of the last motion [s]; `motions` has the shape
+    (n, 2 (3 + N)).
     """
-    return _fast_shaft(scene, model, motions) or _left_out(scene, model, time, share, motions)
+    formulation = scene.values['model.formulation']
+    speed = np.abs(Motion(motions).shaft_velocity).max()
+    if speed > model.speed_limit:
+        return (f'at {speed:.3g} rad/s the shaft is faster than {model.speed_limit:.3g} rad/s, '
+                f'where the arm loses its stiffness in model.formulation {formulation}, which has '
+                'no centrifugal stiffening: take model.formulation exact')
+    length = scene.manipulator.arm.length
+    deflection = np.abs(Motion(motions).q @ model.tip_point.deflection[:, 0]).max()
+    # The axial force makes the arm softer or stiffer; its shortening is of third order in w.
+    if (abs(share) * deflection + (1.0 + share) * deflection**3 / length**2
+            <= (1.0 + share) * _MOST_LEFT_OUT * length):
+        return None
+    return (f'before t = {time:.6g} s the tip is bent by {deflection:.2g} m and the axial force '
+            f'changes the stiffness of the arm by {round(100.0 * share)} %: model.formulation '
+            f'{formulation} leaves out both effects, take model.formulation exact')
 
 
 def inaccurate(scene: Scene, error: float, remedy: str | None = None) -> str | None:
     """
     Return the warning of a run whose tip is far from that of a finer run, or None.
 
-    Parameters
-    ----------
-    scene : Scene
-    error : float
-        Distance of the tips [m].
-    remedy : str, optional
-        What moves the tip most; by default all remedies are named.
-
+    `error` is their distance [m], `remedy` what moves the tip most; by default all are named.
     """
     if error <= MOST_APART * scene.manipulator.arm.length:
         return None
@@ -95,52 +93,18 @@ def inaccurate(scene: Scene, error: float, remedy: str | None = None) -> str | N
     return f'the tip is {error:.1g} m from that of a finer run: take {remedy}'
 
 
-def _fast_shaft(scene, model, motions):
-    speed = np.abs(Motion(motions).shaft_velocity).max()
-    if not speed > model.speed_limit:
-        return None
-    return (f'at {speed:.3g} rad/s the shaft is faster than {model.speed_limit:.3g} rad/s, where '
-            f'the arm loses its stiffness in model.formulation '
-            f'{scene.values["model.formulation"]}, which has no centrifugal '
-            'stiffening: take model.formulation exact')
-
-
-def _left_out(scene, model, time, share, motions):
-    length = scene.manipulator.arm.length
-    deflection = np.abs(Motion(motions).q @ model.tip_point.deflection[:, 0]).max()
-    # The axial force makes the arm softer or stiffer; its shortening is of third order in w.
-    if (abs(share) * deflection + (1.0 + share) * deflection**3 / length**2
-            <= (1.0 + share) * _MOST_LEFT_OUT * length):
-        return None
-    return (f'before t = {time:.6g} s the tip is bent by {deflection:.2g} m and the axial force '
-            f'changes the stiffness of the arm by {round(100.0 * share)} %: model.formulation '
-            f'{scene.values["model.formulation"]} leaves out both effects, take '
-            'model.formulation exact')
-
-
-def divergence(scene: Scene, step: int, motion: np.ndarray, reach: np.ndarray, bend: float,
+def divergence(scene: Scene, model: Any, step: int, motion: np.ndarray,
                warning: str | None) -> str:
     """
     Return the text of a DivergenceError.
 
-    Parameters
-    ----------
-    scene : Scene
-    step : int
-        Number of the last good step.
-    motion : ndarray, shape (2 (3 + N),)
-        The motion after it.
-    reach : ndarray, shape (3 + N,)
-        See `Formulation.tip_travel`.
-    bend : float
-        Deflection of the arm [m].
-    warning : str or None
-        Warning of the run so far.
-
+    `step` is the number of the last good step, `motion` the motion after it, (2 (3 + N),), of a
+    Formulation; `warning` is that of the run so far.
     """
-    largest = np.argmax(np.abs(motion[:len(reach)]) * reach)
+    travel = np.abs(motion[:len(model.tip_travel)]) * model.tip_travel
+    bend, largest = np.sum(travel[3:]), np.argmax(travel)
     name = (['carrier x', 'carrier y', 'shaft angle'] + [
-        f'modal coordinate {n + 1}' for n in range(len(reach) - 3)])[largest]
+        f'modal coordinate {n + 1}' for n in range(len(travel) - 3)])[largest]
     smaller = 'a smaller integrator.step'
     axial = scene.values['model.axial_modes']
     if axial:
