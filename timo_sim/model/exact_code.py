@@ -369,54 +369,53 @@ def _observe(tables, state, load, out):
         out[half + axis] = _carrier_speed(tables, state, k, derivative, work.speed)
 
 
+@inner
+def _fields(tables, values, begin, first, j):
+    """
+    Return rotation, shear strain and axial strain at nodes j; of rates or accelerations theirs.
+
+    `values[begin + i]` belongs to the i-th coordinate; coordinates before `first` do not count.
+    """
+    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
+    stretch = as_vectors(tables.stretch)
+    count = len(rotation)
+    axial = count - len(stretch)
+    phi, gamma, strain = 0.0, 0.0, 0.0
+    for i in range(first, count):
+        phi += values[begin + i] * rotation[i, j]
+        gamma += values[begin + i] * shear[i, j]
+    for i in range(axial, count):
+        strain += values[begin + i] * stretch[i - axial, j]
+    return phi, gamma, strain
+
+
 @functions.tip.of(Tables)
 def _tip(tables, motion, out):
     """Write the tip's position, the integral of the slopes, and rotation from the shaft."""
-    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
-    stretch, to_tip = as_vectors(tables.stretch), as_vectors(tables.to_tip)
-    count, nodes = rotation.shape
-    axial = count - len(stretch)
+    to_tip = as_vectors(tables.to_tip)
     along = 0.0
     across = 0.0
-    for j in range(nodes):
-        phi = 0.0
-        gamma = 0.0
-        strain = 0.0
-        for i in range(1, count):
-            phi += motion[2 + i] * rotation[i, j]
-            gamma += motion[2 + i] * shear[i, j]
-        for i in range(axial, count):
-            strain += motion[2 + i] * stretch[i - axial, j]
+    for j in range(len(to_tip)):
+        phi, gamma, strain = _fields(tables, motion, 2, 1, j)
         sine, cosine = sincos(phi)
         along += (cosine - gamma * sine + strain * cosine) * to_tip[j]
         across += (sine + gamma * cosine + strain * sine) * to_tip[j]
     out[0] = sum_of(along, tables.to_tip)
     out[1] = sum_of(across, tables.to_tip)
     out[2] = 0.0
-    for i in range(1, count):
+    for i in range(1, len(tables.rotation)):
         out[2] += motion[2 + i] * tables.tip_rotation[i]
 
 
 @functions.tip_rate.of(Tables)
 def _tip_rate(tables, motion, out):
     """Write the rate of the tip's place, the integral of the slopes' rates."""
-    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
-    stretch, to_tip = as_vectors(tables.stretch), as_vectors(tables.to_tip)
-    count, nodes = rotation.shape
-    axial, rates = count - len(stretch), len(motion) // 2
+    to_tip, rates = as_vectors(tables.to_tip), len(motion) // 2
     along = 0.0
     across = 0.0
-    for j in range(nodes):
-        phi, gamma, strain = 0.0, 0.0, 0.0
-        turning, shearing, stretching = 0.0, 0.0, 0.0
-        for i in range(1, count):
-            phi += motion[2 + i] * rotation[i, j]
-            gamma += motion[2 + i] * shear[i, j]
-            turning += motion[rates + 2 + i] * rotation[i, j]
-            shearing += motion[rates + 2 + i] * shear[i, j]
-        for i in range(axial, count):
-            strain += motion[2 + i] * stretch[i - axial, j]
-            stretching += motion[rates + 2 + i] * stretch[i - axial, j]
+    for j in range(len(to_tip)):
+        phi, gamma, strain = _fields(tables, motion, 2, 1, j)
+        turning, shearing, stretching = _fields(tables, motion, rates + 2, 1, j)
         sine, cosine = sincos(phi)
         a = cosine - gamma * sine + strain * cosine
         b = sine + gamma * cosine + strain * sine
@@ -425,7 +424,7 @@ def _tip_rate(tables, motion, out):
     out[0] = sum_of(along, tables.to_tip)
     out[1] = sum_of(across, tables.to_tip)
     out[2] = 0.0
-    for i in range(1, count):
+    for i in range(1, len(tables.rotation)):
         out[2] += motion[rates + 2 + i] * tables.tip_rotation[i]
 
 
@@ -445,25 +444,11 @@ class Slopes(NamedTuple):
 @inner
 def _set_slope_rates(tables, motion, accelerations, slopes):
     a, b, rate_a, rate_b, second_a, second_b = as_vectors(slopes)
-    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
-    stretch = as_vectors(tables.stretch)
-    count, nodes = rotation.shape
-    axial, rates = count - len(stretch), len(motion) // 2
-    for j in range(nodes):
-        phi, gamma, strain = 0.0, 0.0, 0.0
-        turning, shearing, stretching = 0.0, 0.0, 0.0
-        turn, shearing_2, stretching_2 = 0.0, 0.0, 0.0
-        for i in range(count):
-            phi += motion[2 + i] * rotation[i, j]
-            gamma += motion[2 + i] * shear[i, j]
-            turning += motion[rates + 2 + i] * rotation[i, j]
-            shearing += motion[rates + 2 + i] * shear[i, j]
-            turn += accelerations[2 + i] * rotation[i, j]
-            shearing_2 += accelerations[2 + i] * shear[i, j]
-        for i in range(axial, count):
-            strain += motion[2 + i] * stretch[i - axial, j]
-            stretching += motion[rates + 2 + i] * stretch[i - axial, j]
-            stretching_2 += accelerations[2 + i] * stretch[i - axial, j]
+    rates = len(motion) // 2
+    for j in range(len(a)):
+        phi, gamma, strain = _fields(tables, motion, 2, 0, j)
+        turning, shearing, stretching = _fields(tables, motion, rates + 2, 0, j)
+        turn, shearing_2, stretching_2 = _fields(tables, accelerations, 2, 0, j)
         sine, cosine = sincos(phi)
         a[j] = cosine - gamma * sine + strain * cosine
         b[j] = sine + gamma * cosine + strain * sine
