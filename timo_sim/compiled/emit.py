@@ -172,6 +172,8 @@ class _GetItem(AbstractTemplate):
         array, index = given
         if isinstance(array, Blocks):
             return signature(array.block, array, types.intp)
+        if isinstance(array, Block) and array.number == SHARED:  # the same for each group of lanes
+            return signature(array, array, types.intp)
         if not isinstance(array, View):
             return None
         rest = array.dims[len(_indices(index)):]
@@ -214,6 +216,11 @@ def _get_block(context, builder, sig, arguments):
     length = _symbol(builder, f'length.{sig.args[0].block.kind.__name__}')
     return builder.gep(arguments[0], [builder.mul(arguments[1], length, flags=('nsw',))],
                        inbounds=True)
+
+
+@lower_builtin(operator.getitem, Block, types.intp)
+def _get_shared_block(context, builder, sig, arguments):
+    return arguments[0]
 
 
 @lower_builtin(operator.setitem, View, types.Any, types.Any)

@@ -108,7 +108,7 @@ class Constants(NamedTuple):
     ----------
     form : str
         'floats'; 'shared': floats that are the same for all lanes; 'lanes': one block of lanes for
-        each group of them.
+        each group of them. Of the latter two, `constants[g]` are those of group g.
 
     """
 

@@ -47,21 +47,7 @@ class Propagator(NamedTuple):
 
 
 def propagator(linear: np.ndarray, step: float) -> Propagator:
-    """
-    Return the matrices of a step.
-
-    Parameters
-    ----------
-    linear : ndarray, shape (..., m, m)
-        L, per second.
-    step : float
-        h [s].
-
-    Returns
-    -------
-    Propagator
-
-    """
+    """Return the matrices of a step h [s] for linear parts L, shape (..., m, m) [1/s]."""
     (whole, phi_1, phi_2, phi_3), half = _phi_of_balanced(linear, step)
     return Propagator(whole, half[0], 0.5 * step * half[1],
                       step * (phi_1 - 3.0 * phi_2 + 4.0 * phi_3),
@@ -274,7 +260,7 @@ def advance(tables, propagator, state, load, loads, count, sample_every, since, 
     Parameters
     ----------
     tables : packed constants
-        Constants of the formulation; the names of their fields select its functions.
+        Constants of the formulation; their kind selects its functions.
     propagator : packed constants
         The matrices of the step.
     state : ndarray, shape (m,)

@@ -53,19 +53,8 @@ class FrictionSteps(Steps):
     """
     Steps of a model with dry friction in its joints.
 
-    Parameters
-    ----------
-    model : Formulation
-    step : float
-        [s]
-    limit : ndarray, shape (3,)
-        Largest friction of carrier x, y [N] and shaft [N m]; 0: none.
-
-    Attributes
-    ----------
-    joints : Packed
-        Of `Joints`; steps change its rooms.
-
+    `limit` is the largest friction of carrier x, y [N] and shaft [N m], (3,); 0: none. `joints`
+    are the constants `Joints`, packed; steps change their rooms.
     """
 
     def __init__(self, model: Formulation, step: float, limit: np.ndarray) -> None:
@@ -98,22 +87,7 @@ class FrictionSteps(Steps):
 
 
 def steps_of(model: Formulation, step: float, friction: np.ndarray | None = None) -> Steps:
-    """
-    Return the time steps of a model.
-
-    Parameters
-    ----------
-    model : Formulation
-    step : float
-        [s]
-    friction : ndarray, shape (3,), optional
-        Largest dry friction of carrier x, y [N] and shaft [N m].
-
-    Returns
-    -------
-    Steps
-
-    """
+    """Return equal steps [s] of a model, with dry friction up to limits, see FrictionSteps."""
     if friction is not None and friction.any():
         return FrictionSteps(model, step, friction)
     return Steps(model, step)
