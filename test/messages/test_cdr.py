@@ -35,7 +35,7 @@ def test_packed_is_what_rclpy_serializes(type_name):
         packed, expected = pack(type_name, values), serialize_message(message)
         found = layout(type_name, packed)
         assert found == layout(type_name, expected)
-        meant = found.meant()
+        meant = found.content_places()
         assert [packed[place] for place in meant] == [expected[place] for place in meant]
         assert len(set(meant)) == len(meant)
         # Padding is at most 7 zeros in a row; rclpy may add some at the end.

@@ -99,17 +99,9 @@ class Packed:
     """
     Constants in one block of memory, or a block for each group of lanes.
 
-    Parameters
-    ----------
-    fields : NamedTuple
-        A kind of constants; with lanes the first axis of every array is that of lanes, and whole
-        numbers are the same in all.
-    lanes : bool
-        Whether it is of lanes.
-    pad : bool
-        Whether axes are padded; not for constants that are the same for all lanes.
-    sizes : dict
-        Sizes that are not those of a field.
+    `fields` are a NamedTuple, a kind of constants; with lanes the first axis of every array is
+    that of lanes, and whole numbers are the same in all. Axes are padded if `pad`, not for
+    constants that are the same for all lanes. `sizes` are those that no field has.
 
     Attributes
     ----------

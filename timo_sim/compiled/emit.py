@@ -490,12 +490,7 @@ def emit(entry: Any, kinds: tuple[type, ...]) -> bytes:
     """
     Return LLVM's bitcode of an entry point; its function is called `entry`.
 
-    Parameters
-    ----------
-    entry : EntryPoint
-    kinds : tuple of type
-        Kinds of its constants, in the order of arguments.
-
+    `kinds` are those of its constants, in the order of arguments.
     """
     rest = list(kinds)
     arguments = tuple(

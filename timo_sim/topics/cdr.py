@@ -154,7 +154,7 @@ class Layout(NamedTuple):
             place += length
         return parts
 
-    def meant(self) -> list[int]:
+    def content_places(self) -> list[int]:
         """Return the places of all bytes with content; the others are padding."""
         return [*self.fixed, *(place + byte for place in (*self.stamps, *self.doubles)
                                for byte in range(8))]

@@ -434,20 +434,8 @@ def picture(path: Path | str, png: Path | str, at: float | None = None,
     """
     Draw a rerun file to a picture, without a screen.
 
-    Parameters
-    ----------
-    path, png : str or Path
-    at : float, optional
-        Sim time [s]; by default the end.
-    size : tuple of int
-        Width and height of the window.
-    view : str, optional
-        Beginning of the name of the only view to draw.
-
-    Raises
-    ------
-    ViewerError
-
+    The picture is of the sim time `at` [s], by default the end; `size` is the width and height of
+    the window, `view` the beginning of the name of the only view to draw. Raises ViewerError.
     """
     from rerun.experimental import ViewerClient
     port = _free_port()
