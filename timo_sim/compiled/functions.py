@@ -75,23 +75,12 @@ def declare(function: Callable) -> Declaration:
 
 
 class Array(NamedTuple):
-    """
-    An argument of an entry point: an array in C order.
+    """An argument of an entry point: an array in C order."""
 
-    Attributes
-    ----------
-    dims : tuple of int, str or None
-        Lengths of its axes: numbers, names of sizes, None for the first one if any will do.
-    lanes : bool
-        Whether lanes are one more axis, the last.
-    whole : bool
-        Whether its numbers are whole, of 64 bits.
-
-    """
-
+    # Lengths of its axes: numbers, names of sizes, None for the first one if any will do.
     dims: tuple[int | str | None, ...]
-    lanes: bool = False
-    whole: bool = False
+    lanes: bool = False  # whether lanes are one more axis, the last
+    whole: bool = False  # whether its numbers are whole, of 64 bits
 
 
 class Constants(NamedTuple):
