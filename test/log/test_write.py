@@ -134,8 +134,8 @@ def test_a_log_that_is_moved_goes_on_and_is_complete(tmp_path):
 @pytest.mark.parametrize('comes_back', [True, False])
 def test_a_disk_that_hangs_gives_a_warning_and_does_not_block_the_node_for_ever(
         tmp_path, monkeypatch, comes_back):
-    monkeypatch.setattr(write, 'NOTABLE', 0.05)
-    monkeypatch.setattr(write, 'PATIENCE', 300.0 if comes_back else 0.2)
+    monkeypatch.setattr(write, 'WARN_AFTER', 0.05)
+    monkeypatch.setattr(write, 'GIVE_UP_AFTER', 300.0 if comes_back else 0.2)
     recorder, hangs = Recorder(tmp_path / 'run.mcap', CHANNELS, {}), threading.Event()
     add_chunk = recorder._writer.add_chunk
 
@@ -167,7 +167,7 @@ def test_a_disk_that_hangs_gives_a_warning_and_does_not_block_the_node_for_ever(
 
 
 def test_a_slow_disk_is_given_the_time_it_takes_to_end_a_log(tmp_path, monkeypatch):
-    monkeypatch.setattr(write, 'PATIENCE', 1.5)  # less than all, far above one
+    monkeypatch.setattr(write, 'GIVE_UP_AFTER', 1.5)  # less than all, far above one
     recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
     add_chunk = recorder._writer.add_chunk
     monkeypatch.setattr(recorder._writer, 'add_chunk', lambda chunk: (

@@ -28,7 +28,7 @@ from timo_sim.model.layout import LOADS, TIP_TORQUE, TIP_X, TIP_Y
 from timo_sim.runs.replay import replay
 from timo_sim.scene.parameters import frame_names, ParameterError
 from timo_sim.simulation.simulator import Simulator
-from timo_sim.topics.commands import acting, COMMANDED, COMMANDS, Refused
+from timo_sim.topics.commands import load_of_commands, COMMANDED, COMMANDS, RefusedError
 from timo_sim.topics.outputs import in_frames, TRANSFORMS
 
 GIVEN = {'frame_prefix': 'left/', 'frame.world': 'map', 'frame.carrier': 'base_link'}
@@ -113,7 +113,7 @@ def driven(scene, frame='tip'):
     simulator, commanded = Simulator(scene), np.zeros(COMMANDED)
     TIP.apply(TIP.row([frame], [FORCE]), commanded)
     for _ in range(round(DURATION / scene.step)):
-        simulator.advance(1, acting(commanded, simulator))
+        simulator.advance(1, load_of_commands(commanded, simulator))
     return simulator
 
 
@@ -151,9 +151,9 @@ def test_a_force_in_axes_of_the_tip_has_its_direction_to_second_order(formulatio
 
 
 def test_the_carrier_has_no_such_axes():
-    with pytest.raises(Refused, match="frame_id must be empty, 'world' or 'arm', got 'tip'"):
+    with pytest.raises(RefusedError, match="frame_id must be empty, 'world' or 'arm', got 'tip'"):
         CARRIER.row(['tip'], [FORCE])
-    with pytest.raises(Refused, match="must be empty, 'world', 'arm' or 'tip', got 'tool'"):
+    with pytest.raises(RefusedError, match="must be empty, 'world', 'arm' or 'tip', got 'tool'"):
         TIP.row(['tool'], [FORCE])
 
 

@@ -29,13 +29,16 @@ class EntryPoint(Function):
     arguments : dict
         What its arguments are, by name: `Constants` first, then `Array`, int or float. It returns
         an int or nothing.
+    name : str
+        Name in its module, by default that of the function.
 
     """
 
-    def __init__(self, function: Callable, arguments: dict[str, Any]) -> None:
+    def __init__(self, function: Callable, arguments: dict[str, Any], name: str = '') -> None:
         super().__init__(function)
         self.arguments = arguments
-        self.name = f'{function.__module__.removeprefix("timo_sim.")}.{function.__name__}'
+        module = function.__module__.removeprefix('timo_sim.')
+        self.name = f'{module}.{name or function.__name__}'
         self._arrays = [given for given in arguments.values() if not isinstance(given, Constants)]
         kinds: dict[Any, Any] = {int: ctypes.c_int64, float: ctypes.c_double}
         self._prototype = ctypes.CFUNCTYPE(ctypes.c_int64, *(

@@ -19,16 +19,10 @@ WIDTH = 8  # number of floats in a vector, and of lanes
 
 class Function:
     """
-    A function that only compiled functions call; it becomes a part of them.
+    A function that only compiled functions call.
 
-    Parameters
-    ----------
-    function : function
-    fast : bool
-        Whether sums may be reordered and products fused.
-    merge : bool
-        Whether it becomes a part of its callers; else it is one function that they call.
-
+    If it is `fast`, sums may be reordered and products fused. It becomes a part of its callers if
+    `merge`, else it is one function that they call.
     """
 
     def __init__(self, function: Callable, fast: bool = True, merge: bool = True) -> None:
@@ -81,35 +75,20 @@ def declare(function: Callable) -> Declaration:
 
 
 class Array(NamedTuple):
-    """
-    An argument of an entry point: an array in C order.
+    """An argument of an entry point: an array in C order."""
 
-    Attributes
-    ----------
-    dims : tuple of int, str or None
-        Lengths of its axes: numbers, names of sizes, None for the first one if any will do.
-    lanes : bool
-        Whether lanes are one more axis, the last.
-    whole : bool
-        Whether its numbers are whole, of 64 bits.
-
-    """
-
+    # Lengths of its axes: numbers, names of sizes, None for the first one if any will do.
     dims: tuple[int | str | None, ...]
-    lanes: bool = False
-    whole: bool = False
+    lanes: bool = False  # whether lanes are one more axis, the last
+    whole: bool = False  # whether its numbers are whole, of 64 bits
 
 
 class Constants(NamedTuple):
     """
     An argument of an entry point: packed constants.
 
-    Attributes
-    ----------
-    form : str
-        'floats'; 'shared': floats that are the same for all lanes; 'lanes': one block of lanes for
-        each group of them.
-
+    Their form is 'floats'; 'shared', floats that are the same for all lanes; or 'lanes', one block
+    of lanes for each group of them. Of the latter two, `constants[g]` are those of group g.
     """
 
     form: str = 'floats'
@@ -122,12 +101,8 @@ def local(like: Any) -> Any:
     """
     Return a work array, not initialised, for the current call of a compiled function.
 
-    Parameters
-    ----------
-    like : tuple of arrays
-        The length of the new array's k-th axis is that of the k-th array's first axis. The array
-        must not outlive the function that makes it.
-
+    The length of its k-th axis is that of the first axis of the k-th array in `like`. It must not
+    outlive the function that makes it.
     """
     return np.empty([len(array) for array in like])
 
@@ -136,7 +111,8 @@ def as_vectors(array: Any) -> Any:
     """
     Return an array of floats as one of vectors of WIDTH numbers; what is one stays as it is.
 
-    The length of its last axis is a multiple of WIDTH.
+    The length of its last axis is a multiple of WIDTH. In a NamedTuple of `local_arrays` this is
+    done with each array whose last axis is padded.
     """
     return array.reshape(*array.shape[:-1], -1, WIDTH)
 

@@ -157,18 +157,9 @@ def _machine(triple, processor, features, reloc='pic', codemodel='default'):
 
 def specialise(code: bytes, symbols: dict[str, int], machine: Any, name: str) -> Any:
     """
-    Return a module of LLVM, optimised, of intermediate code for given sizes.
+    Return a module of LLVM, optimised, whose one function has a name.
 
-    Parameters
-    ----------
-    code : bytes
-        Of `intermediate_code`.
-    symbols : dict
-        Of `symbols_of`.
-    machine : llvmlite.binding.TargetMachine
-    name : str
-        Name of its one function.
-
+    It is made of `intermediate_code` with the values of `symbols_of`, for a target machine.
     """
     _initialise()
     module = llvm.parse_bitcode(code)

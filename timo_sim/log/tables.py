@@ -29,7 +29,7 @@ from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import frame_names, ParameterError, SPLIT
 from timo_sim.scene.scene import load_scene
 from timo_sim.topics.cdr import CdrError, layout
-from timo_sim.topics.commands import COMMANDS, LARGEST, Refused
+from timo_sim.topics.commands import COMMANDS, LARGEST_COMMAND, RefusedError
 from timo_sim.topics.outputs import NANOSECONDS, outputs, title, with_angles
 
 _HEAD = 31              # [B] of a message's record before its content, see `_HEAD_TYPE`
@@ -383,7 +383,7 @@ class _Collector:
             raise CdrError('the index points to something else')
         sizes = heads['length'] - (_HEAD - HEAD.size)
         for size in np.unique(sizes):
-            if not 4 <= size <= LARGEST:
+            if not 4 <= size <= LARGEST_COMMAND:
                 raise CdrError(f'it has {size} bytes')
             same = np.flatnonzero(sizes == size)
             rows = _gather(data, offsets[same] + np.uint64(_HEAD), np.dtype(f'V{size}')).view(
@@ -422,7 +422,7 @@ class _Collector:
                         found.texts, found.split(row), self._frames))
                     kept.append(number)
                     messages[number] = rows[number].tobytes()
-                except Refused:
+                except RefusedError:
                     self.refused += 1
             offsets, heads, log_ns, messages = (
                 array[kept] for array in (offsets, heads, log_ns, messages))
@@ -516,7 +516,7 @@ def _check_new(path):
         raise LogError(f'{printable(path)} exists: remove it or choose another name')
 
 
-def named(topic: str, columns: Iterable[str]) -> list[str]:
+def column_names(topic: str, columns: Iterable[str]) -> list[str]:
     """Return the names that columns of a topic have in a table of several topics."""
     if topic == 'joint_states':
         return list(columns)
@@ -542,7 +542,7 @@ def table(recording: Recording, topic: str | None = None) -> tuple[
         here, there = common(base.ns, series.ns)
         whole = np.full((len(base.ns), len(names)), np.nan)
         whole[here] = values[there]
-        columns.update(zip(named(name, names), whole.T))
+        columns.update(zip(column_names(name, names), whole.T))
         if names and len(series.ns[there]) < len(series.ns):
             left.append(name)
     return columns, left

@@ -87,7 +87,7 @@ def original_names(facts: dict[str, str]) -> dict[str, str]:
         return {}
 
 
-def other_ground(facts: dict[str, str]) -> str:
+def environment_differences(facts: dict[str, str]) -> str:
     """Return in words which versions and hardware differ from those of a log, or ''."""
     return ', '.join(f'{name} {facts[name][:40]} (here {value})'
                      for name, value in _environment().items() if facts.get(name, value) != value)
@@ -107,7 +107,7 @@ class Peak:
     def __init__(self) -> None:
         self._found = 0.0, 0.0
 
-    def see(self, numbers: np.ndarray, nanoseconds: int) -> None:
+    def update(self, numbers: np.ndarray, nanoseconds: int) -> None:
         """Take account of a tip deflection, axial and transverse [m], at a time [ns]."""
         if not abs(numbers[1]) <= self._found[0]:
             self._found = abs(numbers[1]), 1e-9 * nanoseconds
@@ -298,7 +298,7 @@ def information(schemas: Iterable[Schema], channels: Iterable[ChannelRecord],
 FLUSH_PERIOD = 0.5       # [s] of wall time; a crash loses at most twice this
 CHUNK_SIZE = 512 * 1024  # [B] so that a day has few; none waits longer than `FLUSH_PERIOD`
 BACKLOG = 20             # chunks that may wait for the disk before `write` waits, too
-NOTABLE, PATIENCE = 0.5, 60.0  # [s] that `write` waits before a warning, before it gives up
+WARN_AFTER, GIVE_UP_AFTER = 0.5, 60.0  # [s] that `write` waits for the disk
 
 
 class Channel(NamedTuple):
@@ -317,10 +317,10 @@ class Recorder:
 
     `write` only appends to a chunk; a thread compresses chunks, for the most part without holding
     up other threads, and gives them to the operating system at least every `FLUSH_PERIOD`. If that
-    fails or takes longer than `PATIENCE`, or another program deletes, cuts or writes to the file,
-    `error` says so, what was written is kept, and later messages are dropped; `warning` says that
-    the file has been moved or the disk is slow. A file is never overwritten: `_1`, `_2`, ... is
-    appended to the stem of `path`. Raises OSError if the file cannot be made.
+    fails or takes longer than `GIVE_UP_AFTER`, or another program deletes, cuts or writes to the
+    file, `error` says so, what was written is kept, and later messages are dropped; `warning` says
+    that the file has been moved or the disk is slow. A file is never overwritten: `_1`, `_2`, ...
+    is appended to the stem of `path`. Raises OSError if the file cannot be made.
     """
 
     def __init__(self, path: Path | str, channels: list[Channel],
@@ -374,10 +374,10 @@ class Recorder:
         begun = time.monotonic()
         while len(self._queue) > BACKLOG and self.error is None:
             time.sleep(0.001)
-            if time.monotonic() - begun > NOTABLE:
+            if time.monotonic() - begun > WARN_AFTER:
                 self.warning = f'the simulation has waited for the disk of {self.path}'
-            if time.monotonic() - begun > PATIENCE:
-                self.error = f'{self.path}: the disk has taken nothing for {PATIENCE:g} s'
+            if time.monotonic() - begun > GIVE_UP_AFTER:
+                self.error = f'{self.path}: the disk has taken nothing for {GIVE_UP_AFTER:g} s'
 
     def note(self, name: str, values: dict[str, str]) -> None:
         """Log a metadata record: a name, and a dictionary of str."""
@@ -392,7 +392,7 @@ class Recorder:
         size = None
         while self._thread.is_alive() and self._writer.size != size:  # while it makes progress
             size = self._writer.size
-            self._thread.join(PATIENCE)
+            self._thread.join(GIVE_UP_AFTER)
         if self._thread.is_alive():
             self.error = self.error or f'{self.path}: the disk does not take the end of the log'
 
@@ -472,7 +472,7 @@ class NewLog(Recorder):
         self.write(index, snapshot.step, snapshot.nanoseconds + delay,
                    serialize(snapshot.time, output.content(snapshot, numbers)))
         if name == '~/tip_deflection':
-            self._peak.see(numbers, snapshot.nanoseconds)
+            self._peak.update(numbers, snapshot.nanoseconds)
 
     def close(self) -> None:
         """Complete the file; raise OSError if that fails, or the log has ended early."""

@@ -177,16 +177,8 @@ class Manipulator:
         """
         Return M(xi) and J(xi) of the paper's Remark 1, times the weights of an integral.
 
-        Parameters
-        ----------
-        quadrature : Quadrature
-            With p nodes on the arm.
-
-        Returns
-        -------
-        mass, inertia : ndarray, shape (p + 1,)
-            At the nodes, then those of the end effector at the tip [kg], [kg m2].
-
+        At the p nodes, then those of the end effector at the tip: two arrays of shape (p + 1,)
+        [kg], [kg m2].
         """
         section, weights = self.arm.at(quadrature.nodes), quadrature.weights
         return (np.append(weights * section.mass_per_length, self.end_effector_mass),
@@ -225,19 +217,9 @@ _LEAST_NODES = 4  # in a span
 
 def legendre_values(x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """
-    Evaluate Legendre polynomials and their integrals from -1.
+    Return the Legendre polynomials of degrees below `count`, and their integrals from -1.
 
-    Parameters
-    ----------
-    x : ndarray, shape (n,)
-        Points in [-1, 1].
-    count : int
-        Number of polynomials, degrees 0 to count - 1.
-
-    Returns
-    -------
-    values, integrals : ndarray, shape (n, count)
-
+    At points in [-1, 1], shape (n,); both have shape (n, count).
     """
     values = legendre.legvander(x, count)
     integrals = np.empty((len(x), count))
@@ -317,20 +299,7 @@ class Quadrature:
             tuple(np.asarray(breaks, dtype=float).tolist()), count, extra)
 
     def integrate_to(self, xi: ArrayLike) -> np.ndarray:
-        """
-        Return the matrix from nodal values to their integrals from 0 to the given points.
-
-        Parameters
-        ----------
-        xi : array_like, shape (p,)
-            [m]
-
-        Returns
-        -------
-        ndarray, shape (p, n)
-            [m]
-
-        """
+        """Return the matrix from nodal values to integrals from 0 to points, shape (p, n) [m]."""
         return _integrals(self._spans, tuple(np.asarray(xi, dtype=float).tolist()))
 
     def interpolate_to(self, xi: ArrayLike) -> np.ndarray:

@@ -247,19 +247,10 @@ class Formulation(ABC):
     def project_on_modes(self, deflection: Callable[[np.ndarray], ArrayLike],
                          rotation: Callable[[np.ndarray], ArrayLike]) -> np.ndarray:
         """
-        Return the modal coordinates (or rates) of a deflection (or velocity) field.
+        Return the modal coordinates (or rates) of a deflection (or velocity) field, shape (N,).
 
-        `q_n = int M W_n w + J Phi_n phi`, exact to first order in the fields.
-
-        Parameters
-        ----------
-        deflection, rotation : function(xi) -> array_like
-            w [m] and phi [rad] (or their rates) at the points xi, shape (p,) [m].
-
-        Returns
-        -------
-        ndarray, shape (N,)
-
+        `q_n = int M W_n w + J Phi_n phi`, exact to first order in the fields w [m] and phi [rad]
+        (or their rates), which are functions of the distance from the root, shape (p,) [m].
         """
         fine = Quadrature(self.manipulator.arm.breaks, 4 * len(self.modes) + 40)
         mass, inertia = self.manipulator.inertia(fine)
@@ -269,19 +260,9 @@ class Formulation(ABC):
     @abstractmethod
     def centre_line(self, q: np.ndarray, points: Points) -> np.ndarray:
         """
-        Return the positions of points of the centre line in the arm frame.
+        Return the positions of points of the centre line from the root, shape (n, p, 2) [m].
 
-        Parameters
-        ----------
-        q : ndarray, shape (n, N)
-        points : Points
-            See `at`.
-
-        Returns
-        -------
-        ndarray, shape (n, p, 2)
-            Along axes I and II, from the root [m].
-
+        In the arm frame, along axes I and II, for modal coordinates q, shape (n, N).
         """
 
     @abstractmethod
@@ -297,17 +278,9 @@ class Formulation(ABC):
         """
         Return the strain of the outer fibre of a section, axial strain included, shape (n,).
 
-        It follows from the bending moment there, or from the curvature of the modes, which
-        converges more slowly with their number.
-
-        Parameters
-        ----------
-        motions : ndarray, shape (n, 2 (3 + N))
-        xi : float
-            Distance of the section from the root along the undeformed arm [m].
-        moment : ndarray, shape (n,), optional
-            Bending moment in the section [N m], that of modal damping included.
-
+        `xi` is its distance from the root along the undeformed arm [m]. The strain follows from
+        the bending moment there, that of modal damping included, shape (n,) [N m]; or from the
+        curvature of the modes, which converges more slowly with their number.
         """
         place, modes, (q, qdot) = np.array([xi]), self.modes, self._split(motions)
         section = self.manipulator.arm.at(place)
@@ -329,17 +302,9 @@ class Formulation(ABC):
 
     def energy(self, motions: np.ndarray) -> np.ndarray:
         """
-        Return kinetic plus strain energy, and the potential of gravity, which is 0 at the origin.
+        Return the energy of motions, shape (n, 2 (3 + N)), as shape (n,) [J].
 
-        Parameters
-        ----------
-        motions : ndarray, shape (n, 2 (3 + N))
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            [J]
-
+        It is kinetic and strain energy, and the potential of gravity, which is 0 at the origin.
         """
         energy = np.empty(len(motions))
         energies(self.force_tables, np.ascontiguousarray(motions, dtype=float), self.gravity,
@@ -369,11 +334,8 @@ class Formulation(ABC):
         """
         Return the mass matrix of all coordinates at a motion, and the tip's velocities.
 
-        Returns
-        -------
-        matrix, tip : ndarray, shapes (3 + N, 3 + N), (3, 3 + N)
-            Of 3 + N rates; the tip's velocity in world axes and angular velocity per rate.
-
+        Shapes (3 + N, 3 + N) and (3, 3 + N); the latter is the tip's velocity in world axes, and
+        its angular velocity, per rate.
         """
         half, body = self.size // 2, self.manipulator
         motions = np.tile(motion, (half, 1))
@@ -388,15 +350,7 @@ class Formulation(ABC):
         """
         Return linear momentum in world axes and angular momentum about the world's origin.
 
-        Parameters
-        ----------
-        motions : ndarray, shape (n, 2 (3 + N))
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            [kg m/s], [kg m/s], [kg m2/s]
-
+        For n motions: shape (n, 3) [kg m/s], [kg m/s], [kg m2/s].
         """
         velocity, turning = self.velocities(motions, self.points)
         base = motions[:, self.size // 2:][:, :3]

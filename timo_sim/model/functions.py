@@ -10,7 +10,8 @@
 Declarations of the compiled functions of a formulation, and what their bodies share.
 
 An integrator calls `rate` and `observe` by these names. The body is chosen by the kind of the
-constants, for which `@rate.of(Tables)` registers it.
+`tables`, packed constants of the formulation, for which `@rate.of(Tables)` registers it. A motion
+is described in `formulation.Formulation`, a load in `layout`.
 """
 
 import numpy as np
@@ -23,18 +24,7 @@ from timo_sim.model.layout import LOADS
 
 @declare
 def rate(tables, state, load, out):
-    """
-    Write n(y, load), the state's rate less its linear part; loads are included.
-
-    Parameters
-    ----------
-    tables : packed constants
-        The formulation's.
-    state, out : ndarray, shape (m,)
-    load : ndarray, shape (LOADS,)
-        Columns as in `layout`.
-
-    """
+    """Write n(y, load), (m,), the state's rate less its linear part; loads are included."""
 
 
 @declare
@@ -44,7 +34,7 @@ def linear_part_is_valid(tables, state, load):
 
 @declare
 def observe(tables, state, load, out):
-    """Write the motion (see `formulation.Formulation`) that belongs to a state and a load."""
+    """Write the motion that belongs to a state and a load."""
 
 
 @inner
@@ -59,34 +49,15 @@ def coulomb(tables, joint, speed):
 @declare
 def tip(tables, motion, out):
     """
-    Write the position and rotation of the tip in a motion.
+    Write the position and rotation of the tip in a motion, (3,).
 
-    Parameters
-    ----------
-    tables : packed constants
-        The formulation's.
-    motion : ndarray
-        See `formulation.Formulation`.
-    out : ndarray, shape (3,)
-        Along axes I and II from the root [m], rotation relative to the shaft [rad].
-
+    Along axes I and II from the root [m], rotation relative to the shaft [rad].
     """
 
 
 @declare
 def tip_rate(tables, motion, out):
-    """
-    Write the rate of what `tip` writes, components along the turning axes, shape (3,).
-
-    Parameters
-    ----------
-    tables : packed constants
-        The formulation's.
-    motion : ndarray
-    out : ndarray, shape (3,)
-        [m/s], [m/s], [rad/s]
-
-    """
+    """Write the rate of what `tip` writes, components along the turning axes, (3,)."""
 
 
 @declare
@@ -94,18 +65,8 @@ def effort(tables, motion, accelerations, load, out):
     """
     Write the force on the carrier and torque on the shaft that accelerations need (T42).
 
-    Parameters
-    ----------
-    tables : packed constants
-        Those of `Formulation.force_tables`.
-    motion : ndarray
-    accelerations : ndarray, shape (3 + N,)
-        Less gravity.
-    load : ndarray, shape (LOADS,)
-        Of which those on tip and arm are used.
-    out : ndarray, shape (3,)
-        In world axes [N], then [N m].
-
+    `tables` are those of `Formulation.force_tables`, `accelerations`, (3 + N,), are less gravity;
+    of the load those on tip and arm are used. `out`, (3,), is in world axes [N], then [N m].
     """
 
 

@@ -136,36 +136,17 @@ class MotionFields:
 
 @dataclass(frozen=True)
 class Motion(MotionFields):
-    """
-    One motion or many, with names for the parts.
-
-    Attributes
-    ----------
-    values : ndarray, shape (..., 2 (3 + N))
-        Carrier x and y in world axes [m], shaft angle [rad], modal coordinates [m sqrt(kg)], then
-        the rate of each.
-
-    """
+    """One motion or many, with names for the parts, see `MotionFields`."""
 
     values: np.ndarray
 
 
 def rotate(theta: Any, x: Any, y: Any) -> tuple[Any, Any]:
     """
-    Return a vector of the plane turned by an angle.
+    Return a vector of the plane turned by an angle [rad], floats or arrays.
 
-    Parameters
-    ----------
-    theta : float or ndarray
-        [rad]
-    x, y : float or ndarray
-        Components in the turned axes, such as along and across the shaft.
-
-    Returns
-    -------
-    x, y : float or ndarray
-        Components in the axes from which theta is counted, such as the world's.
-
+    x, y are components in the turned axes, such as along and across the shaft; the result's are in
+    the axes from which theta is counted, such as the world's.
     """
     library = math if isinstance(theta, float) else np
     cosine, sine = library.cos(theta), library.sin(theta)

@@ -378,6 +378,15 @@ def _set_z_0(tables, q, theta_rate, load, tip_2, push_2, moment, force, z):
 
 
 @inner
+def _free_axis(tables, cosine, sine, tilt):
+    """Return components I, II of the one axis that is free, and the inertia along it."""
+    along, across = (cosine, -sine) if tables.axes[0] == 0 else (sine, cosine)
+    inertia = (tables.base_mass + along * along * tables.arm_mass + along * across * tilt
+               + across * across * tables.mass_across)
+    return along, across, inertia
+
+
+@inner
 def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
     """Write the carrier's acceleration in world axes, (T16); return beta."""
     axes, half = tables.axes, _half(tables)
@@ -397,9 +406,8 @@ def _set_carrier(tables, state, load, cosine, sine, axial, shear, tilt, out):
         out[half] = cosine * alpha - sine * beta
         out[half + 1] = sine * alpha + cosine * beta
     elif len(axes) == 1:
-        push, along, across = (force_x, cosine, -sine) if axes[0] == 0 else (force_y, sine, cosine)
-        inertia = (tables.base_mass + along * along * tables.arm_mass + along * across * tilt
-                   + across * across * tables.mass_across)
+        along, across, inertia = _free_axis(tables, cosine, sine, tilt)
+        push = force_x if axes[0] == 0 else force_y
         out[half] = (push + along * axial + across * shear) / inertia
         beta = across * out[half]
     return beta
@@ -417,9 +425,7 @@ def _add_gravity(tables, cosine, sine, tilt, out):
     held_y = 0.0 if len(axes) == 2 or len(axes) == 1 and axes[0] == 1 else -gravity[1]
     alpha, beta = cosine * held_x + sine * held_y, cosine * held_y - sine * held_x
     if len(axes) == 1:
-        along, across = (cosine, -sine) if axes[0] == 0 else (sine, cosine)
-        inertia = (tables.base_mass + along * along * tables.arm_mass + along * across * tilt
-                   + across * across * tables.mass_across)
+        along, across, inertia = _free_axis(tables, cosine, sine, tilt)
         pulled = -(along * (tables.arm_mass * alpha + tilt * beta)
                    + across * tables.mass_across * beta) / inertia
         out[half] += pulled

@@ -27,15 +27,8 @@ def equilibrium(model: Formulation, motion: np.ndarray, load: np.ndarray) -> np.
 
     Found by following `u' = M^-1 F(u)` of the forces F on shaft and modes in implicit steps that
     grow (T45), pseudo-transient continuation (C. T. Kelley, D. E. Keyes, SIAM J. Numer. Anal. 35
-    (1998) 508-523). It leads from the given motion downhill to an equilibrium that is stable.
-
-    Parameters
-    ----------
-    model : Formulation
-    motion : ndarray, shape (2 (3 + N),)
-        Where to begin. The carrier and a driven shaft stay there.
-    load : ndarray, shape (LOADS,)
-        See `model.layout`.
+    (1998) 508-523). It leads from the given motion downhill to an equilibrium that is stable; the
+    carrier and a driven shaft stay where they are. The load, (LOADS,), is constant.
 
     Raises
     ------
@@ -131,20 +124,8 @@ def pick_up(model: Formulation, motion: np.ndarray, mass: float,
     finite. Modes take more from the motion, 12 % with five and 1 % with forty in a tested scene;
     that is the energy of the vibrations that they leave out.
 
-    Parameters
-    ----------
-    model : Formulation
-        With the load at its tip.
-    motion : ndarray, shape (2 (3 + N),)
-    mass, inertia : float
-        Of the load [kg], [kg m2].
-
-    Returns
-    -------
-    motion : ndarray, shape (2 (3 + N),)
-    lost : float
-        [J]
-
+    The model has the load of this mass [kg] and inertia [kg m2] at its tip. Returns the motion,
+    shape (2 (3 + N),), and the energy [J].
     """
     half = model.size // 2
     matrix, tip = model.mass_matrix(motion)

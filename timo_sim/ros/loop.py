@@ -21,7 +21,7 @@ from timo_sim.scene.parameters import whole_ratio
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.simulation.warnings import DivergenceError
-from timo_sim.topics.commands import acting, COMMANDED, turns
+from timo_sim.topics.commands import COMMANDED, has_tip_force, load_of_commands
 from timo_sim.topics.outputs import NANOSECONDS
 
 _TICK_TIME = 1e-3          # [s] of wall time; shorter steps are done several at a time
@@ -104,10 +104,10 @@ class Loop:
                 return
             self._apply_commands(first)
             last = first + 1
-            if goal > last and not turns(self._commanded):
+            if goal > last and not has_tip_force(self._commanded):
                 last = min(goal, first + _BATCH, self._next_event(first))
             try:
-                simulator.advance(last - first, acting(self._commanded, simulator))
+                simulator.advance(last - first, load_of_commands(self._commanded, simulator))
             except DivergenceError as error:
                 self.diverged, self.paused = str(error), True
                 self._logger.error(f'paused, {error}; ~/reset goes back to the start')

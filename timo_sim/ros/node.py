@@ -89,8 +89,8 @@ class SimNode(ParameterNode):
     under `_lock`. `stop` is a StopRequest, `args` a command line with parameters, by default that
     of the process; `options` are those of rclpy.node.Node, such as the namespace of one of several
     nodes in a process. `live_feed` returns a stream of a scene to a viewer, given its address and
-    the name of the node: `offer(now, simulator, effort)` is called at each tick, `close()` at the
-    end; its attribute `doubt` is a warning or None. Raises ParameterError.
+    the name of the node: `send(now, simulator, effort)` is called at each tick, `close()` at the
+    end; its attribute `warning` is a warning or None. Raises ParameterError.
     """
 
     def __init__(self, stop: Any, live_feed: Callable[[Scene, str, str], Any] = no_live_feed,
@@ -115,8 +115,8 @@ class SimNode(ParameterNode):
                               values['publish_clock'])
         self._live = values['rerun_live'] and live_feed(
             scene, values['rerun_live'], self.get_fully_qualified_name())
-        if self._live and self._live.doubt:
-            self.get_logger().warning(self._live.doubt)
+        if self._live and self._live.warning:
+            self.get_logger().warning(self._live.warning)
         self._loop.configure(values, steps_each)
         self.declare(values, self._on_parameters)
         self._offer_services()
@@ -180,7 +180,7 @@ class SimNode(ParameterNode):
                        self._simulator.scene))
         for outlet in self._outlets:
             if self._log.path and outlet.name == '~/tip_deflection':
-                outlet.watch = self._peak.see
+                outlet.watch = self._peak.update
 
     def run(self) -> None:
         """Advance sim time with wall time until asked to stop."""
@@ -200,7 +200,7 @@ class SimNode(ParameterNode):
         self._health.report(now)
         self._loop.poll()
         if self._live:
-            self._live.offer(now, self._simulator, lambda: self._loop.snapshot().effort)
+            self._live.send(now, self._simulator, lambda: self._loop.snapshot().effort)
         wait = self._loop.tick(now, self._stop)
         # The error is measured while nothing else is due.
         return 0.0 if wait > 0.0 and self._simulator.measure_error(STEPS_BEHIND) else wait

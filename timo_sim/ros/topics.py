@@ -25,7 +25,7 @@ from rclpy.subscription import Subscription
 from timo_sim.log.write import Channel, names_note, Recorder, START, SUMMARY
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.topics.cdr import Serializer
-from timo_sim.topics.commands import COMMANDS, GROUPS, JOINTS, LARGEST, Refused
+from timo_sim.topics.commands import COMMANDS, GROUPS, JOINTS, LARGEST_COMMAND, RefusedError
 from timo_sim.topics.outputs import in_frames, NANOSECONDS
 
 _DISCOVERY_TIME = 10.0  # [s] of wall time in which a new subscriber discovers the publisher, too
@@ -203,7 +203,7 @@ class Inlet:
             message = self._decoded(data)
             texts, lists = _READ[self.command.type_name](message)
             row = self.command.row(texts, lists, self._frames)
-        except Refused as reason:
+        except RefusedError as reason:
             self.refused += 1
             self.logger.warning(
                 f'command refused, {reason}; the last one stays in force',
@@ -227,12 +227,12 @@ class Inlet:
         return True
 
     def _decoded(self, data):
-        if len(data) > LARGEST:
-            raise Refused(f'it has {len(data)} bytes, more than {LARGEST}')
+        if len(data) > LARGEST_COMMAND:
+            raise RefusedError(f'it has {len(data)} bytes, more than {LARGEST_COMMAND}')
         try:
             return deserialize_message(data, self.type)
         except RuntimeError:  # rclpy's error for bytes that are no such message
-            raise Refused(f'it is not a serialised {self.command.type_name}') from None
+            raise RefusedError(f'it is not a serialised {self.command.type_name}') from None
 
     def poll(self, answered: int | None) -> bool:
         """Receive what has arrived, see `Commands.poll`; return whether a command is in it."""

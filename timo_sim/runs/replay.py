@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from timo_sim.log.read import LogError
 from timo_sim.log.tables import Recording
-from timo_sim.log.write import CHANGE, change_note, NewLog, other_ground, RESET
+from timo_sim.log.write import CHANGE, change_note, NewLog, environment_differences, RESET
 from timo_sim.model.layout import LOADS
 from timo_sim.runs.simulate import resolve
 from timo_sim.runs.run import Run
@@ -33,7 +33,7 @@ from timo_sim.scene.parameters import (
 from timo_sim.scene.scene import Scene, scene_from
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.warnings import DivergenceError
-from timo_sim.topics.commands import acting, COMMANDED, COMMANDS, turns
+from timo_sim.topics.commands import COMMANDED, COMMANDS, has_tip_force, load_of_commands
 from timo_sim.topics.outputs import outputs, title, with_angles
 
 _ROUNDING = 1e-9  # relative error of times in steps
@@ -126,7 +126,7 @@ def replay(file: str | Path, changes: Mapping[str, Any] | None = None,
             # Formulations have different modes, so that modal coordinates cannot be compared.
             found = [row for row in found if not row[0].startswith('modal_state')]
         _show_table(show, found)
-    ground = other_ground(recording.facts)
+    ground = environment_differences(recording.facts)
     if ground:
         show(f'logged with {ground}: last bits may differ')
     if recording.split_steps:
@@ -370,8 +370,8 @@ class Replay:
                     self._log.write(index, step, simulator.nanoseconds, data)
                 next_command += 1
             following = min(following, commands[next_command][0], changes[next_change][0],
-                            step + (1 if turns(commanded) else _BATCH))
-            simulator.advance(following - step, acting(commanded, simulator))
+                            step + (1 if has_tip_force(commanded) else _BATCH))
+            simulator.advance(following - step, load_of_commands(commanded, simulator))
             load = simulator.load.tolist()
             report(following - step)
 

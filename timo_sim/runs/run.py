@@ -223,12 +223,12 @@ class Run(MotionFields):
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return what the node publishes, except sensors, as columns named with units, (n,)."""
-        from timo_sim.log.tables import named
+        from timo_sim.log.tables import column_names
         snapshots, found = list(self._snapshots()), {'time_s': self.t}
         for output in self._outputs():
             values = np.array([output.numbers(snapshot) for snapshot in snapshots])
             names, values = with_angles(output.columns, values)
-            found.update(zip(named(output.name, names), values.T))
+            found.update(zip(column_names(output.name, names), values.T))
         return found
 
     def to_pandas(self) -> pandas.DataFrame:

@@ -19,10 +19,10 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import pack, pack_lanes
-from timo_sim.compiled.entry import entry_point
-from timo_sim.compiled.functions import Array, Constants, inner, local, magnitude, where
-from timo_sim.compiled.functions import WIDTH
+from timo_sim.compiled.constants import local_arrays, pack, pack_lanes
+from timo_sim.compiled.entry import EntryPoint
+from timo_sim.compiled.functions import (
+    Array, Constants, inner, local, magnitude, where, WIDTH)
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import observe, tip
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, STAGES, START, STEP_LOADS
@@ -44,23 +44,18 @@ class LaneSteps:
     """
     Equal steps of n models of one size.
 
-    Parameters
-    ----------
-    models : list of Formulation
-        Of one class, with tables of the same shapes and the same free coordinates.
-    step : float
-        [s]
-    bend_limit : float
-        Deflection beyond which a run counts as diverged, in arm lengths.
+    The models are of one class, with tables of the same shapes and the same free coordinates. A
+    run whose arm is bent by more than `bend_limit` arm lengths counts as diverged.
 
     Attributes
     ----------
     state : ndarray, shape (groups, m, WIDTH)
     progress : ndarray, shape (groups, 2, WIDTH)
+        Whether a lane is alive, 1 or 0, and how many steps it has done.
     constant_load : ndarray, shape (groups, LOADS, WIDTH)
         The part of loads that does not vary within a call.
     motion, tip : ndarray, shapes (groups, 2 (3 + N), WIDTH), (groups, 3, WIDTH)
-        See `advance_each`; the motion and tip at the end of the last call.
+        Motion at the end of the last call, and what `model.functions.tip` returns for it.
 
     """
 
@@ -106,7 +101,9 @@ class LaneSteps:
                 since: int = 0, samples: np.ndarray | None = None,
                 tips: np.ndarray | None = None) -> None:
         """
-        Advance all lanes, see `advance_each`.
+        Advance all lanes.
+
+        A lane that diverges stays at its last good state, while the others go on.
 
         Parameters
         ----------
@@ -135,12 +132,7 @@ def to_lanes(values: np.ndarray, numbers: np.ndarray | None = None) -> np.ndarra
     """
     Return rows as lanes, (groups, ..., WIDTH); the last row fills the rest.
 
-    Parameters
-    ----------
-    values : ndarray, shape (rows, ...)
-    numbers : ndarray of int, shape (n,), optional
-        Numbers of the rows, by default all in order.
-
+    `numbers`, (n,), are those of the rows to take, by default all in order.
     """
     numbers = np.arange(len(values)) if numbers is None else numbers
     count = -(-len(numbers) // WIDTH)
@@ -169,11 +161,9 @@ def _set_load(lane, columns, count, varying, place, row):
 def _advance(tables, propagator, lane, columns, count, varying, varying_from, steps, state,
              progress, end_motion, end_tip, sample_every, since, samples, samples_from, tips,
              tips_from, tip_rows):
-    """Integrate some lanes over equal steps, see `advance_each`."""
-    size = propagator.whole[0]
-    now, following = local((size,)), local((size,))
-    work = Work(local((size,)), local((size,)), local((size,)), local((size,)), local((size,)),
-                local((size,)), local((size,)))
+    """Integrate one group of lanes over equal steps, see `advance`."""
+    work = local_arrays(Work, propagator)
+    now, following = work.now, work.following
     motion, load = local((lane.motion,)), lane.load
     for row in range(STEP_LOADS):
         copy(lane.constant_load, load[row])
@@ -193,7 +183,7 @@ def _advance(tables, propagator, lane, columns, count, varying, varying_from, st
             break
         for row in range(STAGES):
             _set_load(lane, columns, count, varying, place + (STEP_LOADS + row) * count, row)
-        one_step(tables, propagator, now, load[START], load[MIDDLE], load[END], work, following)
+        one_step(tables, propagator, load[START], load[MIDDLE], load[END], work)
         if k < tip_rows:
             for i in range(len(lane.tip_travel)):
                 motion[3 + i] = now[modal + i]
@@ -217,57 +207,29 @@ def _advance(tables, propagator, lane, columns, count, varying, varying_from, st
     progress[0], progress[1] = alive, done
 
 
-def _arguments(form):
-    # Of both functions below; lanes are the last axis of arrays.
-    return {
-        'tables': Constants(form), 'propagator': Constants(form), 'lane': Constants('lanes'),
-        'columns': Array((None,), whole=True), 'count': int, 'varying': Array((None,), lanes=True),
-        'steps': int, 'state': Array((None, 'state'), lanes=True),
-        'progress': Array((None, 2), lanes=True), 'motion': Array((None, 'motion'), lanes=True),
-        'end_tip': Array((None, 3), lanes=True), 'groups': int, 'sample_every': int, 'since': int,
-        'samples': Array((None, 'motion'), lanes=True), 'sample_rows': int,
-        'tips': Array((None, 3), lanes=True), 'tip_rows': int}
-
-
-@entry_point(**_arguments('shared'))
-def advance_alike(tables, propagator, lane, columns, count, varying, steps, state, progress,
-                  motion, end_tip, groups, sample_every, since, samples, sample_rows, tips,
-                  tip_rows):
-    """Do what `advance_each` does for lanes with the same packed constants."""
-    for g in range(groups):
-        _advance(tables, propagator, lane[g], columns, count, varying,
-                 g * (1 + steps) * STEP_LOADS * count, steps, state[g], progress[g], motion[g],
-                 end_tip[g], sample_every, since, samples, g * sample_rows, tips, g * tip_rows,
-                 tip_rows)
-
-
-@entry_point(**_arguments('lanes'))
-def advance_each(tables, propagator, lane, columns, count, varying, steps, state, progress,
-                 motion, end_tip, groups, sample_every, since, samples, sample_rows, tips,
-                 tip_rows):
+def advance(tables, propagator, lane, columns, count, varying, steps, state, progress, motion,
+            end_tip, groups, sample_every, since, samples, sample_rows, tips, tip_rows):
     """
     Integrate groups of lanes over equal steps, see `LaneSteps.advance`.
 
-    A lane that diverges stays at its last good state, while the others go on. First axes are
-    those of groups, merged with the next one where there is one.
-
-    Parameters
-    ----------
-    tables, propagator, lane : packed constants
-        Of the models, the matrices of their steps, and `LaneConstants`; blocks of lanes.
-    columns, varying, sample_every, since, samples, tips
-        See `LaneSteps.advance`; `count` columns, `steps` steps, `sample_rows` samples and
-        `tip_rows` tips of each group.
-    state : ndarray, shape (groups, m, WIDTH)
-        Advanced in place.
-    progress : ndarray, shape (groups, 2, WIDTH)
-        Whether a lane is alive, 1 or 0, and how many steps it has done; updated.
-    motion, end_tip : ndarray, shapes (groups, 2 (3 + N), WIDTH), (groups, 3, WIDTH)
-        Receive the motion at the end, and what `model.functions.tip` returns for it.
-
+    First axes of arrays are those of groups, merged with the next one where there is one, last
+    axes those of lanes. There are `count` columns, `steps` steps, and for each group `sample_rows`
+    samples and `tip_rows` tips.
     """
     for g in range(groups):
         _advance(tables[g], propagator[g], lane[g], columns, count, varying,
                  g * (1 + steps) * STEP_LOADS * count, steps, state[g], progress[g], motion[g],
                  end_tip[g], sample_every, since, samples, g * sample_rows, tips, g * tip_rows,
                  tip_rows)
+
+
+# For lanes with the same packed constants, and for lanes each with its own.
+advance_alike, advance_each = (EntryPoint(advance, {
+    'tables': Constants(form), 'propagator': Constants(form), 'lane': Constants('lanes'),
+    'columns': Array((None,), whole=True), 'count': int, 'varying': Array((None,), lanes=True),
+    'steps': int, 'state': Array((None, 'state'), lanes=True),
+    'progress': Array((None, 2), lanes=True), 'motion': Array((None, 'motion'), lanes=True),
+    'end_tip': Array((None, 3), lanes=True), 'groups': int, 'sample_every': int, 'since': int,
+    'samples': Array((None, 'motion'), lanes=True), 'sample_rows': int,
+    'tips': Array((None, 3), lanes=True), 'tip_rows': int}, name)
+    for name, form in (('advance_alike', 'shared'), ('advance_each', 'lanes')))

@@ -41,19 +41,10 @@ class LinearPart(NamedTuple):
 
 class Steps:
     """
-    Equal steps of a model.
+    Equal steps of a model, of a length in seconds.
 
-    Parameters
-    ----------
-    model : Formulation
-    step : float
-        [s]
-
-    Attributes
-    ----------
-    memory : ndarray
-        What one step hands to the next besides the state; a caller may copy it and put it back.
-
+    `memory` is what one step hands to the next besides the state; a caller may copy it and put it
+    back.
     """
 
     def __init__(self, model: Formulation, step: float) -> None:

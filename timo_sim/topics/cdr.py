@@ -122,7 +122,6 @@ def schema_text(type_name: str) -> str:
     return '\n'.join(lines) + '\n'
 
 
-TYPES = frozenset(DEFINITIONS)
 _START = 4                     # bytes of the header; alignment counts from its end
 _LITTLE_ENDIAN = b'\x00\x01'   # plain CDR
 _NUMBERS = {'byte': 'B', 'int32': 'i', 'uint32': 'I', 'float64': 'd'}  # codes of `struct`
@@ -154,14 +153,9 @@ class Layout(NamedTuple):
             place += length
         return parts
 
-    def meant(self) -> list[int]:
-        """Return the places of all bytes with content; the others are padding."""
-        return [*self.fixed, *(place + byte for place in (*self.stamps, *self.doubles)
-                               for byte in range(8))]
-
 
 def layout(type_name: str, data: bytes | memoryview) -> Layout:
-    """Return the Layout of a message of TYPES; CdrError unless it is little-endian CDR."""
+    """Return the Layout of a message of DEFINITIONS; CdrError unless it is little-endian CDR."""
     walk = _Walk(data)
     walk.value(type_name)
     return walk.found._replace(size=walk.place)
@@ -169,7 +163,7 @@ def layout(type_name: str, data: bytes | memoryview) -> Layout:
 
 def pack(type_name: str, values: Mapping[str, Any]) -> bytes:
     """
-    Return a serialised message of one of TYPES, little-endian CDR with zeros as padding.
+    Return a serialised message of a type of DEFINITIONS, little-endian CDR with zeros as padding.
 
     `values` has by name of field numbers, str, dict for messages, lists for arrays. A field that
     is missing has its default, which is zero or empty unless the definition says otherwise (w of a

@@ -18,7 +18,7 @@ from timo_sim.model.layout import Input, INPUTS, LOADS, rotate, TIP_I, TIP_II
 from timo_sim.topics.outputs import FRAMES
 
 # Commanded values have the columns of a load, and two more: a force on the tip in the axes of the
-# tip, which `acting` turns into a load.
+# tip, which `load_of_commands` turns into a load.
 _COMMANDED = (
     *INPUTS,
     Input('tip_force_along_tip', 'N', 'force on the end effector along its axis', 'tip', 'tip'),
@@ -32,17 +32,17 @@ for _column, _input in enumerate(_COMMANDED):
     if _input.group:
         GROUPS.setdefault(_input.group, []).append(_column)
 JOINTS = 'carrier_x', 'carrier_y', 'shaft'
-PLAIN = {name: name for name in FRAMES}  # frames under their default names
-LARGEST = 65536  # [B] of a command that is accepted; ordinary ones have some hundreds
+DEFAULT_FRAMES = {name: name for name in FRAMES}  # frames under their default names
+LARGEST_COMMAND = 65536  # [B] of a command that is accepted; ordinary ones have some hundreds
 
 
-class Refused(ValueError):
+class RefusedError(ValueError):
     """A command is not applied; the text says why."""
 
 
 def _finite(numbers):
     if not all(map(math.isfinite, numbers)):
-        raise Refused('every component must be finite')
+        raise RefusedError('every component must be finite')
 
 
 def _forces(texts, numbers, names):
@@ -50,8 +50,8 @@ def _forces(texts, numbers, names):
     _finite(numbers)
     frame = texts[0] or names[0]
     if frame not in names:
-        raise Refused(f'frame_id must be empty, {", ".join(map(repr, names[:-1]))} or '
-                      f'{names[-1]!r}, got {frame[:40]!r}')
+        raise RefusedError(f'frame_id must be empty, {", ".join(map(repr, names[:-1]))} or '
+                           f'{names[-1]!r}, got {frame[:40]!r}')
     return [tuple(numbers[:2]) if frame == name else (0.0, 0.0) for name in names]
 
 
@@ -67,17 +67,17 @@ def _tip_wrench(texts, lists, frames):
 
 def _scalar(lists):
     if not math.isfinite(lists[0][0]):
-        raise Refused(f'data must be finite, got {lists[0][0]}')
+        raise RefusedError(f'data must be finite, got {lists[0][0]}')
     return lists[0][0]
 
 
 def _joint_command(texts, lists, frames):
     names, efforts = texts[1:], lists[-1]
     if len(set(names)) < len(names) or not names:
-        raise Refused(f'name must hold joints, once each, got {", ".join(names)[:80]!r}')
+        raise RefusedError(f'name must hold joints, once each, got {", ".join(names)[:80]!r}')
     if len(efforts) != len(names):
-        raise Refused(f'effort must have one element for each of {len(names)} names, got '
-                      f'{len(efforts)}')
+        raise RefusedError(f'effort must have one element for each of {len(names)} names, got '
+                           f'{len(efforts)}')
     given = {name: effort for name, effort in zip(names, efforts) if name in JOINTS}
     # NaN is what ros2_control sends for a joint that no controller has claimed.
     claimed = {name for name, effort in given.items() if not math.isnan(effort)}
@@ -92,8 +92,8 @@ def _joint_command(texts, lists, frames):
 
 def _commands(texts, lists, frames):
     if len(lists[0]) != len(JOINTS):
-        raise Refused(f'data must have {len(JOINTS)} elements, for {", ".join(JOINTS)}, got '
-                      f'{len(lists[0])}')
+        raise RefusedError(f'data must have {len(JOINTS)} elements, for {", ".join(JOINTS)}, got '
+                           f'{len(lists[0])}')
     _finite(lists[0])
     return _joint_command(['', *JOINTS], lists, frames)
 
@@ -103,7 +103,7 @@ class Command(NamedTuple):
     A command topic.
 
     `load` takes the texts and the lists of numbers of a message, and the names of frames; it
-    returns the values of each group of inputs that the message sets, or raises Refused.
+    returns the values of each group of inputs that the message sets, or raises RefusedError.
     """
 
     name: str
@@ -124,8 +124,8 @@ class Command(NamedTuple):
         return tuple(_COMMANDED[column].column for column in self.columns)
 
     def row(self, texts: Sequence[str], lists: Sequence[Sequence[float]],
-            frames: Mapping[str, str] = PLAIN) -> np.ndarray:
-        """Return values for its columns [N, N m, V], NaN where it sets none, or raise Refused."""
+            frames: Mapping[str, str] = DEFAULT_FRAMES) -> np.ndarray:
+        """Return values for its columns [N, N m, V], NaN where it sets none; or RefusedError."""
         found = self.load(texts, lists, frames)
         return np.concatenate([found.get(group, [math.nan] * len(GROUPS[group]))
                                for group in self.groups])
@@ -159,19 +159,19 @@ COMMANDS = [
 ]
 
 
-def turns(commanded: np.ndarray) -> bool:
+def has_tip_force(commanded: np.ndarray) -> bool:
     """Return whether commanded values, (COMMANDED,), have a force in the axes of the tip."""
     return commanded[ALONG_TIP] != 0.0 or commanded[ACROSS_TIP] != 0.0
 
 
-def acting(commanded: np.ndarray, simulator: Any) -> np.ndarray:
+def load_of_commands(commanded: np.ndarray, simulator: Any) -> np.ndarray:
     """
     Return the load, (LOADS,), of commanded values, (COMMANDED,), in a Simulator's next step.
 
     A force in the axes of the tip takes their direction in the middle of the step, extrapolated
     from the motion at its start: the error is of second order in the step.
     """
-    if not turns(commanded):
+    if not has_tip_force(commanded):
         return commanded[:LOADS]
     load, motion, model = commanded[:LOADS].copy(), simulator.motion, simulator.model
     middle = motion.q + 0.5 * simulator.scene.step * motion.qdot

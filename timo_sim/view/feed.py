@@ -36,7 +36,7 @@ class Feed:
     Sends samples to a process of `view.rerun`, and never waits for it.
 
     Samples for which its pipe has no room, because the viewer is slow or stuck, are dropped. `url`
-    is that of a viewer, which may come and go, `name` the node's. `doubt` is a warning if no
+    is that of a viewer, which may come and go, `name` the node's. `warning` is a warning if no
     viewer listened at the start. Raises ParameterError if `url` is no address of a viewer, or
     rerun is not installed.
     """
@@ -49,11 +49,11 @@ class Feed:
         if find_spec('rerun') is None:
             raise ParameterError('rerun_live needs rerun, which is not installed: '
                                  'pip install timo_sim[view]')
-        self.doubt: str | None = None
+        self.warning: str | None = None
         try:
             socket.create_connection((address[2], int(address[4] or _PORT)), _CONNECTING).close()
         except (OSError, OverflowError) as error:  # OverflowError: the port is too large
-            self.doubt = f'rerun_live: no viewer listens at {url} yet: {error}'
+            self.warning = f'rerun_live: no viewer listens at {url} yet: {error}'
         # In a session of its own, so that Ctrl+C ends only the node, which then ends this. It
         # imports from where this process does, and not from the working directory.
         # The scene is in a file, because the system limits the length of an argument.
@@ -70,9 +70,9 @@ class Feed:
         os.set_blocking(self._stream.fileno(), False)
         self._due = 0.0
 
-    def offer(self, now: float, simulator: Simulator,
-              effort: Callable[[], tuple[float, float, float]]) -> None:
-        """Take a sample if one is due at the wall time `now` [s]; return at once."""
+    def send(self, now: float, simulator: Simulator,
+             effort: Callable[[], tuple[float, float, float]]) -> None:
+        """Send a sample if one is due at the wall time `now` [s]; return at once."""
         if now < self._due:
             return
         self._due = now + _PERIOD

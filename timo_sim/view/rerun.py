@@ -415,7 +415,7 @@ def _show(path, web):
                           '--png OUT.png for a picture or --save OUT.rrd for a file')
     port, web_port = _free_port(), _free_port()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    process = _viewer(subprocess.Popen, '--port', str(port), *(
+    process = _viewer('--port', str(port), *(
         ['--web-viewer', '--web-viewer-port', str(web_port)] if web else []), path)
     try:
         if web:
@@ -434,24 +434,12 @@ def picture(path: Path | str, png: Path | str, at: float | None = None,
     """
     Draw a rerun file to a picture, without a screen.
 
-    Parameters
-    ----------
-    path, png : str or Path
-    at : float, optional
-        Sim time [s]; by default the end.
-    size : tuple of int
-        Width and height of the window.
-    view : str, optional
-        Beginning of the name of the only view to draw.
-
-    Raises
-    ------
-    ViewerError
-
+    The picture is of the sim time `at` [s], by default the end; `size` is the width and height of
+    the window, `view` the beginning of the name of the only view to draw. Raises ViewerError.
     """
     from rerun.experimental import ViewerClient
     port = _free_port()
-    process = _viewer(subprocess.Popen, '--headless', '--port', str(port), '--window-size',
+    process = _viewer('--headless', '--port', str(port), '--window-size',
                       f'{size[0]}x{size[1]}', path, stderr=subprocess.PIPE, text=True)
     try:
         client = _until(
@@ -492,9 +480,9 @@ def stop(process: subprocess.Popen) -> None:
         process.wait()
 
 
-def _viewer(start, *arguments, **options):
+def _viewer(*arguments, **options):
     # The binary itself: its Python wrapper, when ended, would leave it running.
-    return start(
+    return subprocess.Popen(
         [Path(rerun_cli.__file__).with_name('rerun'), '--bind', _LOOPBACK, *arguments],
         env={'RUST_LOG': 'error', **os.environ}, **options)
 
