@@ -44,6 +44,25 @@ def fields_of(kind: Any) -> tuple[Field, ...]:
         each for each in get_args(hint)[1:] if each is not int)) for name, hint in hints.items())
 
 
+def local_arrays(kind: Any, like: Any) -> Any:
+    """
+    Return new work arrays, not initialised, for the current call of a compiled function.
+
+    They must not outlive the function that makes them. `emit` makes the code; here it is what
+    Python would do.
+
+    Parameters
+    ----------
+    kind : type
+        A NamedTuple whose annotations say what the arrays are, as those of constants do.
+    like : packed constants
+        The arrays are of lanes if these are.
+
+    """
+    return kind(*(np.empty([like.sizes.get(dim, dim) for dim in field.dims])
+                  for field in fields_of(kind)))
+
+
 class _Layout(NamedTuple):
     sizes: dict[str, int]
     shapes: list[tuple[int, ...]]  # of the fields in a block, padded, without lanes

@@ -31,7 +31,7 @@ from numba.core.typing.templates import (
 from numba.extending import typeof_impl
 
 from timo_sim.compiled import functions
-from timo_sim.compiled.constants import fields_of
+from timo_sim.compiled.constants import fields_of, local_arrays
 from timo_sim.compiled.functions import Array, Constants, Declaration, Function
 from timo_sim.compiled.lanes import LANES, MASK, SHARED, spread, VECTOR, WIDTH
 
@@ -236,7 +236,10 @@ class _Local(AbstractTemplate):
 
 @lower_builtin(functions.local, types.Any)
 def _local(context, builder, sig, arguments):
-    view = sig.return_type
+    return _allocate(builder, sig.return_type)
+
+
+def _allocate(builder, view):
     with builder.goto_entry_block():
         size = ir.Constant(_WORD, 1)
         for dim in view.dims:
@@ -244,6 +247,21 @@ def _local(context, builder, sig, arguments):
         place = builder.alloca(_stored(view.element), size)
         place.align = 64
     return place
+
+
+@infer_global(local_arrays)
+class _LocalArrays(AbstractTemplate):
+    def generic(self, given, _):
+        kind, like = given[0].instance_class, given[1]
+        number = types.float64 if like.number == types.float64 else LANES
+        views = [View(number, field.dims) for field in fields_of(kind)]
+        return signature(containers.BaseTuple.from_types(views, kind), *given)
+
+
+@lower_builtin(local_arrays, types.NamedTupleClass, Block)
+def _local_arrays(context, builder, sig, arguments):
+    return context.make_tuple(builder, sig.return_type,
+                              [_allocate(builder, view) for view in sig.return_type.types])
 
 
 def _vector_function(name):
@@ -299,20 +317,34 @@ def _some(context, builder, sig, arguments):
     return builder.icmp_unsigned('!=', bits, ir.Constant(bits.type, 0))
 
 
+def _view_of_vectors(view):
+    if view.element != types.float64:
+        return view
+    *first, last = view.dims
+    return View(LANES, (*first, f'{last}/{WIDTH}' if isinstance(last, str) else last // WIDTH))
+
+
 @infer_global(functions.as_vectors)
 class _AsVectors(AbstractTemplate):
     def generic(self, given, _):
-        view = given[0]
-        if view.element != types.float64:
-            return signature(view, view)
-        *first, last = view.dims
-        last = f'{last}/{WIDTH}' if isinstance(last, str) else last // WIDTH
-        return signature(View(LANES, (*first, last)), view)
+        if isinstance(given[0], View):
+            return signature(_view_of_vectors(given[0]), *given)
+        views = [_view_of_vectors(view) if str(view.dims[-1]).startswith('padded') else view
+                 for view in given[0].types]
+        return signature(containers.BaseTuple.from_types(views, given[0].instance_class), *given)
 
 
 @lower_builtin(functions.as_vectors, View)
 def _as_vectors(context, builder, sig, arguments):
     return builder.bitcast(arguments[0], context.get_value_type(sig.return_type))
+
+
+@lower_builtin(functions.as_vectors, containers.BaseNamedTuple)
+def _all_as_vectors(context, builder, sig, arguments):
+    pointers = cgutils.unpack_tuple(builder, arguments[0])
+    return context.make_tuple(builder, sig.return_type, [
+        builder.bitcast(pointer, context.get_value_type(view))
+        for pointer, view in zip(pointers, sig.return_type.types)])
 
 
 @infer_global(functions.sum_of)

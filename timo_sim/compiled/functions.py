@@ -136,7 +136,8 @@ def as_vectors(array: Any) -> Any:
     """
     Return an array of floats as one of vectors of WIDTH numbers; what is one stays as it is.
 
-    The length of its last axis is a multiple of WIDTH.
+    The length of its last axis is a multiple of WIDTH. In a NamedTuple of `local_arrays` this is
+    done with each array whose last axis is padded.
     """
     return array.reshape(*array.shape[:-1], -1, WIDTH)
 

@@ -23,6 +23,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.functions import as_vectors, floor, inner, local, separate, some, sum_of
 from timo_sim.model import functions
 from timo_sim.model.functions import sincos
@@ -79,21 +80,20 @@ def _half(tables):
 
 
 class Work(NamedTuple):
-    """Work arrays of a rate; those at nodes are vectors, see `as_vectors`."""
+    """Work arrays of a rate; functions get them as vectors, see `as_vectors`."""
 
-    coordinate: np.ndarray  # q, (1 + N,)
-    speed: np.ndarray       # q', (1 + N,)
-    factors: np.ndarray     # L and 1/D of the mass matrix, where they are needed, (1 + N, 1 + N)
-    cosine: np.ndarray      # of phi, (n_g,)
-    sine: np.ndarray
-    a: np.ndarray           # slopes of the centre line (T23), (n_g,)
-    b: np.ndarray
-    numbers_1: np.ndarray   # C1 and C2 (T24) as single numbers, (1 + N, n_g)
-    numbers_2: np.ndarray
-    c1: np.ndarray          # the same as vectors
-    c2: np.ndarray
-    image_1: np.ndarray     # K C1, K C2 (T26), (1 + N, n_g)
-    image_2: np.ndarray
+    coordinate: Annotated[np.ndarray, 'coordinates']            # q
+    speed: Annotated[np.ndarray, 'coordinates']                 # q'
+    # L and 1/D of the mass matrix, where they are needed.
+    factors: Annotated[np.ndarray, 'coordinates', 'coordinates']
+    cosine: Annotated[np.ndarray, 'padded_nodes']               # of phi
+    sine: Annotated[np.ndarray, 'padded_nodes']
+    a: Annotated[np.ndarray, 'padded_nodes']                    # slopes of the centre line (T23)
+    b: Annotated[np.ndarray, 'padded_nodes']
+    c1: Annotated[np.ndarray, 'coordinates', 'padded_nodes']    # C1, C2 (T24)
+    c2: Annotated[np.ndarray, 'coordinates', 'padded_nodes']
+    image_1: Annotated[np.ndarray, 'coordinates', 'padded_nodes']  # K C1, K C2 (T26)
+    image_2: Annotated[np.ndarray, 'coordinates', 'padded_nodes']
 
 
 # Slopes of the centre line and their derivatives, (T22) to (T24).
@@ -128,9 +128,11 @@ def _set_slopes(tables, state, load, work):
 # Mass matrix and speeds, (T26) and (T31).
 
 @separate
-def _set_speed(tables, state, load, work):
+def _set_speed(tables, state, load, numbers, work):
     """
     Set the images K C1, K C2 and q', the solution of M q' = p (T26), (T31).
+
+    `numbers` are the work arrays as single numbers, `work` the same as vectors.
 
     The kernel K turns slopes at the nodes into forces on them: it integrates accelerations of the
     slopes to the points of mass, takes those of the mass centre away along an axis on which the
@@ -146,8 +148,8 @@ def _set_speed(tables, state, load, work):
             total_1 = 0.0
             total_2 = 0.0
             for k in range(kernel.shape[1]):  # K is symmetric
-                total_1 += work.numbers_1[i, k] * kernel[0, k, j]
-                total_2 += work.numbers_2[i, k] * kernel[len(kernel) - 1, k, j]
+                total_1 += numbers.c1[i, k] * kernel[0, k, j]
+                total_2 += numbers.c2[i, k] * kernel[len(kernel) - 1, k, j]
             image_1[i, j] = total_1
             image_2[i, j] = total_2
     # The lower triangle of M_ij = Xi_ij + C1_i K C1_j + C2_i K C2_j.
@@ -303,14 +305,10 @@ def _set_moments(tables, load, torque, forces, work, script_a, script_b):
 def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
     rows, across = tables.rotation, tables.to_centre
-    numbers_1, numbers_2 = local((rows, across)), local((rows, across))
-    work = Work(
-        local((rows,)), local((rows,)), local((rows, rows)), as_vectors(local((across,))),
-        as_vectors(local((across,))), as_vectors(local((across,))), as_vectors(local((across,))),
-        numbers_1, numbers_2, as_vectors(numbers_1), as_vectors(numbers_2),
-        as_vectors(local((rows, across))), as_vectors(local((rows, across))))
+    numbers = local_arrays(Work, tables)
+    work = as_vectors(numbers)
     _set_slopes(tables, state, load, work)
-    _set_speed(tables, state, load, work)
+    _set_speed(tables, state, load, numbers, work)
     rotation, shear = as_vectors(rows), as_vectors(tables.shear)
     count, nodes = rotation.shape
     driven, half = count - len(tables.straight), _half(tables)
@@ -350,14 +348,10 @@ def _rate(tables, state, load, out):
 def _observe(tables, state, load, out):
     """Write the motion of a state: the carrier's from the mass centre's (T25), and q'."""
     rows, across = tables.rotation, tables.to_centre
-    numbers_1, numbers_2 = local((rows, across)), local((rows, across))
-    work = Work(
-        local((rows,)), local((rows,)), local((rows, rows)), as_vectors(local((across,))),
-        as_vectors(local((across,))), as_vectors(local((across,))), as_vectors(local((across,))),
-        numbers_1, numbers_2, as_vectors(numbers_1), as_vectors(numbers_2),
-        as_vectors(local((rows, across))), as_vectors(local((rows, across))))
+    numbers = local_arrays(Work, tables)
+    work = as_vectors(numbers)
     _set_slopes(tables, state, load, work)
-    _set_speed(tables, state, load, work)
+    _set_speed(tables, state, load, numbers, work)
     to_centre, half = as_vectors(across), len(out) // 2
     for i in range(len(rows)):
         out[2 + i] = work.coordinate[i]
@@ -375,54 +369,53 @@ def _observe(tables, state, load, out):
         out[half + axis] = _carrier_speed(tables, state, k, derivative, work.speed)
 
 
+@inner
+def _fields(tables, values, begin, first, j):
+    """
+    Return rotation, shear strain and axial strain at nodes j; of rates or accelerations theirs.
+
+    `values[begin + i]` belongs to the i-th coordinate; coordinates before `first` do not count.
+    """
+    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
+    stretch = as_vectors(tables.stretch)
+    count = len(rotation)
+    axial = count - len(stretch)
+    phi, gamma, strain = 0.0, 0.0, 0.0
+    for i in range(first, count):
+        phi += values[begin + i] * rotation[i, j]
+        gamma += values[begin + i] * shear[i, j]
+    for i in range(axial, count):
+        strain += values[begin + i] * stretch[i - axial, j]
+    return phi, gamma, strain
+
+
 @functions.tip.of(Tables)
 def _tip(tables, motion, out):
     """Write the tip's position, the integral of the slopes, and rotation from the shaft."""
-    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
-    stretch, to_tip = as_vectors(tables.stretch), as_vectors(tables.to_tip)
-    count, nodes = rotation.shape
-    axial = count - len(stretch)
+    to_tip = as_vectors(tables.to_tip)
     along = 0.0
     across = 0.0
-    for j in range(nodes):
-        phi = 0.0
-        gamma = 0.0
-        strain = 0.0
-        for i in range(1, count):
-            phi += motion[2 + i] * rotation[i, j]
-            gamma += motion[2 + i] * shear[i, j]
-        for i in range(axial, count):
-            strain += motion[2 + i] * stretch[i - axial, j]
+    for j in range(len(to_tip)):
+        phi, gamma, strain = _fields(tables, motion, 2, 1, j)
         sine, cosine = sincos(phi)
         along += (cosine - gamma * sine + strain * cosine) * to_tip[j]
         across += (sine + gamma * cosine + strain * sine) * to_tip[j]
     out[0] = sum_of(along, tables.to_tip)
     out[1] = sum_of(across, tables.to_tip)
     out[2] = 0.0
-    for i in range(1, count):
+    for i in range(1, len(tables.rotation)):
         out[2] += motion[2 + i] * tables.tip_rotation[i]
 
 
 @functions.tip_rate.of(Tables)
 def _tip_rate(tables, motion, out):
     """Write the rate of the tip's place, the integral of the slopes' rates."""
-    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
-    stretch, to_tip = as_vectors(tables.stretch), as_vectors(tables.to_tip)
-    count, nodes = rotation.shape
-    axial, rates = count - len(stretch), len(motion) // 2
+    to_tip, rates = as_vectors(tables.to_tip), len(motion) // 2
     along = 0.0
     across = 0.0
-    for j in range(nodes):
-        phi, gamma, strain = 0.0, 0.0, 0.0
-        turning, shearing, stretching = 0.0, 0.0, 0.0
-        for i in range(1, count):
-            phi += motion[2 + i] * rotation[i, j]
-            gamma += motion[2 + i] * shear[i, j]
-            turning += motion[rates + 2 + i] * rotation[i, j]
-            shearing += motion[rates + 2 + i] * shear[i, j]
-        for i in range(axial, count):
-            strain += motion[2 + i] * stretch[i - axial, j]
-            stretching += motion[rates + 2 + i] * stretch[i - axial, j]
+    for j in range(len(to_tip)):
+        phi, gamma, strain = _fields(tables, motion, 2, 1, j)
+        turning, shearing, stretching = _fields(tables, motion, rates + 2, 1, j)
         sine, cosine = sincos(phi)
         a = cosine - gamma * sine + strain * cosine
         b = sine + gamma * cosine + strain * sine
@@ -431,34 +424,31 @@ def _tip_rate(tables, motion, out):
     out[0] = sum_of(along, tables.to_tip)
     out[1] = sum_of(across, tables.to_tip)
     out[2] = 0.0
-    for i in range(1, count):
+    for i in range(1, len(tables.rotation)):
         out[2] += motion[rates + 2 + i] * tables.tip_rotation[i]
 
 
 # Forces of constraints (T42) and energy, outside the step.
 
+class Slopes(NamedTuple):
+    """Work arrays of the slopes (T23), their rates and second derivatives at the nodes."""
+
+    a: Annotated[np.ndarray, 'padded_nodes']
+    b: Annotated[np.ndarray, 'padded_nodes']
+    rate_a: Annotated[np.ndarray, 'padded_nodes']
+    rate_b: Annotated[np.ndarray, 'padded_nodes']
+    second_a: Annotated[np.ndarray, 'padded_nodes']
+    second_b: Annotated[np.ndarray, 'padded_nodes']
+
+
 @inner
-def _set_slope_rates(tables, motion, accelerations, a, b, rate_a, rate_b, second_a, second_b):
-    """Set the slopes (T23), their rates and second derivatives, as vectors."""
-    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
-    stretch = as_vectors(tables.stretch)
-    count, nodes = rotation.shape
-    axial, rates = count - len(stretch), len(motion) // 2
-    for j in range(nodes):
-        phi, gamma, strain = 0.0, 0.0, 0.0
-        turning, shearing, stretching = 0.0, 0.0, 0.0
-        turn, shearing_2, stretching_2 = 0.0, 0.0, 0.0
-        for i in range(count):
-            phi += motion[2 + i] * rotation[i, j]
-            gamma += motion[2 + i] * shear[i, j]
-            turning += motion[rates + 2 + i] * rotation[i, j]
-            shearing += motion[rates + 2 + i] * shear[i, j]
-            turn += accelerations[2 + i] * rotation[i, j]
-            shearing_2 += accelerations[2 + i] * shear[i, j]
-        for i in range(axial, count):
-            strain += motion[2 + i] * stretch[i - axial, j]
-            stretching += motion[rates + 2 + i] * stretch[i - axial, j]
-            stretching_2 += accelerations[2 + i] * stretch[i - axial, j]
+def _set_slope_rates(tables, motion, accelerations, slopes):
+    a, b, rate_a, rate_b, second_a, second_b = as_vectors(slopes)
+    rates = len(motion) // 2
+    for j in range(len(a)):
+        phi, gamma, strain = _fields(tables, motion, 2, 0, j)
+        turning, shearing, stretching = _fields(tables, motion, rates + 2, 0, j)
+        turn, shearing_2, stretching_2 = _fields(tables, accelerations, 2, 0, j)
         sine, cosine = sincos(phi)
         a[j] = cosine - gamma * sine + strain * cosine
         b[j] = sine + gamma * cosine + strain * sine
@@ -500,12 +490,10 @@ def _dot(left, right):
 @functions.effort.of(Tables)
 def _effort(tables, motion, accelerations, load, out):
     """Write the rates of momentum and spin less those by loads on tip and arm."""
-    across, mass, to_centre = tables.to_centre, tables.mass, tables.to_centre
-    a, b, rate_a, rate_b = local((across,)), local((across,)), local((across,)), local((across,))
-    second_a, second_b = local((across,)), local((across,))
-    _set_slope_rates(
-        tables, motion, accelerations, as_vectors(a), as_vectors(b), as_vectors(rate_a),
-        as_vectors(rate_b), as_vectors(second_a), as_vectors(second_b))
+    mass, to_centre = tables.mass, tables.to_centre
+    slopes = local_arrays(Slopes, tables)
+    _set_slope_rates(tables, motion, accelerations, slopes)
+    a, b, _, _, second_a, second_b = slopes
     sine, cosine = sincos(motion[2])
     tip_x = load[TIP_X] + cosine * load[TIP_I] - sine * load[TIP_II]
     tip_y = load[TIP_Y] + sine * load[TIP_I] + cosine * load[TIP_II]
@@ -526,12 +514,10 @@ def _effort(tables, motion, accelerations, load, out):
 
 @functions.energy.of(Tables)
 def _energy(tables, motion, gravity):
-    across, mass, to_centre = tables.to_centre, tables.mass, tables.to_centre
-    a, b, rate_a, rate_b = local((across,)), local((across,)), local((across,)), local((across,))
-    unused_a, unused_b = local((across,)), local((across,))
-    _set_slope_rates(
-        tables, motion, motion, as_vectors(a), as_vectors(b), as_vectors(rate_a),
-        as_vectors(rate_b), as_vectors(unused_a), as_vectors(unused_b))
+    mass, to_centre = tables.mass, tables.to_centre
+    slopes = local_arrays(Slopes, tables)
+    _set_slope_rates(tables, motion, motion, slopes)  # second derivatives are not used
+    a, b, rate_a, rate_b, _, _ = slopes
     rates, count = len(motion) // 2, len(tables.rotary)
     x, y = motion[rates], motion[rates + 1]
     twice = (mass * (x * x + y * y)

@@ -14,7 +14,6 @@ any other; static shapes and axial modes can follow them. The order is that of d
 section 2: closed form (T5) to (T7), Legendre-Galerkin (T8), static shapes (T9); axial modes (T34).
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 import functools
 import math
@@ -28,9 +27,9 @@ from timo_sim.compiled.functions import Array, Constants, magnitude, square_root
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
 
 
-class Modes(ABC):
+class Modes:
     """
-    Mode shapes, mass-normalised as in doc/theory.md (T3).
+    Mode shapes, mass-normalised as in doc/theory.md (T3); a field that is not defined is zero.
 
     Attributes
     ----------
@@ -44,21 +43,21 @@ class Modes(ABC):
     def __len__(self) -> int:
         return len(self.omega)
 
-    @abstractmethod
     def deflection(self, xi: np.ndarray) -> np.ndarray:
         """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
+        return np.zeros((len(xi), len(self)))
 
-    @abstractmethod
     def rotation(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        return np.zeros((len(xi), len(self)))
 
-    @abstractmethod
     def curvature(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
+        return np.zeros((len(xi), len(self)))
 
-    @abstractmethod
     def shear(self, xi: np.ndarray) -> np.ndarray:
         """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        return np.zeros((len(xi), len(self)))
 
     def stretch(self, xi: np.ndarray) -> np.ndarray:
         """Return the axial strain E_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
@@ -69,27 +68,46 @@ class Modes(ABC):
         return np.zeros((len(xi), len(self)))
 
 
+class JoinedModes(Modes):
+    """Modes of one set, followed by those of another."""
+
+    def __init__(self, *parts: Modes) -> None:
+        self._parts = parts
+        self.omega = np.concatenate([part.omega for part in parts])
+
+    def deflection(self, xi: np.ndarray) -> np.ndarray:
+        """Return W_n(xi), see `Modes`."""
+        return np.hstack([part.deflection(xi) for part in self._parts])
+
+    def rotation(self, xi: np.ndarray) -> np.ndarray:
+        """Return Phi_n(xi), see `Modes`."""
+        return np.hstack([part.rotation(xi) for part in self._parts])
+
+    def curvature(self, xi: np.ndarray) -> np.ndarray:
+        """Return Phi_n'(xi), see `Modes`."""
+        return np.hstack([part.curvature(xi) for part in self._parts])
+
+    def shear(self, xi: np.ndarray) -> np.ndarray:
+        """Return (W_n' - Phi_n)(xi), see `Modes`."""
+        return np.hstack([part.shear(xi) for part in self._parts])
+
+    def stretch(self, xi: np.ndarray) -> np.ndarray:
+        """Return E_n(xi), see `Modes`."""
+        return np.hstack([part.stretch(xi) for part in self._parts])
+
+    def displacement(self, xi: np.ndarray) -> np.ndarray:
+        """Return the integral of E_n, see `Modes`."""
+        return np.hstack([part.displacement(xi) for part in self._parts])
+
+
 @functools.lru_cache(maxsize=16)
-def modes_of(manipulator: Manipulator, count: int,
-             static: tuple[str, ...] = ()) -> Modes:
+def modes_of(manipulator: Manipulator, count: int, static: tuple[str, ...] = ()) -> Modes:
     """
     Return the lowest modes of a manipulator's arm, both spectra together.
 
-    They are cached, because the check of a scene and its run ask for the same modes.
-
-    Parameters
-    ----------
-    manipulator : Manipulator
-    count : int
-        Number of modes N.
-    static : tuple of str
-        Loads on the tip, 'force' or 'torque', whose static shapes replace the last modes.
-
-    Returns
-    -------
-    Modes
-        The closed form for a uniform arm.
-
+    They are cached, because the check of a scene and its run ask for the same modes. Those of a
+    uniform arm have a closed form. `static` are loads on the tip, 'force' or 'torque', whose
+    static shapes replace the last modes.
     """
     if count and static:
         static = static[:count]
@@ -105,25 +123,8 @@ class UniformModes(Modes):
 
     Each is the sum of four waves, see `_waves`. The curvature of a mode is positive at the root.
 
-    Source: paper eqs. (8)-(19), (23).
-
-    Parameters
-    ----------
-    manipulator : Manipulator
-        With a uniform arm.
-    count : int
-        Number of modes N.
-
-    Attributes
-    ----------
-    omega : ndarray, shape (N,)
-        Angular eigenfrequencies, ascending [rad/s].
-
-    Raises
-    ------
-    ValueError
-        If two eigenfrequencies are too close to be separated.
-
+    `omega` is ascending. Source: paper eqs. (8)-(19), (23). Raises ValueError if two
+    eigenfrequencies are too close to be separated.
     """
 
     def __init__(self, manipulator: Manipulator, count: int) -> None:
@@ -149,19 +150,19 @@ class UniformModes(Modes):
         self._shape *= (sign / np.sqrt(modal_mass))[:, np.newaxis]
 
     def deflection(self, xi: np.ndarray) -> np.ndarray:
-        """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
+        """Return W_n(xi), see `Modes`."""
         return self._fields(xi)[0]
 
     def rotation(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        """Return Phi_n(xi), see `Modes`."""
         return self._fields(xi)[1]
 
     def curvature(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
+        """Return Phi_n'(xi), see `Modes`."""
         return self._fields(xi)[2]
 
     def shear(self, xi: np.ndarray) -> np.ndarray:
-        """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
+        """Return (W_n' - Phi_n)(xi), see `Modes`."""
         return self._fields(xi)[3]
 
     def _fields(self, xi):
@@ -405,63 +406,64 @@ def fields(arm, omega, count, shape, xi, points, out):
                 out[row, 3] -= shape[n, j] * nu * integral[j]
 
 
-class GalerkinModes(Modes):
+class StrainModes(Modes):
+    """
+    Bending modes given by their curvature and shear strain at the nodes of a quadrature.
+
+    Strains are polynomials in each span on which the section is smooth; rotation and deflection
+    are their integrals from the clamped root, so they are continuous where spans meet. The slope
+    is integrated by its values at the nodes of `fine`, by default those of the strains.
+    """
+
+    def __init__(self, omega: np.ndarray, strains: Quadrature, curvature: np.ndarray,
+                 shear: np.ndarray, fine: Quadrature | None = None) -> None:
+        self.omega, self._strains, self._fine = omega, strains, fine
+        self._curvature, self._shear = curvature, shear
+
+    def deflection(self, xi: np.ndarray) -> np.ndarray:
+        """Return W_n(xi), see `Modes`."""
+        fine = self._fine or self._strains
+        shear = self.shear(fine.nodes) if self._fine else self._shear
+        return fine.integrate_to(xi) @ (self.rotation(fine.nodes) + shear)
+
+    def rotation(self, xi: np.ndarray) -> np.ndarray:
+        """Return Phi_n(xi), see `Modes`."""
+        return self._strains.integrate_to(xi) @ self._curvature
+
+    def curvature(self, xi: np.ndarray) -> np.ndarray:
+        """Return Phi_n'(xi), see `Modes`."""
+        return self._strains.interpolate_to(xi) @ self._curvature
+
+    def shear(self, xi: np.ndarray) -> np.ndarray:
+        """Return (W_n' - Phi_n)(xi), see `Modes`."""
+        return self._strains.interpolate_to(xi) @ self._shear
+
+
+class GalerkinModes(StrainModes):
     """
     The lowest modes, mass-normalised, of an arm whose section may vary along it.
 
-    Curvature and shear strain are polynomials in each span on which the section is smooth, given
-    by their values at Gauss-Legendre nodes; rotation and deflection are their integrals from
-    the clamped root, so they are continuous where spans meet. With the strain energy
-    `|c|^2 / 2` of scaled nodal strains c and the kinetic energy `|G c'|^2 / 2`, the singular
-    values of G are 1/omega_n. Round-off of the largest costs omega_n a factor omega_n / omega_1
-    in relative accuracy; eigenvalues of G^T G would cost its square. The curvature of a mode is
-    positive at the root.
+    With the strain energy `|c|^2 / 2` of scaled nodal strains c and the kinetic energy
+    `|G c'|^2 / 2`, the singular values of G are 1/omega_n. Round-off of the largest costs omega_n
+    a factor omega_n / omega_1 in relative accuracy; eigenvalues of G^T G would cost its square.
+    The curvature of a mode is positive at the root; `omega` is ascending.
 
     Source: weak form of the paper's (1), (2) with M, J of its Remark 1; doc/theory.md (T8).
-
-    Parameters
-    ----------
-    manipulator : Manipulator
-    count : int
-        Number of modes N.
-
-    Attributes
-    ----------
-    omega : ndarray, shape (N,)
-        Angular eigenfrequencies, ascending [rad/s].
-
     """
 
     def __init__(self, manipulator: Manipulator, count: int) -> None:
         # Two nodes for each mode give 1e-12 at the fortieth mode of a slender arm; the others are
         # a margin for a heavy tip or a strong taper.
         terms = 2 * count + 30
-        self._strains, self._fields = _operators(tuple(manipulator.arm.breaks.tolist()), terms)[:2]
+        strains, fine = _operators(tuple(manipulator.arm.breaks.tolist()), terms)[:2]
         (_, singular, rows), bend, shear = _strain_modes(manipulator, terms)
-        self.omega = 1.0 / singular[:count]
-        scaled = rows[:count].T * self.omega
-        self._curvature = scaled[:len(bend)] * bend[:, np.newaxis]
-        self._shear = scaled[len(bend):] * shear[:, np.newaxis]
+        omega = 1.0 / singular[:count]
+        scaled = rows[:count].T * omega
+        super().__init__(omega, strains, scaled[:len(bend)] * bend[:, np.newaxis],
+                         scaled[len(bend):] * shear[:, np.newaxis], fine)
         sign = np.sign(self.curvature(np.zeros(1))[0])
         self._curvature *= sign
         self._shear *= sign
-
-    def deflection(self, xi: np.ndarray) -> np.ndarray:
-        """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
-        nodes = self._fields.nodes
-        return self._fields.integrate_to(xi) @ (self.rotation(nodes) + self.shear(nodes))
-
-    def rotation(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return self._strains.integrate_to(xi) @ self._curvature
-
-    def curvature(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
-        return self._strains.interpolate_to(xi) @ self._curvature
-
-    def shear(self, xi: np.ndarray) -> np.ndarray:
-        """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return self._strains.interpolate_to(xi) @ self._shear
 
 
 @functools.lru_cache(maxsize=8)
@@ -511,33 +513,18 @@ def frequencies(manipulator: Manipulator, count: int) -> np.ndarray:
     return 1.0 / _strain_modes(manipulator, 2 * count + 8, vectors=False)[0][:count]
 
 
-class StaticModes(Modes):
+class StaticModes(JoinedModes):
     """
     Eigenmodes, then residual static shapes, all normalised as in doc/theory.md (T3).
 
     A residual is a static shape less its share in the eigenmodes. It is orthogonal to them in mass
     and stiffness, and therefore a further mode with the frequency of Rayleigh's quotient (T9).
-
-    Parameters
-    ----------
-    manipulator : Manipulator
-    modes : Modes
-        The eigenmodes.
-    loads : sequence of str
-        Of 'force', 'torque', 'weight'.
-
-    Attributes
-    ----------
-    omega : ndarray, shape (N,)
-        Angular frequencies of the eigenmodes, then of the static shapes [rad/s].
-
+    `loads` are of 'force', 'torque' and 'weight'.
     """
 
-    def __init__(self, manipulator: Manipulator, modes: Modes,
-                 loads: Sequence[str]) -> None:
+    def __init__(self, manipulator: Manipulator, modes: Modes, loads: Sequence[str]) -> None:
         arm = manipulator.arm
-        self._modes = modes
-        self._rule = rule = Quadrature(arm.breaks, 4 * len(modes) + 40)
+        rule = Quadrature(arm.breaks, 4 * len(modes) + 40)
         section = arm.at(rule.nodes)
         bending, shearing = (np.broadcast_to(stiffness, rule.nodes.shape)[:, np.newaxis]
                              for stiffness in (section.bending_stiffness, section.shear_stiffness))
@@ -551,38 +538,18 @@ class StaticModes(Modes):
                      + sheared.T @ (weights * shearing * shear)) / modes.omega[:, np.newaxis]**2
             curvature, shear = curvature - bent @ share, shear - sheared @ share
         # The residuals of two loads are also uncoupled from each other, and normalised.
-        self._curvature, self._shear = curvature, shear
+        residuals = StrainModes(np.zeros(len(loads)), rule, curvature, shear)
         mass, inertia = manipulator.inertia(rule)
-        deflection, rotation = (field(rule.points)[:, len(modes):] for field in (
-            self.deflection, self.rotation))
+        deflection, rotation = residuals.deflection(rule.points), residuals.rotation(rule.points)
         kinetic = (deflection.T * mass) @ deflection + (rotation.T * inertia) @ rotation
         strain = (curvature.T @ (weights * bending * curvature)
                   + shear.T @ (weights * shearing * shear))
         inverse = np.linalg.inv(np.linalg.cholesky(strain))
         squares, vectors = np.linalg.eigh(inverse @ kinetic @ inverse.T)
-        self.omega = np.append(modes.omega, 1.0 / np.sqrt(squares[::-1]))
+        omega = 1.0 / np.sqrt(squares[::-1])
         vectors = (inverse.T @ vectors / np.sqrt(squares))[:, ::-1]
         vectors *= np.sign((rule.interpolate_to(np.zeros(1)) @ curvature @ vectors)[0])
-        self._curvature, self._shear = curvature @ vectors, shear @ vectors
-
-    def deflection(self, xi: np.ndarray) -> np.ndarray:
-        """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
-        nodes = self._rule.integrate_to(self._rule.nodes) @ self._curvature + self._shear
-        return np.hstack([self._modes.deflection(xi), self._rule.integrate_to(xi) @ nodes])
-
-    def rotation(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return np.hstack([self._modes.rotation(xi),
-                          self._rule.integrate_to(xi) @ self._curvature])
-
-    def curvature(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
-        return np.hstack([self._modes.curvature(xi),
-                          self._rule.interpolate_to(xi) @ self._curvature])
-
-    def shear(self, xi: np.ndarray) -> np.ndarray:
-        """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return np.hstack([self._modes.shear(xi), self._rule.interpolate_to(xi) @ self._shear])
+        super().__init__(modes, StrainModes(omega, rule, curvature @ vectors, shear @ vectors))
 
 
 def _outboard(manipulator, rule):
@@ -596,83 +563,51 @@ def _outboard(manipulator, rule):
             'weight': ((rule.integrate_to(rule.points[-1:]) - inner) @ weight, weight)}
 
 
-class AxialModes(Modes):
+class _Stretches(Modes):
+    # Modes given by their axial strain at the nodes of a quadrature.
+
+    def __init__(self, omega, strains, stretch):
+        self.omega, self._strains, self._stretch = omega, strains, stretch
+
+    def stretch(self, xi):
+        return self._strains.interpolate_to(xi) @ self._stretch
+
+    def displacement(self, xi):
+        return self._strains.integrate_to(xi) @ self._stretch
+
+
+class AxialModes(JoinedModes):
     """
     Bending modes, followed by axial modes of the same arm with its end effector.
 
-    Fields have a column for each mode. Axial modes have no deflection, rotation or shear; bending
-    modes have no stretch. The first eigenmode of the rod misses 1.4 % of the lengthening of a
-    uniform arm that turns. The axial modes therefore span the responses to loads: to centrifugal
-    forces, to an acceleration along the arm, then to the inertia of earlier responses. They are
-    orthogonal and normalised as the bending modes are (T3).
+    Axial modes have no deflection, rotation or shear; bending modes have no stretch. The first
+    eigenmode of the rod misses 1.4 % of the lengthening of a uniform arm that turns. The axial
+    modes therefore span the responses to loads: to centrifugal forces, to an acceleration along
+    the arm, then to the inertia of earlier responses. They are orthogonal and normalised as the
+    bending modes are (T3), and both sets are in ascending order.
+
+    The constraints set the centre of rotation for the centrifugal forces: the root if the carrier
+    is held, the mass centre if it is free, the point half-way between if one axis is held.
 
     Source: load-dependent Ritz vectors, Wilson, Yuan and Dickens, Earthquake Eng. Struct. Dyn. 10
-    (1982) 813-821; strains at Gauss nodes and singular values as in the method above.
-
-    Parameters
-    ----------
-    bending : Modes
-        N modes.
-    manipulator : Manipulator
-    count : int
-        Number of axial modes A.
-    constraints : Constraints
-        They set the centre of rotation for the centrifugal forces: the root if the carrier is
-        held, the mass centre if it is free, the point half-way between if one axis is held.
-
-    Attributes
-    ----------
-    omega : ndarray, shape (N + A,)
-        Angular frequencies of the bending modes, then of the axial ones, both ascending [rad/s].
-
+    (1982) 813-821; strains at Gauss nodes and singular values as in `GalerkinModes`.
     """
 
-    def __init__(self, bending: Modes,
-                 manipulator: Manipulator, count: int, constraints: Constraints) -> None:
+    def __init__(self, bending: Modes, manipulator: Manipulator, count: int,
+                 constraints: Constraints) -> None:
         terms, breaks = 2 * count + 30, manipulator.arm.breaks
-        self._bending, self._strains = bending, Quadrature(breaks, terms)
-        fine = Quadrature(breaks, terms, extra=3)
-        mass, section = manipulator.inertia(fine)[0], manipulator.arm.at(self._strains.nodes)
+        strains, fine = Quadrature(breaks, terms), Quadrature(breaks, terms, extra=3)
+        mass, section = manipulator.inertia(fine)[0], manipulator.arm.at(strains.nodes)
         free = 0.5 * len(constraints.free_axes)
         centre = free * (mass @ fine.points) / (manipulator.base_mass + mass.sum())
-        scale = 1.0 / np.sqrt(self._strains.weights * section.axial_stiffness)
+        scale = 1.0 / np.sqrt(strains.weights * section.axial_stiffness)
         root_mass = np.sqrt(mass)
-        matrix = root_mass[:, np.newaxis] * self._strains.integrate_to(fine.points) * scale
+        matrix = root_mass[:, np.newaxis] * strains.integrate_to(fine.points) * scale
         basis, loads = np.empty((len(scale), 0)), [root_mass * (fine.points - centre), root_mass]
         for number in range(count):
             basis = np.linalg.qr(np.column_stack([basis, matrix.T @ loads[number]]))[0]
             loads.append(matrix @ basis[:, number])
         _, singular, rows = np.linalg.svd(matrix @ basis, full_matrices=False)
-        self.omega = np.append(bending.omega, 1.0 / singular)
-        self._stretch = scale[:, np.newaxis] * (basis @ (rows.T / singular))
-        self._stretch *= np.sign(self._strains.interpolate_to([0.0]) @ self._stretch)
-
-    def deflection(self, xi: np.ndarray) -> np.ndarray:
-        """Return W_n(xi), shape (len(xi), N + A) [1/sqrt(kg)]."""
-        return self._before_axial(self._bending.deflection(xi))
-
-    def rotation(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n(xi), shape (len(xi), N + A) [1/(m sqrt(kg))]."""
-        return self._before_axial(self._bending.rotation(xi))
-
-    def curvature(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n'(xi), shape (len(xi), N + A) [1/(m2 sqrt(kg))]."""
-        return self._before_axial(self._bending.curvature(xi))
-
-    def shear(self, xi: np.ndarray) -> np.ndarray:
-        """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N + A) [1/(m sqrt(kg))]."""
-        return self._before_axial(self._bending.shear(xi))
-
-    def stretch(self, xi: np.ndarray) -> np.ndarray:
-        """Return the axial strain E_n(xi), shape (len(xi), N + A) [1/(m sqrt(kg))]."""
-        return self._after_bending(self._strains.interpolate_to(xi) @ self._stretch)
-
-    def displacement(self, xi: np.ndarray) -> np.ndarray:
-        """Return the integral of E_n from the root to xi, shape (len(xi), N + A) [1/sqrt(kg)]."""
-        return self._after_bending(self._strains.integrate_to(xi) @ self._stretch)
-
-    def _before_axial(self, fields):
-        return np.pad(fields, ((0, 0), (0, self._stretch.shape[1])))
-
-    def _after_bending(self, fields):
-        return np.pad(fields, ((0, 0), (len(self._bending), 0)))
+        stretch = scale[:, np.newaxis] * (basis @ (rows.T / singular))
+        stretch *= np.sign(strains.interpolate_to([0.0]) @ stretch)
+        super().__init__(bending, _Stretches(1.0 / singular, strains, stretch))

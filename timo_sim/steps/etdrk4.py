@@ -20,8 +20,9 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dgebal
 
+from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import entry_point
-from timo_sim.compiled.functions import Array, as_vectors, Constants, inner, local, strict
+from timo_sim.compiled.functions import Array, as_vectors, Constants, inner, strict
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import linear_part_is_valid, observe, rate
 from timo_sim.model.layout import (
@@ -214,25 +215,23 @@ def is_finite(vector):
 
 
 class Work(NamedTuple):
-    """Work arrays of a step, shape (m,) each."""
+    """Work arrays of a step. Cox and Matthews call the stages a, b and c."""
 
-    half: np.ndarray      # the start, propagated freely by half a step
-    third: np.ndarray     # the third stage, at the end of the step
-    combined: np.ndarray  # a sum of rates
-    rate_0: np.ndarray    # n at the start
-    rate_a: np.ndarray    # n in the middle, at the first stage
-    rate_b: np.ndarray    # n in the middle, at the second stage
-    rate_c: np.ndarray    # n at the end, at the third stage
+    now: Annotated[np.ndarray, 'padded_state']        # the state at the start
+    following: Annotated[np.ndarray, 'padded_state']  # a and b, then the state at the end
+    half: Annotated[np.ndarray, 'padded_state']       # the start, propagated freely by h/2
+    third: Annotated[np.ndarray, 'padded_state']      # c
+    combined: Annotated[np.ndarray, 'padded_state']   # a sum of rates
+    rate_0: Annotated[np.ndarray, 'padded_state']     # n at the start
+    rate_a: Annotated[np.ndarray, 'padded_state']     # n in the middle, at a
+    rate_b: Annotated[np.ndarray, 'padded_state']     # n in the middle, at b
+    rate_c: Annotated[np.ndarray, 'padded_state']     # n at the end, at c
 
 
 @inner
-def one_step(tables, propagator, now, start, middle, end, work, following):
-    """
-    Write the state one step after `now` (T36) to `following`.
-
-    `start`, `middle` and `end` are the loads that the stages see. Cox and Matthews call the stages
-    a, b and c. `following` holds a and b until the result is written to it.
-    """
+def one_step(tables, propagator, start, middle, end, work):
+    """Write the state one step after `now` (T36) to `following`; the stages see three loads."""
+    now, following = work.now, work.following
     rate(tables, now, start, work.rate_0)
 
     # a = e^(hL/2) y + h/2 phi_1(hL/2) n_0
@@ -304,10 +303,8 @@ def advance(tables, propagator, state, load, loads, count, sample_every, since, 
         the one for it.
 
     """
-    size = propagator.whole[0]
-    now, following = local((size,)), local((size,))
-    work = Work(local((size,)), local((size,)), local((size,)), local((size,)), local((size,)),
-                local((size,)), local((size,)))
+    work = local_arrays(Work, propagator)
+    now, following = work.now, work.following
     copy(state, now)
     k = 0
     while True:
@@ -317,7 +314,7 @@ def advance(tables, propagator, state, load, loads, count, sample_every, since, 
         if k == count:
             break
         start, middle, end = loads[k, START], loads[k, MIDDLE], loads[k, END]
-        one_step(tables, propagator, now, start, middle, end, work, following)
+        one_step(tables, propagator, start, middle, end, work)
         if not is_finite(following):
             break
         copy(work.rate_0, remainder)

@@ -21,7 +21,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import pack
+from timo_sim.compiled.constants import local_arrays, pack
 from timo_sim.compiled.entry import Call, entry_point
 from timo_sim.compiled.functions import Array, Constants, inner, local, square_root
 from timo_sim.model.formulation import Formulation
@@ -119,11 +119,29 @@ def steps_of(model: Formulation, step: float, friction: np.ndarray | None = None
     return Steps(model, step)
 
 
-# The linear model of a step (T40) says how its end depends on the friction. In the names of its
-# matrices mean and slope are R and R', speed is that at the end of the step, travel the way over
-# the duration of the step, and bend the e of a speed that is a parabola in time:
-# speed_per_mean = B, travel_per_mean = B_x, speed_per_slope = C, bend_per_slope = B_s;
-# drift = d, bend = e.
+class Trial(NamedTuple):
+    """Work arrays of a step by joint: its start, and its end in the last trial."""
+
+    start: Annotated[np.ndarray, 3]         # position at the start
+    speed: Annotated[np.ndarray, 3]         # speed at the start
+    end_speed: Annotated[np.ndarray, 3]
+    travel: Annotated[np.ndarray, 3]        # way over the duration of the step
+    mean: Annotated[np.ndarray, 3]          # R of the friction
+    slope: Annotated[np.ndarray, 3]         # R'
+    tried: Annotated[np.ndarray, 3]         # R of the trial before
+    end_friction: Annotated[np.ndarray, 3]  # friction at the end of the step
+
+
+class StepModel(NamedTuple):
+    """Work arrays of the linear model of a step (T40): how its end depends on the friction."""
+
+    drift: Annotated[np.ndarray, 3]               # d
+    bend: Annotated[np.ndarray, 3]                # e, of a speed that is a parabola in time
+    speed_per_mean: Annotated[np.ndarray, 3, 3]   # B, the speed at the end of the step per R
+    travel_per_mean: Annotated[np.ndarray, 3, 3]  # B_x
+    speed_per_slope: Annotated[np.ndarray, 3, 3]  # C, the same speed per R'
+    bend_per_slope: Annotated[np.ndarray, 3, 3]   # B_s
+
 
 @inner
 def _sign(value):
@@ -155,13 +173,12 @@ def _hold(direction, pull, mobility, room, friction):
 
 
 @inner
-def _follow(joints, start_speed, drift, bend, speed_per_mean, bend_per_slope, friction, mean,
-            slope):
+def _follow(joints, model, start_speed, drift, bend, friction, mean, slope):
     """
     Follow speeds that are parabolas from event to event through a step, (T39).
 
-    An event is that a joint comes to rest. `mean` and `slope` receive R and R' of the friction
-    over the step, `friction` its value at the end.
+    An event is that a joint comes to rest. `drift` and `bend` are d and e of (T39). `mean` and
+    `slope` receive R and R' of the friction over the step, `friction` its value at the end.
     """
     three = joints.limit
     speed, direction, pull = local((three,)), local((three,)), local((three,))
@@ -177,7 +194,7 @@ def _follow(joints, start_speed, drift, bend, speed_per_mean, bend_per_slope, fr
             pull[i] = drift[i] + 0.5 * (1.0 - left) * bend[i] + speed[i] / left
             if direction[i] != 0.0:
                 friction[i] = -joints.limit[i] * direction[i]
-        _hold(direction, pull, speed_per_mean, joints.limit, friction)
+        _hold(direction, pull, model.speed_per_mean, joints.limit, friction)
 
         # The first zero of a sliding joint's speed, speed + rate t + bend t^2 / 2, from now on; it
         # is written without the cancellation of a nearly straight parabola.
@@ -185,7 +202,7 @@ def _follow(joints, start_speed, drift, bend, speed_per_mean, bend_per_slope, fr
         for i in range(JOINTS):
             rate[i] = drift[i] + (0.5 - left) * bend[i]
             for j in range(JOINTS):
-                rate[i] += speed_per_mean[i, j] * friction[j]
+                rate[i] += model.speed_per_mean[i, j] * friction[j]
             root = square_root(rate[i] * rate[i] - 2.0 * bend[i] * speed[i])
             falling = root - direction[i] * rate[i]
             until = 2.0 * direction[i] * speed[i] / falling
@@ -206,7 +223,7 @@ def _follow(joints, start_speed, drift, bend, speed_per_mean, bend_per_slope, fr
     # within the limits. It acts over the last span only.
     for i in range(JOINTS):
         room[i] = 2.0 * (joints.limit[i] - abs(friction[i])) / span
-    _hold(direction, bend, bend_per_slope, room, held_slope)
+    _hold(direction, bend, model.bend_per_slope, room, held_slope)
     for i in range(JOINTS):
         slope[i] += span * span * span * held_slope[i]
         friction[i] += 0.5 * span * held_slope[i]
@@ -222,75 +239,74 @@ def _same(joints, mean, other):
 
 
 @inner
-def _fit_model(start_speed, end_speed, travel, speed_per_mean, travel_per_mean, mean, slope, drift,
-               bend, speed_per_slope, bend_per_slope):
+def _fit_model(trial, model):
     """Set the rest of the linear model (T40) from the last trial, whose friction was R, R'."""
     for i in range(JOINTS):
-        drift[i] = end_speed[i] - start_speed[i]
-        bend[i] = 6.0 * (start_speed[i] + end_speed[i]) - 12.0 * travel[i]
+        model.drift[i] = trial.end_speed[i] - trial.speed[i]
+        model.bend[i] = 6.0 * (trial.speed[i] + trial.end_speed[i]) - 12.0 * trial.travel[i]
         for j in range(JOINTS):
-            speed_per_slope[i, j] = travel_per_mean[i, j] - 0.5 * speed_per_mean[i, j]
-            bend_per_slope[i, j] = 6.4 * travel_per_mean[i, j] - 2.2 * speed_per_mean[i, j]
-            drift[i] -= speed_per_mean[i, j] * mean[j] + speed_per_slope[i, j] * slope[j]
-            bend[i] -= (bend_per_slope[i, j] * slope[j]
-                        - 12.0 * speed_per_slope[i, j] * mean[j])
+            speed_per_mean, travel_per_mean = (
+                model.speed_per_mean[i, j], model.travel_per_mean[i, j])
+            model.speed_per_slope[i, j] = travel_per_mean - 0.5 * speed_per_mean
+            model.bend_per_slope[i, j] = 6.4 * travel_per_mean - 2.2 * speed_per_mean
+            model.drift[i] -= (speed_per_mean * trial.mean[j]
+                               + model.speed_per_slope[i, j] * trial.slope[j])
+            model.bend[i] -= (model.bend_per_slope[i, j] * trial.slope[j]
+                              - 12.0 * model.speed_per_slope[i, j] * trial.mean[j])
 
 
 @inner
-def _solve_model(joints, start_speed, drift, bend, speed_per_mean, speed_per_slope, bend_per_slope,
-                 tried, end_friction, mean, slope):
+def _solve_model(joints, model, trial):
     """
     Set R and R' by the linear model, in rounds because each depends on the other.
 
     Return whether R is `tried`, that of the last trial, which then is the step.
     """
-    three = joints.limit
-    drift_now, bend_now = local((three,)), local((three,))
+    three, mean, tried = joints.limit, trial.mean, trial.tried
+    drift, bend = local((three,)), local((three,))
     next_slope, last = local((three,)), local((three,))
-    copy(slope, next_slope)
+    copy(trial.slope, next_slope)
     for _ in range(_ROUNDS):
         # (T40) has R' in the speed at the end, and R in the bend; (T39) has them in d and e.
         for i in range(JOINTS):
-            drift_now[i], bend_now[i] = drift[i], bend[i]
+            drift[i], bend[i] = model.drift[i], model.bend[i]
             for j in range(JOINTS):
-                drift_now[i] += speed_per_slope[i, j] * next_slope[j]
-                bend_now[i] -= 12.0 * speed_per_slope[i, j] * mean[j]
-            if abs(bend_now[i]) * joints.step <= 12.0 * _STILL:
-                bend_now[i] = 0.0
+                drift[i] += model.speed_per_slope[i, j] * next_slope[j]
+                bend[i] -= 12.0 * model.speed_per_slope[i, j] * mean[j]
+            if abs(bend[i]) * joints.step <= 12.0 * _STILL:
+                bend[i] = 0.0
         copy(mean, last)
-        copy(tried, end_friction)
-        _follow(joints, start_speed, drift_now, bend_now, speed_per_mean, bend_per_slope,
-                end_friction, mean, next_slope)
+        copy(tried, trial.end_friction)
+        _follow(joints, model, trial.speed, drift, bend, trial.end_friction, mean, next_slope)
         if _same(joints, mean, last):
             break
     solved = _same(joints, mean, tried)
     if solved:
         copy(tried, mean)
     else:
-        copy(next_slope, slope)
+        copy(next_slope, trial.slope)
     return solved
 
 
 @inner
-def _let_slide(joints, speed, mean, slope, end_friction):
+def _let_slide(joints, trial):
     """Set the friction of joints that slide through the whole step."""
     for i in range(JOINTS):
-        mean[i] = end_friction[i] = -joints.limit[i] * _sign(speed[i])
-        slope[i] = 0.0
+        trial.mean[i] = trial.end_friction[i] = -joints.limit[i] * _sign(trial.speed[i])
+        trial.slope[i] = 0.0
 
 
 @inner
-def _add_friction(loads, mean, slope, pushed):
+def _add_friction(loads, trial, pushed):
     """Set the loads of a step with friction at its start, middle and end."""
     for j in range(STAGES):
         copy(loads[j], pushed[j])
         for i in range(JOINTS):
-            pushed[j, COLUMNS[i]] += mean[i] + 0.5 * (j - 1) * slope[i]
+            pushed[j, COLUMNS[i]] += trial.mean[i] + 0.5 * (j - 1) * trial.slope[i]
 
 
 @inner
-def _note_trial(joints, trial, motion, start, speed, mean, tried, end_speed, travel,
-                speed_per_mean, travel_per_mean):
+def _note_trial(joints, model, trial, number, motion):
     """
     Set speeds and travels of a trial, by whose motion it ends; return whether all joints slid.
 
@@ -299,23 +315,25 @@ def _note_trial(joints, trial, motion, start, speed, mean, tried, end_speed, tra
     """
     rates, sliding = len(motion) // 2, True
     for i in range(JOINTS):
-        if 0 < trial <= JOINTS:
-            more = mean[trial - 1] - tried[trial - 1]
-            speed_per_mean[i, trial - 1] = (motion[rates + i] - end_speed[i]) / more
-            travel_per_mean[i, trial - 1] = (
-                (motion[i] - start[i]) / joints.step - travel[i]) / more
-        end_speed[i], travel[i] = motion[rates + i], (motion[i] - start[i]) / joints.step
-        sliding = sliding and (joints.limit[i] == 0.0 or end_speed[i] * speed[i] > 0.0)
+        end_speed = motion[rates + i]
+        travel = (motion[i] - trial.start[i]) / joints.step
+        if 0 < number <= JOINTS:
+            more = trial.mean[number - 1] - trial.tried[number - 1]
+            model.speed_per_mean[i, number - 1] = (end_speed - trial.end_speed[i]) / more
+            model.travel_per_mean[i, number - 1] = (travel - trial.travel[i]) / more
+        trial.end_speed[i], trial.travel[i] = end_speed, travel
+        sliding = sliding and (joints.limit[i] == 0.0 or end_speed * trial.speed[i] > 0.0)
     return sliding
 
 
 @inner
-def _add_heat(joints, motion, start, speed, mean, slope, memory):
+def _add_heat(joints, motion, trial, memory):
     """Add the heat of friction in a step that ends with a motion."""
     rates = len(motion) // 2
     for i in range(JOINTS):
-        memory[_HEAT] -= (mean[i] * (motion[i] - start[i])
-                          + slope[i] * joints.step * (motion[rates + i] - speed[i]) / 12.0)
+        memory[_HEAT] -= (
+            trial.mean[i] * (motion[i] - trial.start[i])
+            + trial.slope[i] * joints.step * (motion[rates + i] - trial.speed[i]) / 12.0)
 
 
 @entry_point(tables=Constants(), propagator=Constants(), joints=Constants(), memory=Array((4,)),
@@ -338,65 +356,52 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
         Receives the heat with each sample; see `etdrk4.advance` for the others.
 
     """
-    size, three = propagator.whole[0], joints.limit
-    now, following = local((size,)), local((size,))
-    work = Work(local((size,)), local((size,)), local((size,)), local((size,)), local((size,)),
-                local((size,)), local((size,)))
-    # Positions and speeds at the start of a step, speeds and travels at the end of a trial.
-    start, speed = local((three,)), local((three,))
-    end_speed, travel = local((three,)), local((three,))
-    # R and R' of a trial, R of the one before, and the friction at the end of the step.
-    mean, slope, tried = local((three,)), local((three,)), local((three,))
-    end_friction = local((three,))
-    drift, bend = local((three,)), local((three,))
-    speed_per_mean, travel_per_mean = local((three, three)), local((three, three))
-    speed_per_slope, bend_per_slope = local((three, three)), local((three, three))
+    work, trial = local_arrays(Work, propagator), local_arrays(Trial, joints)
+    now, following, model = work.now, work.following, local_arrays(StepModel, joints)
     motion, pushed = joints.motion, joints.pushed
     for i in range(JOINTS):
         for j in range(JOINTS):
             # They stay zero for joints without friction.
-            speed_per_mean[i, j] = travel_per_mean[i, j] = 0.0
+            model.speed_per_mean[i, j] = model.travel_per_mean[i, j] = 0.0
     copy(state, now)
     k = 0
     while True:
         observe(tables, now, load, motion)
         if k > 0:
-            _add_heat(joints, motion, start, speed, mean, slope, memory)
+            _add_heat(joints, motion, trial, memory)
         for i in range(JOINTS):
-            start[i], speed[i] = motion[i], motion[len(motion) // 2 + i]
+            trial.start[i], trial.speed[i] = motion[i], motion[len(motion) // 2 + i]
         if sample_every != 0 and (since + k) % sample_every == 0:
             copy(motion, samples[(since + k) // sample_every])
             heat[(since + k) // sample_every] = memory[_HEAT]
         if k == count or k > 0 and not linear_part_is_valid(tables, now, load):
             break
 
-        for trial in range(_TRIALS):
+        for number in range(_TRIALS):
             # R of a trial is that of sliding, then changed for one joint, then of the model.
-            copy(mean, tried)
-            if trial == 0:
-                _let_slide(joints, speed, mean, slope, end_friction)
-            elif trial <= JOINTS:
-                if joints.limit[trial - 1] == 0.0:
+            copy(trial.mean, trial.tried)
+            if number == 0:
+                _let_slide(joints, trial)
+            elif number <= JOINTS:
+                joint = number - 1
+                if joints.limit[joint] == 0.0:
                     continue
-                mean[trial - 1] += joints.limit[trial - 1] * (
-                    1.0 if mean[trial - 1] <= 0.0 else -1.0)
+                trial.mean[joint] += joints.limit[joint] * (
+                    1.0 if trial.mean[joint] <= 0.0 else -1.0)
             else:
-                _fit_model(speed, end_speed, travel, speed_per_mean, travel_per_mean, mean, slope,
-                           drift, bend, speed_per_slope, bend_per_slope)
-                if _solve_model(joints, speed, drift, bend, speed_per_mean, speed_per_slope,
-                                bend_per_slope, tried, end_friction, mean, slope):
+                _fit_model(trial, model)
+                if _solve_model(joints, model, trial):
                     break
-            _add_friction(loads[k], mean, slope, pushed)
-            one_step(tables, propagator, now, pushed[0], pushed[1], pushed[2], work, following)
+            _add_friction(loads[k], trial, pushed)
+            one_step(tables, propagator, pushed[0], pushed[1], pushed[2], work)
             observe(tables, following, pushed[2], motion)
-            sliding = _note_trial(joints, trial, motion, start, speed, mean, tried, end_speed,
-                                  travel, speed_per_mean, travel_per_mean)
-            if trial == 0 and sliding:
+            sliding = _note_trial(joints, model, trial, number, motion)
+            if number == 0 and sliding:
                 break
         if not is_finite(following):
             break
         copy(following, now)
-        copy(end_friction, memory)
+        copy(trial.end_friction, memory)
         load = loads[k, AFTER]
         k += 1
     copy(now, state)

@@ -19,7 +19,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import pack, pack_lanes
+from timo_sim.compiled.constants import local_arrays, pack, pack_lanes
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, Constants, inner, local, magnitude, where
 from timo_sim.compiled.functions import WIDTH
@@ -170,10 +170,8 @@ def _advance(tables, propagator, lane, columns, count, varying, varying_from, st
              progress, end_motion, end_tip, sample_every, since, samples, samples_from, tips,
              tips_from, tip_rows):
     """Integrate some lanes over equal steps, see `advance_each`."""
-    size = propagator.whole[0]
-    now, following = local((size,)), local((size,))
-    work = Work(local((size,)), local((size,)), local((size,)), local((size,)), local((size,)),
-                local((size,)), local((size,)))
+    work = local_arrays(Work, propagator)
+    now, following = work.now, work.following
     motion, load = local((lane.motion,)), lane.load
     for row in range(STEP_LOADS):
         copy(lane.constant_load, load[row])
@@ -193,7 +191,7 @@ def _advance(tables, propagator, lane, columns, count, varying, varying_from, st
             break
         for row in range(STAGES):
             _set_load(lane, columns, count, varying, place + (STEP_LOADS + row) * count, row)
-        one_step(tables, propagator, now, load[START], load[MIDDLE], load[END], work, following)
+        one_step(tables, propagator, load[START], load[MIDDLE], load[END], work)
         if k < tip_rows:
             for i in range(len(lane.tip_travel)):
                 motion[3 + i] = now[modal + i]
