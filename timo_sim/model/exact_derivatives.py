@@ -13,10 +13,11 @@ They are those of (T22) to (T33) in closed form, see doc/theory.md, (T47) and (T
 those of exact_code: i and k count coordinates, the shaft first, and j vectors of nodes.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.functions import as_vectors, inner, local, separate, sum_of
 from timo_sim.model import functions
 from timo_sim.model.exact_code import (
@@ -30,29 +31,42 @@ from timo_sim.model.layout import (
 class Variations(NamedTuple):
     """Derivatives at a state by the coordinates; the first index k is that of q_k."""
 
-    mass: np.ndarray      # M, (1 + N, 1 + N)
-    inverse: np.ndarray   # that of M of the free coordinates, else 0, (1 + N, 1 + N)
-    turning: np.ndarray   # phi' at the nodes, (n_g,)
-    shearing: np.ndarray  # gamma'
-    image_1: np.ndarray   # K a', K b'
-    image_2: np.ndarray
-    numbers_1: np.ndarray  # d a' / dq_k and d b' / dq_k at constant q', (1 + N, n_g)
-    numbers_2: np.ndarray
-    rate_1: np.ndarray    # the same as vectors
-    rate_2: np.ndarray
-    tip: np.ndarray       # d/dq_k of the tip from the root, x and y, (2, 1 + N)
-    arm: np.ndarray       # the same of where a force acts on the arm
-    centre: np.ndarray    # d/dq_k of the mass centre from the carrier, x and y, (2, 1 + N)
-    centre_speed: np.ndarray  # the same of its speed, at constant q'
-    momentum: np.ndarray  # d p_i / dq_k at constant q', (1 + N, 1 + N)
-    speed: np.ndarray     # d q_i' / dq_k at constant momenta, (1 + N, 1 + N)
+    mass: Annotated[np.ndarray, 'coordinates', 'coordinates']     # M
+    inverse: Annotated[np.ndarray, 'coordinates', 'coordinates']  # of the free part of M, else 0
+    turning: Annotated[np.ndarray, 'padded_nodes']                # phi' and gamma' at the nodes
+    shearing: Annotated[np.ndarray, 'padded_nodes']
+    image_1: Annotated[np.ndarray, 'padded_nodes']                # K a', K b'
+    image_2: Annotated[np.ndarray, 'padded_nodes']
+    # Of a' and b' at constant q'.
+    rate_1: Annotated[np.ndarray, 'coordinates', 'padded_nodes']
+    rate_2: Annotated[np.ndarray, 'coordinates', 'padded_nodes']
+    # Of places from the carrier, x and y: the tip, where a force acts on the arm, the mass centre.
+    tip: Annotated[np.ndarray, 2, 'coordinates']
+    arm: Annotated[np.ndarray, 2, 'coordinates']
+    centre: Annotated[np.ndarray, 2, 'coordinates']
+    centre_speed: Annotated[np.ndarray, 2, 'coordinates']      # of its speed at constant q'
+    momentum: Annotated[np.ndarray, 'coordinates', 'coordinates']  # of p_i at constant q'
+    speed: Annotated[np.ndarray, 'coordinates', 'coordinates']     # of q_i' at constant momenta
+
+
+class Terms(NamedTuple):
+    """Work arrays of the derivatives of forces."""
+
+    stiffness: Annotated[np.ndarray, 'coordinates', 'coordinates']  # see `_set_stiffness`
+    by_rotation: Annotated[np.ndarray, 'padded_nodes']
+    by_shear: Annotated[np.ndarray, 'padded_nodes']
+    image_1: Annotated[np.ndarray, 'padded_nodes']
+    image_2: Annotated[np.ndarray, 'padded_nodes']
+    resistance: Annotated[np.ndarray, 3]  # derivatives of friction by speeds of carrier and shaft
+    turned: Annotated[np.ndarray, 4]      # of forces on carrier and tip, x, y, by the shaft angle
+    none: Annotated[np.ndarray, 'coordinates']
 
 
 @separate
-def _set_variations(tables, state, load, work, var):
+def _set_variations(tables, state, load, numbers, work, var):
     """Set slopes and speeds in `work`, and the Variations (T47), (T48)."""
     _set_slopes(tables, state, load, work)
-    _set_speed(tables, state, load, work)
+    _set_speed(tables, state, load, numbers, work)
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
     cosine, sine, speed = work.cosine, work.sine, work.speed
     count, nodes = rotation.shape
@@ -143,7 +157,7 @@ def _set_mass(tables, work, var):
 
 
 @inner
-def _set_stiffness(tables, load, forces, work, var, out):
+def _set_stiffness(tables, load, forces, work, numbers, var, terms):
     """
     Set the derivatives of the forces on coordinates at constant q' and forces, (1 + N, 1 + N).
 
@@ -152,17 +166,17 @@ def _set_stiffness(tables, load, forces, work, var, out):
     kernel = as_vectors(tables.kernel)
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
     to_centre, to_tip = as_vectors(tables.to_centre), as_vectors(tables.to_tip)
-    across, cosine, sine = tables.to_centre, work.cosine, work.sine
-    by_rotation, by_shear = as_vectors(local((across,))), as_vectors(local((across,)))
-    image_1, image_2 = as_vectors(local((across,))), as_vectors(local((across,)))
+    cosine, sine, out = work.cosine, work.sine, terms.stiffness
+    by_rotation, by_shear = terms.by_rotation, terms.by_shear
+    image_1, image_2 = terms.image_1, terms.image_2
     push_x, push_y, tip_x, tip_y = forces
     count, nodes = rotation.shape
     for k in range(count):
         for j in range(nodes):
             total_1, total_2 = 0.0, 0.0
             for n in range(kernel.shape[1]):  # K is symmetric
-                total_1 += var.numbers_1[k, n] * kernel[0, n, j]
-                total_2 += var.numbers_2[k, n] * kernel[len(kernel) - 1, n, j]
+                total_1 += numbers.rate_1[k, n] * kernel[0, n, j]
+                total_2 += numbers.rate_2[k, n] * kernel[len(kernel) - 1, n, j]
             image_1[j], image_2[j] = total_1, total_2
             # The forces against the slopes, as in `_set_moments`.
             arm_x, arm_y = _push_work(tables, load, j)
@@ -183,7 +197,7 @@ def _set_stiffness(tables, load, forces, work, var, out):
                 total += rotation[i, j] * by_rotation[j] + shear[i, j] * by_shear[j]
                 if k:
                     total += (var.rate_1[i, j] * image_1[j] + var.rate_2[i, j] * image_2[j])
-            out[i, k] = out[k, i] = sum_of(total, across)
+            out[i, k] = out[k, i] = sum_of(total, tables.to_centre)
 
 
 @inner
@@ -216,29 +230,16 @@ def _write_by(tables, var, resistance, change, push_x, push_y, out):
 @functions.jacobian.of(Tables)
 def _jacobian(tables, state, load, inputs, by_state, by_input):
     """Write the derivatives of the rate less its linear part (T48)."""
-    rows, across = tables.rotation, tables.to_centre
-    numbers_1, numbers_2 = local((rows, across)), local((rows, across))
-    work = Work(
-        local((rows,)), local((rows,)), local((rows, rows)), as_vectors(local((across,))),
-        as_vectors(local((across,))), as_vectors(local((across,))), as_vectors(local((across,))),
-        numbers_1, numbers_2, as_vectors(numbers_1), as_vectors(numbers_2),
-        as_vectors(local((rows, across))), as_vectors(local((rows, across))))
-    rates_1, rates_2 = local((rows, across)), local((rows, across))
-    axes = tables.weight
-    var = Variations(
-        local((rows, rows)), local((rows, rows)), as_vectors(local((across,))),
-        as_vectors(local((across,))), as_vectors(local((across,))), as_vectors(local((across,))),
-        rates_1, rates_2, as_vectors(rates_1), as_vectors(rates_2), local((axes, rows)),
-        local((axes, rows)), local((axes, rows)), local((axes, rows)), local((rows, rows)),
-        local((rows, rows)))
-    _set_variations(tables, state, load, work, var)
-    count, size, half = len(rows), 2 * _half(tables), _half(tables)
+    numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
+    work, var = as_vectors(numbers), as_vectors(variations)
+    _set_variations(tables, state, load, numbers, work, var)
+    count, size, half = len(tables.rotation), 2 * _half(tables), _half(tables)
     driven, momenta = count - len(tables.straight), size - count
-    resistance, turned, none = local((load,)), local((load,)), local((rows,))
-    stiffness, unused = local((rows, rows)), local((state,))
-    forces = _translate(tables, state, load, work, unused)
+    terms = as_vectors(local_arrays(Terms, tables))
+    resistance, turned, none = terms.resistance, terms.turned, terms.none
+    forces = _translate(tables, state, load, work, local((state,)))
     _set_resistance(tables, state, work, resistance)
-    _set_stiffness(tables, load, forces, work, var, stiffness)
+    _set_stiffness(tables, load, forces, work, variations, var, terms)
     shaft_y, shaft_x = sincos(work.coordinate[0])
     for i in range(count):
         none[i] = 0.0
@@ -257,7 +258,7 @@ def _jacobian(tables, state, load, inputs, by_state, by_input):
         out = by_state[momenta - half + k]
         _write_by(tables, var, resistance, var.speed[k], push_x, push_y, out)
         for i in range(driven, count):
-            out[momenta + i] += stiffness[i, k]
+            out[momenta + i] += terms.stiffness[i, k]
             if k == 0:
                 out[momenta + i] += var.tip[0, i] * turned[2] + var.tip[1, i] * turned[3]
     for k in range(driven, count):  # by p_k
@@ -330,23 +331,10 @@ def _write_by_inputs(tables, var, inputs, resistance, none, shaft_x, shaft_y, by
 @functions.state_by_motion.of(Tables)
 def _state_by_motion(tables, state, load, out):
     """Write the derivatives of (T25), (T26), (T27)."""
-    rows, across = tables.rotation, tables.to_centre
-    numbers_1, numbers_2 = local((rows, across)), local((rows, across))
-    work = Work(
-        local((rows,)), local((rows,)), local((rows, rows)), as_vectors(local((across,))),
-        as_vectors(local((across,))), as_vectors(local((across,))), as_vectors(local((across,))),
-        numbers_1, numbers_2, as_vectors(numbers_1), as_vectors(numbers_2),
-        as_vectors(local((rows, across))), as_vectors(local((rows, across))))
-    rates_1, rates_2 = local((rows, across)), local((rows, across))
-    axes = tables.weight
-    var = Variations(
-        local((rows, rows)), local((rows, rows)), as_vectors(local((across,))),
-        as_vectors(local((across,))), as_vectors(local((across,))), as_vectors(local((across,))),
-        rates_1, rates_2, as_vectors(rates_1), as_vectors(rates_2), local((axes, rows)),
-        local((axes, rows)), local((axes, rows)), local((axes, rows)), local((rows, rows)),
-        local((rows, rows)))
-    _set_variations(tables, state, load, work, var)
-    count, size, half = len(rows), 2 * _half(tables), _half(tables)
+    numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
+    work, var = as_vectors(numbers), as_vectors(variations)
+    _set_variations(tables, state, load, numbers, work, var)
+    count, size, half = len(tables.rotation), 2 * _half(tables), _half(tables)
     rates = 2 + count
     driven, momenta = count - len(tables.straight), size - count
     zeros = as_vectors(out)
@@ -371,23 +359,10 @@ def _state_by_motion(tables, state, load, out):
 @functions.motion_by_state.of(Tables)
 def _motion_by_state(tables, state, load, changes, out):
     """Write the changes of (T25) and (T33)."""
-    rows, across = tables.rotation, tables.to_centre
-    numbers_1, numbers_2 = local((rows, across)), local((rows, across))
-    work = Work(
-        local((rows,)), local((rows,)), local((rows, rows)), as_vectors(local((across,))),
-        as_vectors(local((across,))), as_vectors(local((across,))), as_vectors(local((across,))),
-        numbers_1, numbers_2, as_vectors(numbers_1), as_vectors(numbers_2),
-        as_vectors(local((rows, across))), as_vectors(local((rows, across))))
-    rates_1, rates_2 = local((rows, across)), local((rows, across))
-    axes = tables.weight
-    var = Variations(
-        local((rows, rows)), local((rows, rows)), as_vectors(local((across,))),
-        as_vectors(local((across,))), as_vectors(local((across,))), as_vectors(local((across,))),
-        rates_1, rates_2, as_vectors(rates_1), as_vectors(rates_2), local((axes, rows)),
-        local((axes, rows)), local((axes, rows)), local((axes, rows)), local((rows, rows)),
-        local((rows, rows)))
-    _set_variations(tables, state, load, work, var)
-    count, size, half = len(rows), 2 * _half(tables), _half(tables)
+    numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
+    work, var = as_vectors(numbers), as_vectors(variations)
+    _set_variations(tables, state, load, numbers, work, var)
+    count, size, half = len(tables.rotation), 2 * _half(tables), _half(tables)
     rates = 2 + count
     driven, momenta = count - len(tables.straight), size - count
     for d in range(len(changes)):

@@ -12,9 +12,9 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import pack
+from timo_sim.compiled.constants import local_arrays, pack
 from timo_sim.compiled.entry import entry_point
-from timo_sim.compiled.functions import Array, as_vectors, Constants, inner, local
+from timo_sim.compiled.functions import Array, as_vectors, Constants, inner
 from timo_sim.model.functions import jacobian, motion_by_state, state_by_motion
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
 from timo_sim.steps.etdrk4 import add_product, copy, one_step, Work
@@ -53,6 +53,23 @@ class Inputs(NamedTuple):
 
     unit: Annotated[np.ndarray, 'inputs', LOADS]  # a load of 1 for each
     rows: Annotated[np.ndarray, 'rows']  # its length is that of motion and inputs together
+
+
+class Changes(NamedTuple):
+    """Work arrays: changes of states and rates by those of the motion and by the inputs."""
+
+    stage: Annotated[np.ndarray, 'padded_state']              # a state at which rates are taken
+    by_state: Annotated[np.ndarray, 'state', 'padded_state']  # J there, transposed
+    by_input: Annotated[np.ndarray, 'inputs', 'padded_state']  # b there
+    none: Annotated[np.ndarray, 'inputs', 'padded_state']     # zeros
+    changes: Annotated[np.ndarray, 'rows', 'padded_state']    # of the state
+    at_a: Annotated[np.ndarray, 'rows', 'padded_state']       # of the stages, see `etdrk4.Work`
+    middle: Annotated[np.ndarray, 'rows', 'padded_state']
+    end: Annotated[np.ndarray, 'rows', 'padded_state']
+    rate_0: Annotated[np.ndarray, 'rows', 'padded_state']
+    rate_a: Annotated[np.ndarray, 'rows', 'padded_state']
+    rate_b: Annotated[np.ndarray, 'rows', 'padded_state']
+    rate_c: Annotated[np.ndarray, 'rows', 'padded_state']
 
 
 # Changes of states and rates are rows: by each number of the first motion, then by each input.
@@ -118,55 +135,48 @@ def differentiate(tables, propagator, inputs, state, load, loads, count, out):
     out : ndarray, shape (2 (3 + N) + inputs, 2 (3 + N))
 
     """
-    states, unit, padded = propagator.whole, inputs.unit, propagator.whole[0]
-    work = Work(local((padded,)), local((padded,)), local((padded,)), local((padded,)),
-                local((padded,)), local((padded,)), local((padded,)))
-    now, stage, following = local((padded,)), local((padded,)), local((padded,))
-    by_state, by_input = local((states, padded)), local((unit, padded))
-    none = local((unit, padded))
-    rows = inputs.rows
-    changes, at_middle, at_stage, at_end = (
-        local((rows, padded)), local((rows, padded)), local((rows, padded)), local((rows, padded)))
-    rate_0, rate_a, rate_b, rate_c = (
-        local((rows, padded)), local((rows, padded)), local((rows, padded)), local((rows, padded)))
+    work, here = local_arrays(Work, propagator), local_arrays(Changes, propagator)
+    stage, by_state, by_input, none = here.stage, here.by_state, here.by_input, here.none
+    changes, middle, end = here.changes, here.middle, here.end
+    rate_0, rate_a, rate_b, rate_c = here.rate_0, here.rate_a, here.rate_b, here.rate_c
     _set_zero(none)
     _set_zero(changes)
     state_by_motion(tables, state, load, changes)
-    copy(state, now)
+    copy(state, work.now)
     for n in range(count):
-        start, middle, end = loads[n, START], loads[n, MIDDLE], loads[n, END]
-        one_step(tables, propagator, now, start, middle, end, work, following)
+        load_0, load_ab, load_c = loads[n, START], loads[n, MIDDLE], loads[n, END]
+        one_step(tables, propagator, load_0, load_ab, load_c, work)
 
-        jacobian(tables, now, start, inputs, by_state, by_input)
+        jacobian(tables, work.now, load_0, inputs, by_state, by_input)
         _set_products(by_state, changes, by_input, rate_0)
-        _set_products(propagator.half, changes, none, at_middle)
+        _set_products(propagator.half, changes, none, middle)
 
         # The step has not kept its stages a and b: they are made again.
         copy(work.half, stage)
         add_product(propagator.half_weight, work.rate_0, stage)
-        jacobian(tables, stage, middle, inputs, by_state, by_input)
-        _copy_changes(at_middle, at_stage)
-        _add_products(propagator.half_weight, rate_0, at_stage)
-        _set_products(by_state, at_stage, by_input, rate_a)
-        _set_products(propagator.half, at_stage, none, at_end)
+        jacobian(tables, stage, load_ab, inputs, by_state, by_input)
+        _copy_changes(middle, here.at_a)
+        _add_products(propagator.half_weight, rate_0, here.at_a)
+        _set_products(by_state, here.at_a, by_input, rate_a)
 
         copy(work.half, stage)
         add_product(propagator.half_weight, work.rate_a, stage)
-        jacobian(tables, stage, middle, inputs, by_state, by_input)
-        _add_products(propagator.half_weight, rate_a, at_middle)
-        _set_products(by_state, at_middle, by_input, rate_b)
+        jacobian(tables, stage, load_ab, inputs, by_state, by_input)
+        _add_products(propagator.half_weight, rate_a, middle)
+        _set_products(by_state, middle, by_input, rate_b)
 
-        jacobian(tables, work.third, end, inputs, by_state, by_input)
-        _set_sum(2.0, rate_b, -1.0, rate_0, at_stage)
-        _add_products(propagator.half_weight, at_stage, at_end)
-        _set_products(by_state, at_end, by_input, rate_c)
+        jacobian(tables, work.third, load_c, inputs, by_state, by_input)
+        _set_products(propagator.half, here.at_a, none, end)
+        _set_sum(2.0, rate_b, -1.0, rate_0, middle)
+        _add_products(propagator.half_weight, middle, end)
+        _set_products(by_state, end, by_input, rate_c)
 
-        _set_products(propagator.whole, changes, none, at_end)
-        _add_products(propagator.start_weight, rate_0, at_end)
+        _set_products(propagator.whole, changes, none, end)
+        _add_products(propagator.start_weight, rate_0, end)
         _set_sum(1.0, rate_a, 1.0, rate_b, rate_a)
-        _add_products(propagator.middle_weight, rate_a, at_end)
-        _add_products(propagator.end_weight, rate_c, at_end)
-        _copy_changes(at_end, changes)
-        copy(following, now)
+        _add_products(propagator.middle_weight, rate_a, end)
+        _add_products(propagator.end_weight, rate_c, end)
+        _copy_changes(end, changes)
+        copy(work.following, work.now)
         load = loads[n, AFTER]
-    motion_by_state(tables, now, load, changes, out)
+    motion_by_state(tables, work.now, load, changes, out)
