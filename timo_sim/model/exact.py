@@ -52,7 +52,6 @@ from typing import Any
 
 import numpy as np
 
-from timo_sim.model import exact_derivatives  # noqa: F401  its bodies of compiled functions
 from timo_sim.model.exact_code import BAND, BANDS, SECTORS, Tables
 from timo_sim.model.formulation import Formulation, Points
 from timo_sim.model.layout import ANGLE, LOADS, SPEED

@@ -15,6 +15,7 @@ import numpy as np
 from timo_sim.compiled.constants import local_arrays, pack
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, as_vectors, Constants, inner
+from timo_sim.model import exact_derivatives  # noqa: F401  bodies of the functions below
 from timo_sim.model.functions import jacobian, motion_by_state, state_by_motion
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
 from timo_sim.steps.etdrk4 import add_product, copy, one_step, Work
