@@ -27,7 +27,10 @@ from oracles.references import read
 import timo_sim
 from timo_sim.compiled.constants import pack
 from timo_sim.model import formulation_class
+from timo_sim.model.layout import LOADS
+from timo_sim.simulation.derivatives import unit_loads
 from timo_sim.steps import etdrk4
+from timo_sim.steps.derivatives import step_derivatives
 from timo_sim.steps.etdrk4 import propagator, transposed
 
 PAPER = ROOT / 'config' / 'paper.yaml'
@@ -116,7 +119,7 @@ def rows():
     prepared = Prepared(scene)
     compiled = timed(lambda: prepared.run(every=1), units=1)
     compared = timed(lambda: timo_sim.simulate(scene, 10.0), units=1)
-    return [*found, exported(), (
+    return [*found, exported(), differentiated(), (
         '10 s of the paper, 10 ms, every step sampled', '2 ms', compiled.shown(1e-3, 'ms'),
         compiled.middle <= 2e-3, 'the compiled part'), (
         'the same with its error, measured by a finer run', '', compared.shown(1e-3, 'ms'), None,
@@ -149,6 +152,21 @@ def exported():
     return (name, '', in_c.shown(1e-9, 'ns'), None,
             f'`Simulator.advance`: {1e9 * together.middle:.0f} ns for each of {STEPS} steps at '
             f'once, {1e9 * one.middle:.0f} ns for one at a time')
+
+
+def differentiated():
+    """Return the row of the derivatives of a step, beside the step."""
+    scene, count = paper(), 1000
+    simulator = timo_sim.Simulator(scene)
+    unit = unit_loads(scene.values, ['force', 'torque', 'tip_force', 'tip_torque'])
+    state, loads = simulator.model.state(simulator.motion.values), np.zeros((count, 4, LOADS))
+    steps, none = simulator.integration, simulator.integration.samples(0, 0)
+    found, alone = timed(
+        lambda: step_derivatives(steps, state, simulator.load, loads, unit),
+        lambda: steps.advance(state.copy(), simulator.load, loads, none), units=count)
+    ratio = found.middle / alone.middle
+    return ('derivatives of a step of `exact`, N = 3, by its motion and 6 inputs', '4 steps',
+            found.shown(), ratio <= 4.0, f'as long as {ratio:.1f} steps')
 
 
 def around(quick):

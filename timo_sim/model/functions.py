@@ -46,6 +46,42 @@ def coulomb(tables, joint, speed):
     return friction
 
 
+@inner
+def coulomb_slope(tables, joint, speed):
+    """Return the derivative of `coulomb` by the speed."""
+    slope = 0.0
+    if some(tables.coulomb[joint, 0] != 0.0):
+        share = tanh(speed / tables.coulomb[joint, 1])
+        slope = tables.coulomb[joint, 0] / tables.coulomb[joint, 1] * (1.0 - share * share)
+    return slope
+
+
+@declare
+def jacobian(tables, state, load, inputs, by_state, by_input):
+    """
+    Write the derivatives of what `rate` writes; a row is what a unit of state or load changes.
+
+    Parameters
+    ----------
+    tables, state, load
+        As in `rate`.
+    inputs : packed constants
+        `steps.derivatives.Inputs`.
+    by_state, by_input : ndarray, shapes (m, m), (inputs, m), padded
+
+    """
+
+
+@declare
+def state_by_motion(tables, state, load, out):
+    """Write the derivatives of the state by the motion, shape (2 (3 + N), m), padded."""
+
+
+@declare
+def motion_by_state(tables, state, load, changes, out):
+    """Write changes of the motion, (n, 2 (3 + N)), by those of the state, (n, m), padded."""
+
+
 @declare
 def tip(tables, motion, out):
     """

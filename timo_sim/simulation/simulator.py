@@ -10,22 +10,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import math
 import threading
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from timo_sim.compiled.machine import telling
 from timo_sim.model.layout import AFTER, Motion
-from timo_sim.scene.parameters import check_runtime, Parameter, steps_in
+from timo_sim.scene.parameters import check_runtime, Parameter, ParameterError, short, steps_in
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
 from timo_sim.simulation import warnings
+from timo_sim.simulation.derivatives import (
+    check_differentiable, StepDerivatives, unit_loads)
 from timo_sim.simulation.finer import can_refine, choose_parts, refine, tip_distance
 from timo_sim.simulation.loads import Actuators, commanded_load, LoadTable, TipLoad
 from timo_sim.simulation.snapshot import Sensors, Snapshot
 from timo_sim.simulation.warnings import DivergenceError
+from timo_sim.steps.derivatives import step_derivatives
 from timo_sim.steps.friction import steps_of
 from timo_sim.steps.steps import CHUNK
 
@@ -240,6 +244,83 @@ class Simulator:
         commanded = commanded_load(self.scene.values, **commands)
         self.advance(1 if duration is None else steps_in(duration, self.scene.step), commanded)
         return self.motion
+
+    def step_derivatives(self, inputs: Sequence[str] = ('force', 'torque'), *,
+                         duration: float | None = None, **commands: Any) -> StepDerivatives:
+        """
+        Advance as `step` does, and return the derivatives of the motion at the end.
+
+        They are exact, through the stages of each step, for the `exact` formulation without axial
+        modes and without dry friction that sticks, with both axes of the carrier free or held.
+        Where a command is beyond its limit they are by what acts, the limit.
+
+        Parameters
+        ----------
+        inputs : sequence of str
+            Names of commands, see `step`; those with two numbers give two columns.
+        duration, **commands
+            As in `step`.
+
+        Returns
+        -------
+        StepDerivatives
+            Rows and columns of coordinates that are held, locked or driven are 0.
+
+        Raises
+        ------
+        ParameterError
+            If the scene has what has no derivatives here, an input is unknown, or as by `step`.
+        DivergenceError
+            As `advance` does.
+
+        Examples
+        --------
+        >>> import timo_sim
+        >>> simulator = timo_sim.Simulator('paper')
+        >>> found = simulator.step_derivatives(['torque'], duration=0.02, torque=1.0)
+        >>> found.by_motion.shape, found.by_input.shape
+        ((12, 12), (12, 1))
+
+        """
+        check_differentiable(self.scene)
+        unit = unit_loads(self.scene.values, inputs)
+        commanded = commanded_load(self.scene.values, **commands)
+        count = 1 if duration is None else steps_in(duration, self.scene.step)
+        with self._lock:
+            state, load, first = self._state.copy(), self.load, self.steps - self._origin
+            integration, size = self.integration, self.model.size
+            if first + count > self.tip_load.next_step:
+                raise ParameterError('derivatives of steps need an end effector that stays, but '
+                                     f'it changes at step {self.tip_load.next_step}')
+            self.advance(count, commanded)
+            loads = self._table.stages(first, count, self._actuators)
+            found = step_derivatives(integration, state, load, loads, unit)
+        return StepDerivatives(found[:, :size], found[:, size:])
+
+    def set_motion(self, motion: ArrayLike) -> None:
+        """
+        Go on from another motion, such as one that was measured or is to be tried.
+
+        Parameters
+        ----------
+        motion : array_like, shape (2 (3 + N),)
+            As `Motion.values`. Coordinates that are held, locked or driven keep their own.
+
+        Raises
+        ------
+        ParameterError
+            If it has another shape or is not finite, or the simulator estimates its error, which
+            would then be that of another run.
+
+        """
+        values = np.asarray(motion, dtype=float)
+        if values.shape != (self.model.size,) or not np.isfinite(values).all():
+            raise ParameterError(f'motion must be {self.model.size} finite numbers, got '
+                                 f'{short(motion)}')
+        if self._finer:
+            raise ParameterError('set_motion needs a Simulator with estimate=False')
+        with self._lock:
+            self._state, self._resting = self.model.state(values), False
 
     def advance(self, count: int, commanded: np.ndarray | None = None,
                 sample_every: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from typing import Any
 
 from timo_sim.compiled import machine
 from timo_sim.model import exact_code, functions, modes, newton
-from timo_sim.steps import etdrk4, friction, instance, lanes
+from timo_sim.steps import derivatives, etdrk4, friction, instance, lanes
 
 
 def entries() -> list[tuple[Any, tuple[type, ...]]]:
@@ -36,6 +36,8 @@ def entries() -> list[tuple[Any, tuple[type, ...]]]:
             (instance.set_rates, (tables, *own)), (instance.set_forces, (forces, *own))]
         found += [(entry, (*step, lanes.LaneConstants))
                   for entry in (lanes.advance_alike, lanes.advance_each)]
+    found.append((derivatives.differentiate,
+                  (exact_code.Tables, etdrk4.Propagator, derivatives.Inputs)))
     found.append((instance.prepare, (instance.SceneLoads, instance.Instance)))
     found += [(entry, own) for entry in (instance.reset, instance.finish, instance.set_outputs)]
     return found + [(entry, (instance.Instance,)) for entry in (

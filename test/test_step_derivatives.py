@@ -1,0 +1,108 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Derivatives of steps against differences of steps, and what they are refused for."""
+
+import numpy as np
+import pytest
+
+import timo_sim
+from timo_sim.model.layout import (
+    ANGLE, FORCE_X, FORCE_Y, LOADS, PUSH_X, PUSH_Y, SPEED, TIP_TORQUE, TIP_X, TIP_Y, TORQUE)
+from timo_sim.steps.derivatives import step_derivatives
+
+MOVING = {'initial.modal_rates': [0.3, 0.2, -0.1], 'initial.shaft_velocity': 3.0}
+INPUTS = [FORCE_X, FORCE_Y, TORQUE, TIP_X, TIP_Y, TIP_TORQUE, PUSH_X, PUSH_Y]
+
+
+@pytest.mark.parametrize('values', [
+    MOVING, {**MOVING, 'carrier.held': 'both', 'gravity': [1.0, -9.81], 'push.position': 0.7},
+    {**MOVING, 'carrier.viscous_friction': 3.0, 'motor.viscous_friction': 0.4,
+     'arm.damping_ratio': [0.02]},
+    {**MOVING, 'carrier.coulomb_friction': 2.0, 'motor.coulomb_friction': 0.5,
+     'carrier.coulomb_speed': 0.3, 'motor.coulomb_speed': 2.0},
+    {'initial.modal_rates': [0.3, 0.2, -0.1], 'motor.shaft': 'locked'},
+    {**MOVING, 'model.modes': 8, 'end_effector.mass': 0.1, 'end_effector.inertia': 0.01,
+     'initial.modal_rates': [0.1] * 8}],
+    ids=['free', 'held', 'damped', 'friction', 'locked', 'light tip'])
+def test_derivatives_are_those_of_three_steps(values):
+    """Under loads of all kinds, also along the arm's axes; differences are good to 1e-10."""
+    simulator = timo_sim.Simulator(timo_sim.load_scene(values))
+    random, world = np.random.default_rng(1), np.arange(LOADS) < ANGLE
+    simulator.advance(50, 3.0 * random.standard_normal(LOADS) * world)
+    model, steps, load = simulator.model, simulator.integration, simulator.load
+    start, size = simulator.motion.values, simulator.model.size
+    loads = np.tile(5.0 * random.standard_normal((3, 1, LOADS)) * world, (1, 4, 1))
+    if 'push.position' in values:
+        loads[..., [PUSH_X, PUSH_Y]] = 4.0, -3.0
+    loads[..., [ANGLE, SPEED]] = load[[ANGLE, SPEED]]
+    samples = steps.samples(3, 3)
+
+    def end(motion, added=0.0):
+        assert steps.advance(model.state(motion), load, loads + added, samples) == 3
+        return samples.motions[1].copy()
+
+    def derivative(at, change):
+        return (8.0 * (at(change) - at(-change)) - at(2.0 * change) + at(-2.0 * change)) / 12.0
+    unit = np.eye(LOADS)[INPUTS if 'push.position' in values else INPUTS[:-2]]
+    step = 1e-5 if len(model.modes) > 3 else 1e-4
+    expected = np.column_stack([derivative(lambda change: end(start + change), each) / step
+                                for each in step * np.eye(size)]
+                               + [derivative(lambda change: end(start, change), each)
+                                  for each in unit])
+    held = [k for k in range(3) if model.constrained[k]]
+    expected[:, held + [size // 2 + k for k in held]] = 0.0
+    found = step_derivatives(steps, model.state(start), load, loads, unit)
+    scale = np.maximum(np.abs(expected).max(axis=1, keepdims=True), 1e-6)
+    assert np.abs(found - expected).max() > 0.0
+    assert (np.abs(found - expected) <= 1e-10 * scale).all()
+
+
+def test_a_simulator_goes_on_as_by_step_and_has_the_derivatives_of_what_acts():
+    """Of a motor that reaches its limit, and by a voltage."""
+    scene = timo_sim.load_scene({
+        **MOVING, 'carrier.held': 'both', 'motor.torque_limit': 8.0, 'motor.dc.resistance': 2.0,
+        'motor.dc.torque_constant': 0.5, 'motor.dc.gear_ratio': 3.0})
+    simulator, other = timo_sim.Simulator(scene), timo_sim.Simulator(scene)
+    found = simulator.step_derivatives(['torque', 'voltage'], duration=0.02, torque=7.0)
+    assert np.array_equal(simulator.motion.values,
+                          other.step(duration=0.02, torque=7.0).values)
+    assert found.by_input[:, 1] == pytest.approx(0.75 * found.by_input[:, 0], rel=1e-12)
+    start = simulator.motion.values
+    first = simulator.step(duration=0.02, torque=8.0).values
+    simulator.set_motion(start)
+    found = simulator.step_derivatives(['torque'], duration=0.02, torque=80.0)
+    assert simulator.motion.values == pytest.approx(first, rel=1e-12, abs=1e-14)
+    simulator.set_motion(start)
+    less = simulator.step(duration=0.02, torque=7.5).values
+    assert first - less == pytest.approx(0.5 * found.by_input[:, 0], rel=1e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize('values, words', [
+    ({'model.formulation': 'newton'}, 'model.formulation must be exact'),
+    ({'model.axial_modes': 1}, 'model.axial_modes must be 0'),
+    ({'carrier.held': 'x'}, 'carrier.held must be none or both'),
+    ({'motor.coulomb_friction': 1.0}, 'friction that builds up'),
+    ({'payload.time': [0.01], 'payload.mass': [3.0], 'payload.inertia': [0.6]}, 'step 10')])
+def test_what_has_no_derivatives_is_refused(values, words):
+    simulator = timo_sim.Simulator(timo_sim.load_scene(values))
+    with pytest.raises(timo_sim.ParameterError, match=words):
+        simulator.step_derivatives(duration=0.02)
+    assert simulator.steps == 0
+
+
+def test_bad_inputs_and_motions_are_refused():
+    simulator = timo_sim.Simulator('paper')
+    for call, words in (
+            (lambda: simulator.step_derivatives(['torqe']), 'did you mean torque'),
+            (lambda: simulator.step_derivatives(['voltage']), 'needs motor.dc.resistance > 0'),
+            (lambda: simulator.set_motion([0.0]), 'motion must be 12 finite numbers'),
+            (lambda: simulator.set_motion(np.full(12, np.nan)), 'finite'),
+            (lambda: timo_sim.Simulator('paper', True).set_motion(np.zeros(12)), 'estimate')):
+        with pytest.raises(timo_sim.ParameterError, match=words):
+            call()

@@ -1,0 +1,69 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What derivatives of steps are taken by, and of which scenes there are such derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from timo_sim.model.layout import INPUTS, LOADS, TORQUE, VOLTAGE
+from timo_sim.scene.parameters import ParameterError
+from timo_sim.scene.scene import motor_constants, Scene
+from timo_sim.simulation.loads import ARGUMENTS, check_arguments
+
+
+class StepDerivatives(NamedTuple):
+    """
+    Derivatives of the motion after some steps, see `Simulator.step_derivatives`.
+
+    Attributes
+    ----------
+    by_motion : ndarray, shape (2 (3 + N), 2 (3 + N))
+        [i, j]: of number i of the motion after the steps by number j of that before them.
+    by_input : ndarray, shape (2 (3 + N), k)
+        By the inputs, each constant during the steps.
+
+    """
+
+    by_motion: np.ndarray
+    by_input: np.ndarray
+
+
+def check_differentiable(scene: Scene) -> None:
+    """Raise ParameterError if the steps of a scene have no derivatives in closed form."""
+    values = scene.values
+    for name, good, wanted in (
+            ('model.formulation', values['model.formulation'] == 'exact', 'exact'),
+            ('model.axial_modes', not values['model.axial_modes'], '0'),
+            ('carrier.held', values['carrier.held'] not in ('x', 'y'), 'none or both')):
+        if not good:
+            raise ParameterError(f'{name} must be {wanted} for derivatives of steps, got '
+                                 f'{values[name]}')
+    if scene.friction.any():
+        raise ParameterError('derivatives of steps need friction that builds up over a speed: '
+                             'there is none while dry friction sticks')
+
+
+def unit_loads(values: Mapping[str, Any], inputs: Iterable[str]) -> np.ndarray:
+    """Return what one of each input adds to a load, shape (k, LOADS); the names are ARGUMENTS."""
+    inputs = list(inputs)
+    check_arguments(inputs, 'inputs')
+    columns = [column for name in inputs for column in np.ravel(ARGUMENTS[name])]
+    unit = np.zeros((len(columns), LOADS))
+    for row, column in zip(unit, columns):
+        needs = INPUTS[column].needs
+        if needs and not values[needs]:
+            raise ParameterError(f'input {INPUTS[column].name} needs {needs} > 0, got 0')
+        row[column] = 1.0
+        if column == VOLTAGE:
+            row[TORQUE] = motor_constants(values)[0]
+    return unit
