@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 import timo_sim
 from timo_sim.export.constants import interface_of
-from timo_sim.model.layout import LOADS, place
+from timo_sim.model.layout import FORCE_X, LOADS, place, TORQUE
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.steps.instance import SAVED
 
@@ -202,6 +202,33 @@ def test_saved_state_goes_on_to_the_bit(tmp_path):
         *begin, 'g', *going_on, 'i 4 -1', 's 40', 'p', *going_on, 'r', *begin, *going_on])
     first, again, anew = (found[k:k + 3] for k in (0, 3, 6))
     assert first == again == anew
+
+
+def test_parameters_that_are_set_are_those_of_a_changed_scene(tmp_path):
+    """While a torque moves to its goal, and a force is held; a saved state has them."""
+    scene = scene_of({'motor.torque_rate_limit': 40.0, 'carrier.force_limit': 3.0})
+    changes = {'motor.torque_rate_limit': 17.0, 'carrier.force_limit': 1.5,
+               'motor.torque_limit': 0.9}
+    timo_sim.export_c(scene, tmp_path)
+    interface, simulator = interface_of(scene, False), timo_sim.Simulator(scene)
+    columns, titles = ([getattr(each, name) for each in group] for name, group in (
+        ('column', interface.inputs), ('title', interface.parameters)))
+    commanded = np.zeros(LOADS)
+    commanded[[TORQUE, FORCE_X]] = 2.0, 7.0
+    begin = [f'i {columns.index(column)} {commanded[column]}' for column in (TORQUE, FORCE_X)]
+    limits = [f'l {titles.index(name.replace(".", "_"))} {value}'
+              for name, value in changes.items()]
+    after = ['s 60', 'w']
+    found = run_program(compile_program(RUN, tmp_path), [
+        *begin, 's 20', *limits, 'g', *after, 'r', 'p', *after, 'r', *begin, *after])
+    simulator.advance(20, commanded)
+    simulator.change(scene.vary(changes))
+    simulator.advance(60, commanded)
+    np.testing.assert_array_equal(found[0][SAVED:], simulator._state)
+    assert found[1] == found[0]
+    anew = timo_sim.Simulator(scene.vary(changes))  # parameters outlive a reset
+    anew.advance(60, commanded)
+    np.testing.assert_array_equal(found[2][SAVED:], anew._state)
 
 
 def test_estimated_error(tmp_path):

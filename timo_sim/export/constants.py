@@ -33,11 +33,23 @@ class Quantity(NamedTuple):
     column: int = 0  # of a load, for an input
 
 
+class Limit(NamedTuple):
+    """A parameter of the library that can be set: a limit of inputs or of their rates."""
+
+    title: str
+    unit: str
+    meaning: str
+    of_rate: bool
+    begin: int  # first column of a load whose commands it limits
+    end: int    # column after the last one
+
+
 class Interface(NamedTuple):
-    """The inputs and outputs of a library, and the steps of its finer run."""
+    """The inputs, outputs and parameters of a library, and the steps of its finer run."""
 
     inputs: list[Quantity]
     outputs: list[Quantity]
+    parameters: list[Limit]
     parts: int  # of a step of the finer run; 0: there is none
 
 
@@ -104,7 +116,19 @@ def interface_of(scene: Scene, estimate: bool) -> Interface:
     if estimate:
         outputs.append(Quantity('estimated_tip_error', 'm', 'largest distance so far from the tip '
                                 'of a finer run; NaN if that diverged'))
-    return Interface(inputs, outputs, choose_parts(scene)[0] if estimate else 0)
+    return Interface(inputs, outputs, _limits(inputs), choose_parts(scene)[0] if estimate else 0)
+
+
+def _limits(inputs):
+    columns: dict[tuple[str, bool], list[int]] = {}
+    for each in inputs:
+        for name, of_rate in ((INPUTS[each.column].limit, False),
+                              (INPUTS[each.column].rate_limit, True)):
+            if name:
+                columns.setdefault((name, of_rate), []).append(each.column)
+    return [Limit(name.replace('.', '_'), PARAMETERS[name].unit, PARAMETERS[name].meaning, of_rate,
+                  min(limited), max(limited) + 1)
+            for (name, of_rate), limited in columns.items()]
 
 
 def plant_of(simulator: Simulator) -> Packed:

@@ -39,10 +39,11 @@ TEXTS = {
     Code.NULL_POINTER: 'a pointer is null',
     Code.BAD_MEMORY: 'the memory is too small, or its address is no multiple of 8',
     Code.NOT_CREATED: 'the memory is no instance: create it first',
-    Code.UNKNOWN_NUMBER: 'there is no input or output of this number',
+    Code.UNKNOWN_NUMBER: 'there is no input, output or parameter of this number',
     Code.NOT_FINITE: 'a value is not finite',
     Code.NEGATIVE_STEPS: 'the number of steps is negative',
     Code.BAD_STATE: 'the values are no saved state',
+    Code.NOT_POSITIVE: 'a limit must be > 0',
     Code.DIVERGED: 'the run diverged: it is at the last good step; take a smaller time step',
 }
 
@@ -336,16 +337,16 @@ class _Body:
             self.builder.store(self.builder.load(self.at(source, offset), typ=_WORD),
                                self.at(goal, offset))
 
-    def column_of(self, number):
-        columns = [each.column for each in self.interface.inputs]
-        kind = ir.ArrayType(_WORD, len(columns))
-        if 'columns' not in self.module.globals:
-            made = ir.GlobalVariable(self.module, kind, 'columns')
-            made.initializer = ir.Constant(kind, columns)
+    def number_in(self, name, numbers, place):
+        """Return one of some whole numbers, which are a constant of this name."""
+        kind = ir.ArrayType(_WORD, len(numbers))
+        if name not in self.module.globals:
+            made = ir.GlobalVariable(self.module, kind, name)
+            made.initializer = ir.Constant(kind, numbers)
             made.linkage, made.global_constant = 'internal', True
-        place = self.builder.gep(self.module.globals['columns'], [
-            ir.Constant(_INT, 0), self.builder.zext(number, _WORD)])
-        return self.builder.load(place, typ=_WORD)
+        found = self.builder.gep(self.module.globals[name], [
+            ir.Constant(_INT, 0), self.builder.zext(place, _WORD)])
+        return self.builder.load(found, typ=_WORD)
 
     def memory(self):
         self.function(f'{self.name}_size', _WORD)
@@ -360,12 +361,36 @@ class _Body:
         self.reset_all(instance)
 
     def inputs(self):
-        own, count = self.models[0], len(self.interface.inputs)
+        own, columns = self.models[0], [each.column for each in self.interface.inputs]
         for entry, kind in ((steps.set_input, _REAL), (steps.get_input, _POINTER)):
             instance, number, value = self.public(entry.__name__, _INT, kind)
-            self.fail_unless_below(number, count)
+            self.fail_unless_below(number, len(columns))
             self.finish(self.call(own, entry, [self.own(own, instance)],
-                                  self.column_of(number), value))
+                                  self.number_in('columns', columns, number), value))
+
+    def parameters(self):
+        limits = self.interface.parameters
+        instance, number, value = self.public('set_parameter', _INT, _REAL)
+        self.fail_unless_below(number, len(limits))
+        of_rate, begin, end = self.columns_of_limit(number)
+        for model, each in self.each(instance):
+            code = self.call(model, steps.set_parameter, [
+                self.actuators(model, each), self.own(model, each)], of_rate, begin, end, value)
+            with self.builder.if_then(self.builder.not_(self.equal(code, 0))):
+                self.finish(code)
+        self.finish()
+        instance, number, value = self.public('get_parameter', _INT, _POINTER)
+        self.fail_unless_below(number, len(limits))
+        of_rate, begin, _ = self.columns_of_limit(number)
+        own = self.models[0]
+        self.finish(self.call(own, steps.get_parameter, [self.actuators(own, instance)], of_rate,
+                              begin, value))
+
+    def columns_of_limit(self, number):
+        """Return whether a parameter limits rates, its first column and the one after its last."""
+        return [self.number_in(f'limits.{name}', [
+            int(getattr(each, name)) for each in self.interface.parameters], number)
+            for name in ('of_rate', 'begin', 'end')]
 
     def step(self):
         own = self.models[0]
@@ -436,7 +461,9 @@ class _Body:
                 ('input_name', [each.title for each in self.interface.inputs]),
                 ('input_unit', [each.unit for each in self.interface.inputs]),
                 ('output_name', [each.title for each in self.interface.outputs]),
-                ('output_unit', [each.unit for each in self.interface.outputs])):
+                ('output_unit', [each.unit for each in self.interface.outputs]),
+                ('parameter_name', [each.title for each in self.interface.parameters]),
+                ('parameter_unit', [each.unit for each in self.interface.parameters])):
             number, = self.function(f'{self.name}_{name}', _POINTER, _INT)
             kind = ir.ArrayType(_POINTER, len(texts))
             table = ir.GlobalVariable(self.module, kind, f'texts.{name}')
@@ -456,7 +483,8 @@ class _Body:
         if len(self.models) > 1:
             self.follow()
         self.refresh()
-        for part in (self.memory, self.inputs, self.step, self.outputs, self.states, self.texts):
+        for part in (self.memory, self.inputs, self.parameters, self.step, self.outputs,
+                     self.states, self.texts):
             part()
         return self.module
 

@@ -133,6 +133,13 @@ class Actuators:
             np.array([first])))
         self.limit, self.slow = self.packed.limit, np.flatnonzero(np.isfinite(rate))
 
+    def warm_up(self) -> None:
+        """Compile, or load from disk, what loads and commands of all kinds need."""
+        for entry in steps_loads.TERMS:
+            entry.of()
+        for entry in (steps_loads.add_commands, steps_loads.restart):
+            entry.of(self.packed)
+
     def changed(self, values: Mapping[str, Any], first: int) -> Actuators:
         """Return actuators with other limits, which go on from what acts at step `first`."""
         found = Actuators(values, first)

@@ -210,8 +210,8 @@ class Simulator:
         """
         Compile, or load from disk, the functions that `advance` calls.
 
-        With `messages`, also those that messages and sensors need. `tell`, a function(str), is
-        called before a compilation, which takes a second or two.
+        With `messages`, also those that messages, sensors and commands need. `tell`, a
+        function(str), is called before a compilation, which takes a second or two.
         """
         with telling(tell):
             for each in filter(None, (self._finer, self)):
@@ -219,6 +219,7 @@ class Simulator:
                 # Warnings and efforts need it; a node has no time to compile it later.
                 each.integration.rate(each._state, each.integration.acting(each.load))
             if messages:
+                self._table.actuators.warm_up()
                 self.model.tip(motion)
                 self.model.energy(motion[np.newaxis])
                 self.model.effort(motion[np.newaxis], np.zeros((1, len(motion) // 2)),

@@ -27,7 +27,7 @@ from timo_sim.model.layout import (
     ACCELERATION, AFTER, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MIDDLE, SPEED, START,
     STEP_LOADS, TORQUE)
 from timo_sim.steps.loads import (
-    of_commands, of_drive, of_harmonic, of_piecewise, of_table, POINT)
+    begin_lines, of_commands, of_drive, of_harmonic, of_piecewise, of_table, POINT)
 
 
 class Code(IntEnum):
@@ -42,10 +42,11 @@ class Code(IntEnum):
     NEGATIVE_STEPS = 6
     BAD_STATE = 7
     DIVERGED = 8
+    NOT_POSITIVE = 9
 
 
-_OK, _UNKNOWN, _NOT_FINITE, _BAD_STATE, _DIVERGED = (int(code) for code in (
-    Code.OK, Code.UNKNOWN_NUMBER, Code.NOT_FINITE, Code.BAD_STATE, Code.DIVERGED))
+_OK, _NOT_FINITE, _BAD_STATE, _DIVERGED, _NOT_POSITIVE = (int(code) for code in (
+    Code.OK, Code.NOT_FINITE, Code.BAD_STATE, Code.DIVERGED, Code.NOT_POSITIVE))
 
 # Places in `Instance.mark`: what shows that the memory is an instance, steps done, number of the
 # linear part, which `Instance.outputs` are those of now (0: none, 1: those of the motion, 2: all),
@@ -155,6 +156,28 @@ def set_input(instance, column, value):
 def get_input(instance, column, value):
     """Write a command by its column of the load."""
     value[0] = instance.inputs[column]
+    return _OK
+
+
+@entry_point(actuators=Constants(), instance=Constants(), of_rate=int, begin=int, end=int,
+             value=float)
+def set_parameter(actuators, instance, of_rate, begin, end, value):
+    """Set a limit of commands, or of their rates, for the columns from `begin` to before `end`."""
+    if not value > 0.0:
+        return _NOT_POSITIVE
+    begin_lines(actuators, instance.mark[STEPS])
+    for column in range(begin, end):
+        if of_rate != 0:
+            actuators.rate[column] = value
+        else:
+            actuators.limit[column] = value
+    return _OK
+
+
+@entry_point(actuators=Constants(), of_rate=int, begin=int, value=Array((1,)))
+def get_parameter(actuators, of_rate, begin, value):
+    """Write a limit of a column's commands, or of their rates."""
+    value[0] = actuators.rate[begin] if of_rate != 0 else actuators.limit[begin]
     return _OK
 
 
@@ -382,8 +405,10 @@ def get_outputs(instance, count, values):
 
 
 # A saved state: steps, since when lines go to commands, whether the finer run diverged, error,
-# commands, goals, origins of lines, load, friction; then the state.
-_FRICTION = 4 + 4 * LOADS
+# commands, goals, origins of lines, load, limits of commands, limits of their rates, friction;
+# then the state.
+_LIMITS = 4 + 4 * LOADS
+_FRICTION = _LIMITS + 2 * LOADS
 SAVED = _FRICTION + 4
 
 
@@ -399,6 +424,8 @@ def get_state(actuators, instance, values):
         values[4 + LOADS + k] = actuators.goal[k]
         values[4 + 2 * LOADS + k] = actuators.origin[k]
         values[4 + 3 * LOADS + k] = instance.load[k]
+        values[_LIMITS + k] = actuators.limit[k]
+        values[_LIMITS + LOADS + k] = actuators.rate[k]
     for k in range(len(instance.friction)):
         values[_FRICTION + k] = instance.friction[k]
     for k in range(len(instance.state)):
@@ -419,7 +446,10 @@ def check_state(instance, values):
     if lost == 0.0 and not 0.0 <= values[3]:
         return _BAD_STATE
     for k in range(4, SAVED + len(instance.state)):
-        if not _finite(values[k]):
+        if _LIMITS <= k and k < _FRICTION:
+            if not values[k] > 0.0:
+                return _BAD_STATE
+        elif not _finite(values[k]):
             return _NOT_FINITE
     return _OK
 
@@ -438,6 +468,8 @@ def set_state(actuators, instance, values):
         actuators.goal[k] = values[4 + LOADS + k]
         actuators.origin[k] = values[4 + 2 * LOADS + k]
         instance.load[k] = values[4 + 3 * LOADS + k]
+        actuators.limit[k] = values[_LIMITS + k]
+        actuators.rate[k] = values[_LIMITS + LOADS + k]
     for k in range(len(instance.friction)):
         instance.friction[k] = values[_FRICTION + k]
     for k in range(len(instance.state)):

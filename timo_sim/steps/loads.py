@@ -96,6 +96,9 @@ def add_drive(points, length, step, first, count, out):
     of_drive(points, length, step, first, count, out)
 
 
+TERMS = add_harmonic, add_piecewise, add_table, add_drive
+
+
 @entry_point(actuators=Constants(), commanded=Array((LOADS,)), first=int, count=int,
              out=Array((None, STEP_LOADS, LOADS)))
 def add_commands(actuators, commanded, first, count, out):

@@ -37,13 +37,14 @@ def entries() -> list[tuple[Any, tuple[type, ...]]]:
         found += [(entry, (*step, lanes.LaneConstants))
                   for entry in (lanes.advance_alike, lanes.advance_each)]
     actuators = loads.Actuators, instance.Instance
-    found += [(entry, ()) for entry in (
-        loads.add_harmonic, loads.add_piecewise, loads.add_table, loads.add_drive)]
-    found += [(entry, (loads.Actuators,)) for entry in (loads.add_commands, loads.restart)]
+    found += [(entry, ()) for entry in loads.TERMS]
+    found += [(entry, (loads.Actuators,)) for entry in (
+        loads.add_commands, loads.restart, instance.get_parameter)]
     found += [(entry, own) for entry in (instance.finish, instance.set_outputs)]
     found += [(instance.prepare, (instance.SceneLoads, *actuators)),
               (instance.reset, (instance.Plant, *actuators))]
-    found += [(entry, actuators) for entry in (instance.get_state, instance.set_state)]
+    found += [(entry, actuators) for entry in (
+        instance.set_parameter, instance.get_state, instance.set_state)]
     return found + [(entry, (instance.Instance,)) for entry in (
         instance.set_input, instance.get_input, instance.set_place, instance.compare,
         instance.lose, instance.get_output, instance.get_outputs, instance.check_state)]
