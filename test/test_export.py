@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 import timo_sim
 from timo_sim.export.constants import interface_of
-from timo_sim.model.layout import LOADS, place
+from timo_sim.model.layout import FORCE_X, LOADS, place, TORQUE
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.steps.instance import SAVED
 
@@ -32,8 +32,7 @@ pytestmark = pytest.mark.skipif(CC is None, reason='needs a C compiler')
 NO_LOADS = {f'load.{channel}.{kind}': () for channel in CHANNELS for kind in (
     'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
     'piecewise.value', 'table.time', 'table.value')}
-# Scenes of which every number is computed by the same code as in Python.
-SAME = {
+SCENES = {
     'free': {},
     'held': {'carrier.held': 'both', 'initial.shaft_velocity': 3.0},
     'locked': {'motor.shaft': 'locked', 'initial.carrier_x_velocity': 0.5},
@@ -58,9 +57,6 @@ SAME = {
     # Knots on and between steps, a jump.
     'table': {'load.force_x.table.time': [0.001, 0.0105, 0.03, 0.03, 0.0717],
               'load.force_x.table.value': [0.0, 3.0, -1.0, 1.0, 0.0]},
-}
-# Scenes with sines, polynomials or moments that differ from NumPy's in the last bit.
-NEAR = {
     'rate limits': {'motor.torque_rate_limit': 150.0, 'carrier.force_rate_limit': 400.0,
                     'motor.torque_limit': 1.5},
     'harmonic': {'load.torque.harmonic.amplitude': [5.0, 2.0],
@@ -68,6 +64,12 @@ NEAR = {
     'driven': {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.0303, 0.05],
                'motor.drive.angle': [0.0, 0.5, 1.0], 'motor.drive.speed': [0.0, 30.0, 10.0],
                'motor.drive.acceleration': [0.0, 100.0, 0.0]},
+    'driven, with sines': {
+        'motor.shaft': 'driven', 'motor.drive.time': [0.0, 0.1], 'motor.drive.angle': [0.0, 1.0],
+        'motor.drive.speed': [0.0, 10.0], 'motor.drive.acceleration': [0.0, 0.0],
+        'load.tip_force_x.harmonic.amplitude': [3.0],
+        'load.tip_force_x.harmonic.frequency': [11.0],
+        'load.tip_force_x.harmonic.phase': [0.4]},
 }
 
 
@@ -120,10 +122,10 @@ def compare(scene, folder, calls=30):
             output[:, 10:12], np.array(tips))
 
 
-@pytest.mark.parametrize('name', SAME)
+@pytest.mark.parametrize('name', SCENES)
 def test_bits(name, tmp_path):
     """Motions in C are those of Simulator, and the object file refers to nothing else."""
-    scene = scene_of(SAME[name])
+    scene = scene_of(SCENES[name])
     timo_sim.export_c(scene, tmp_path)
     found = subprocess.run(['nm', '-u', tmp_path / 'arm.o'], check=True, stdout=subprocess.PIPE)
     assert found.stdout == b''
@@ -134,19 +136,11 @@ def test_bits(name, tmp_path):
     np.testing.assert_array_equal(tip, tips)
 
 
-@pytest.mark.parametrize('name', NEAR)
-def test_motions_under_loads_with_round_off(name, tmp_path):
-    scene = scene_of(NEAR[name])
-    timo_sim.export_c(scene, tmp_path)
-    _, motion, _, motions, *_ = compare(scene, tmp_path)
-    # Round-off of loads, which a run of some hundred steps hands on.
-    np.testing.assert_allclose(motion, motions, rtol=0.0, atol=1e-13 * np.abs(motions).max())
-
-
 FORCES = {
-    **{name: SAME[name] for name in ('held', 'gravity', 'smooth', 'sticking', 'axial', 'rigid',
-                                     'sectors', 'dc motor')}, **NEAR,
-    'driven newton': {**NEAR['driven'], 'model.formulation': 'newton'},
+    **{name: SCENES[name] for name in (
+        'held', 'gravity', 'smooth', 'sticking', 'axial', 'rigid', 'sectors', 'dc motor',
+        'rate limits', 'harmonic', 'driven')},
+    'driven newton': {**SCENES['driven'], 'model.formulation': 'newton'},
     'root stress': {'model.formulation': 'newton_root_stress', 'motor.shaft': 'locked',
                     'carrier.held': 'y'},
     'rigid axial': {'model.formulation': 'newton_rigid_axial', 'carrier.held': 'x',
@@ -208,6 +202,33 @@ def test_saved_state_goes_on_to_the_bit(tmp_path):
         *begin, 'g', *going_on, 'i 4 -1', 's 40', 'p', *going_on, 'r', *begin, *going_on])
     first, again, anew = (found[k:k + 3] for k in (0, 3, 6))
     assert first == again == anew
+
+
+def test_parameters_that_are_set_are_those_of_a_changed_scene(tmp_path):
+    """While a torque moves to its goal, and a force is held; a saved state has them."""
+    scene = scene_of({'motor.torque_rate_limit': 40.0, 'carrier.force_limit': 3.0})
+    changes = {'motor.torque_rate_limit': 17.0, 'carrier.force_limit': 1.5,
+               'motor.torque_limit': 0.9}
+    timo_sim.export_c(scene, tmp_path)
+    interface, simulator = interface_of(scene, False), timo_sim.Simulator(scene)
+    columns, titles = ([getattr(each, name) for each in group] for name, group in (
+        ('column', interface.inputs), ('title', interface.parameters)))
+    commanded = np.zeros(LOADS)
+    commanded[[TORQUE, FORCE_X]] = 2.0, 7.0
+    begin = [f'i {columns.index(column)} {commanded[column]}' for column in (TORQUE, FORCE_X)]
+    limits = [f'l {titles.index(name.replace(".", "_"))} {value}'
+              for name, value in changes.items()]
+    after = ['s 60', 'w']
+    found = run_program(compile_program(RUN, tmp_path), [
+        *begin, 's 20', *limits, 'g', *after, 'r', 'p', *after, 'r', *begin, *after])
+    simulator.advance(20, commanded)
+    simulator.change(scene.vary(changes))
+    simulator.advance(60, commanded)
+    np.testing.assert_array_equal(found[0][SAVED:], simulator._state)
+    assert found[1] == found[0]
+    anew = timo_sim.Simulator(scene.vary(changes))  # parameters outlive a reset
+    anew.advance(60, commanded)
+    np.testing.assert_array_equal(found[2][SAVED:], anew._state)
 
 
 def test_estimated_error(tmp_path):

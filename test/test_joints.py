@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.model.layout import FORCE_X, LOADS, TORQUE, VOLTAGE
+from timo_sim.model.layout import (
+    ACCELERATION, AFTER, ANGLE, FORCE_X, LOADS, STEP_LOADS, TORQUE, VOLTAGE)
 from timo_sim.simulation.energy import work
 from timo_sim.simulation.loads import Actuators
 from timo_sim.simulation.simulator import Simulator
@@ -55,7 +56,8 @@ def test_a_driven_rigid_arm_on_a_carrier_held_along_x():
     inertia = (body.shaft_inertia + beam * length**2 / 3.0 + section.inertia_per_length * length
                + body.end_effector_inertia + body.end_effector_mass * length**2)
     mass = body.base_mass + beam + body.end_effector_mass
-    angle, omega, second = scene.load.drive.stages(0, 2000, scene.step)[:, 2].T
+    loads = scene.load.stages(0, 2000, scene.step)[:, AFTER]
+    angle, omega, second = loads[:, ANGLE:ACCELERATION + 1].T
     swing = static * (second * np.cos(angle) - omega**2 * np.sin(angle))
     expected = np.column_stack([
         -static * (second * np.sin(angle) + omega**2 * np.cos(angle)), np.zeros(2000),
@@ -203,8 +205,9 @@ def test_loads_follow_commands_at_the_rate_limit_in_any_batches():
 def test_without_limits_the_load_is_the_command():
     held = np.arange(float(LOADS))
     actuators = Actuators(timo_sim.load_scene({}).values)
-    actuators.command(held, 0)
-    assert np.array_equal(actuators.loads(0, 5), held)
+    loads = np.zeros((5, STEP_LOADS, LOADS))
+    actuators.add(held, 0, loads)
+    assert np.array_equal(loads, np.broadcast_to(held, loads.shape))
 
 
 def test_a_motor_without_torque_is_refused():

@@ -83,4 +83,4 @@ def _compare(scene, random):
 
 def part(quick):
     """Return the table."""
-    return table(_HEADER, rows(34 if quick else 340))
+    return table(_HEADER, rows(34 if quick else 1000))

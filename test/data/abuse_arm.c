@@ -19,7 +19,8 @@ int main(void)
     memset(room, 0x5a, ARM_SIZE + 2 * GUARD);
     arm *instance = (arm *)(room + GUARD);
     double value = 1.0, outputs[ARM_OUTPUTS], state[ARM_STATE_SIZE], other[ARM_STATE_SIZE];
-    const int counts[] = {-1, 1000000, ARM_INPUTS, ARM_OUTPUTS, -2147483647 - 1};
+    const int counts[] = {-1, 1000000, ARM_INPUTS, ARM_OUTPUTS, ARM_PARAMETERS,
+                          -2147483647 - 1};
 
     EXPECT(arm_size() == ARM_SIZE);
     /* Before it is created. */
@@ -51,12 +52,17 @@ int main(void)
     EXPECT(arm_step((arm *)(room + 1), 1) == ARM_NOT_CREATED);
     /* Numbers and values. */
     for (size_t k = 0; k < sizeof counts / sizeof *counts; ++k) {
-        if (counts[k] != ARM_OUTPUTS) {
+        if (counts[k] < 0 || counts[k] >= ARM_INPUTS) {
             EXPECT(arm_set_input(instance, counts[k], 1.0) == ARM_UNKNOWN_NUMBER);
             EXPECT(arm_get_input(instance, counts[k], &value) == ARM_UNKNOWN_NUMBER);
             EXPECT(!strcmp(arm_input_name(counts[k]), "unknown"));
         }
-        if (counts[k] != ARM_INPUTS) {
+        if (counts[k] < 0 || counts[k] >= ARM_PARAMETERS) {
+            EXPECT(arm_set_parameter(instance, counts[k], 1.0) == ARM_UNKNOWN_NUMBER);
+            EXPECT(arm_get_parameter(instance, counts[k], &value) == ARM_UNKNOWN_NUMBER);
+            EXPECT(!strcmp(arm_parameter_name(counts[k]), "unknown"));
+        }
+        if (counts[k] < 0 || counts[k] >= ARM_OUTPUTS) {
             EXPECT(arm_get_output(instance, counts[k], &value) == ARM_UNKNOWN_NUMBER);
             EXPECT(!strcmp(arm_output_unit(counts[k]), "unknown"));
         }
@@ -64,11 +70,17 @@ int main(void)
     EXPECT(arm_set_input(instance, 0, NAN) == ARM_NOT_FINITE);
     EXPECT(arm_set_input(instance, 0, INFINITY) == ARM_NOT_FINITE);
     EXPECT(arm_get_input(instance, 0, &value) == ARM_OK && value == 0.0);
+    EXPECT(arm_set_parameter(instance, 0, NAN) == ARM_NOT_POSITIVE);
+    EXPECT(arm_set_parameter(instance, 0, 0.0) == ARM_NOT_POSITIVE);
+    EXPECT(arm_set_parameter(instance, 0, -1.0) == ARM_NOT_POSITIVE);
+    EXPECT(arm_set_parameter(NULL, 0, 1.0) == ARM_NULL_POINTER);
+    EXPECT(arm_get_parameter(instance, 0, NULL) == ARM_NULL_POINTER);
+    EXPECT(arm_get_parameter(instance, 0, &value) == ARM_OK && value == INFINITY);
     EXPECT(arm_step(instance, -1) == ARM_NEGATIVE_STEPS);
     EXPECT(arm_step(instance, INT64_MIN) == ARM_NEGATIVE_STEPS);
     EXPECT(arm_step(instance, 0) == ARM_OK);
     EXPECT(!strcmp(arm_error_text(-1), "unknown") && !strcmp(arm_error_text(99), "unknown"));
-    for (int code = ARM_OK; code <= ARM_DIVERGED; ++code)
+    for (int code = ARM_OK; code <= ARM_NOT_POSITIVE; ++code)
         EXPECT(strlen(arm_error_text(code)) > 5);
     /* States. */
     EXPECT(arm_step(instance, 5) == ARM_OK);

@@ -1,6 +1,6 @@
 /*
  * Do what the lines of the standard input say with an exported arm:
- * i INPUT VALUE, s STEPS, r (reset), g (get the state), p (put the state of the last g back),
+ * i INPUT VALUE, l PARAMETER VALUE, s STEPS, r (reset), g (get the state), p (put the state of the last g back),
  * o (print all outputs), w (print the state). Numbers are printed exactly, as hexadecimal floats.
  */
 #include <stdio.h>
@@ -19,6 +19,8 @@ int main(void)
     while (scanf(" %c", &what) == 1) {
         if (what == 'i' && scanf("%d %lf", &input, &value) == 2)
             code = arm_set_input(instance, input, value);
+        else if (what == 'l' && scanf("%d %lf", &input, &value) == 2)
+            code = arm_set_parameter(instance, input, value);
         else if (what == 's' && scanf("%ld", &steps) == 1)
             code = arm_step(instance, steps);
         else if (what == 'r')

@@ -14,43 +14,50 @@ from scipy.integrate import quad
 from scipy.interpolate import BPoly
 
 import timo_sim
-from timo_sim.model.layout import ACCELERATION, AFTER, ANGLE, END, FORCE_X, LOADS, TORQUE
+from timo_sim.model.layout import (
+    ACCELERATION, AFTER, ANGLE, END, FORCE_X, LOADS, STEP_LOADS, TORQUE)
 from timo_sim.scene.loads import Drive, Harmonic, Load, Piecewise, Table
 from timo_sim.simulation.loads import Actuators
 
 STEP = 0.1
 
 
+def seen(term, first, count):
+    """Return what the stages of steps see of a term of a torque, shape (count, 3)."""
+    return Load({'torque': (term,)}).stages(first, count, STEP)[:, :3, TORQUE]
+
+
 def test_harmonic():
-    values = Harmonic(2.0, 0.5, 0.3).stages(3, 2, STEP)
+    values = seen(Harmonic(2.0, 0.5, 0.3), 3, 2)
     times = np.array([[0.3, 0.35, 0.4], [0.4, 0.45, 0.5]])
     assert values == pytest.approx(2.0 * np.sin(np.pi * times + 0.3))
 
 
 def test_piecewise_gives_each_step_its_own_piece():
     # 0.3 = 3 x 0.1 only up to rounding: steps are counted, not compared as times.
-    values = Piecewise((0.3, 0.5), (4.0, -1.0)).stages(2, 4, STEP)
-    assert values.tolist() == [[0.0], [4.0], [4.0], [-1.0]]
+    values = seen(Piecewise((0.3, 0.5), (4.0, -1.0)), 2, 4)
+    assert values.tolist() == [[0.0] * 3, [4.0] * 3, [4.0] * 3, [-1.0] * 3]
 
 
 def test_table_is_linear_between_points_and_held_outside():
     table = Table((0.1, 0.3), (1.0, 5.0))
-    assert table.stages(0, 4, STEP) == pytest.approx(
+    assert seen(table, 0, 4) == pytest.approx(
         np.array([[1, 1, 1], [1, 2, 3], [3, 4, 5], [5, 5, 5]]))
 
 
 def test_table_jumps_where_a_time_is_given_twice():
     table = Table((0.0, 0.3, 0.3, 0.5), (0.0, 3.0, -3.0, -5.0))
-    values = table.stages(2, 2, STEP)
+    values = seen(table, 2, 2)
     assert values == pytest.approx(np.array([[2, 2.5, 3], [-3, -3.5, -4]]))
     assert table.jumps() == (0.3,)
 
 
 def test_stages_do_not_depend_on_where_a_block_begins():
     terms = [Harmonic(1.0, 3.0, 0.1), Piecewise((0.2, 0.7), (1.0, 2.0)),
-             Table((0.0, 0.4, 0.4, 0.9), (0.0, 1.0, 2.0, 0.0))]
+             Table((0.0, 0.4, 0.4, 0.9), (0.0, 1.0, 2.0, 0.0)),
+             Table((0.31, 0.33, 0.72), (1.0, 2.0, 0.0))]
     for term in terms:
-        assert np.array_equal(term.stages(0, 12, STEP)[5:], term.stages(5, 7, STEP))
+        assert np.array_equal(seen(term, 0, 12)[5:], seen(term, 5, 7))
 
 
 def test_sum_of_terms_on_a_channel():
@@ -107,10 +114,10 @@ def test_a_step_with_knots_inside_has_the_integral_and_moments_of_the_load():
     time = np.sort(random.uniform(0.0, 10.0 * STEP, 25))
     table = Table(tuple(time), tuple(random.normal(size=25)))
     loads = Load({'torque': (table,)}).stages(0, 12, STEP)[..., TORQUE]
-    seen = moments(loads[:, :3]).T
+    found = moments(loads[:, :3]).T
     for step in range(12):
         truth = true_moments(lambda t: np.interp(t, time, table.value), time / STEP, step)
-        assert seen[step] == pytest.approx(truth, abs=1e-12)
+        assert found[step] == pytest.approx(truth, abs=1e-12)
     # The load at the end of a step, for messages and samples, is the true one.
     assert loads[:, AFTER] == pytest.approx(
         np.interp(STEP * np.arange(1, 13), time, table.value))
@@ -136,8 +143,8 @@ def test_a_step_in_which_a_force_reaches_its_goal_has_its_integral_and_moments()
         'motor.torque_rate_limit': 30.0}).values)
     commanded = np.zeros(LOADS)
     commanded[[FORCE_X, TORQUE]] = 13.0, -7.0
-    actuators.command(commanded, 0)
-    loads = actuators.loads(0, 4)
+    loads = np.zeros((4, STEP_LOADS, LOADS))
+    actuators.add(commanded, 0, loads)
     for column, rate, goal in ((FORCE_X, 100.0, 13.0), (TORQUE, -30.0, -7.0)):
         reached = goal / rate
         for step in range(4):

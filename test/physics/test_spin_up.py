@@ -13,6 +13,7 @@ import pytest
 
 from oracles import references
 import timo_sim
+from timo_sim.model.layout import ANGLE, START
 
 LENGTH = 10.0
 
@@ -70,12 +71,13 @@ def test_below_its_first_frequency_newton_gives_no_warning(paper, recwarn):
 
 def test_the_file_drives_along_the_formula(spin_up):
     """Its points, every 0.5 s, agree to twelve digits; between them it is within 4e-9 rad."""
-    drive = timo_sim.load_scene(spin_up).load.drive
+    load = timo_sim.load_scene(spin_up).load
+    drive = load.drive
     theta, speed, acceleration = references.spin_up()
     for k, t in enumerate(drive.time):
         assert drive.angle[k] == pytest.approx(theta(t), abs=1e-11)
         assert drive.speed[k] == pytest.approx(speed(t), abs=1e-11)
         assert drive.acceleration[k] == pytest.approx(acceleration(t), abs=1e-11)
     times = np.arange(0.0, 20.0, 0.05)
-    between = [drive.stages(k, 1, 0.05)[0, 0, 0] for k in range(len(times))]
+    between = [load.stages(k, 1, 0.05)[0, START, ANGLE] for k in range(len(times))]
     assert np.abs(between - np.array([theta(t) for t in times])).max() < 1e-8

@@ -50,6 +50,7 @@ extern "C" {
 #define NAME_STATE_SIZE $saved /* count of numbers of a saved state */
 #define NAME_INPUTS $inputs /* count of inputs */
 #define NAME_OUTPUTS $outputs /* count of outputs */
+#define NAME_PARAMETERS $parameters /* count of parameters */
 
 enum name_code {
 $codes
@@ -64,6 +65,11 @@ enum name_output {
 $output_list
 };
 
+/* Parameters are the scene's until they are set; they are > 0, and INFINITY is no limit. */
+enum name_parameter {
+$parameter_list
+};
+
 typedef struct name name;
 
 /* Size of an instance in bytes, NAME_SIZE. */
@@ -72,12 +78,16 @@ size_t name_size(void);
 /* Make an instance of `size` bytes of memory, at the start of the scene; it is a name * then. */
 int name_create(void *memory, size_t size);
 
-/* Return to the start of the scene, with inputs 0. */
+/* Return to the start of the scene, with inputs 0; parameters stay. */
 int name_reset(name *instance);
 
 /* Set or get an input. */
 int name_set_input(name *instance, int input, double value);
 int name_get_input(const name *instance, int input, double *value);
+
+/* Set or get a parameter; what acts of inputs goes on from its value at this step. */
+int name_set_parameter(name *instance, int parameter, double value);
+int name_get_parameter(const name *instance, int parameter, double *value);
 
 /* Advance by some time steps, under constant inputs. */
 int name_step(name *instance, int64_t steps);
@@ -86,7 +96,7 @@ int name_step(name *instance, int64_t steps);
 int name_get_output(name *instance, int output, double *value);
 int name_get_outputs(name *instance, double values[NAME_OUTPUTS]);
 
-/* Get or set the state: time, inputs and motion, from which a run goes on to the last bit. */
+/* Get or set the state: time, inputs, parameters, motion; runs go on from it to the last bit. */
 int name_get_state(const name *instance, double values[NAME_STATE_SIZE]);
 int name_set_state(name *instance, const double values[NAME_STATE_SIZE]);
 
@@ -96,6 +106,8 @@ const char *name_input_name(int input);
 const char *name_input_unit(int input);
 const char *name_output_name(int output);
 const char *name_output_unit(int output);
+const char *name_parameter_name(int parameter);
+const char *name_parameter_unit(int parameter);
 
 #ifdef __cplusplus
 }
@@ -227,9 +239,11 @@ def _enum(name, quantities):
 def _header(interface, made, step, target, name):
     codes = [Quantity(code.name, '', TEXTS[code]) for code in Code]
     words = {'step': repr(step), 'size': made.size, 'saved': made.saved,
-             'inputs': len(interface.inputs), 'outputs': len(interface.outputs)}
+             'inputs': len(interface.inputs), 'outputs': len(interface.outputs),
+             'parameters': len(interface.parameters)}
     lists = {'codes': _enum(name, codes), 'input_list': _enum(name, interface.inputs),
-             'output_list': _enum(name, interface.outputs)}
+             'output_list': _enum(name, interface.outputs),
+             'parameter_list': _enum(name, interface.parameters)}
     # Lists are put in last, since meanings may have the word "name".
     text = _named(_HEADER.safe_substitute(version=__version__, target=target, **words), name)
     return Template(text).substitute(lists)

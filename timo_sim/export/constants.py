@@ -9,19 +9,19 @@
 
 """Constants of an exported arm, from a scene; what cannot be exported is refused here by name."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from timo_sim.compiled.constants import pack, Packed
-from timo_sim.model.layout import ANGLE, INPUTS, STAGES
-from timo_sim.scene.loads import Harmonic, on_boundaries, Piecewise, Table
+from timo_sim.model.layout import INPUTS
+from timo_sim.scene.loads import Drive, Harmonic, Piecewise, Table
 from timo_sim.scene.parameters import ParameterError, PARAMETERS
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.finer import can_refine, choose_parts
-from timo_sim.simulation.loads import Actuators
 from timo_sim.simulation.simulator import MOST_BENT, Simulator
 from timo_sim.steps.instance import Plant, SceneLoads
+from timo_sim.steps.loads import POINT
 
 
 class Quantity(NamedTuple):
@@ -33,11 +33,23 @@ class Quantity(NamedTuple):
     column: int = 0  # of a load, for an input
 
 
+class Limit(NamedTuple):
+    """A parameter of the library that can be set: a limit of inputs or of their rates."""
+
+    title: str
+    unit: str
+    meaning: str
+    of_rate: bool
+    begin: int  # first column of a load whose commands it limits
+    end: int    # column after the last one
+
+
 class Interface(NamedTuple):
-    """The inputs and outputs of a library, and the steps of its finer run."""
+    """The inputs, outputs and parameters of a library, and the steps of its finer run."""
 
     inputs: list[Quantity]
     outputs: list[Quantity]
+    parameters: list[Limit]
     parts: int  # of a step of the finer run; 0: there is none
 
 
@@ -104,7 +116,19 @@ def interface_of(scene: Scene, estimate: bool) -> Interface:
     if estimate:
         outputs.append(Quantity('estimated_tip_error', 'm', 'largest distance so far from the tip '
                                 'of a finer run; NaN if that diverged'))
-    return Interface(inputs, outputs, choose_parts(scene)[0] if estimate else 0)
+    return Interface(inputs, outputs, _limits(inputs), choose_parts(scene)[0] if estimate else 0)
+
+
+def _limits(inputs):
+    columns: dict[tuple[str, bool], list[int]] = {}
+    for each in inputs:
+        for name, of_rate in ((INPUTS[each.column].limit, False),
+                              (INPUTS[each.column].rate_limit, True)):
+            if name:
+                columns.setdefault((name, of_rate), []).append(each.column)
+    return [Limit(name.replace('.', '_'), PARAMETERS[name].unit, PARAMETERS[name].meaning, of_rate,
+                  min(limited), max(limited) + 1)
+            for (name, of_rate), limited in columns.items()]
 
 
 def plant_of(simulator: Simulator) -> Packed:
@@ -131,61 +155,28 @@ def _strains(model):
 
 
 def scene_loads_of(scene: Scene) -> Packed:
-    """Return the constants for the loads of a scene over time and for its actuators."""
-    step, actuators = scene.step, Actuators(scene.values)
-    harmonics, pieces, tables, kinks = [], [], [], []
+    """Return the constants for the loads of a scene over time."""
+    step, drive = scene.step, np.empty((0, POINT))
+    harmonics, pieces, tables = [np.empty((0, 4))], [np.empty((0, 3))], [np.empty((0, 3))]
     jumps, knots = [np.empty((0, 2))], [np.empty((0, 2))]
-    for column, terms in scene.load.by_column():
-        for term in terms:
-            if isinstance(term, Harmonic):
-                harmonics.append((column, term.amplitude, term.frequency, term.phase))
-            elif isinstance(term, Piecewise):
-                _add(pieces, jumps, column, np.rint(np.array(term.time) / step), term.value)
-            elif isinstance(term, Table):
-                time = np.array(term.time)
-                position = on_boundaries(time / step)
-                time = np.where(position == np.rint(position), position * step, time)
-                _add(tables, knots, column, time, term.value)
-                kinks += _kinks(term, column, term.time, step)
-            else:
-                raise ParameterError(f'a load of {INPUTS[column].name} must be harmonic, '
-                                     f'piecewise or a table, got {term!r}')
-    drive = scene.load.drive
-    time, polynomials = np.empty(0), np.empty((0, 6))
-    if drive:
-        time, polynomials = np.array(drive.time), drive.polynomials()
-        kinks += _kinks(drive, ANGLE, drive.time, step)
-    kinks.sort(key=lambda kink: kink[0])  # of equal steps in the order of terms
-    rates = [scene.values[each.rate_limit] if each.rate_limit else np.inf for each in INPUTS]
-    rate = np.where(np.isfinite(rates), rates, 0.0)
-    column, amplitude, frequency, phase = _columns(harmonics, 4)
-    kink_step, kink_column, *change = _columns(kinks, 2 + STAGES)
-    return pack(SceneLoads._make([
-        step, actuators.gain, actuators.limit, rate, column, amplitude, frequency, phase,
-        *_columns(pieces, 3), *np.concatenate(jumps).T, *_columns(tables, 3),
-        *np.concatenate(knots).T, time, polynomials, kink_step, kink_column,
-        np.stack(change, axis=1)]))
+    for column, term in scene.load.by_column:
+        if isinstance(term, Harmonic):
+            harmonics.append(np.array([(column, *term.constants)]))
+        elif isinstance(term, Piecewise):
+            _add(pieces, jumps, column, term.rows(step))
+        elif isinstance(term, Table):
+            _add(tables, knots, column, term.rows(step))
+        elif isinstance(term, Drive):
+            drive = term.rows(step)
+        else:
+            raise ParameterError(f'a load of {INPUTS[column].name} must be harmonic, piecewise, '
+                                 f'a table or a drive of points, got {term!r}')
+    return pack(SceneLoads(
+        step, np.concatenate(harmonics), np.concatenate(pieces), np.concatenate(jumps),
+        np.concatenate(tables), np.concatenate(knots), drive))
 
 
-def _add(parts, rows, column, first, second):
+def _add(parts, rows, column, own):
     begin = sum(map(len, rows))
-    rows.append(np.column_stack([first, second]))
-    parts.append((column, begin, begin + len(first)))
-
-
-def _columns(rows, count):
-    return np.array(rows, dtype=float).reshape(-1, count).T
-
-
-def _kinks(term: Any, column: int, time: tuple, step: float) -> list[tuple]:
-    # What the moments of steps with a break inside change at their stages.
-    found = []
-    for number in np.unique(np.floor(on_boundaries(np.array(time) / step)).astype(int)):
-        if number < 0:
-            continue
-        steps, seen = term.parabolas(number, 1, step)
-        if len(steps):
-            change = seen[0] - term.stages(number, 1, step)[0]
-            found += [(number, column + k, *each)
-                      for k, each in enumerate(change.reshape(STAGES, -1).T)]
-    return found
+    rows.append(own)
+    parts.append(np.array([(column, begin, begin + len(own))]))

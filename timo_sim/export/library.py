@@ -22,9 +22,11 @@ import numpy as np
 
 from timo_sim.compiled import machine
 from timo_sim.compiled.constants import pack, Packed
+from timo_sim.compiled.functions import WIDTH
 from timo_sim.export.constants import Interface, plant_of, scene_loads_of
 from timo_sim.model.functions import tip_once
 from timo_sim.model.layout import LOADS, STEP_LOADS
+from timo_sim.simulation.loads import Actuators
 from timo_sim.steps import friction
 from timo_sim.steps import instance as steps
 from timo_sim.steps.etdrk4 import advance
@@ -37,10 +39,11 @@ TEXTS = {
     Code.NULL_POINTER: 'a pointer is null',
     Code.BAD_MEMORY: 'the memory is too small, or its address is no multiple of 8',
     Code.NOT_CREATED: 'the memory is no instance: create it first',
-    Code.UNKNOWN_NUMBER: 'there is no input or output of this number',
+    Code.UNKNOWN_NUMBER: 'there is no input, output or parameter of this number',
     Code.NOT_FINITE: 'a value is not finite',
     Code.NEGATIVE_STEPS: 'the number of steps is negative',
     Code.BAD_STATE: 'the values are no saved state',
+    Code.NOT_POSITIVE: 'a limit must be > 0',
     Code.DIVERGED: 'the run diverged: it is at the last good step; take a smaller time step',
 }
 
@@ -56,22 +59,28 @@ class _Model:
         parts = [simulator.integration.part(sector).constants for sector in sectors]
         self.parts = len(parts)
         self.plant, self.loads = plant_of(simulator), scene_loads_of(scene)
-        # Of dry friction, whose rooms follow the instance in memory.
+        self.actuators = Actuators(scene.values).packed
+        # In memory actuators and dry friction, with its rooms, follow the instance.
         self.joints = getattr(simulator.integration, 'joints', None)
         self.own, self.forces = model.packed, model.force_tables
         outputs = steps.MODAL + 2 * len(model.modes) + 1
         self.instance = pack(Instance._make([
-            np.zeros(6), *4 * [np.zeros(LOADS)], np.zeros(LOADS), *2 * [np.zeros(4)],
-            *2 * [np.zeros(1)], *3 * [np.zeros(len(model.linear))],
-            np.zeros((STEP_LOADS, LOADS)), *4 * [np.zeros(model.size)], *2 * [np.zeros(3)],
+            np.zeros(5), *3 * [np.zeros(LOADS)], *2 * [np.zeros(4)], *2 * [np.zeros(1)],
+            *3 * [np.zeros(len(model.linear))], np.zeros((1, STEP_LOADS, LOADS)),
+            np.zeros(WIDTH), *4 * [np.zeros(model.size)], *2 * [np.zeros(3)],
             np.zeros(outputs)]))
         self.tables, self.propagator = (
             [each[k] for each in parts] for k in range(2))
 
     @property
+    def place_of_joints(self):
+        """Place of the constants and rooms of dry friction in the memory of an instance [B]."""
+        return self.instance.length + self.actuators.length
+
+    @property
     def length(self):
         """Length of an instance in memory [B]."""
-        return self.instance.length + (self.joints.length if self.joints else 0)
+        return self.place_of_joints + (self.joints.length if self.joints else 0)
 
     @property
     def saved(self):
@@ -173,6 +182,9 @@ class _Body:
     def own(self, model, instance):
         return model.instance, instance
 
+    def actuators(self, model, instance):
+        return model.actuators, self.at(instance, model.instance.length)
+
     def constants_of_step(self, model, instance):
         """Return tables and propagator of the linear part of now, each with its place."""
         builder, constants = self.builder, [*zip((model.tables, model.propagator), range(2))]
@@ -204,7 +216,7 @@ class _Body:
         fields = {name: self.field(model, instance, name) for name in (
             'state', 'load', 'loads', 'motion', 'remainder', 'friction', 'heat')}
         if model.joints:
-            joints = self.at(instance, model.instance.length)
+            joints = self.at(instance, model.place_of_joints)
             return self.call(
                 model, friction.advance,
                 [*self.constants_of_step(model, instance), (model.joints, joints)],
@@ -220,7 +232,8 @@ class _Body:
         """Define the function that does one step of a model under commands."""
         instance, inputs = self.function(f'step.{model.number}', _WORD, _POINTER, _POINTER)
         own = self.own(model, instance)
-        self.call(model, steps.prepare, [(model.loads, self.data(model.loads)), own], inputs)
+        self.call(model, steps.prepare, [
+            (model.loads, self.data(model.loads)), self.actuators(model, instance), own], inputs)
         done = self.advance(model, instance, 1, 0)
         self.builder.ret(self.call(
             model, steps.finish, [(model.plant, self.data(model.plant)), own], done))
@@ -305,28 +318,35 @@ class _Body:
     def reset_all(self, instance):
         for model, each in self.each(instance):
             self.call(model, steps.reset, [
-                (model.plant, self.data(model.plant)), self.own(model, each)])
-            if model.joints:
-                self.copy_joints(model, each)
+                (model.plant, self.data(model.plant)), self.actuators(model, each),
+                self.own(model, each)])
         self.finish()
 
-    def copy_joints(self, model, instance):
-        """Copy the constants of dry friction, without its rooms, to the memory."""
-        source, goal = self.data(model.joints), self.at(instance, model.instance.length)
-        for offset in range(0, model.joints.offsets['pushed'], 8):
+    def copy_constants(self, instance):
+        """Copy the constants that functions change, or beside which they have rooms."""
+        for model, each in self.each(instance):
+            self.copy(model.actuators, model.actuators.length,
+                      self.at(each, model.instance.length))
+            if model.joints:
+                self.copy(model.joints, model.joints.offsets['pushed'],
+                          self.at(each, model.place_of_joints))
+
+    def copy(self, packed, length, goal):
+        source = self.data(packed)
+        for offset in range(0, length, 8):
             self.builder.store(self.builder.load(self.at(source, offset), typ=_WORD),
                                self.at(goal, offset))
 
-    def column_of(self, number):
-        columns = [each.column for each in self.interface.inputs]
-        kind = ir.ArrayType(_WORD, len(columns))
-        if 'columns' not in self.module.globals:
-            made = ir.GlobalVariable(self.module, kind, 'columns')
-            made.initializer = ir.Constant(kind, columns)
+    def number_in(self, name, numbers, place):
+        """Return one of some whole numbers, which are a constant of this name."""
+        kind = ir.ArrayType(_WORD, len(numbers))
+        if name not in self.module.globals:
+            made = ir.GlobalVariable(self.module, kind, name)
+            made.initializer = ir.Constant(kind, numbers)
             made.linkage, made.global_constant = 'internal', True
-        place = self.builder.gep(self.module.globals['columns'], [
-            ir.Constant(_INT, 0), self.builder.zext(number, _WORD)])
-        return self.builder.load(place, typ=_WORD)
+        found = self.builder.gep(self.module.globals[name], [
+            ir.Constant(_INT, 0), self.builder.zext(place, _WORD)])
+        return self.builder.load(found, typ=_WORD)
 
     def memory(self):
         self.function(f'{self.name}_size', _WORD)
@@ -335,17 +355,42 @@ class _Body:
         self.fail_if(self.is_null(memory), Code.NULL_POINTER)
         self.fail_if(self.misaligned(memory), Code.BAD_MEMORY)
         self.fail_if(self.builder.icmp_unsigned('<', size, self.word(self.size)), Code.BAD_MEMORY)
+        self.copy_constants(memory)
         self.reset_all(memory)
         instance, = self.public('reset')
         self.reset_all(instance)
 
     def inputs(self):
-        own, count = self.models[0], len(self.interface.inputs)
+        own, columns = self.models[0], [each.column for each in self.interface.inputs]
         for entry, kind in ((steps.set_input, _REAL), (steps.get_input, _POINTER)):
             instance, number, value = self.public(entry.__name__, _INT, kind)
-            self.fail_unless_below(number, count)
+            self.fail_unless_below(number, len(columns))
             self.finish(self.call(own, entry, [self.own(own, instance)],
-                                  self.column_of(number), value))
+                                  self.number_in('columns', columns, number), value))
+
+    def parameters(self):
+        limits = self.interface.parameters
+        instance, number, value = self.public('set_parameter', _INT, _REAL)
+        self.fail_unless_below(number, len(limits))
+        of_rate, begin, end = self.columns_of_limit(number)
+        for model, each in self.each(instance):
+            code = self.call(model, steps.set_parameter, [
+                self.actuators(model, each), self.own(model, each)], of_rate, begin, end, value)
+            with self.builder.if_then(self.builder.not_(self.equal(code, 0))):
+                self.finish(code)
+        self.finish()
+        instance, number, value = self.public('get_parameter', _INT, _POINTER)
+        self.fail_unless_below(number, len(limits))
+        of_rate, begin, _ = self.columns_of_limit(number)
+        own = self.models[0]
+        self.finish(self.call(own, steps.get_parameter, [self.actuators(own, instance)], of_rate,
+                              begin, value))
+
+    def columns_of_limit(self, number):
+        """Return whether a parameter limits rates, its first column and the one after its last."""
+        return [self.number_in(f'limits.{name}', [
+            int(getattr(each, name)) for each in self.interface.parameters], number)
+            for name in ('of_rate', 'begin', 'end')]
 
     def step(self):
         own = self.models[0]
@@ -389,20 +434,25 @@ class _Body:
 
     def states(self):
         instance, values = self.public('get_state', _POINTER)
-        self.for_each_state(instance, values, steps.get_state)
+        for model, each, place in self.each_state(instance, values):
+            self.call(model, steps.get_state, [
+                self.actuators(model, each), self.own(model, each)], place)
         self.finish()
         instance, values = self.public('set_state', _POINTER)
-        self.for_each_state(instance, values, steps.check_state)
-        self.for_each_state(instance, values, steps.set_state)
-        self.finish()
-
-    def for_each_state(self, instance, values, entry):
-        """Call an entry point with the part of a saved state of each model; return its error."""
-        offset = 0
-        for model, each in self.each(instance):
-            code = self.call(model, entry, [self.own(model, each)], self.at(values, offset))
+        for model, each, place in self.each_state(instance, values):
+            code = self.call(model, steps.check_state, [self.own(model, each)], place)
             with self.builder.if_then(self.builder.not_(self.equal(code, 0))):
                 self.finish(code)
+        for model, each, place in self.each_state(instance, values):
+            self.call(model, steps.set_state, [
+                self.actuators(model, each), self.own(model, each)], place)
+        self.finish()
+
+    def each_state(self, instance, values):
+        """Yield the models with their instances and their parts of a saved state."""
+        offset = 0
+        for model, each in self.each(instance):
+            yield model, each, self.at(values, offset)
             offset += 8 * model.saved
 
     def texts(self):
@@ -411,7 +461,9 @@ class _Body:
                 ('input_name', [each.title for each in self.interface.inputs]),
                 ('input_unit', [each.unit for each in self.interface.inputs]),
                 ('output_name', [each.title for each in self.interface.outputs]),
-                ('output_unit', [each.unit for each in self.interface.outputs])):
+                ('output_unit', [each.unit for each in self.interface.outputs]),
+                ('parameter_name', [each.title for each in self.interface.parameters]),
+                ('parameter_unit', [each.unit for each in self.interface.parameters])):
             number, = self.function(f'{self.name}_{name}', _POINTER, _INT)
             kind = ir.ArrayType(_POINTER, len(texts))
             table = ir.GlobalVariable(self.module, kind, f'texts.{name}')
@@ -431,7 +483,8 @@ class _Body:
         if len(self.models) > 1:
             self.follow()
         self.refresh()
-        for part in (self.memory, self.inputs, self.step, self.outputs, self.states, self.texts):
+        for part in (self.memory, self.inputs, self.parameters, self.step, self.outputs,
+                     self.states, self.texts):
             part()
         return self.module
 

@@ -30,7 +30,7 @@ from scipy.signal import lfilter
 from timo_sim.fitting.record import Channel, DRIVE, OUTPUTS, Record, unit_of
 from timo_sim.model.layout import INPUTS
 from timo_sim.runs.run import Run, run_scene
-from timo_sim.scene.loads import Load, on_boundaries, parabolas, Term
+from timo_sim.scene.loads import Load, Table
 from timo_sim.scene.parameters import did_you_mean, ModelWarning, ParameterError, short
 from timo_sim.scene.scene import (
     INITIAL, initial_names, initial_scale, motor_constants, number_of, overrides_of, Scene)
@@ -168,44 +168,42 @@ def initial_states(problem: Problem, values: Mapping[str, float]) -> list[list[F
 _DEGREE = 5  # of the spline through a driven angle, whose acceleration is smooth
 
 
-class Sampled(Term):
+def sampled(channel: Channel, gain: float = 1.0, bias: float = 0.0, delay: float = 0.0,
+            shift: float = 0.0) -> Any:
     """
-    A load given by samples of a Channel: `gain u(t - delay) + bias`, with the delay in [s].
+    Return a load by samples of a Channel: `gain u(t - delay) + bias`, with the delay in [s].
 
-    A step sees the mean of values that hold, so that the impulse is right if they change inside
-    it. Values that are joined by straight lines act as the table of a scene. `shift` is the time
-    in the record at which the scene's begins [s].
+    Values that are joined by straight lines act as the table of a scene. `shift` is the time in
+    the record at which the scene's begins [s].
+    """
+    t, values = channel.t + (delay - shift), gain * channel.values + bias
+    return Held(t, values) if channel.hold == 'zero' else Table(t, values)
+
+
+class Held:
+    """
+    A load that holds values from times t [s] on; the first one also before.
+
+    A step sees the mean, so that the impulse is right if the value changes inside it.
     """
 
-    def __init__(self, channel: Channel, gain: float = 1.0, bias: float = 0.0,
-                 delay: float = 0.0, shift: float = 0.0) -> None:
-        t, values = channel.t + (delay - shift), gain * channel.values + bias
-        self._t, self._values, self._holds = t, values, channel.hold == 'zero'
+    def __init__(self, t: np.ndarray, values: np.ndarray) -> None:
+        self._t, self._values = t, values
         # The integral begins at the first sample, before which its value holds.
         self._integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
 
-    def stages(self, first: int, count: int, step: float) -> np.ndarray:
-        if self._holds:
-            impulse = np.diff(self._integrate(step * np.arange(first, first + count + 1)))
-            return (impulse / step)[:, np.newaxis]
-        at = 0.5 * step * np.arange(2 * first, 2 * (first + count) + 1)
-        values = np.interp(at, self._t, self._values)
-        return np.column_stack([values[:-2:2], values[1::2], values[2::2]])
-
-    def parabolas(self, first: int, count: int,
-                  step: float) -> tuple[np.ndarray, np.ndarray]:
-        if self._holds:
-            return super().parabolas(first, count, step)
-        return parabolas(lambda at: np.interp(at * step, self._t, self._values),
-                         on_boundaries(self._t / step), 1, first, count)
+    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
+        """Add to the loads of steps, see `scene.loads.Term`."""
+        impulse = np.diff(self._integrate(step * np.arange(first, first + len(loads) + 1)))
+        loads[:, :, column] += (impulse / step)[:, np.newaxis]
 
     def _integrate(self, at):
         place = np.clip(np.searchsorted(self._t, at, side='right') - 1, 0, None)
         return self._integral[place] + self._values[place] * (at - self._t[place])
 
 
-class Driven(Term):
-    """A driven shaft's angle, a spline through samples, constant outside; see `Sampled`."""
+class Driven:
+    """A driven shaft's angle, a spline through samples, constant outside; see `sampled`."""
 
     def __init__(self, channel: Channel, gain: float = 1.0, bias: float = 0.0,
                  delay: float = 0.0, shift: float = 0.0) -> None:
@@ -213,15 +211,16 @@ class Driven(Term):
         self._ends, self._late = channel.t[[0, -1]], delay - shift
         self._gain, self._bias = gain, bias
 
-    def stages(self, first: int, count: int, step: float) -> np.ndarray:
-        """Return angle, speed and acceleration at the stages of steps, shape (count, 3, 3)."""
-        at = 0.5 * step * np.arange(2 * first, 2 * (first + count) + 1) - self._late
+    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
+        """Add angle, speed and acceleration to the loads of steps, see `scene.loads.Term`."""
+        at = 0.5 * step * np.arange(2 * first, 2 * (first + len(loads)) + 1) - self._late
         inside = (self._ends[0] <= at) & (at <= self._ends[1])
         motion = self._gain * np.stack([
             self._spline(np.clip(at, *self._ends), order) * (inside if order else 1.0)
             for order in range(3)], axis=-1)
         motion[:, 0] += self._bias
-        return np.stack([motion[:-2:2], motion[1::2], motion[2::2]], axis=1)
+        for row, values in enumerate((motion[:-2:2], motion[1::2], motion[2::2], motion[2::2])):
+            loads[:, row, column:column + 3] += values
 
 
 def sensor_of(values: Mapping[str, float], quantity: str) -> list[float]:
@@ -236,7 +235,7 @@ def loads_of(record: Record, scene: Scene, values: Mapping[str, float],
 
     `shift` is the time in the record at which the scene's begins [s].
     """
-    terms: dict[str, list[Term]] = {name: [*own] for name, own in scene.load.terms.items()}
+    terms: dict[str, list[Any]] = {name: [*own] for name, own in scene.load.terms.items()}
     drive: Any = scene.load.drive
     for name, channel in record.inputs.items():
         gain, bias, delay, _ = sensor_of(values, name)
@@ -246,7 +245,7 @@ def loads_of(record: Record, scene: Scene, values: Mapping[str, float],
         if name == 'voltage':
             constant = motor_constants(scene.values)[0]
             gain, bias, name = constant * gain, constant * bias, 'torque'
-        terms.setdefault(name, []).append(Sampled(channel, gain, bias, delay, shift))
+        terms.setdefault(name, []).append(sampled(channel, gain, bias, delay, shift))
     return Load({name: tuple(found) for name, found in terms.items()}, drive)
 
 

@@ -209,7 +209,7 @@ def _push_work(tables, load, j):
     return x, y
 
 
-# Mass centre and carrier, (T25), (T27), (T33), (T44).
+# Mass centre and carrier, (T25), (T27), (T33), (T46).
 
 @inner
 def _carrier_speed(tables, state, k, derivative, speed):
@@ -236,7 +236,7 @@ def _translate(tables, state, load, work, out):
     Write the rates of the mass centre; return x, y of the force on the carrier and of the tip's.
 
     The first is F of (T28), along free axes the sum of the forces on carrier and tip (T32). Where
-    the carrier is held, the weights act on the arm as a force -m_t g on the carrier would (T44).
+    the carrier is held, the weights act on the arm as a force -m_t g on the carrier would (T46).
     """
     axes, half, weight = tables.axes, _half(tables), tables.weight
     push_x, push_y = 0.0 - weight[0], 0.0 - weight[1]
@@ -428,7 +428,7 @@ def _tip_rate(tables, motion, out):
         out[2] += motion[rates + 2 + i] * tables.tip_rotation[i]
 
 
-# Forces of constraints (T42) and energy, outside the step.
+# Forces of constraints (T44) and energy, outside the step.
 
 class Slopes(NamedTuple):
     """Work arrays of the slopes (T23), their rates and second derivatives at the nodes."""

@@ -9,7 +9,7 @@
 """
 Derivatives of the compiled functions of the `exact` formulation, for states of momenta alone.
 
-They are those of (T22) to (T33) in closed form, see doc/theory.md, (T47) and (T48). Indices are
+They are those of (T22) to (T33) in closed form, see doc/theory.md, (T38) and (T39). Indices are
 those of exact_code: i and k count coordinates, the shaft first, and j vectors of nodes.
 """
 
@@ -64,7 +64,7 @@ class Terms(NamedTuple):
 
 @separate
 def _set_variations(tables, state, load, numbers, work, var):
-    """Set slopes and speeds in `work`, and the Variations (T47), (T48)."""
+    """Set slopes and speeds in `work`, and the Variations (T38), (T39)."""
     _set_slopes(tables, state, load, work)
     _set_speed(tables, state, load, numbers, work)
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
@@ -161,7 +161,7 @@ def _set_stiffness(tables, load, forces, work, numbers, var, terms):
     """
     Set the derivatives of the forces on coordinates at constant q' and forces, (1 + N, 1 + N).
 
-    They are d^2 T / dq_k dq_i, and the forces times the second derivatives of the slopes (T48).
+    They are d^2 T / dq_k dq_i, and the forces times the second derivatives of the slopes (T39).
     """
     kernel = as_vectors(tables.kernel)
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
@@ -229,7 +229,7 @@ def _write_by(tables, var, resistance, change, push_x, push_y, out):
 
 @functions.jacobian.of(Tables)
 def _jacobian(tables, state, load, inputs, by_state, by_input):
-    """Write the derivatives of the rate less its linear part (T48)."""
+    """Write the derivatives of the rate less its linear part (T39)."""
     numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
     work, var = as_vectors(numbers), as_vectors(variations)
     _set_variations(tables, state, load, numbers, work, var)

@@ -160,7 +160,7 @@ class Formulation(ABC):
     def effort(self, motions: np.ndarray, accelerations: np.ndarray,
                loads: np.ndarray) -> np.ndarray:
         """
-        Return the force on the carrier and torque on the shaft that accelerations need (T42).
+        Return the force on the carrier and torque on the shaft that accelerations need (T44).
 
         They include loads on carrier and shaft, friction and constraints. There are n motions,
         accelerations of 3 + N coordinates and loads, of which only those on tip and arm are used.

@@ -99,7 +99,7 @@ def tip_rate(tables, motion, out):
 @declare
 def effort(tables, motion, accelerations, load, out):
     """
-    Write the force on the carrier and torque on the shaft that accelerations need (T42).
+    Write the force on the carrier and torque on the shaft that accelerations need (T44).
 
     `tables` are those of `Formulation.force_tables`, `accelerations`, (3 + N,), are less gravity;
     of the load those on tip and arm are used. `out`, (3,), is in world axes [N], then [N m].

@@ -538,7 +538,7 @@ class Forces(NamedTuple):
 
 @functions.effort.of(Forces)
 def _effort(tables, motion, accelerations, load, out):
-    """Write what (T15) and (T16) need, with P(0), V(0) of this formulation (T42)."""
+    """Write what (T15) and (T16) need, with P(0), V(0) of this formulation (T44)."""
     rates, count = len(motion) // 2, len(tables.axial)
     sine, cosine = sincos(motion[2])
     omega, turn = motion[rates + 2], accelerations[2]

@@ -26,7 +26,7 @@ def equilibrium(model: Formulation, motion: np.ndarray, load: np.ndarray) -> np.
     Return a motion at rest in which nothing accelerates, shape (2 (3 + N),).
 
     Found by following `u' = M^-1 F(u)` of the forces F on shaft and modes in implicit steps that
-    grow (T45), pseudo-transient continuation (C. T. Kelley, D. E. Keyes, SIAM J. Numer. Anal. 35
+    grow (T47), pseudo-transient continuation (C. T. Kelley, D. E. Keyes, SIAM J. Numer. Anal. 35
     (1998) 508-523). It leads from the given motion downhill to an equilibrium that is stable; the
     carrier and a driven shaft stay where they are. The load, (LOADS,), is constant.
 
@@ -53,7 +53,7 @@ def equilibrium(model: Formulation, motion: np.ndarray, load: np.ndarray) -> np.
             time = _MAX_TURN / max(forces.turned_by(flow), _CONVERGED)
         if fastest > 0.0:
             time = min(time, 0.5 / fastest)  # longer steps would go uphill
-        while True:  # an implicit step (T45), shorter as long as a section turns too far
+        while True:  # an implicit step (T47), shorter as long as a section turns too far
             change = np.linalg.solve(np.eye(len(flow)) / time - slope, flow)
             if forces.turned_by(change) <= _MAX_TURN:
                 break
@@ -119,7 +119,7 @@ def pick_up(model: Formulation, motion: np.ndarray, mass: float,
     """
     Return the motion after a plastic impact with a load at rest, and the energy that is lost.
 
-    The momenta of all free coordinates stay: those of carrier, shaft and modes (T46). The energy
+    The momenta of all free coordinates stay: those of carrier, shaft and modes (T48). The energy
     lost is that of the impact of two bodies, the end effector and the load: forces in the arm are
     finite. Modes take more from the motion, 12 % with five and 1 % with forty in a tested scene;
     that is the energy of the vibrations that they leave out.

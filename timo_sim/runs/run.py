@@ -186,7 +186,7 @@ class Run(MotionFields):
         """
         Return the bending moment in the arm at its root, shape (n,) [N m].
 
-        It follows from the torque balance of the shaft (T43), which converges much faster with the
+        It follows from the torque balance of the shaft (T45), which converges much faster with the
         number of modes than the curvature. A log, which does not contain all loads, is a
         ValueError.
         """

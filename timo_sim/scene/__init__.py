@@ -9,6 +9,6 @@
 """
 Scenes: parameters and their rules, files, loads, and bodies and constraints made of them.
 
-This package may import `model`, and `topics` for the parameters of topics and sensors. Values are
-checked here, once, whether they come from YAML, Python or ROS.
+This package may import `model`, the compiled loads of `steps`, and `topics` for the parameters of
+topics and sensors. Values are checked here, once, whether they come from YAML, Python or ROS.
 """

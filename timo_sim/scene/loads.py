@@ -9,201 +9,121 @@
 """
 Loads that a scene prescribes over time, and the prescribed angle of a driven shaft.
 
-Loads are harmonic, piecewise constant, linear between points, or sums of those.
-
-The compiled step takes three values of a load: at its start, middle and end. If a load jumps at
-the boundary of two steps, each step sees its own side; a jump inside a step is refused. If a load
-has a kink inside a step, the step sees the parabola with the same moments, see below.
+Loads are harmonic, piecewise constant, linear between points, or sums of those. `steps.loads`
+computes what the steps see of them. A jump inside a step is refused.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import functools
-from functools import cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from timo_sim.model.layout import (
-    ACCELERATION, AFTER, ANGLE, INPUTS, LOADS, STAGES, STEP_LOADS)
+from timo_sim.compiled.functions import WIDTH
+from timo_sim.model.layout import ACCELERATION, ANGLE, INPUTS, LOADS, STEP_LOADS
 from timo_sim.scene.parameters import ParameterError
-
-# Replace a load that has a kink inside a step by a parabola with the same moments.
-#
-# A step takes a load at its start, middle and end, and its linear part integrates the parabola
-# through these three values exactly. A load with a kink inside the step is replaced by the
-# parabola with the same integral and the same first and second moment: with s from 0 to 1 over the
-# step and `I_j = int s^j p ds`,
-#
-#     p(0)   =    9 I_0 - 36 I_1 + 30 I_2
-#     p(1/2) = -3/2 I_0 + 15 I_1 - 15 I_2
-#     p(1)   =    3 I_0 - 24 I_1 + 30 I_2
-
-_PARABOLA = np.array([[9.0, -36.0, 30.0], [-1.5, 15.0, -15.0], [3.0, -24.0, 30.0]])
-_gauss = cache(np.polynomial.legendre.leggauss)
-NEAR = 1e-6  # [steps] distance from a step boundary within which a position counts as on it
-
-
-def on_boundaries(position: np.ndarray) -> np.ndarray:
-    """Return positions, counted in steps, with those near a step boundary moved onto it."""
-    whole = np.rint(position)
-    return np.where(np.abs(position - whole) <= NEAR, whole, position)
-
-
-def parabolas(function: Callable[[np.ndarray], np.ndarray], breaks: np.ndarray, degree: int,
-              first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return the parabolas that replace a piecewise polynomial in steps with a break inside.
-
-    `function` returns values, (n, ...), at positions, (n,), counted in steps, as are `breaks`,
-    where pieces of this degree meet; whole numbers are the boundaries of the `count` steps from
-    `first` on. The result is the m steps with a break inside, counted from `first`, and the
-    parabolas at their start, middle and end, shape (m, 3, ...).
-    """
-    inside = breaks[(first < breaks) & (breaks < first + count) & (breaks != np.floor(breaks))]
-    if not len(inside):
-        return inside.astype(int), np.zeros((0, 3, *function(inside).shape[1:]))
-    steps = np.unique(np.floor(inside))
-    edges = np.unique(np.concatenate([inside, steps, steps + 1.0]))
-    # Keep the pieces between these edges that lie in a step with a break.
-    owner = np.searchsorted(steps, edges[:-1], side='right') - 1
-    within = edges[:-1] < steps[owner] + 1.0
-    low, high, owner = edges[:-1][within], edges[1:][within], owner[within]
-    # Gauss's rule, exact for such a polynomial times s^2.
-    nodes, weights = _gauss((degree + 4) // 2)
-    at = low[:, np.newaxis] + (high - low)[:, np.newaxis] * (0.5 + 0.5 * nodes)
-    share = 0.5 * (high - low)[:, np.newaxis] * weights
-    s = at - steps[owner][:, np.newaxis]
-    values = function(at.ravel())
-    powers = (share[..., np.newaxis] * s[..., np.newaxis] ** np.arange(3)).reshape(-1, 3)
-    moments = np.zeros((len(steps), 3, *values.shape[1:]))
-    np.add.at(moments, np.repeat(owner, len(nodes)),
-              np.einsum('nj,n...->nj...', powers, values))
-    return (steps - first).astype(int), np.einsum('ij,mj...->mi...', _PARABOLA, moments)
-
+from timo_sim.steps.loads import (
+    add_drive, add_harmonic, add_piecewise, add_table, NEAR, POINT)
 
 # Columns of the inputs that a scene may prescribe over time, by name.
 CHANNELS = {each.name: column for column, each in enumerate(INPUTS) if each.prescribed}
 
 
-@functools.lru_cache(maxsize=2)
-def _instants(first, count, step):
-    # Times [s] of the starts and middles of steps, and of the end of the last: products of whole
-    # numbers, so that no round-off adds up; cached for the next term and the next run.
-    times = 0.5 * np.arange(2 * first, 2 * (first + count) + 1) * step
-    times.flags.writeable = False
-    return times
+def _once_for_each_step(method: Callable[[Any, float], np.ndarray],
+                        ) -> Callable[[Any, float], np.ndarray]:
+    """Return a method whose results for sizes of a step are kept with the object."""
+    @functools.wraps(method)
+    def kept(self: Any, step: float) -> np.ndarray:
+        known = self.__dict__.setdefault('_rows', {})
+        if step not in known:
+            known[step] = method(self, step)
+        return known[step]
+    return kept
 
 
-@functools.lru_cache(maxsize=16)
-def _wave(frequency, phase, first, count, step):
-    # Runs often differ in the amplitude alone.
-    return _of_stages(np.sin(2.0 * np.pi * frequency * _instants(first, count, step) + phase))
+class Term(Protocol):
+    """A term of a load, or a drive, as a function of time."""
 
+    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
+        """
+        Add to the loads of steps.
 
-def _of_stages(values):
-    """Return values at `_instants` as start, middle and end of each step, shape (count, 3)."""
-    found = np.empty((len(values) // 2, STAGES))
-    found[:, 0], found[:, 1], found[:, 2] = values[:-2:2], values[1::2], values[2::2]
-    return found
+        Parameters
+        ----------
+        loads : ndarray, shape (count, 4, LOADS)
+            See `model.layout`.
+        column : int
+            That of the term; of a drive the first one.
+        first : int
+            Number of the first step.
+        step : float
+            Size of a step [s].
 
-
-class Term:
-    """
-    A term of a load, as a function of time.
-
-    `jumps()` returns the times at which it jumps [s]. The other methods are for `count` steps of
-    size `step` [s], from step `first` on. `stages` returns values at start, middle and end of each
-    step, shape (count, 3), or (count, 1) if these are the same. `parabolas` returns which steps
-    have a kink inside, and what replaces their stages, see `parabolas`.
-    """
-
-    def jumps(self) -> Sequence[float]:
-        return ()
-
-    def parabolas(self, first: int, count: int,
-                  step: float) -> tuple[np.ndarray, np.ndarray]:
-        return np.zeros(0, dtype=int), np.zeros((0, STAGES))
+        """
 
 
 @dataclass(frozen=True)
-class Harmonic(Term):
+class Harmonic:
     """amplitude sin(2 pi frequency t + phase); frequency in [Hz], phase in [rad]."""
 
     amplitude: float
     frequency: float
     phase: float
 
-    def stages(self, first: int, count: int, step: float) -> np.ndarray:
-        return self.amplitude * _wave(self.frequency, self.phase, first, count, step)
+    @property
+    def constants(self) -> tuple[float, float, float]:
+        """Amplitude, frequency, and the phase less whole turns."""
+        return self.amplitude, self.frequency, float(np.fmod(self.phase, 2.0 * np.pi))
+
+    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
+        add_harmonic(column, *self.constants, step, first, len(loads), loads, np.empty(WIDTH))
 
 
 @dataclass(frozen=True)
-class Piecewise(Term):
+class Piecewise:
     """0 before time[0] [s], then value[i] until time[i + 1]; the last value holds for ever."""
 
     time: tuple
     value: tuple
 
     def jumps(self) -> Sequence[float]:
+        """Return the times at which it jumps [s]."""
         return self.time
 
-    @functools.cached_property
-    def _points(self):
-        return np.array(self.time), np.append(0.0, self.value)
+    @_once_for_each_step
+    def rows(self, step: float) -> np.ndarray:
+        """Return the numbers of the steps from which values act, and the values, shape (n, 2)."""
+        return np.column_stack([np.rint(np.array(self.time) / step), self.value])
 
-    def stages(self, first: int, count: int, step: float) -> np.ndarray:
-        time, value = self._points
-        begin = np.searchsorted(time, (first - 1) * step)
-        end = np.searchsorted(time, (first + count + 1) * step, side='right')
-        jumps = np.rint(time[begin:end] / step)  # in or around these steps
-        edges = np.concatenate([[first], jumps, [first + count]]).clip(first, first + count)
-        return np.repeat(value[begin:end + 1], np.diff(edges).astype(int))[:, np.newaxis]
+    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
+        rows = self.rows(step)
+        add_piecewise(column, rows, len(rows), step, first, len(loads), loads)
 
 
 @dataclass(frozen=True)
-class Table(Term):
+class Table:
     """Linear between (time[i] [s], value[i]), constant outside; a repeated time is a jump."""
 
-    time: tuple
-    value: tuple
+    time: Sequence[float] | np.ndarray
+    value: Sequence[float] | np.ndarray
 
     def jumps(self) -> Sequence[float]:
+        """Return the times at which it jumps [s]."""
         return tuple(a for a, b in zip(self.time, self.time[1:]) if a == b)
 
-    @functools.cached_property
-    def _points(self):
-        return np.array(self.time), np.array(self.value)
+    @_once_for_each_step
+    def rows(self, step: float) -> np.ndarray:
+        """Return times for steps of this size, and values, shape (n, 2)."""
+        return np.column_stack([_on_boundaries(self.time, step), self.value])
 
-    def _pieces(self, first, count, step):
-        # Times and values of the knots from the last before these steps to the first after them.
-        time, value = self._points
-        begin = max(np.searchsorted(time, (first - 1) * step) - 1, 0)
-        part = slice(begin, np.searchsorted(time, (first + count + 1) * step, side='right') + 1)
-        position = on_boundaries(time[part] / step)
-        # Knots near a step boundary are put exactly on it, so that `stages` finds the right side.
-        return np.where(position == np.rint(position), position * step, time[part]), value[part]
-
-    def stages(self, first: int, count: int, step: float) -> np.ndarray:
-        times = _of_stages(_instants(first, count, step))
-        knots, value = self._pieces(first, count, step)
-        right = np.stack([np.searchsorted(knots, times[:, 0], side='right'),
-                          np.searchsorted(knots, times[:, 1], side='right'),
-                          np.searchsorted(knots, times[:, 2], side='left')], axis=1)
-        low, high = np.maximum(right - 1, 0), np.minimum(right, len(knots) - 1)
-        span = knots[high] - knots[low]
-        share = np.where(span > 0.0, (times - knots[low]) / np.where(span > 0.0, span, 1.0), 0.0)
-        return value[low] + share * (value[high] - value[low])
-
-    def parabolas(self, first: int, count: int,
-                  step: float) -> tuple[np.ndarray, np.ndarray]:
-        knots, value = self._pieces(first, count, step)
-        return parabolas(lambda at: np.interp(at * step, knots, value),
-                         on_boundaries(knots / step), 1, first, count)
+    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
+        rows = self.rows(step)
+        add_table(column, rows, len(rows), step, first, len(loads), loads)
 
 
 @dataclass(frozen=True)
-class Drive(Term):
+class Drive:
     """
     The angle of a driven shaft: quintic polynomials between points, then constant speed.
 
@@ -215,70 +135,54 @@ class Drive(Term):
     speed: tuple         # [rad/s]
     acceleration: tuple  # [rad/s2], the last 0
 
-    @functools.cached_property
-    def _curve(self):
-        # Imported here because it takes a quarter of a second and only a drive needs it.
-        from scipy.interpolate import BPoly
-        return BPoly.from_derivatives(
-            self.time, np.column_stack([self.angle, self.speed, self.acceleration]))
+    @_once_for_each_step
+    def rows(self, step: float) -> np.ndarray:
+        """
+        Return times and polynomials for steps of this size, shape (n, 7).
 
-    def polynomials(self) -> np.ndarray:
-        """Return coefficients of the angle from each point on, constant first, shape (n, 6)."""
-        from scipy.interpolate import PPoly
-        found = np.zeros((len(self.time), 6))
-        found[-1, :2] = self.angle[-1], self.speed[-1]
-        if len(self.time) > 1:
-            found[:-1] = PPoly.from_bernstein_basis(self._curve).c[::-1].T
+        From each time on the angle is a polynomial of the time since, constant first.
+        """
+        time = _on_boundaries(self.time, step)
+        angle, speed, half = np.array([self.angle, self.speed, self.acceleration]) * [
+            [1.0], [1.0], [0.5]]
+        found = np.zeros((len(time), POINT))
+        found[:, 0], found[:, 1], found[:, 2], found[:, 3] = time, angle, speed, half
+        h = np.diff(time)
+        # What the parabola of a point lacks at the next one, times powers of h.
+        lacking = np.stack([
+            np.diff(angle) - h * (speed[:-1] + h * half[:-1]),
+            h * (np.diff(speed) - 2.0 * h * half[:-1]), h * h * np.diff(half)])
+        cubic = np.array([[10.0, -4.0, 1.0], [-15.0, 7.0, -2.0], [6.0, -3.0, 1.0]])
+        found[:-1, 4:] = (cubic @ lacking / h ** np.array([[3], [4], [5]])).T
         return found
 
-    def _at(self, time):
-        # Angle, speed and acceleration, as a new last axis, at times of any shape.
-        beyond = time - self.time[-1]
-        zero = np.zeros_like(time)
-        motion = np.stack([self.angle[-1] + self.speed[-1] * beyond, self.speed[-1] + zero, zero],
-                          axis=-1)
-        within = beyond < 0.0
-        if len(self.time) > 1 and within.any():
-            for order in range(3):
-                motion[within, order] = self._curve(time[within], order)
-        return motion
-
-    def stages(self, first: int, count: int, step: float) -> np.ndarray:
-        """Return angle, speed and acceleration at the stages of steps, shape (count, 3, 3)."""
-        return self._at(_of_stages(_instants(first, count, step)))
-
-    def parabolas(self, first: int, count: int,
-                  step: float) -> tuple[np.ndarray, np.ndarray]:
-        breaks = on_boundaries(np.array(self.time) / step)
-        return parabolas(lambda at: self._at(at * step), breaks, 5, first, count)
+    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
+        rows = self.rows(step)
+        add_drive(rows, len(rows), step, first, len(loads), loads)
 
 
 @dataclass(frozen=True)
 class Load:
     """The loads of a scene: a tuple of terms to be summed for each of `CHANNELS`, and a drive."""
 
-    terms: dict
-    drive: Drive | None = None
+    terms: dict[str, tuple[Any, ...]]
+    drive: Any = None
 
     def __bool__(self):
         return any(self.terms.values())
 
     @functools.cached_property
-    def _columns(self) -> list[tuple[Any, tuple]]:
-        # The columns of loads that are not zero, with their terms.
-        found: list[tuple[Any, tuple]] = [*self.by_column()]
-        return found if self.drive is None else [
-            *found, (slice(ANGLE, ACCELERATION + 1), (self.drive,))]
-
-    def by_column(self) -> list[tuple[int, tuple[Any, ...]]]:
-        """Return the columns of prescribed loads with their terms, without the drive."""
-        return [(CHANNELS[channel], terms) for channel, terms in self.terms.items() if terms]
+    def by_column(self) -> list[tuple[int, Term]]:
+        """All terms with their columns, the drive with that of its angle."""
+        found = [(CHANNELS[channel], term) for channel, terms in self.terms.items()
+                 for term in terms]
+        return found if self.drive is None else [*found, (ANGLE, self.drive)]
 
     @property
     def columns(self) -> list[int]:
         """The columns of loads that are not zero, see `model.layout`, a list of int."""
-        return [column for columns, _ in self._columns
-                for column in (range(LOADS)[columns] if isinstance(columns, slice) else [columns])]
+        found = [CHANNELS[channel] for channel, terms in self.terms.items() if terms]
+        return found if self.drive is None else [*found, *range(ANGLE, ACCELERATION + 1)]
 
     def fastest(self) -> tuple[float, str]:
         """Return the highest frequency of a harmonic term [Hz] and its channel, or (0, '')."""
@@ -291,29 +195,23 @@ class Load:
         Return the loads of steps first, first + 1, ..., shape (count, 4, LOADS), see `layout`.
 
         If `room`, an array for at least as many steps, is given, they are written there and a view
-        is returned. Its entries must be zeros, or earlier results of this load.
+        is returned.
         """
-        loads = np.zeros((count, STEP_LOADS, LOADS)) if room is None else room[:count]
-        self.fill(loads, range(LOADS), first, count, step)
+        if room is None:
+            loads = np.zeros((count, STEP_LOADS, LOADS))
+        else:
+            loads = room[:count]
+            loads[:] = 0.0
+        for column, term in self.by_column:
+            term.add(loads, column, first, step)
         return loads
 
-    def fill(self, loads: np.ndarray, places: Any, first: int, count: int, step: float) -> None:
-        """
-        Write the columns of loads that are not zero into `loads`, (count, 4, c), see `stages`.
 
-        Column k of `model.layout` stands at `places[k]` in it; those of a drive stand together.
-        """
-        for columns, terms in self._columns:
-            place = places[columns]
-            if isinstance(columns, slice):
-                place = slice(place[0], place[-1] + 1)
-            samples = [term.stages(first, count, step) for term in terms]
-            loads[:, :STAGES, place] = total = sum(samples)
-            loads[:, AFTER, place] = total[:, -1]
-            for term, values in zip(terms, samples):
-                steps, seen = term.parabolas(first, count, step)
-                if len(steps):
-                    loads[steps, :STAGES, place] += seen - values[steps]
+def _on_boundaries(times: Any, step: float) -> np.ndarray:
+    # Times, with those near the boundary of two steps moved onto it [s].
+    times = np.asarray(times, dtype=float)
+    whole = np.rint(times / step)
+    return np.where(np.abs(times / step - whole) <= NEAR, whole * step, times)
 
 
 # A step is stable up to 2.785 over the rate at which friction brakes joints, as is measured for 0

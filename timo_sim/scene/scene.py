@@ -25,7 +25,7 @@ import numpy as np
 from timo_sim.model import formulation_class
 from timo_sim.model.bodies import Beam, Constraints, Manipulator, Section
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.layout import INPUTS, START
+from timo_sim.model.layout import AFTER, ANGLE, INPUTS, SPEED, START
 from timo_sim.model.statics import equilibrium
 from timo_sim.scene.files import flatten, html_table, read_parameter_file
 from timo_sim.scene.loads import (
@@ -577,7 +577,8 @@ def initial_motion(scene: Scene, model: Formulation) -> np.ndarray:
     position, velocity = ([scene.values[name] for name in names]
                           for names in (_POSITION, _VELOCITY))
     if scene.load.drive is not None:
-        position[2], velocity[2], _ = scene.load.drive.stages(0, 1, scene.step)[0, 0]
+        # At the end of the step before, since what a step with a kink inside sees is not the load.
+        position[2], velocity[2] = scene.load.stages(-1, 1, scene.step)[0, AFTER, [ANGLE, SPEED]]
     q = scene.values['initial.modal_coordinates'] or rest
     qdot = scene.values['initial.modal_rates'] or rest
     motion = np.concatenate([position, q, velocity, qdot])

@@ -25,7 +25,7 @@ from timo_sim.simulation.loads import Actuators, commanded_load
 from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY
 from timo_sim.simulation.warnings import divergence, unseen_load
 from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
-from timo_sim.steps.steps import CHUNK
+from timo_sim.steps.steps import CHUNK, NO_LOADS
 
 
 class LaneLoads:
@@ -48,7 +48,7 @@ class LaneLoads:
                 self._slow[lane] = None
         own = (load.columns for load in self._loads)
         self.columns = np.array(sorted(slow.union(*own)), dtype=np.int64)
-        self._places = np.searchsorted(self.columns, np.arange(LOADS))
+        self._room = NO_LOADS
         self.reset(range(len(scenes)), 0)
 
     def reset(self, lanes: Iterable[int], first: int) -> None:
@@ -56,16 +56,16 @@ class LaneLoads:
         for lane in self._slow.keys() & set(lanes):
             self._slow[lane] = Actuators(self._scenes[lane].values, first)
 
-    def command(self, commanded: np.ndarray, first: int) -> np.ndarray:
+    def command(self, commanded: np.ndarray) -> np.ndarray:
         """
-        Take the commands, shape (n, LOADS), from step `first` on.
+        Take the commands, shape (n, LOADS), of the next steps.
 
         Return what acts of them and does not vary with time, of the same shape.
         """
         acting = np.clip(commanded, -self._limit, self._limit)
         acting[:, TORQUE] += self._gain * acting[:, VOLTAGE]
+        self._commanded = commanded
         for lane, actuators in self._slow.items():
-            actuators.command(commanded[lane], first)
             acting[lane, actuators.slow] = 0.0
         return acting
 
@@ -85,18 +85,24 @@ class LaneLoads:
         for number, begin, loads in zip(kinds.real.astype(int), kinds.imag.astype(int), found):
             load = self._loads[number]
             if begin:  # from the step before, whose end is the beginning of these
-                load.fill(loads, self._places, begin - 1, count + 1, self._step)
+                loads[:] = self._own(load, begin - 1, count + 1)
             else:
-                load.fill(loads[1:], self._places, 0, count, self._step)
-                loads[0, AFTER] = loads[1, START] if count else load.stages(
-                    0, 1, self._step)[0, START, self.columns]
+                loads[1:] = self._own(load, 0, count)
+                loads[0, AFTER] = loads[1, START] if count else self._own(load, 0, 1)[0, START]
         if self._slow:
             found, kind = found[kind], np.arange(len(kind))
         for lane, actuators in self._slow.items():
             among = np.isin(self.columns, actuators.slow)
-            found[lane, 1:, :, among] += np.moveaxis(
-                actuators.loads(first, count)[..., actuators.slow], -1, 0)
+            acting = np.zeros((count, STEP_LOADS, LOADS))
+            actuators.add(self._commanded[lane], first, acting)
+            found[lane, 1:, :, among] += np.moveaxis(acting[..., actuators.slow], -1, 0)
         return to_lanes(found, kind)
+
+    def _own(self, load, first, count):
+        if len(self._room) < count:
+            self._room = np.empty((count, STEP_LOADS, LOADS))
+        loads = load.stages(first, count, self._step, self._room)
+        return loads.take(self.columns, axis=-1)
 
 
 _COUNT = Parameter('n', 1, '', 'number of manipulators', low=1)
@@ -307,7 +313,7 @@ class Batch:
     def _advance(self, count, commanded, sample_every, with_tips=False):
         lanes, loads = self._lanes, self._loads
         commanded = np.broadcast_to(0.0 if commanded is None else commanded, (self.n, LOADS))
-        acting = loads.command(commanded, self.steps)
+        acting = loads.command(commanded)
         lanes.constant_load[:] = to_lanes(acting)
         samples = lanes.room(1 + count // sample_every if sample_every else 0,
                              lanes.motion.shape[1])

@@ -13,19 +13,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import cached_property
 import math
 from typing import Any
 
 import numpy as np
 
+from timo_sim.compiled.constants import pack
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.layout import (
-    AFTER, END, INPUTS, LOADS, STAGES, STEP_LOADS, TORQUE, VOLTAGE)
+from timo_sim.model.layout import INPUTS, LOADS, START, STEP_LOADS
 from timo_sim.model.statics import pick_up
-from timo_sim.scene.loads import on_boundaries, parabolas
 from timo_sim.scene.parameters import did_you_mean, ParameterError, short
 from timo_sim.scene.scene import motor_constants, Scene
-from timo_sim.steps.steps import CHUNK, NO_LOADS
+from timo_sim.steps import loads as steps_loads
+from timo_sim.steps.steps import NO_LOADS
 
 # Columns of a load that each argument of `Simulator.step` sets: one, or a list of two.
 ARGUMENTS: dict[str, Any] = {}
@@ -108,11 +109,11 @@ class Actuators:
         The scene's parameters, by name.
     first : int, optional
         Step from which they act.
-    reached : ndarray, shape (LOADS,), optional
-        Load that has acted until then, see `model.layout`; by default none.
 
     Attributes
     ----------
+    packed : packed constants
+        Of the compiled functions, with the memory of the actuators, see `steps.loads.Actuators`.
     limit : ndarray, shape (LOADS,)
         Limits of commands.
     slow : ndarray of int
@@ -122,67 +123,41 @@ class Actuators:
 
     """
 
-    def __init__(self, values: Mapping[str, Any], first: int = 0,
-                 reached: np.ndarray | None = None) -> None:
-        self._period = values['integrator.step']
-        self.limit, self._rate = np.full(LOADS, np.inf), np.full(LOADS, np.inf)
-        for column, each in enumerate(INPUTS):
-            if each.limit:
-                self.limit[column] = values[each.limit]
-            if each.rate_limit:
-                self._rate[column] = values[each.rate_limit]
-        self.slow = np.flatnonzero(np.isfinite(self._rate))
+    def __init__(self, values: Mapping[str, Any], first: int = 0) -> None:
+        limit = np.array([values[each.limit] if each.limit else np.inf for each in INPUTS])
+        rate = np.array([values[each.rate_limit] if each.rate_limit else np.inf
+                         for each in INPUTS])
         self.gain, _ = motor_constants(values)
-        self._ideal = np.isinf([self.limit, self._rate]).all() and not self.gain
-        self._since, self._start = first, np.zeros(LOADS) if reached is None else reached
-        self._given, self._goal = b'', self._start
+        self.packed = pack(steps_loads.Actuators(
+            values['integrator.step'], self.gain, limit, rate, np.zeros(LOADS), np.zeros(LOADS),
+            np.array([first])))
+        self.limit, self.slow = self.packed.limit, np.flatnonzero(np.isfinite(rate))
 
-    def command(self, commanded: np.ndarray, first: int) -> None:
-        """Take the commands from step `first` on, shape (LOADS,)."""
-        given = commanded.tobytes()
-        if given == self._given:
-            return
-        goal = np.clip(commanded, -self.limit, self.limit)
-        if len(self.slow) and not np.array_equal(goal, self._goal):
-            self._start, self._since = self.reached(first), first
-        self._given, self._goal = given, goal
+    def warm_up(self) -> None:
+        """Compile, or load from disk, what loads and commands of all kinds need."""
+        for entry in steps_loads.TERMS:
+            entry.of()
+        for entry in (steps_loads.add_commands, steps_loads.restart):
+            entry.of(self.packed)
 
-    def _ends(self):
-        # When lines reach their goals, counted in steps since they began.
-        way = np.abs(self._goal - self._start)[self.slow]
-        return on_boundaries(way / (self._rate[self.slow] * self._period))
+    def changed(self, values: Mapping[str, Any], first: int) -> Actuators:
+        """Return actuators with other limits, which go on from what acts at step `first`."""
+        found = Actuators(values, first)
+        steps_loads.restart(self.packed, first)
+        for name in ('goal', 'origin'):
+            getattr(found.packed, name)[:] = getattr(self.packed, name)
+        return found
 
-    def reached(self, step: int) -> np.ndarray:
-        """Return what acts of the commands at a step, (LOADS,); a voltage is not yet a torque."""
-        return self._at(np.array((step - self._since) * self._period))
+    @cached_property
+    def _add(self):
+        return steps_loads.add_commands.of(self.packed)
 
-    def loads(self, first: int, count: int) -> np.ndarray:
-        """Return what acts in some steps, shape (LOADS,) or (count, 4, LOADS)."""
-        if self._ideal:
-            return self._goal
-        begin, period = first - self._since, self._period
-        acting = np.empty((count, STEP_LOADS, LOADS))
-        acting[:, :STAGES] = self._at(
-            (np.arange(begin, begin + count)[:, np.newaxis] + [0.0, 0.5, 1.0]) * period)
-        acting[:, AFTER] = acting[:, END]
-        steps, seen = parabolas(lambda at: self._at(at * period), self._ends(), 1, begin, count)
-        acting[steps, :STAGES] = seen
-        acting[..., TORQUE] += self.gain * acting[..., VOLTAGE]
-        return acting
-
-    def _at(self, elapsed):
-        # The straight lines towards the goal, at times since they began.
-        acting = np.empty((*elapsed.shape, LOADS))
-        acting[...] = self._goal
-        slow, start = self.slow, self._start[self.slow]
-        way, most = self._goal[slow] - start, elapsed[..., np.newaxis] * self._rate[slow]
-        # Exactly the goal once it is reached.
-        acting[..., slow] = np.where(np.abs(way) <= most, self._goal[slow],
-                                     start + np.sign(way) * most)
-        return acting
+    def add(self, commanded: np.ndarray, first: int, loads: np.ndarray) -> None:
+        """Add what acts of commands from step `first` on to loads of steps, (count, 4, LOADS)."""
+        self._add(commanded, first, len(loads), loads)
 
 
-_FEW = 256  # least number of steps tabulated by themselves; fewer as part of a block of CHUNK
+_AHEAD = 256  # least number of steps that are tabulated at once
 
 
 class LoadTable:
@@ -192,19 +167,19 @@ class LoadTable:
     Parameters
     ----------
     scene : Scene
+    actuators : Actuators
 
     """
 
-    def __init__(self, scene: Scene) -> None:
-        self._load, self._step = scene.load, scene.step
-        self._begin, self._block = 0, NO_LOADS
-        self._room = NO_LOADS
+    def __init__(self, scene: Scene, actuators: Actuators) -> None:
+        self._load, self._step, self.actuators = scene.load, scene.step, actuators
+        self._begin, self._block, self._room = 0, NO_LOADS, NO_LOADS
 
     def at_start(self) -> np.ndarray:
         """Return the scene's own load at its beginning, shape (LOADS,)."""
-        return self._load.stages(0, 1, self._step)[0, 0]
+        return self._load.stages(0, 1, self._step)[0, START]
 
-    def stages(self, first: int, count: int, actuators: Actuators | None = None) -> np.ndarray:
+    def stages(self, first: int, count: int, commanded: np.ndarray | None = None) -> np.ndarray:
         """
         Return the loads of steps.
 
@@ -212,24 +187,28 @@ class LoadTable:
         ----------
         first, count : int
             Number of the first step, and number of steps.
-        actuators : Actuators, optional
-            Their loads are added.
+        commanded : ndarray, shape (LOADS,), optional
+            Commands from the first step on, whose loads are added.
 
         Returns
         -------
         ndarray, shape (count, 4, LOADS)
+            Valid until the next call.
 
         """
         begin, block = self._begin, self._block
         if not begin <= first <= first + count <= begin + len(block):
             # A node asks for a few steps at a time, so more are tabulated ahead.
-            ahead = count if count >= _FEW else CHUNK
+            ahead = max(count, _AHEAD)
             if len(self._room) < ahead:
-                self._room = np.zeros((ahead, STEP_LOADS, LOADS))
+                self._room = np.empty((ahead, STEP_LOADS, LOADS))
             begin, block = first, self._load.stages(first, ahead, self._step, self._room)
             self._begin, self._block = begin, block
         loads = block[first - begin:first - begin + count]
-        return loads if actuators is None else loads + actuators.loads(first, count)
+        if commanded is not None:
+            loads = loads.copy()
+            self.actuators.add(commanded, first, loads)
+        return loads
 
 
 class TipLoad:

@@ -157,7 +157,7 @@ class Simulator:
             self._resting = not (self.scene.load or self.scene.load.drive or motion[3:].any()
                                  or self.model.gravity.any())
             self._origin = self.steps
-            self._table, self._actuators = LoadTable(self.scene), Actuators(self.scene.values)
+            self._table = LoadTable(self.scene, Actuators(self.scene.values))
             self.load = self._table.at_start()
             self.warning = warnings.unseen_load(self.scene)
             self._error, self._behind = 0.0 if self._estimate else math.nan, []
@@ -179,10 +179,10 @@ class Simulator:
             if self._finer:
                 self._finer.change(refine(scene, self._parts))
             first = self.steps - self._origin
-            self._actuators = Actuators(scene.values, first, self._actuators.reached(first))
+            actuators = self._table.actuators.changed(scene.values, first)
             self._continue_with(scene, self.tip_load.of_change(self.scene, scene))
             self._resting = self._resting and not scene.load
-            self._table = LoadTable(scene)
+            self._table = LoadTable(scene, actuators)
             self.warning = warnings.unseen_load(scene)
 
     def _continue_with(self, scene, tip):
@@ -199,8 +199,8 @@ class Simulator:
         """
         Compile, or load from disk, the functions that `advance` calls.
 
-        With `messages`, also those that messages and sensors need. `tell`, a function(str), is
-        called before a compilation, which takes a second or two.
+        With `messages`, also those that messages, sensors and commands need. `tell`, a
+        function(str), is called before a compilation, which takes a second or two.
         """
         with telling(tell):
             for each in filter(None, (self._finer, self)):
@@ -208,6 +208,7 @@ class Simulator:
                 # Warnings and efforts need it; a node has no time to compile it later.
                 each.integration.rate(each._state, each.integration.acting(each.load))
             if messages:
+                self._table.actuators.warm_up()
                 self.model.tip(motion)
                 self.model.energy(motion[np.newaxis])
                 self.model.effort(motion[np.newaxis], np.zeros((1, len(motion) // 2)),
@@ -292,9 +293,9 @@ class Simulator:
             if first + count > self.tip_load.next_step:
                 raise ParameterError('derivatives of steps need an end effector that stays, but '
                                      f'it changes at step {self.tip_load.next_step}')
-            self.advance(count, commanded)
-            loads = self._table.stages(first, count, self._actuators)
+            loads = self._table.stages(first, count, commanded)
             found = step_derivatives(integration, state, load, loads, unit)
+            self.advance(count, commanded)
         return StepDerivatives(found[:, :size], found[:, size:])
 
     def set_motion(self, motion: ArrayLike) -> None:
@@ -363,14 +364,11 @@ class Simulator:
         before = (self._state.copy(), self.load, self.integration.memory.copy(),
                   self.tip_load.copy(), self.model, self.integration)
         first = self.steps - self._origin
-        actuators = None if commanded is None else self._actuators
-        if actuators:
-            actuators.command(commanded, first)
         samples, done = self.integration.samples(count, sample_every), 0
         while done < count:
             sample = self._change_tip(first + done)
             part = min(count - done, CHUNK, self.tip_load.next_step - first - done)
-            loads = self._table.stages(first + done, part, actuators)
+            loads = self._table.stages(first + done, part, commanded)
             reached = self.integration.advance(self._state, self.load, loads, samples, done)
             if sample is not None and sample_every and done % sample_every == 0:
                 samples.motions[done // sample_every] = sample  # that before the load changes

@@ -71,7 +71,7 @@ class Joints:
 
     @property
     def root_moment(self) -> np.ndarray:
-        """Moment in the arm at its root, from the shaft's own balance (T43), shape (n,) [N m]."""
+        """Moment in the arm at its root, from the shaft's own balance (T45), shape (n,) [N m]."""
         model = self._model
         if model.constrained[2]:
             torque = self._needed[:, 2]

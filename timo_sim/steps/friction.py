@@ -11,7 +11,7 @@
 Steps with Coulomb friction of the joints that stick: carrier along world x and y, and shaft.
 
 In each step the friction of a joint is a straight line in time, with a mean R and a slope R' over
-the step, which is added to the load. Trial steps find it, see doc/theory.md (T38) to (T40): one if
+the step, which is added to the load. Trial steps find it, see doc/theory.md (T40) to (T42): one if
 all joints slide through the whole step, a few more if a joint comes to rest, is held or breaks
 away. No trial depends on earlier steps, so that it does not matter how many steps are done at
 once. Time in a step runs from 0 to 1 here, so that the rate of a speed has its unit.
@@ -107,7 +107,7 @@ class Trial(NamedTuple):
 
 
 class StepModel(NamedTuple):
-    """Work arrays of the linear model of a step (T40): how its end depends on the friction."""
+    """Work arrays of the linear model of a step (T42): how its end depends on the friction."""
 
     drift: Annotated[np.ndarray, 3]               # d
     bend: Annotated[np.ndarray, 3]                # e, of a speed that is a parabola in time
@@ -149,9 +149,9 @@ def _hold(direction, pull, mobility, room, friction):
 @inner
 def _follow(joints, model, start_speed, drift, bend, friction, mean, slope):
     """
-    Follow speeds that are parabolas from event to event through a step, (T39).
+    Follow speeds that are parabolas from event to event through a step, (T41).
 
-    An event is that a joint comes to rest. `drift` and `bend` are d and e of (T39). `mean` and
+    An event is that a joint comes to rest. `drift` and `bend` are d and e of (T41). `mean` and
     `slope` receive R and R' of the friction over the step, `friction` its value at the end.
     """
     three = joints.limit
@@ -214,7 +214,7 @@ def _same(joints, mean, other):
 
 @inner
 def _fit_model(trial, model):
-    """Set the rest of the linear model (T40) from the last trial, whose friction was R, R'."""
+    """Set the rest of the linear model (T42) from the last trial, whose friction was R, R'."""
     for i in range(JOINTS):
         model.drift[i] = trial.end_speed[i] - trial.speed[i]
         model.bend[i] = 6.0 * (trial.speed[i] + trial.end_speed[i]) - 12.0 * trial.travel[i]
@@ -241,7 +241,7 @@ def _solve_model(joints, model, trial):
     next_slope, last = local((three,)), local((three,))
     copy(trial.slope, next_slope)
     for _ in range(_ROUNDS):
-        # (T40) has R' in the speed at the end, and R in the bend; (T39) has them in d and e.
+        # (T42) has R' in the speed at the end, and R in the bend; (T41) has them in d and e.
         for i in range(JOINTS):
             drift[i], bend[i] = model.drift[i], model.bend[i]
             for j in range(JOINTS):

@@ -9,8 +9,8 @@
 """
 An instance of an exported arm: a block of memory, and the compiled functions that work on it.
 
-They are what a C library needs besides the step itself: loads of a step, commands, outputs and
-saved states, see `export`. All return one of `Code`.
+They are what a C library needs besides the step itself: loads of a step, outputs and saved states,
+see `export`. All return one of `Code`.
 """
 
 from enum import IntEnum
@@ -20,12 +20,14 @@ import numpy as np
 
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
-    Array, Constants, floor, inner, local, magnitude, square_root, strict)
+    Array, Constants, floor, inner, local, magnitude, square_root, strict, WIDTH)
 from timo_sim.model.functions import (
     effort, energy, linear_part_is_valid, observe, rate, sincos, tanh, tip, tip_rate)
 from timo_sim.model.layout import (
-    ACCELERATION, AFTER, ANGLE, END, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MIDDLE, SPEED,
-    STAGES, START, STEP_LOADS, TORQUE, VOLTAGE)
+    ACCELERATION, AFTER, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MIDDLE, SPEED, START,
+    STEP_LOADS, TORQUE)
+from timo_sim.steps.loads import (
+    begin_lines, of_commands, of_drive, of_harmonic, of_piecewise, of_table, POINT)
 
 
 class Code(IntEnum):
@@ -40,28 +42,25 @@ class Code(IntEnum):
     NEGATIVE_STEPS = 6
     BAD_STATE = 7
     DIVERGED = 8
+    NOT_POSITIVE = 9
 
 
-_OK, _UNKNOWN, _NOT_FINITE, _BAD_STATE, _DIVERGED = (int(code) for code in (
-    Code.OK, Code.UNKNOWN_NUMBER, Code.NOT_FINITE, Code.BAD_STATE, Code.DIVERGED))
+_OK, _NOT_FINITE, _BAD_STATE, _DIVERGED, _NOT_POSITIVE = (int(code) for code in (
+    Code.OK, Code.NOT_FINITE, Code.BAD_STATE, Code.DIVERGED, Code.NOT_POSITIVE))
 
 # Places in `Instance.mark`: what shows that the memory is an instance, steps done, number of the
 # linear part, which `Instance.outputs` are those of now (0: none, 1: those of the motion, 2: all),
-# whether the finer run diverged, and the step at which lines towards commands began.
-MARK, STEPS, PART, KNOWN, LOST, SINCE = range(6)
+# and whether the finer run diverged.
+MARK, STEPS, PART, KNOWN, LOST = range(5)
 MAGIC = 0x74696d6f5f73696d  # 'timo_sim'
 _MOST_STEPS = 2.0**53  # to which steps are counted in a saved state
-_NEAR = 1e-6  # [steps] distance from a step boundary that counts as on it, as in `scene.loads`
-_NODE = 0.5773502691896257  # of Gauss's rule with two nodes
 
 
 class Instance(NamedTuple):
     """The memory of an instance; its functions change it."""
 
-    mark: Annotated[np.ndarray, int, 6]
+    mark: Annotated[np.ndarray, int, 5]
     inputs: Annotated[np.ndarray, LOADS]  # commands
-    goal: Annotated[np.ndarray, LOADS]    # the same within their limits
-    origin: Annotated[np.ndarray, LOADS]  # where lines towards the goal began
     load: Annotated[np.ndarray, LOADS]    # at the end of the last step
     acting: Annotated[np.ndarray, LOADS]  # the same with dry friction
     friction: Annotated[np.ndarray, 4]    # of `friction.advance`: what steps hand on
@@ -71,7 +70,8 @@ class Instance(NamedTuple):
     state: Annotated[np.ndarray, 'state']
     before: Annotated[np.ndarray, 'state']     # the state before the last step
     remainder: Annotated[np.ndarray, 'state']  # room for a step
-    loads: Annotated[np.ndarray, STEP_LOADS, LOADS]  # those of a step
+    loads: Annotated[np.ndarray, 1, STEP_LOADS, LOADS]  # those of a step
+    sines: Annotated[np.ndarray, WIDTH]    # room for those of loads
     motion: Annotated[np.ndarray, 'motion']
     accelerations: Annotated[np.ndarray, 'motion']  # 3 + N of them
     early: Annotated[np.ndarray, 'motion']  # shortly before and after now
@@ -105,48 +105,31 @@ class Plant(NamedTuple):
 
 class SceneLoads(NamedTuple):
     """
-    Loads of a scene over time, as in `scene.loads`, and what its actuators make of commands.
+    Loads of a scene over time; rows as `steps.loads` takes them, with their columns of a load.
 
-    Pieces and tables are parts, from `begin` to `end`, of the same arrays.
+    The jumps and knots of a term are those from its first to before its last, which follow its
+    column in `pieces` or `tables`.
     """
 
     step: float  # [s]
-    gain: float  # torque per voltage [N m/V]
-    limit: Annotated[np.ndarray, LOADS]  # of commands
-    rate: Annotated[np.ndarray, LOADS]   # limit of their rate, or 0: they act at once
-    harmonic_column: Annotated[np.ndarray, int, 'harmonics']
-    amplitude: Annotated[np.ndarray, 'harmonics']
-    frequency: Annotated[np.ndarray, 'harmonics']
-    phase: Annotated[np.ndarray, 'harmonics']
-    piece_column: Annotated[np.ndarray, int, 'pieces']
-    piece_begin: Annotated[np.ndarray, int, 'pieces']
-    piece_end: Annotated[np.ndarray, int, 'pieces']
-    jump_step: Annotated[np.ndarray, 'jumps']  # from which the value acts
-    jump_value: Annotated[np.ndarray, 'jumps']
-    table_column: Annotated[np.ndarray, int, 'tables']
-    table_begin: Annotated[np.ndarray, int, 'tables']
-    table_end: Annotated[np.ndarray, int, 'tables']
-    knot: Annotated[np.ndarray, 'knots']  # [s]
-    knot_value: Annotated[np.ndarray, 'knots']
-    # The drive: its points [s], and coefficients of the polynomial from each, constant first; that
-    # from the last point is a straight line.
-    drive_time: Annotated[np.ndarray, 'points']
-    drive: Annotated[np.ndarray, 'points', 6]
-    # What the moments of a step with a kink inside add to its stages, see `scene.loads`.
-    kink_step: Annotated[np.ndarray, 'kinks']
-    kink_column: Annotated[np.ndarray, int, 'kinks']
-    kink_change: Annotated[np.ndarray, 'kinks', STAGES]
+    harmonics: Annotated[np.ndarray, 'harmonics', 4]  # column, amplitude, frequency, phase
+    pieces: Annotated[np.ndarray, 'pieces', 3]
+    jumps: Annotated[np.ndarray, 'jumps', 2]
+    tables: Annotated[np.ndarray, 'tables', 3]
+    knots: Annotated[np.ndarray, 'knots', 2]
+    drive: Annotated[np.ndarray, 'points', POINT]
 
 
-@entry_point(plant=Constants(), instance=Constants())
-def reset(plant, instance):
+@entry_point(plant=Constants(), actuators=Constants(), instance=Constants())
+def reset(plant, actuators, instance):
     """Return to the start; commands are 0."""
     for k in range(len(instance.mark)):
         instance.mark[k] = 0
     instance.mark[MARK] = MAGIC
     instance.error[0] = 0.0
+    actuators.since[0] = 0
     for k in range(LOADS):
-        instance.inputs[k] = instance.goal[k] = instance.origin[k] = 0.0
+        instance.inputs[k] = actuators.goal[k] = actuators.origin[k] = 0.0
         instance.load[k] = plant.first_load[k]
     for k in range(len(instance.state)):
         instance.state[k] = plant.start[k]
@@ -176,181 +159,62 @@ def get_input(instance, column, value):
     return _OK
 
 
+@entry_point(actuators=Constants(), instance=Constants(), of_rate=int, begin=int, end=int,
+             value=float)
+def set_parameter(actuators, instance, of_rate, begin, end, value):
+    """Set a limit of commands, or of their rates, for the columns from `begin` to before `end`."""
+    if not value > 0.0:
+        return _NOT_POSITIVE
+    begin_lines(actuators, instance.mark[STEPS])
+    for column in range(begin, end):
+        if of_rate != 0:
+            actuators.rate[column] = value
+        else:
+            actuators.limit[column] = value
+    return _OK
+
+
+@entry_point(actuators=Constants(), of_rate=int, begin=int, value=Array((1,)))
+def get_parameter(actuators, of_rate, begin, value):
+    """Write a limit of a column's commands, or of their rates."""
+    value[0] = actuators.rate[begin] if of_rate != 0 else actuators.limit[begin]
+    return _OK
+
+
 @entry_point(tables=Constants(), instance=Constants())
 def is_valid(tables, instance):
     """Return whether the linear part of the tables is the one for the state."""
     return 1 if linear_part_is_valid(tables, instance.state, instance.load) else 0
 
 
-@entry_point(loads=Constants(), instance=Constants(), inputs=Array((LOADS,)))
-def prepare(loads, instance, inputs):
+@entry_point(loads=Constants(), actuators=Constants(), instance=Constants(),
+             inputs=Array((LOADS,)))
+def prepare(loads, actuators, instance, inputs):
     """Write the loads of the next step under commands; keep the state."""
-    _write_scene_loads(loads, instance.mark[STEPS], instance.loads)
-    _command(loads, instance, inputs)
-    _add_commands(loads, instance, instance.loads)
+    step, number, out = loads.step, instance.mark[STEPS], instance.loads
+    for row in range(STEP_LOADS):
+        for column in range(LOADS):
+            out[0, row, column] = 0.0
+    rows = loads.harmonics
+    for i in range(len(rows)):
+        of_harmonic(int(rows[i, 0]), rows[i, 1], rows[i, 2], rows[i, 3], step, number, 1, out,
+                    instance.sines)
+    rows = loads.pieces
+    for i in range(len(rows)):
+        of_piecewise(int(rows[i, 0]), loads.jumps, int(rows[i, 1]), int(rows[i, 2]), number, 1,
+                     out)
+    rows = loads.tables
+    for i in range(len(rows)):
+        of_table(int(rows[i, 0]), loads.knots, int(rows[i, 1]), int(rows[i, 2]), step, number, 1,
+                 out)
+    if len(loads.drive):
+        of_drive(loads.drive, len(loads.drive), step, number, 1, out)
+    of_commands(actuators, inputs, number, 1, out)
     for k in range(len(instance.state)):
         instance.before[k] = instance.state[k]
     for k in range(len(instance.friction)):
         instance.friction_before[k] = instance.friction[k]
     return _OK
-
-
-# Without fast math: Python computes the same numbers.
-
-@strict
-def _write_scene_loads(loads, number, out):
-    for column in range(LOADS):
-        for stage in range(STAGES):
-            out[stage, column] = 0.0
-    for stage in range(STAGES):
-        time = 0.5 * (2 * number + stage) * loads.step
-        for i in range(len(loads.amplitude)):
-            sine, _ = sincos(2.0 * np.pi * loads.frequency[i] * time + loads.phase[i])
-            out[stage, loads.harmonic_column[i]] += loads.amplitude[i] * sine
-        for i in range(len(loads.piece_column)):
-            begin = loads.piece_begin[i]
-            found = _count(loads.jump_step, begin, loads.piece_end[i], 1.0 * number, True)
-            if found > begin:
-                out[stage, loads.piece_column[i]] += loads.jump_value[found - 1]
-        for i in range(len(loads.table_column)):
-            out[stage, loads.table_column[i]] += _at(
-                loads, loads.table_begin[i], loads.table_end[i], time, stage != END)
-        _write_drive(loads, time, out, stage)
-    for column in range(LOADS):
-        out[AFTER, column] = out[END, column]
-    kink = _count(loads.kink_step, 0, len(loads.kink_step), 1.0 * number, False)
-    while kink < len(loads.kink_step) and loads.kink_step[kink] == number:
-        for stage in range(STAGES):
-            out[stage, loads.kink_column[kink]] += loads.kink_change[kink, stage]
-        kink += 1
-
-
-@strict
-def _count(values, begin, end, value, equal):
-    """Return the place, from `begin` to `end`, before which ascending values are smaller."""
-    while begin < end:
-        middle = (begin + end) // 2
-        if values[middle] < value or equal and values[middle] == value:
-            begin = middle + 1
-        else:
-            end = middle
-    return begin
-
-
-@strict
-def _at(loads, begin, end, time, equal):
-    right = _count(loads.knot, begin, end, time, equal)
-    low, high = max(right - 1, begin), min(right, end - 1)
-    span = loads.knot[high] - loads.knot[low]
-    share = 0.0
-    if span > 0.0:
-        share = (time - loads.knot[low]) / span
-    return loads.knot_value[low] + share * (loads.knot_value[high] - loads.knot_value[low])
-
-
-@strict
-def _write_drive(loads, time, out, stage):
-    if len(loads.drive_time):
-        point = max(_count(loads.drive_time, 0, len(loads.drive_time), time, True) - 1, 0)
-        since = time - loads.drive_time[point]
-        angle, speed, acceleration = 0.0, 0.0, 0.0
-        for j in range(6):
-            # Horner's scheme, with the halves of second derivatives.
-            acceleration = acceleration * since + speed
-            speed = speed * since + angle
-            angle = angle * since + loads.drive[point, 5 - j]
-        out[stage, ANGLE] += angle
-        out[stage, SPEED] += speed
-        out[stage, ACCELERATION] += 2.0 * acceleration
-
-
-# Actuators, as in `simulation.loads`.
-
-@strict
-def _command(loads, instance, inputs):
-    """Take the commands of a step: a new goal begins new lines towards it."""
-    changed = False
-    for column in range(LOADS):
-        value = min(max(inputs[column], -loads.limit[column]), loads.limit[column])
-        changed = changed or value != instance.goal[column]
-    if changed:
-        number = instance.mark[STEPS]
-        elapsed = (number - instance.mark[SINCE]) * loads.step
-        for column in range(LOADS):
-            instance.origin[column] = _reached(loads, instance, column, elapsed)
-        for column in range(LOADS):
-            instance.goal[column] = min(max(inputs[column], -loads.limit[column]),
-                                        loads.limit[column])
-        instance.mark[SINCE] = number
-
-
-@strict
-def _reached(loads, instance, column, elapsed):
-    """Return what acts of a command some time after the lines began."""
-    goal, origin = instance.goal[column], instance.origin[column]
-    most = elapsed * loads.rate[column]
-    value = goal
-    if loads.rate[column] > 0.0 and not magnitude(goal - origin) <= most:
-        value = origin + most if goal > origin else origin - most
-    return value
-
-
-@strict
-def _next_end(loads, instance, after, before):
-    """Return where the next line reaches its goal between two positions, counted in steps."""
-    for column in range(LOADS):
-        if loads.rate[column] > 0.0:
-            end = magnitude(instance.goal[column] - instance.origin[column]) / (
-                loads.rate[column] * loads.step)
-            whole = floor(end + 0.5)
-            if magnitude(end - whole) > _NEAR and after < end and end < before:
-                before = end
-    return before
-
-
-@strict
-def _add_commands(loads, instance, out):
-    begin = 1.0 * (instance.mark[STEPS] - instance.mark[SINCE])
-    bent = _next_end(loads, instance, begin, begin + 1.0) < begin + 1.0
-    for column in range(LOADS):
-        motor = 0.0
-        if column == TORQUE:
-            motor = loads.gain * instance.goal[VOLTAGE]
-        if loads.rate[column] == 0.0:
-            for row in range(STEP_LOADS):
-                out[row, column] += instance.goal[column] + motor
-        else:
-            for row in range(STEP_LOADS):
-                value = 0.0
-                if bent and row < STAGES:
-                    value = _parabola(loads, instance, column, begin, row)
-                else:
-                    position = begin + (0.5 * row if row < AFTER else 1.0)
-                    value = _reached(loads, instance, column, position * loads.step)
-                out[row, column] += value + motor
-
-
-@strict
-def _parabola(loads, instance, column, begin, row):
-    """Return a stage of a step in which a line ends, from its moments, see `scene.loads`."""
-    moment_0, moment_1, moment_2 = 0.0, 0.0, 0.0
-    low = begin
-    while low < begin + 1.0:
-        high = _next_end(loads, instance, low, begin + 1.0)
-        for k in range(2):
-            node = -_NODE if k == 0 else _NODE
-            at = low + (high - low) * (0.5 + 0.5 * node)
-            share, s = 0.5 * (high - low), at - begin
-            value = _reached(loads, instance, column, at * loads.step)
-            moment_0 += share * value
-            moment_1 += share * s * value
-            moment_2 += share * (s * s) * value
-        low = high
-    if row == START:
-        return 9.0 * moment_0 - 36.0 * moment_1 + 30.0 * moment_2
-    if row == MIDDLE:
-        return -1.5 * moment_0 + 15.0 * moment_1 - 15.0 * moment_2
-    return 3.0 * moment_0 - 24.0 * moment_1 + 30.0 * moment_2
 
 
 @entry_point(plant=Constants(), instance=Constants(), done=int)
@@ -369,7 +233,7 @@ def finish(plant, instance, done):
     instance.mark[STEPS] += 1
     instance.mark[KNOWN] = 0
     for k in range(LOADS):
-        instance.load[k] = instance.loads[AFTER, k]
+        instance.load[k] = instance.loads[0, AFTER, k]
     return _OK
 
 
@@ -431,7 +295,7 @@ def set_rates(tables, plant, instance):
             here += plant.points_rotation[n, p] * motion[half + 3 + n]
         turning = max(turning, magnitude(here))
     time = _TURN / (_TURN + turning)
-    drift = instance.loads[START]
+    drift = instance.loads[0, START]
     for k in range(2):
         sign = time if k else -time
         for i in range(size):
@@ -460,7 +324,7 @@ def set_rates(tables, plant, instance):
 @inner
 def _tip_speed(tables, instance, motion):
     """Return the velocity of the tip in world axes."""
-    half, place, speed = len(motion) // 2, instance.loads[START], instance.loads[MIDDLE]
+    half, place, speed = len(motion) // 2, instance.loads[0, START], instance.loads[0, MIDDLE]
     tip(tables, motion, place)
     tip_rate(tables, motion, speed)
     along = speed[0] - motion[half + 2] * place[1]
@@ -474,7 +338,7 @@ def _tip_speed(tables, instance, motion):
 def set_forces(tables, plant, instance):
     """Write strain, efforts and energy to the outputs."""
     load, motion, accelerations = instance.load, instance.motion, instance.accelerations
-    out, half, needed = instance.outputs, len(motion) // 2, instance.loads[START]
+    out, half, needed = instance.outputs, len(motion) // 2, instance.loads[0, START]
     root = accelerations[2] * plant.shaft_inertia
     for axis in range(2):
         accelerations[axis] -= plant.gravity[axis]
@@ -541,23 +405,27 @@ def get_outputs(instance, count, values):
 
 
 # A saved state: steps, since when lines go to commands, whether the finer run diverged, error,
-# commands, goals, origins of lines, load, friction; then the state.
-_FRICTION = 4 + 4 * LOADS
+# commands, goals, origins of lines, load, limits of commands, limits of their rates, friction;
+# then the state.
+_LIMITS = 4 + 4 * LOADS
+_FRICTION = _LIMITS + 2 * LOADS
 SAVED = _FRICTION + 4
 
 
-@entry_point(instance=Constants(), values=Array((None,)))
-def get_state(instance, values):
+@entry_point(actuators=Constants(), instance=Constants(), values=Array((None,)))
+def get_state(actuators, instance, values):
     """Write what `set_state` takes."""
     values[0] = 1.0 * instance.mark[STEPS]
-    values[1] = 1.0 * instance.mark[SINCE]
+    values[1] = 1.0 * actuators.since[0]
     values[2] = 1.0 * instance.mark[LOST]
     values[3] = instance.error[0]
     for k in range(LOADS):
         values[4 + k] = instance.inputs[k]
-        values[4 + LOADS + k] = instance.goal[k]
-        values[4 + 2 * LOADS + k] = instance.origin[k]
+        values[4 + LOADS + k] = actuators.goal[k]
+        values[4 + 2 * LOADS + k] = actuators.origin[k]
         values[4 + 3 * LOADS + k] = instance.load[k]
+        values[_LIMITS + k] = actuators.limit[k]
+        values[_LIMITS + LOADS + k] = actuators.rate[k]
     for k in range(len(instance.friction)):
         values[_FRICTION + k] = instance.friction[k]
     for k in range(len(instance.state)):
@@ -578,25 +446,30 @@ def check_state(instance, values):
     if lost == 0.0 and not 0.0 <= values[3]:
         return _BAD_STATE
     for k in range(4, SAVED + len(instance.state)):
-        if not _finite(values[k]):
+        if _LIMITS <= k and k < _FRICTION:
+            if not values[k] > 0.0:
+                return _BAD_STATE
+        elif not _finite(values[k]):
             return _NOT_FINITE
     return _OK
 
 
-@entry_point(instance=Constants(), values=Array((None,)))
-def set_state(instance, values):
+@entry_point(actuators=Constants(), instance=Constants(), values=Array((None,)))
+def set_state(actuators, instance, values):
     """Go on from a saved state, which was checked."""
     instance.mark[STEPS] = int(values[0])
-    instance.mark[SINCE] = int(values[1])
+    actuators.since[0] = int(values[1])
     instance.mark[LOST] = int(values[2])
     instance.mark[KNOWN] = 0
     instance.mark[PART] = 0
     instance.error[0] = values[3]
     for k in range(LOADS):
         instance.inputs[k] = values[4 + k]
-        instance.goal[k] = values[4 + LOADS + k]
-        instance.origin[k] = values[4 + 2 * LOADS + k]
+        actuators.goal[k] = values[4 + LOADS + k]
+        actuators.origin[k] = values[4 + 2 * LOADS + k]
         instance.load[k] = values[4 + 3 * LOADS + k]
+        actuators.limit[k] = values[_LIMITS + k]
+        actuators.rate[k] = values[_LIMITS + LOADS + k]
     for k in range(len(instance.friction)):
         instance.friction[k] = values[_FRICTION + k]
     for k in range(len(instance.state)):

@@ -17,7 +17,7 @@ from typing import Any
 
 from timo_sim.compiled import machine
 from timo_sim.model import exact_code, functions, modes, newton
-from timo_sim.steps import derivatives, etdrk4, friction, instance, lanes
+from timo_sim.steps import derivatives, etdrk4, friction, instance, lanes, loads
 
 
 def entries() -> list[tuple[Any, tuple[type, ...]]]:
@@ -38,12 +38,18 @@ def entries() -> list[tuple[Any, tuple[type, ...]]]:
                   for entry in (lanes.advance_alike, lanes.advance_each)]
     found.append((derivatives.differentiate,
                   (exact_code.Tables, etdrk4.Propagator, derivatives.Inputs)))
-    found.append((instance.prepare, (instance.SceneLoads, instance.Instance)))
-    found += [(entry, own) for entry in (instance.reset, instance.finish, instance.set_outputs)]
+    actuators = loads.Actuators, instance.Instance
+    found += [(entry, ()) for entry in loads.TERMS]
+    found += [(entry, (loads.Actuators,)) for entry in (
+        loads.add_commands, loads.restart, instance.get_parameter)]
+    found += [(entry, own) for entry in (instance.finish, instance.set_outputs)]
+    found += [(instance.prepare, (instance.SceneLoads, *actuators)),
+              (instance.reset, (instance.Plant, *actuators))]
+    found += [(entry, actuators) for entry in (
+        instance.set_parameter, instance.get_state, instance.set_state)]
     return found + [(entry, (instance.Instance,)) for entry in (
         instance.set_input, instance.get_input, instance.set_place, instance.compare,
-        instance.lose, instance.get_output, instance.get_outputs, instance.get_state,
-        instance.check_state, instance.set_state)]
+        instance.lose, instance.get_output, instance.get_outputs, instance.check_state)]
 
 
 if __name__ == '__main__':

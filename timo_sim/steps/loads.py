@@ -1,0 +1,349 @@
+# Copyright 2026 The timo_sim authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Loads of steps: terms of a load over time, and what actuators make of commands.
+
+A step takes three values of a load, at its start, middle and end, and its linear part integrates
+the parabola through them exactly. If a load jumps at the boundary of two steps, each step sees its
+own side. A load with a kink inside the step is replaced by the parabola with the same integral and
+the same first and second moment (T37): with s from 0 to 1 over the step and `I_j = int s^j p ds`,
+
+    p(0)   =    9 I_0 - 36 I_1 + 30 I_2
+    p(1/2) = -3/2 I_0 + 15 I_1 - 15 I_2
+    p(1)   =    3 I_0 - 24 I_1 + 30 I_2
+
+The fourth row of a step's loads is the true load at its end, see `model.layout`.
+
+Python and an exported arm call this code. It has no fast math and so gives both the same bits.
+"""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from timo_sim.compiled.entry import entry_point
+from timo_sim.compiled.functions import (
+    Array, as_vectors, Constants, floor, magnitude, strict, WIDTH)
+from timo_sim.model.functions import sincos
+from timo_sim.model.layout import (
+    ACCELERATION, AFTER, ANGLE, END, LOADS, MIDDLE, SPEED, STAGES, START, STEP_LOADS, TORQUE,
+    VOLTAGE)
+
+NEAR = 1e-6  # [steps] distance from a step boundary within which a position counts as on it
+POINT = 7    # numbers of a point of a drive
+
+_STEPS = {'step': float, 'first': int, 'count': int,
+          'out': Array((None, STEP_LOADS, LOADS))}
+
+
+class Actuators(NamedTuple):
+    """
+    What makes loads of commands, and its memory.
+
+    The goal of a load is its command within a limit. With a limit of its rate it moves to the goal
+    on a straight line, which begins at the step at which goals changed.
+    """
+
+    step: float  # [s]
+    gain: float  # torque per voltage [N m/V]
+    limit: Annotated[np.ndarray, LOADS]   # of commands
+    rate: Annotated[np.ndarray, LOADS]    # limit of their rate; infinite: they act at once
+    goal: Annotated[np.ndarray, LOADS]
+    origin: Annotated[np.ndarray, LOADS]  # where the lines began
+    since: Annotated[np.ndarray, int, 1]  # number of the step at which they began
+
+
+# Entry points for Python. Each adds to the loads `out` of `count` steps of size `step` [s], from
+# step `first` on.
+
+@entry_point(column=int, amplitude=float, frequency=float, phase=float, **_STEPS,
+             room=Array((WIDTH,)))
+def add_harmonic(column, amplitude, frequency, phase, step, first, count, out, room):
+    """Add amplitude sin(2 pi frequency t + phase); frequency in [Hz], phase in [rad]."""
+    of_harmonic(column, amplitude, frequency, phase, step, first, count, out, room)
+
+
+@entry_point(column=int, jumps=Array((None, 2)), length=int, **_STEPS)
+def add_piecewise(column, jumps, length, step, first, count, out):
+    """Add values that act from steps on; `jumps` are their numbers and the values."""
+    of_piecewise(column, jumps, 0, length, first, count, out)
+
+
+@entry_point(column=int, knots=Array((None, 2)), length=int, **_STEPS)
+def add_table(column, knots, length, step, first, count, out):
+    """
+    Add what is linear between knots, time [s] and value, and constant outside.
+
+    Knots near the boundary of two steps must be exactly on it. A repeated time is a jump there.
+    """
+    of_table(column, knots, 0, length, step, first, count, out)
+
+
+@entry_point(points=Array((None, POINT)), length=int, **_STEPS)
+def add_drive(points, length, step, first, count, out):
+    """
+    Add angle, speed and acceleration of a drive.
+
+    From each point on, with its time [s], the angle is a quintic polynomial of the time since,
+    whose coefficients follow, constant first. Points near the boundary of two steps must be on it.
+    """
+    of_drive(points, length, step, first, count, out)
+
+
+TERMS = add_harmonic, add_piecewise, add_table, add_drive
+
+
+@entry_point(actuators=Constants(), commanded=Array((LOADS,)), first=int, count=int,
+             out=Array((None, STEP_LOADS, LOADS)))
+def add_commands(actuators, commanded, first, count, out):
+    """Add what `Actuators` make of commands from step `first` on; it changes their goals."""
+    of_commands(actuators, commanded, first, count, out)
+
+
+@entry_point(actuators=Constants(), number=int)
+def restart(actuators, number):
+    """Let all lines begin and end at what acts at a step, so that limits may change."""
+    begin_lines(actuators, number)
+
+
+# Loads over time.
+
+@strict
+def of_harmonic(column, amplitude, frequency, phase, step, first, count, out, room):
+    """Do what `add_harmonic` does; the sines of WIDTH half steps are computed as one vector."""
+    vector = as_vectors(room)
+    for begin in range(0, count + 1, WIDTH // 2):
+        for j in range(WIDTH):
+            room[j] = 0.5 * (2 * (first + begin) + j) * step
+        turns = frequency * vector[0]
+        sines, _ = sincos(2.0 * np.pi * (turns - floor(turns)) + phase)
+        vector[0] = amplitude * sines
+        for k in range(begin, min(begin + WIDTH // 2, count + 1)):
+            start = room[2 * (k - begin)]
+            if k > 0:
+                out[k - 1, END, column] += start
+                out[k - 1, AFTER, column] += start
+            if k < count:
+                out[k, START, column] += start
+                out[k, MIDDLE, column] += room[2 * (k - begin) + 1]
+
+
+@strict
+def of_piecewise(column, jumps, begin, end, first, count, out):
+    """Do what `add_piecewise` does, with the jumps from `begin` to `end`."""
+    following = _first_after(jumps, begin, end, 1.0 * first)
+    for k in range(count):
+        while following < end and jumps[following, 0] <= first + k:
+            following += 1
+        if following > begin:
+            for row in range(STEP_LOADS):
+                out[k, row, column] += jumps[following - 1, 1]
+
+
+@strict
+def _first_after(rows, begin, end, value):
+    """Return the first of some rows, in ascending order, that begins with more than a value."""
+    while begin < end:
+        middle = (begin + end) // 2
+        if rows[middle, 0] <= value:
+            begin = middle + 1
+        else:
+            end = middle
+    return begin
+
+
+@strict
+def of_table(column, knots, begin, end, step, first, count, out):
+    """Do what `add_table` does, with the knots from `begin` to `end`."""
+    following = _first_after(knots, begin, end, first * step)
+    for k in range(count):
+        start, stop = (first + k) * step, (first + k + 1) * step
+        while following < end and knots[following, 0] <= start:
+            following += 1
+        last, low = following, start
+        # From knot to knot, if there are any inside.
+        while last < end and knots[last, 0] < stop:
+            _add_piece(column, knots, begin, end, last, low, knots[last, 0], start, step, out[k])
+            low = knots[last, 0]
+            last += 1
+        if last > following:
+            _add_piece(column, knots, begin, end, last, low, stop, start, step, out[k])
+        else:
+            for stage in range(STAGES):
+                time = 0.5 * (2 * (first + k) + stage) * step
+                out[k, stage, column] += _between(knots, begin, end, last, time)
+        out[k, AFTER, column] += _between(knots, begin, end, last, stop)
+
+
+@strict
+def _between(knots, begin, end, following, time):
+    """Return the value at a time between two knots, or beyond the last or before the first."""
+    low, high = max(following - 1, begin), min(following, end - 1)
+    span = knots[high, 0] - knots[low, 0]
+    share = 0.0
+    if span > 0.0:
+        share = (time - knots[low, 0]) / span
+    return knots[low, 1] + share * (knots[high, 1] - knots[low, 1])
+
+
+@strict
+def _add_piece(column, knots, begin, end, following, low, high, start, step, out):
+    for node in range(_NODES):
+        time = low + (high - low) * _place(node)
+        value = _share(node) * (high - low) / step * _between(knots, begin, end, following, time)
+        for stage in range(STAGES):
+            out[stage, column] += value * _seen(stage, (time - start) / step)
+
+
+@strict
+def of_drive(points, length, step, first, count, out):
+    """Do what `add_drive` does."""
+    point = _first_after(points, 1, length, first * step) - 1
+    for k in range(count):
+        start, stop = (first + k) * step, (first + k + 1) * step
+        while point + 1 < length and points[point + 1, 0] <= start:
+            point += 1
+        last, low = point, start
+        while last + 1 < length and points[last + 1, 0] < stop:
+            _add_motions(points, last, low, points[last + 1, 0], start, step, out[k])
+            last += 1
+            low = points[last, 0]
+        if last > point:
+            _add_motions(points, last, low, stop, start, step, out[k])
+        else:
+            for stage in range(STAGES):
+                _add_motion(points, last, 0.5 * (2 * (first + k) + stage) * step, 1.0,
+                            out[k, stage])
+        _add_motion(points, last, stop, 1.0, out[k, AFTER])
+
+
+@strict
+def _add_motions(points, point, low, high, start, step, out):
+    for node in range(_NODES):
+        time = low + (high - low) * _place(node)
+        share = _share(node) * (high - low) / step
+        for stage in range(STAGES):
+            _add_motion(points, point, time, share * _seen(stage, (time - start) / step),
+                        out[stage])
+
+
+@strict
+def _add_motion(points, point, time, factor, out):
+    """Add angle, speed and acceleration, times a factor."""
+    since = time - points[point, 0]
+    angle, speed, half_acceleration = 0.0, 0.0, 0.0
+    for j in range(POINT - 1):
+        # Horner's scheme, with the halves of second derivatives.
+        half_acceleration = half_acceleration * since + speed
+        speed = speed * since + angle
+        angle = angle * since + points[point, POINT - 1 - j]
+    out[ANGLE] += factor * angle
+    out[SPEED] += factor * speed
+    out[ACCELERATION] += factor * (2.0 * half_acceleration)
+
+
+# What a stage sees is the integral of the load over the step with the weight `_seen`. It is found
+# by Gauss's rule, which is exact for a quintic polynomial times a parabola, from kink to kink.
+
+_NODES = 4
+_INNER, _OUTER = 0.3399810435848563, 0.8611363115940526  # from -1 to 1
+_INNER_SHARE, _OUTER_SHARE = 0.3260725774312730, 0.1739274225687269
+
+
+@strict
+def _place(node):
+    """Return the place of a node, from 0 to 1."""
+    place = _OUTER if node == 0 or node == 3 else _INNER
+    return 0.5 - 0.5 * place if node < 2 else 0.5 + 0.5 * place
+
+
+@strict
+def _share(node):
+    """Return the share of a node in an integral."""
+    return _OUTER_SHARE if node == 0 or node == 3 else _INNER_SHARE
+
+
+@strict
+def _seen(stage, s):
+    """Return the weight of a load at s, from 0 to 1, in what a stage sees of the step."""
+    if stage == START:
+        return 9.0 + s * (30.0 * s - 36.0)
+    if stage == MIDDLE:
+        return 15.0 * s * (1.0 - s) - 1.5
+    return 3.0 + s * (30.0 * s - 24.0)
+
+
+# Actuators.
+
+@strict
+def of_commands(actuators, commanded, first, count, out):
+    """Do what `add_commands` does."""
+    changed = False
+    for column in range(LOADS):
+        changed = changed or _goal(actuators, commanded, column) != actuators.goal[column]
+    if changed:
+        begin_lines(actuators, first)
+    for column in range(LOADS):
+        actuators.goal[column] = _goal(actuators, commanded, column)
+        slow = actuators.rate[column] < np.inf
+        held = 0.0 if slow else actuators.goal[column]
+        if column == TORQUE:
+            held += actuators.gain * _goal(actuators, commanded, VOLTAGE)
+        for k in range(count):
+            if slow:
+                _add_line(actuators, column, 1.0 * (first + k - actuators.since[0]), out[k])
+            for row in range(STEP_LOADS):
+                out[k, row, column] += held
+
+
+@strict
+def _goal(actuators, commanded, column):
+    return min(max(commanded[column], -actuators.limit[column]), actuators.limit[column])
+
+
+@strict
+def begin_lines(actuators, number):
+    """Do what `restart` does."""
+    elapsed = (number - actuators.since[0]) * actuators.step
+    for column in range(LOADS):
+        reached = _reached(actuators, column, elapsed)
+        actuators.origin[column] = actuators.goal[column] = reached
+    actuators.since[0] = number
+
+
+@strict
+def _reached(actuators, column, elapsed):
+    """Return what acts of a command some time after the lines began."""
+    goal, origin = actuators.goal[column], actuators.origin[column]
+    value = goal
+    if actuators.rate[column] < np.inf:
+        way = elapsed * actuators.rate[column]
+        if magnitude(goal - origin) > way:
+            value = origin + way if goal > origin else origin - way
+    return value
+
+
+@strict
+def _add_line(actuators, column, begin, out):
+    """Add what acts of a command in a step that begins some steps after the lines."""
+    step = actuators.step
+    out[AFTER, column] += _reached(actuators, column, (begin + 1.0) * step)
+    # Where the line ends, counted in steps.
+    end = magnitude(actuators.goal[column] - actuators.origin[column]) / (
+        actuators.rate[column] * step)
+    if begin < end < begin + 1.0 and magnitude(end - floor(end + 0.5)) > NEAR:
+        for node in range(2 * _NODES):
+            low, high = (begin, end) if node < _NODES else (end, begin + 1.0)
+            at = low + (high - low) * _place(node % _NODES)
+            value = _share(node % _NODES) * (high - low) * _reached(actuators, column, at * step)
+            for stage in range(STAGES):
+                out[stage, column] += value * _seen(stage, at - begin)
+    else:
+        for stage in range(STAGES):
+            out[stage, column] += _reached(actuators, column, (begin + 0.5 * stage) * step)
