@@ -238,7 +238,7 @@ def test_only_the_name_of_a_log_depends_on_the_wall_clock():
     package = Path(write.__file__).parents[1]
     looking = {path.name: line.strip() for path in package.rglob('*.py')
                for line in path.read_text().splitlines()
-               if 'time.time(' in line or 'time_ns(' in line or '.now' in line or 'utcnow' in line
+               if 'time.time(' in line or 'time_ns(' in line or '.now(' in line or 'utcnow' in line
                or 'get_clock' in line}
     assert list(looking) == ['topics.py']
     assert 'datetime.now():%Y%m%d_%H%M%S' in looking['topics.py']
