@@ -24,7 +24,7 @@
     fmi3DoStep(unit, point, size, true, &flags[0], &flags[1], &flags[2], &last)
 #endif
 
-#define COUNT (ARM_OUTPUTS + ARM_INPUTS)
+#define COUNT (ARM_OUTPUTS + ARM_INPUTS + ARM_PARAMETERS)
 #define CHECK(condition) \
     if (!(condition)) { \
         printf("line %d: not %s\n", __LINE__, #condition); \

@@ -42,6 +42,7 @@ class Limit(NamedTuple):
     of_rate: bool
     begin: int  # first column of a load whose commands it limits
     end: int    # column after the last one
+    start: float  # its value in the scene
 
 
 class Interface(NamedTuple):
@@ -116,10 +117,11 @@ def interface_of(scene: Scene, estimate: bool) -> Interface:
     if estimate:
         outputs.append(Quantity('estimated_tip_error', 'm', 'largest distance so far from the tip '
                                 'of a finer run; NaN if that diverged'))
-    return Interface(inputs, outputs, _limits(inputs), choose_parts(scene)[0] if estimate else 0)
+    return Interface(inputs, outputs, _limits(inputs, scene.values),
+                     choose_parts(scene)[0] if estimate else 0)
 
 
-def _limits(inputs):
+def _limits(inputs, values):
     columns: dict[tuple[str, bool], list[int]] = {}
     for each in inputs:
         for name, of_rate in ((INPUTS[each.column].limit, False),
@@ -127,7 +129,7 @@ def _limits(inputs):
             if name:
                 columns.setdefault((name, of_rate), []).append(each.column)
     return [Limit(name.replace('.', '_'), PARAMETERS[name].unit, PARAMETERS[name].meaning, of_rate,
-                  min(limited), max(limited) + 1)
+                  min(limited), max(limited) + 1, values[name])
             for (name, of_rate), limited in columns.items()]
 
 

@@ -29,6 +29,10 @@
 #define DISCARD 2
 #define ERROR 3
 
+/* First value references of inputs and of parameters; those of outputs begin at 0. */
+#define INPUT ((unsigned)ARM_OUTPUTS)
+#define PARAMETER ((unsigned)(ARM_OUTPUTS + ARM_INPUTS))
+
 #define NEVER 1e300 /* sim time [s] */
 
 /* What an instance waits for; bits, of which a function may accept several. */
@@ -133,9 +137,11 @@ static int get_values(struct instance *me, const unsigned *references, size_t co
     REQUIRE(!count || (references && values), "a pointer is null");
     for (size_t k = 0; k < count; ++k) {
         unsigned number = references[k];
-        int code = number < ARM_OUTPUTS
+        int code = number < INPUT
             ? arm_get_output(arm_of(me), (int)number, &values[k])
-            : arm_get_input(arm_of(me), (int)(number - ARM_OUTPUTS), &values[k]);
+            : number < PARAMETER
+            ? arm_get_input(arm_of(me), (int)(number - INPUT), &values[k])
+            : arm_get_parameter(arm_of(me), (int)(number - PARAMETER), &values[k]);
         if (code != ARM_OK)
             return fail(me, ERROR, "there is no variable with the reference %u", number);
     }
@@ -148,15 +154,23 @@ static int set_values(struct instance *me, const unsigned *references, size_t co
 {
     REQUIRE(!count || (references && values), "a pointer is null");
     for (size_t k = 0; k < count; ++k) {
-        if (references[k] - ARM_OUTPUTS >= ARM_INPUTS)
-            return fail(me, ERROR, "the variable with the reference %u is no input",
-                        references[k]);
-        if (values[k] - values[k] != 0.0)
+        unsigned number = references[k];
+        if (number < INPUT || number >= PARAMETER + ARM_PARAMETERS)
+            return fail(me, ERROR, "the variable with the reference %u is no input or parameter",
+                        number);
+        if (number < PARAMETER && values[k] - values[k] != 0.0)
             return fail(me, DISCARD, "%s must be finite, got %g",
-                        arm_input_name((int)(references[k] - ARM_OUTPUTS)), values[k]);
+                        arm_input_name((int)(number - INPUT)), values[k]);
+        if (number >= PARAMETER && !(values[k] > 0.0))
+            return fail(me, DISCARD, "%s must be > 0, got %g",
+                        arm_parameter_name((int)(number - PARAMETER)), values[k]);
     }
-    for (size_t k = 0; k < count; ++k)
-        arm_set_input(arm_of(me), (int)(references[k] - ARM_OUTPUTS), values[k]);
+    for (size_t k = 0; k < count; ++k) {
+        if (references[k] < PARAMETER)
+            arm_set_input(arm_of(me), (int)(references[k] - INPUT), values[k]);
+        else
+            arm_set_parameter(arm_of(me), (int)(references[k] - PARAMETER), values[k]);
+    }
     return OK;
 }
 
@@ -217,7 +231,7 @@ STATUS FMI(Terminate)(void *instance)
 STATUS FMI(Reset)(void *instance)
 {
     ENTER(instance, ANY);
-    arm_reset(arm_of(me));
+    arm_create(me->memory, sizeof me->memory); /* parameters have their first values again */
     me->phase = INSTANTIATED;
     me->stop = NEVER;
     return OK;

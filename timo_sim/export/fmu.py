@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections import Counter
 import hashlib
+import math
 from pathlib import Path
 import platform
 import re
@@ -48,7 +49,8 @@ class _Variable(NamedTuple):
     name: str
     unit: str
     meaning: str
-    causality: str  # independent, output, local or input
+    causality: str  # independent, output, local, input or parameter
+    start: float | None = None
 
 
 def export_fmu(scene: SceneLike, path: Path | str, version: int = 3, estimate: bool = True,
@@ -166,7 +168,9 @@ def _variables(interface: Interface) -> list[_Variable]:
         return _Variable(name, unit, quantity.meaning, causality)
 
     return [*(variable(each, 'output') for each in interface.outputs),
-            *(variable(each, 'input') for each in interface.inputs)]
+            *(variable(each, 'input')._replace(start=0.0) for each in interface.inputs),
+            *(_Variable(with_unit(each.title, each.unit), each.unit, each.meaning, 'parameter',
+                        each.start) for each in interface.parameters)]
 
 
 def _base_unit(unit: str) -> dict[str, str] | None:
@@ -210,13 +214,20 @@ def _text(root):
     return ElementTree.tostring(root, encoding='UTF-8', xml_declaration=True) + b'\n'
 
 
-def _initial(variable):
-    return {} if variable.causality in ('independent', 'input') else {'initial': 'calculated'}
+def _kind(variable):
+    if variable.causality == 'parameter':
+        return {'causality': 'parameter', 'variability': 'tunable', 'initial': 'exact'}
+    known = variable.causality in ('independent', 'input')
+    return {'causality': variable.causality, 'variability': 'continuous',
+            **({} if known else {'initial': 'calculated'})}
 
 
 def _value(variable):
-    unit = {'unit': variable.unit} if variable.unit else {}
-    return {**unit, 'start': 0.0} if variable.causality == 'input' else unit
+    found = {'unit': variable.unit} if variable.unit else {}
+    if variable.start is not None:
+        # Infinity as XML Schema writes it.
+        found['start'] = 'INF' if variable.start == math.inf else variable.start
+    return found
 
 
 def _description_3(name, token, step, variables):
@@ -228,7 +239,7 @@ def _description_3(name, token, step, variables):
     group = _add(root, 'ModelVariables')
     for number, each in enumerate(variables):
         _add(group, 'Float64', name=each.name, valueReference=number, description=each.meaning,
-             causality=each.causality, variability='continuous', **_initial(each), **_value(each))
+             **_kind(each), **_value(each))
     structure = _add(root, 'ModelStructure')
     for tag in ('Output', 'InitialUnknown'):
         for number, each in enumerate(variables):
@@ -250,8 +261,7 @@ def _description_2(name, token, step, variables):
     group = _add(root, 'ModelVariables')
     for number, each in enumerate(variables):
         _add(_add(group, 'ScalarVariable', name=each.name, valueReference=number,
-                  description=each.meaning, causality=each.causality, variability='continuous',
-                  **_initial(each)), 'Real', **_value(each))
+                  description=each.meaning, **_kind(each)), 'Real', **_value(each))
     structure = _add(root, 'ModelStructure')
     for tag in ('Outputs', 'InitialUnknowns'):
         part = _add(structure, tag)
