@@ -136,6 +136,34 @@ def test_bits(name, tmp_path):
     np.testing.assert_array_equal(tip, tips)
 
 
+@pytest.mark.parametrize('name', ['free', 'held', 'locked', 'viscous', 'dc motor', 'rate limits',
+                                  'harmonic', 'rigid'])
+def test_derivatives_are_those_of_python(name, tmp_path):
+    """They have the same bits, and the steps after them, too."""
+    scene, inputs = scene_of(SCENES[name]), []
+    timo_sim.export_c(scene, tmp_path)
+    simulator, numbers = timo_sim.Simulator(scene), interface_of(scene, False).inputs
+    place = [each.column for each in numbers].index(
+        FORCE_X if name == 'locked' else TORQUE)
+    inputs = ['force'] if name == 'locked' else ['torque']
+    simulator.advance(9, np.where(np.arange(LOADS) == numbers[place].column, 0.7, 0.0))
+    rows = run_program(compile_program(RUN, tmp_path), [
+        f'i {place} {0.7.hex()}', 's 9', f'i {place} {(-0.4).hex()}', 'd', 's 1', 'o'])
+    command = (-0.4, 0.0) if name == 'locked' else -0.4
+    wanted = simulator.step_derivatives(inputs, **{inputs[0]: command})
+    size = simulator.model.size
+    found = np.reshape(rows[0], (-1, size)).T
+    assert np.array_equal(found[:, :size], wanted.by_motion)
+    assert np.array_equal(found[:, size + place], wanted.by_input[:, 0])
+    assert rows[1][3] == simulator.motion.shaft
+
+
+@pytest.mark.parametrize('changes', [{'model.formulation': 'newton'}, {'carrier.held': 'x'}])
+def test_a_header_has_no_derivatives_of_scenes_without(changes, tmp_path):
+    timo_sim.export_c(scene_of(changes), tmp_path)
+    assert 'step_derivatives' not in (tmp_path / 'arm.h').read_text()
+
+
 FORCES = {
     **{name: SCENES[name] for name in (
         'held', 'gravity', 'smooth', 'sticking', 'axial', 'rigid', 'sectors', 'dc motor',

@@ -1,7 +1,7 @@
 /*
  * Do what the lines of the standard input say with an exported arm:
  * i INPUT VALUE, l PARAMETER VALUE, s STEPS, r (reset), g (get the state), p (put the state of the last g back),
- * o (print all outputs), w (print the state). Numbers are printed exactly, as hexadecimal floats.
+ * o (print all outputs), d (print the derivatives of a step), w (print the state). Numbers are printed exactly, as hexadecimal floats.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -34,6 +34,14 @@ int main(void)
             for (int k = 0; k < ARM_OUTPUTS; ++k)
                 printf("%a ", outputs[k]);
             printf("\n");
+#ifdef ARM_MOTION
+        } else if (what == 'd') {
+            double found[ARM_MOTION + ARM_INPUTS][ARM_MOTION];
+            code = arm_step_derivatives(instance, found);
+            for (int k = 0; k < (ARM_MOTION + ARM_INPUTS) * ARM_MOTION; ++k)
+                printf("%a ", found[0][k]);
+            printf("\n");
+#endif
         } else if (what == 'w') {
             code = arm_get_state(instance, shown);
             for (int k = 0; k < ARM_STATE_SIZE; ++k)

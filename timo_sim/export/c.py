@@ -91,7 +91,7 @@ int name_get_parameter(const name *instance, int parameter, double *value);
 
 /* Advance by some time steps, under constant inputs. */
 int name_step(name *instance, int64_t steps);
-
+$derivatives
 /* Get an output, or all of them, at the end of the last step; the first call computes them. */
 int name_get_output(name *instance, int output, double *value);
 int name_get_outputs(name *instance, double values[NAME_OUTPUTS]);
@@ -115,6 +115,19 @@ const char *name_parameter_unit(int parameter);
 
 #endif
 """)
+
+_DERIVATIVES = """
+#define NAME_MOTION $motion /* count of numbers of a motion */
+
+/*
+ * Get the derivatives of the motion after the next step, which is not done, under the inputs of
+ * now: values[k][i] is that of number i by number k of the motion now or, from NAME_MOTION on, by
+ * input k - NAME_MOTION. A motion is carrier x, y and shaft, the modal coordinates, then the rate
+ * of each; rows and columns of what is held, locked or driven are 0.
+ */
+int name_step_derivatives(name *instance,
+                          double values[NAME_MOTION + NAME_INPUTS][NAME_MOTION]);
+"""
 
 _MAIN = Template("""\
 /* Run it$under and print a table. */
@@ -239,6 +252,7 @@ def _enum(name, quantities):
 def _header(interface, made, step, target, name):
     codes = [Quantity(code.name, '', TEXTS[code]) for code in Code]
     words = {'step': repr(step), 'size': made.size, 'saved': made.saved,
+             'derivatives': _DERIVATIVES.replace('$motion', str(made.motion)) * (made.motion > 0),
              'inputs': len(interface.inputs), 'outputs': len(interface.outputs),
              'parameters': len(interface.parameters)}
     lists = {'codes': _enum(name, codes), 'input_list': _enum(name, interface.inputs),

@@ -26,9 +26,11 @@ from timo_sim.compiled.functions import WIDTH
 from timo_sim.export.constants import Interface, plant_of, scene_loads_of
 from timo_sim.model.functions import tip_once
 from timo_sim.model.layout import LOADS, STEP_LOADS
+from timo_sim.simulation.derivatives import unit_loads_of, why_not_differentiable
 from timo_sim.simulation.loads import Actuators
 from timo_sim.steps import friction
 from timo_sim.steps import instance as steps
+from timo_sim.steps.derivatives import differentiate, Inputs
 from timo_sim.steps.etdrk4 import advance
 from timo_sim.steps.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED
 
@@ -51,7 +53,7 @@ TEXTS = {
 class _Model:
     """Constants of a model of the library, and its entry points for their sizes."""
 
-    def __init__(self, simulator, number, target):
+    def __init__(self, simulator, number, target, interface):
         self.number, self._target = number, target
         self.modules, self._functions = [], {}
         scene, model = simulator.scene, simulator.model
@@ -63,6 +65,10 @@ class _Model:
         # In memory actuators and dry friction, with its rooms, follow the instance.
         self.joints = getattr(simulator.integration, 'joints', None)
         self.own, self.forces = model.packed, model.force_tables
+        # What steps are differentiated by, if they are.
+        unit = unit_loads_of(scene.values, [each.column for each in interface.inputs])
+        self.inputs = None if why_not_differentiable(scene) else pack(
+            Inputs(unit, np.zeros(model.size + len(unit))))
         outputs = steps.MODAL + 2 * len(model.modes) + 1
         self.instance = pack(Instance._make([
             np.zeros(5), *3 * [np.zeros(LOADS)], *2 * [np.zeros(4)], *2 * [np.zeros(1)],
@@ -416,6 +422,20 @@ class _Body:
         builder.position_at_end(end)
         self.finish()
 
+    def derivatives(self):
+        own = self.models[0]
+        if own.inputs is None:
+            return
+        instance, values = self.public('step_derivatives', _POINTER)
+        self.call(own, steps.prepare, [
+            (own.loads, self.data(own.loads)), self.actuators(own, instance),
+            self.own(own, instance)], self.field(own, instance, 'inputs'))
+        self.call(own, differentiate, [
+            *self.constants_of_step(own, instance), (own.inputs, self.data(own.inputs))],
+            *(self.field(own, instance, name) for name in ('state', 'load', 'loads')),
+            self.word(1), values)
+        self.finish()
+
     def outputs(self):
         own, count = self.models[0], len(self.interface.outputs)
         instance, number, value = self.public('get_output', _INT, _POINTER)
@@ -483,8 +503,8 @@ class _Body:
         if len(self.models) > 1:
             self.follow()
         self.refresh()
-        for part in (self.memory, self.inputs, self.parameters, self.step, self.outputs,
-                     self.states, self.texts):
+        for part in (self.memory, self.inputs, self.parameters, self.step, self.derivatives,
+                     self.outputs, self.states, self.texts):
             part()
         return self.module
 
@@ -495,6 +515,7 @@ class Library(NamedTuple):
     content: bytes
     size: int   # of the memory of an instance [B]
     saved: int  # count of numbers of a saved state
+    motion: int  # count of numbers of a motion of which there are derivatives, 0 without
 
 
 def library(simulators: list[Any], interface: Interface, target: str, name: str) -> Library:
@@ -513,7 +534,8 @@ def library(simulators: list[Any], interface: Interface, target: str, name: str)
 
     """
     target_machine = machine.target_machine(target)
-    models = [_Model(each, number, target_machine) for number, each in enumerate(simulators)]
+    models = [_Model(each, number, target_machine, interface)
+              for number, each in enumerate(simulators)]
     body = _Body(models, interface, name)
     module = llvm.parse_assembly(str(body.write()))
     module.triple = str(target_machine.triple)
@@ -524,4 +546,5 @@ def library(simulators: list[Any], interface: Interface, target: str, name: str)
         if not function.is_declaration and not function.name.startswith(f'{name}_'):
             function.linkage = 'internal'
     return Library(target_machine.emit_object(module), body.size,
-                   sum(model.saved for model in models))
+                   sum(model.saved for model in models),
+                   simulators[0].model.size if models[0].inputs else 0)

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,17 +40,24 @@ class StepDerivatives(NamedTuple):
 
 def check_differentiable(scene: Scene) -> None:
     """Raise ParameterError if the steps of a scene have no derivatives in closed form."""
+    reason = why_not_differentiable(scene)
+    if reason:
+        raise ParameterError(reason)
+
+
+def why_not_differentiable(scene: Scene) -> str:
+    """Return why the steps of a scene have no derivatives in closed form; '' if they have."""
     values = scene.values
     for name, good, wanted in (
             ('model.formulation', values['model.formulation'] == 'exact', 'exact'),
             ('model.axial_modes', not values['model.axial_modes'], '0'),
             ('carrier.held', values['carrier.held'] not in ('x', 'y'), 'none or both')):
         if not good:
-            raise ParameterError(f'{name} must be {wanted} for derivatives of steps, got '
-                                 f'{values[name]}')
+            return f'{name} must be {wanted} for derivatives of steps, got {values[name]}'
     if scene.friction.any():
-        raise ParameterError('derivatives of steps need friction that builds up over a speed: '
-                             'there is none while dry friction sticks')
+        return ('derivatives of steps need friction that builds up over a speed: there is none '
+                'while dry friction sticks')
+    return ''
 
 
 def unit_loads(values: Mapping[str, Any], inputs: Iterable[str]) -> np.ndarray:
@@ -58,12 +65,15 @@ def unit_loads(values: Mapping[str, Any], inputs: Iterable[str]) -> np.ndarray:
     inputs = list(inputs)
     check_arguments(inputs, 'inputs')
     columns = [column for name in inputs for column in np.ravel(ARGUMENTS[name])]
+    for each in (INPUTS[column] for column in columns):
+        if each.needs and not values[each.needs]:
+            raise ParameterError(f'input {each.name} needs {each.needs} > 0, got 0')
+    return unit_loads_of(values, columns)
+
+
+def unit_loads_of(values: Mapping[str, Any], columns: Sequence[int]) -> np.ndarray:
+    """Return what one in each of some columns adds to a load; a voltage adds its torque, too."""
     unit = np.zeros((len(columns), LOADS))
-    for row, column in zip(unit, columns):
-        needs = INPUTS[column].needs
-        if needs and not values[needs]:
-            raise ParameterError(f'input {INPUTS[column].name} needs {needs} > 0, got 0')
-        row[column] = 1.0
-        if column == VOLTAGE:
-            row[TORQUE] = motor_constants(values)[0]
+    unit[range(len(columns)), columns] = 1.0
+    unit[:, TORQUE] += motor_constants(values)[0] * unit[:, VOLTAGE]
     return unit
