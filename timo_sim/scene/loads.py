@@ -76,6 +76,10 @@ class Harmonic:
         """Amplitude, frequency, and the phase less whole turns."""
         return self.amplitude, self.frequency, float(np.fmod(self.phase, 2.0 * np.pi))
 
+    def jumps(self) -> Sequence[float]:
+        """Return no time: it does not jump."""
+        return ()
+
     def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
         add_harmonic(column, *self.constants, step, first, len(loads), loads, np.empty(WIDTH))
 
