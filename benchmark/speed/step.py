@@ -9,12 +9,15 @@
 """Time of a step, of a run and of what surrounds it; cost against N, n_g and horizon."""
 
 import ctypes
+import itertools
 import os
 from pathlib import Path
 import shutil
 import subprocess
 import sys
 import tempfile
+from xml.etree import ElementTree
+import zipfile
 
 import matplotlib.pyplot as plt
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -119,7 +122,7 @@ def rows():
     prepared = Prepared(scene)
     compiled = timed(lambda: prepared.run(every=1), units=1)
     compared = timed(lambda: timo_sim.simulate(scene, 10.0), units=1)
-    return [*found, exported(), differentiated(), (
+    return [*found, exported(), in_an_fmu(), differentiated(), (
         '10 s of the paper, 10 ms, every step sampled', '2 ms', compiled.shown(1e-3, 'ms'),
         compiled.middle <= 2e-3, 'the compiled part'), (
         'the same with its error, measured by a finer run', '', compared.shown(1e-3, 'ms'), None,
@@ -152,6 +155,39 @@ def exported():
     return (name, '', in_c.shown(1e-9, 'ns'), None,
             f'`Simulator.advance`: {1e9 * together.middle:.0f} ns for each of {STEPS} steps at '
             f'once, {1e9 * one.middle:.0f} ns for one at a time')
+
+
+def in_an_fmu():
+    """Return the row of a step in an FMU of FMI 3.0, beside one of `Simulator.advance`."""
+    name = 'a step of `exact`, N = 3, in an FMU by `export-fmu`'
+    if shutil.which('cc') is None:
+        return name, '', 'no C compiler', None, ''
+    scene, simulator = paper(), timo_sim.Simulator(paper())
+    with tempfile.TemporaryDirectory() as folder:
+        path = timo_sim.export_fmu(scene, Path(folder, 'paper.fmu'), estimate=False)
+        with zipfile.ZipFile(path) as file:
+            file.extractall(folder)
+        token = ElementTree.parse(Path(folder, 'modelDescription.xml')).getroot().get(
+            'instantiationToken')
+        library = ctypes.CDLL(str(*Path(folder).glob('binaries/*/*.so')))
+    library.fmi3InstantiateCoSimulation.restype = ctypes.c_void_p
+    nothing, flags = ctypes.c_void_p(), [ctypes.c_bool() for _ in range(3)]
+    instance = ctypes.c_void_p(library.fmi3InstantiateCoSimulation(
+        b'arm', token.encode(), None, False, False, False, False, None, ctypes.c_size_t(0),
+        nothing, nothing, nothing))
+    times, last = itertools.count(), ctypes.c_double()
+    assert library.fmi3EnterInitializationMode(
+        instance, False, ctypes.c_double(), ctypes.c_double(), False, ctypes.c_double()) == 0
+    assert library.fmi3ExitInitializationMode(instance) == 0
+    size = STEPS * scene.step
+
+    def step():
+        assert library.fmi3DoStep(
+            instance, ctypes.c_double(next(times) * size), ctypes.c_double(size), True,
+            *map(ctypes.byref, flags), ctypes.byref(last)) == 0
+    in_an_fmu, together = timed(step, lambda: simulator.advance(STEPS), units=STEPS)
+    return (name, '', in_an_fmu.shown(1e-9, 'ns'), None,
+            f'`Simulator.advance`: {1e9 * together.middle:.0f} ns; both {STEPS} steps at once')
 
 
 def differentiated():
