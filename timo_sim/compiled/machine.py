@@ -175,6 +175,26 @@ def specialise(code: bytes, symbols: dict[str, int], machine: Any, name: str) ->
     return module
 
 
+def module_for_target(entry: Any, constants: tuple[Any, ...], target: str, name: str) -> Any:
+    """Return the module of `specialise` for some constants' sizes; the store keeps it."""
+    kinds, symbols = tuple(each.kind for each in constants), symbols_of(constants)
+    file = f'{_digest(entry, kinds, symbols, target)}-{name}.bc'
+    code = store.read(file)
+    if code is None:
+        code = specialise(intermediate_code(entry, kinds), symbols, target_machine(target),
+                          name).as_bitcode()
+        store.write(file, code)
+    _initialise()
+    return llvm.parse_bitcode(code)
+
+
+def _digest(entry, kinds, symbols, target):
+    processor = (f'{llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}'
+                 if target == 'host' else target)
+    key = f'{file_name(entry, kinds)} {sorted(symbols.items())} {processor}'
+    return f'timo_{hashlib.sha256(key.encode()).hexdigest()[:24]}'
+
+
 def object_code(code: bytes, symbols: dict[str, int], machine: Any, name: str) -> bytes:
     """Return an object file of intermediate code for given sizes, see `specialise`."""
     return machine.emit_object(specialise(code, symbols, machine, name))
@@ -217,9 +237,7 @@ _ADDRESSES: dict[str, int] = {}
 def load(entry: Any, constants: tuple[Any, ...]) -> int:
     """Return the address of the machine code of an entry point for some constants' sizes."""
     kinds, symbols = tuple(each.kind for each in constants), symbols_of(constants)
-    key = (f'{file_name(entry, kinds)} {sorted(symbols.items())} {llvm.get_host_cpu_name()} '
-           f'{llvm.get_host_cpu_features().flatten()}')
-    name = f'timo_{hashlib.sha256(key.encode()).hexdigest()[:24]}'
+    name = _digest(entry, kinds, symbols, 'host')
     with _LOCK:
         if name not in _ADDRESSES:
             data = store.read(f'{name}.o')

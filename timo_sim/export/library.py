@@ -97,9 +97,8 @@ class _Model:
         """Return the name of an entry point for constants of these sizes."""
         name = f'{entry.__name__}.{self.number}'
         if name not in self._functions:
-            code = machine.intermediate_code(entry, tuple(each.kind for each in constants))
-            self.modules.append(machine.specialise(
-                code, machine.symbols_of(constants), self._target, name))
+            self.modules.append(machine.module_for_target(
+                entry, constants, self._target, name))
             self._functions[name] = entry
         return name
 
@@ -534,7 +533,7 @@ def library(simulators: list[Any], interface: Interface, target: str, name: str)
 
     """
     target_machine = machine.target_machine(target)
-    models = [_Model(each, number, target_machine, interface)
+    models = [_Model(each, number, target, interface)
               for number, each in enumerate(simulators)]
     body = _Body(models, interface, name)
     module = llvm.parse_assembly(str(body.write()))
