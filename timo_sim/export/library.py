@@ -330,14 +330,13 @@ class _Body:
     def copy_constants(self, instance):
         """Copy the constants that functions change, or beside which they have rooms."""
         for model, each in self.each(instance):
-            self.copy(model.actuators, model.actuators.length,
+            self.copy(self.data(model.actuators), model.actuators.length,
                       self.at(each, model.instance.length))
             if model.joints:
-                self.copy(model.joints, model.joints.offsets['pushed'],
+                self.copy(self.data(model.joints), model.joints.offsets['pushed'],
                           self.at(each, model.place_of_joints))
 
-    def copy(self, packed, length, goal):
-        source = self.data(packed)
+    def copy(self, source, length, goal):
         for offset in range(0, length, 8):
             self.builder.store(self.builder.load(self.at(source, offset), typ=_WORD),
                                self.at(goal, offset))
@@ -426,9 +425,14 @@ class _Body:
         if own.inputs is None:
             return
         instance, values = self.public('step_derivatives', _POINTER)
+        # The step is not done, so its commands begin no lines: actuators are as before.
+        _, actuators = self.actuators(own, instance)
+        kept = self.builder.alloca(_WORD, self.word(own.actuators.length // 8))
+        self.copy(actuators, own.actuators.length, kept)
         self.call(own, steps.prepare, [
-            (own.loads, self.data(own.loads)), self.actuators(own, instance),
+            (own.loads, self.data(own.loads)), (own.actuators, actuators),
             self.own(own, instance)], self.field(own, instance, 'inputs'))
+        self.copy(kept, own.actuators.length, actuators)
         self.call(own, differentiate, [
             *self.constants_of_step(own, instance), (own.inputs, self.data(own.inputs))],
             *(self.field(own, instance, name) for name in ('state', 'load', 'loads')),

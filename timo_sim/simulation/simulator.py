@@ -253,7 +253,7 @@ class Simulator:
 
         They are exact, through the stages of each step, for the `exact` formulation without axial
         modes and without dry friction that sticks, with both axes of the carrier free or held.
-        Where a command is beyond its limit they are by what acts, the limit.
+        They are by what acts of commands: limits, also of rates, are not differentiated.
 
         Parameters
         ----------
