@@ -9,7 +9,6 @@
 
 """A scene in C: the bits of `Simulator`, bad calls, what is refused, other processors."""
 
-import ctypes
 import os
 from pathlib import Path
 import re
@@ -282,56 +281,6 @@ def test_bad_calls_return_codes(changes, estimate, tmp_path):
     assert (found.stdout, found.stderr, found.returncode) == ('', '', 0)
 
 
-def test_instances_are_independent(tmp_path):
-    """Two instances that take turns do what each does alone; names and units of a library."""
-    timo_sim.export_c(scene_of({}), tmp_path, name='plant')
-    shared = tmp_path / 'libplant.so'
-    subprocess.run([CC, '-shared', '-o', shared, tmp_path / 'plant.o'], check=True)
-    library = ctypes.CDLL(shared)
-    library.plant_size.restype = ctypes.c_size_t
-    library.plant_step.argtypes = [ctypes.c_void_p, ctypes.c_int64]
-    library.plant_set_input.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_double]
-    library.plant_output_unit.restype = library.plant_input_name.restype = ctypes.c_char_p
-    size = library.plant_size()
-    assert library.plant_input_name(4) == b'torque' and library.plant_output_unit(3) == b'rad'
-
-    def make(torque):
-        instance = (ctypes.c_double * (size // 8))()
-        assert library.plant_create(instance, ctypes.c_size_t(size)) == 0
-        assert library.plant_set_input(instance, 4, torque) == 0
-        return instance
-
-    together, alone = [make(1.0), make(-2.0)], [make(1.0), make(-2.0)]
-    for _ in range(20):
-        for each in together:
-            assert library.plant_step(each, 1) == 0
-    for each, other in zip(alone, together):
-        assert library.plant_step(each, 20) == 0
-        assert bytes(each) == bytes(other)
-
-
-def test_example_builds_and_runs(tmp_path):
-    """What the command prints and writes; CMake builds it."""
-    from click.testing import CliRunner
-    from timo_sim.cli import main
-    found = CliRunner().invoke(main, [
-        'export-c', 'paper', '-o', str(tmp_path), '--set', 'arm.length=1.9'])
-    assert found.exit_code == 0, found.output
-    if shutil.which('cmake'):
-        for command in (['cmake', '-S', tmp_path, '-B', tmp_path / 'build'],
-                        ['cmake', '--build', tmp_path / 'build']):
-            subprocess.run(command, check=True, capture_output=True)
-        program = tmp_path / 'build' / 'main'
-    else:
-        program = compile_program(tmp_path / 'main.c', tmp_path)
-    rows = subprocess.run([program], check=True, text=True,
-                          stdout=subprocess.PIPE).stdout.splitlines()
-    assert rows[0].split()[:2] == ['time', 'shaft'] and len(rows) == 22
-    simulator = timo_sim.Simulator(timo_sim.load_scene('paper', {'arm.length': 1.9}))
-    motion = simulator.step(torque=1.0, duration=2.0)
-    assert float(rows[-1].split()[1]) == pytest.approx(motion.shaft, rel=1e-8)
-
-
 @pytest.mark.skipif(shutil.which('cmake') is None, reason='needs CMake')
 def test_page(tmp_path):
     """The commands of doc/export.md and its program, literally."""
@@ -344,7 +293,10 @@ def test_page(tmp_path):
                            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
                            env={**os.environ, 'PYTHONPATH': str(ROOT)})
     assert found.returncode == 0, found.stdout
-    assert 'tip_transverse' in found.stdout
+    rows = found.stdout[found.stdout.index('time'):].splitlines()[:22]
+    assert 'tip_transverse' in rows[0]
+    motion = timo_sim.Simulator(timo_sim.load_scene('paper')).step(torque=1.0, duration=2.0)
+    assert float(rows[-1].split()[1]) == pytest.approx(motion.shaft, rel=1e-8)
     program, = re.findall(r'^```c\n(.*?)^```', page, re.DOTALL | re.MULTILINE)
     (tmp_path / 'program.c').write_text(program)
     (tmp_path / 'arm.o').write_bytes((tmp_path / 'paper_in_c/arm.o').read_bytes())
