@@ -72,15 +72,6 @@ def test_code_is_loaded_from_disk(find):
     assert product_by(2) == product_by(3) == 2
 
 
-def test_a_sentence_comes_before_a_compilation_and_only_then(find):
-    folder, told = find(), []
-    for _ in range(2):
-        with machine.telling(lambda text: told.append((text, code_in(folder)))):
-            product_by(2)
-    product_by(2)
-    assert told == [(machine.COMPILING, [])]
-
-
 @pytest.mark.parametrize('damage', [
     lambda content: b'', lambda content: content[:-100],
     lambda content: content[:400] + bytes([content[400] ^ 1]) + content[401:]],
@@ -235,14 +226,6 @@ def test_folders_have_mode_0700_whatever_the_umask(find, tmp_path, umask):
         os.umask(before)
     assert folder.parent == tmp_path / 'root'
     assert [stat.S_IMODE(path.stat().st_mode) for path in (folder, folder.parent)] == [0o700] * 2
-
-
-def test_code_is_kept_below_a_folder_of_earlier_versions(find, tmp_path, monkeypatch):
-    monkeypatch.delenv('NUMBA_CACHE_DIR')
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    (tmp_path / 'timo_sim').mkdir()
-    (tmp_path / 'timo_sim').chmod(0o775)
-    assert find().is_relative_to(tmp_path / 'timo_sim')
 
 
 def old_platformdirs(name):

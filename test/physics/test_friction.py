@@ -19,7 +19,6 @@ from scipy.optimize import brentq
 import timo_sim
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, TORQUE
 from timo_sim.simulation.simulator import DivergenceError, Simulator
-from timo_sim.steps import friction
 from timo_sim.steps.steps import Steps
 from timo_sim.view.track import track_of_run
 
@@ -298,14 +297,3 @@ def test_steps_that_cannot_hold_a_joint_give_a_warning(scene, step, warned):
         run = timo_sim.simulate(timo_sim.load_scene({**scene, 'integrator.step': step}), 1.0,
                                 round(0.05 / step))
     assert ('take a smaller integrator.step' in (run.warning or '')) == warned
-
-
-def test_scenes_without_friction_do_not_compute_it(monkeypatch):
-    monkeypatch.setattr(friction, 'advance', None)
-    locked = timo_sim.load_scene({'motor.coulomb_friction': 1.0, 'motor.shaft': 'locked',
-                                  'initial.modal_coordinates': [0.1, 0.0, 0.0]})
-    for scene in (locked, timo_sim.load_scene({'initial.shaft_velocity': 1.0})):
-        assert not timo_sim.simulate(scene, 0.1, estimate=False).friction_heat.any()
-    assert locked.vary({**ALL, 'carrier.held': 'y'}).friction.tolist() == [2.0, 0.0, 0.0]
-    held = {**ALL, 'carrier.held': 'both', 'motor.shaft': 'free'}
-    assert locked.vary(held).friction.tolist() == [0.0, 0.0, 1.0]

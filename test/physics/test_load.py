@@ -83,18 +83,6 @@ def test_a_jump_inside_a_step_is_refused_with_the_ratio(kind, time, value):
                              f'load.force_y.{kind}.value': value})
 
 
-def test_times_that_do_not_ascend_are_refused():
-    with pytest.raises(timo_sim.ParameterError, match='time must ascend'):
-        timo_sim.load_scene({'load.torque.table.time': [0.0, 0.2, 0.1],
-                             'load.torque.table.value': [0.0, 0.0, 0.0]})
-
-
-def test_lists_of_different_length_are_refused():
-    with pytest.raises(timo_sim.ParameterError, match='time: 2.*value: 1'):
-        timo_sim.load_scene({'load.torque.piecewise.time': [0.0, 0.2],
-                             'load.torque.piecewise.value': [1.0]})
-
-
 def moments(values):
     """Return int s^j p ds, j = 0, 1, 2, of parabolas by their values at 0, 1/2, 1, (n, 3)."""
     # Rows are the powers of s in which the parabola is written, by its values.
