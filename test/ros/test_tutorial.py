@@ -107,7 +107,7 @@ def test_ros(reader):
 def test_control(reader):
     control = reader('control.md')
     (control.folder / 'example' / 'my_lqr.py').write_text(control.python)
-    # Shorter and as fast as possible. A loop gives the whole run (test_lock_step.py: the same bits).
+    # Short and as fast as possible; a loop, of the same bits (test_lock_step.py), has the rest.
     control.start('sim_node .* -p record_file:=my_lqr.mcap', '-p', 'real_time_factor:=0.0',
                   '-p', f'sync_timeout:={PATIENCE}', '-p', 'duration:=0.5')
     assert 'LQR: 251 states answered' in control.run('python example/my_lqr.py$')
