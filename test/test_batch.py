@@ -150,21 +150,6 @@ def test_reset_starts_loads_again():
     assert (batch.motion.values == np.where(mask[:, np.newaxis], first[:, 20], first[0, 50])).all()
 
 
-def test_momentum_is_constant():
-    """Free manipulators keep momentum and spin to the last bit of their states (T27)."""
-    random = np.random.default_rng(3)
-    scenes = [timo_sim.load_scene({
-        'initial.shaft_velocity': random.normal(), 'initial.carrier_x_velocity': random.normal(),
-        'initial.modal_coordinates': random.normal(0.0, [0.05, 0.01, 0.001]).tolist(),
-        'end_effector.mass': random.uniform(0.0, 5.0), 'integrator.step': 0.005})
-        for _ in range(12)]
-    batch = timo_sim.Batch(scenes)
-    before, half = batch._lanes.state.copy(), batch._lanes.state.shape[1] // 2
-    batch.step(duration=10.0)
-    assert (batch._lanes.state[:, half:half + 3] == before[:, half:half + 3]).all()
-    assert np.abs(batch.motion.q).max() > 1e-3
-
-
 @pytest.mark.parametrize('scenes, text', [
     ([{}, {'model.modes': 4}], 'scene 1 has 4 modes'),
     ([{'model.modes': 4}, {'model.axial_modes': 1}], 'model.axial_modes must be the same'),
