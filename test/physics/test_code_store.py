@@ -228,6 +228,14 @@ def test_folders_have_mode_0700_whatever_the_umask(find, tmp_path, umask):
     assert [stat.S_IMODE(path.stat().st_mode) for path in (folder, folder.parent)] == [0o700] * 2
 
 
+def test_code_is_kept_below_a_folder_of_earlier_versions(find, tmp_path, monkeypatch):
+    monkeypatch.delenv('NUMBA_CACHE_DIR')
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    (tmp_path / 'timo_sim').mkdir()
+    (tmp_path / 'timo_sim').chmod(0o775)
+    assert find().is_relative_to(tmp_path / 'timo_sim')
+
+
 def old_platformdirs(name):
     return os.path.expanduser(f'~/.cache/{name}')
 
