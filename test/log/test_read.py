@@ -92,7 +92,7 @@ def numbers(message):
 
 
 def recorded(path, topics, messages, notes=None):
-    """Write a log of topics, each with the name of an output, and numbers by topic and step."""
+    """Write messages, (index of a topic, step, numbers), on topics, each with its output's name."""
     known = {output.name: output for output in outputs(0)}
     recorder = Recorder(path, [Channel(topic, known[name].type_name)
                                for topic, name in topics], notes or {})

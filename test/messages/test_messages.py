@@ -146,7 +146,7 @@ def test_definitions_and_hashes_are_those_of_ros():
 
 
 def test_hashes_follow_from_the_definitions():
-    """Rosbags reads the schema, which has each definition once, and computes it by REP-2011."""
+    """Rosbags reads the schema and computes the hash by REP-2011; every topic has one."""
     assert {topic.type_name for topic in [*outputs(1), TRANSFORMS, *COMMANDS]} <= {*TYPE_HASHES}
     for type_name in TYPE_HASHES:
         store = get_typestore(Stores.EMPTY)
