@@ -92,7 +92,7 @@ def numbers(message):
 
 
 def recorded(path, topics, messages, notes=None):
-    """Write messages, (index of a topic, step, numbers), on topics, each with its output's name."""
+    """Write messages, (index of a topic, step, numbers), on (topic, name of its output)."""
     known = {output.name: output for output in outputs(0)}
     recorder = Recorder(path, [Channel(topic, known[name].type_name)
                                for topic, name in topics], notes or {})
