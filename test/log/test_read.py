@@ -41,7 +41,7 @@ from timo_sim.topics.cdr import Serializer
 from timo_sim.topics.commands import COMMANDS
 from timo_sim.topics.outputs import outputs
 
-LIES = 150
+LIES = 100
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
