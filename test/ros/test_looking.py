@@ -27,8 +27,6 @@ from visualization_msgs.msg import Marker
 import yaml
 
 import timo_sim
-from timo_sim.ros.node import no_live_feed
-from timo_sim.scene.parameters import ParameterError
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.topics.outputs import TRANSFORMS
 
@@ -88,11 +86,6 @@ def test_neither_a_missing_viewer_nor_a_long_table_stops_the_node(start, tmp_pat
     assert code == 0 and 'simulated 1 s' in output
     assert re.search(r'\[WARN\].*no viewer listens at \S+:\d+/proxy yet: ', output)
     assert 'Error' not in output
-
-
-def test_a_node_without_a_stream_refuses_an_address():
-    with pytest.raises(ParameterError, match='^rerun_live = .*:9876.* needs the executable'):
-        no_live_feed(None, 'rerun+http://127.0.0.1:9876/proxy', '/timo_sim')
 
 
 def test_the_arm_has_its_shape_in_rviz(start, client, paper):
