@@ -125,8 +125,6 @@ def test_imports_point_down():
     assert importing('numba', 'llvmlite') == {'compiled', 'export', 'log'}
     assert importing('rerun') == {'view', 'cli'}
     assert not {'model', 'steps', 'topics'} & importing('pathlib', 'yaml', 'mcap', 'os')
-    assert not any(layer(module) == 'view' for name, modules in imports.items()
-                   for module in modules if layer(name) == 'ros')
 
 
 def test_what_is_not_needed_is_imported_late():
