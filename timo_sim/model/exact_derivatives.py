@@ -10,7 +10,8 @@
 Derivatives of the compiled functions of the `exact` formulation, for states of momenta alone.
 
 They are those of (T22) to (T33) in closed form, see doc/theory.md, (T38) and (T39). Indices are
-those of exact_code: i and k count coordinates, the shaft first, and j vectors of nodes.
+those of exact_code: i and k count coordinates, the shaft first, and j vectors of nodes; d counts
+vectors of changes.
 """
 
 from typing import Annotated, NamedTuple
@@ -21,18 +22,16 @@ from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.functions import as_vectors, inner, local, separate, sum_of
 from timo_sim.model import functions
 from timo_sim.model.exact_code import (
-    _carrier_speed, _half, _push_work, _set_slopes, _set_speed, _translate, Tables, Work)
+    carrier_speed, copy_factors, half_length, push_work, set_slopes, solve_for_speed, Tables, Work,
+    write_rate)
 from timo_sim.model.functions import sincos
 from timo_sim.model.layout import (
-    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, PUSH_X, PUSH_Y, TIP_I, TIP_II, TIP_TORQUE, TIP_X, TIP_Y,
-    TORQUE)
+    FORCE_X, PUSH_X, PUSH_Y, TIP_TORQUE, TIP_X, TORQUE)
 
 
 class Variations(NamedTuple):
     """Derivatives at a state by the coordinates; the first index k is that of q_k."""
 
-    mass: Annotated[np.ndarray, 'coordinates', 'coordinates']     # M
-    inverse: Annotated[np.ndarray, 'coordinates', 'coordinates']  # of the free part of M, else 0
     turning: Annotated[np.ndarray, 'padded_nodes']                # phi' and gamma' at the nodes
     shearing: Annotated[np.ndarray, 'padded_nodes']
     image_1: Annotated[np.ndarray, 'padded_nodes']                # K a', K b'
@@ -44,13 +43,12 @@ class Variations(NamedTuple):
     tip: Annotated[np.ndarray, 2, 'coordinates']
     arm: Annotated[np.ndarray, 2, 'coordinates']
     centre: Annotated[np.ndarray, 2, 'coordinates']
-    centre_speed: Annotated[np.ndarray, 2, 'coordinates']      # of its speed at constant q'
+    centre_speed: Annotated[np.ndarray, 2, 'coordinates']          # of its speed at constant q'
     momentum: Annotated[np.ndarray, 'coordinates', 'coordinates']  # of p_i at constant q'
-    speed: Annotated[np.ndarray, 'coordinates', 'coordinates']     # of q_i' at constant momenta
 
 
 class Terms(NamedTuple):
-    """Work arrays of the derivatives of forces."""
+    """Work arrays of the derivatives of forces, and changes of q'."""
 
     stiffness: Annotated[np.ndarray, 'coordinates', 'coordinates']  # see `_set_stiffness`
     by_rotation: Annotated[np.ndarray, 'padded_nodes']
@@ -58,15 +56,21 @@ class Terms(NamedTuple):
     image_1: Annotated[np.ndarray, 'padded_nodes']
     image_2: Annotated[np.ndarray, 'padded_nodes']
     resistance: Annotated[np.ndarray, 3]  # derivatives of friction by speeds of carrier and shaft
-    turned: Annotated[np.ndarray, 4]      # of forces on carrier and tip, x, y, by the shaft angle
-    none: Annotated[np.ndarray, 'coordinates']
+
+
+class Speeds(NamedTuple):
+    """Changes of q', a column for each number by which steps are differentiated."""
+
+    speed: Annotated[np.ndarray, 'coordinates', 'padded_columns']
 
 
 @separate
 def _set_variations(tables, state, load, numbers, work, var):
-    """Set slopes and speeds in `work`, and the Variations (T38), (T39)."""
-    _set_slopes(tables, state, load, work)
-    _set_speed(tables, state, load, numbers, work)
+    """Set slopes, speeds and factors in `work`, and the Variations (T38), (T39)."""
+    set_slopes(tables, state, load, work)
+    mass, inverse = local((tables.rotary, tables.rotary)), local((tables.rotary,))
+    solve_for_speed(tables, state, load, numbers, work, mass, inverse)
+    copy_factors(tables, mass, inverse, work)
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
     cosine, sine, speed = work.cosine, work.sine, work.speed
     count, nodes = rotation.shape
@@ -83,11 +87,12 @@ def _set_variations(tables, state, load, numbers, work, var):
             sheared = rotation[k, j] * shearing
             var.rate_1[k, j] = -work.c2[k, j] * turning - cosine[j] * sheared
             var.rate_2[k, j] = work.c1[k, j] * turning - sine[j] * sheared
-    _set_places(tables, work, var)
-    _set_mass(tables, work, var)
-    for i in range(count):
-        var.momentum[0, i] = 0.0  # M does not depend on the shaft angle
-    for k in range(1, count):
+    for k in range(count):
+        _integrate(tables.to_centre, work.c1, work.c2, k, var.centre)
+        _integrate(tables.to_centre, var.rate_1, var.rate_2, k, var.centre_speed)
+        _integrate(tables.to_tip, work.c1, work.c2, k, var.tip)
+        for n in range(len(tables.push)):
+            _integrate(tables.push[n], work.c1, work.c2, k, var.arm)
         for i in range(count):
             total = 0.0
             for j in range(nodes):
@@ -96,26 +101,7 @@ def _set_variations(tables, state, load, numbers, work, var):
                           - shear[i, j] * rotation[k, j] * (cosine[j] * g_1 + sine[j] * g_2)
                           + var.rate_1[k, j] * work.image_1[i, j]
                           + var.rate_2[k, j] * work.image_2[i, j])
-            var.momentum[k, i] = sum_of(total, tables.rotary)
-    for k in range(count):
-        for i in range(count):
-            total = 0.0
-            for n in range(count):
-                total -= var.inverse[i, n] * var.momentum[k, n]
-            var.speed[k, i] = total
-
-
-@inner
-def _set_places(tables, work, var):
-    """Set the derivatives of mass centre, tip and the place of a force on the arm."""
-    for k in range(len(work.speed)):
-        _integrate(tables.to_centre, work.c1, work.c2, k, var.centre)
-        _integrate(tables.to_centre, var.rate_1, var.rate_2, k, var.centre_speed)
-        _integrate(tables.to_tip, work.c1, work.c2, k, var.tip)
-        for n in range(len(tables.push)):
-            _integrate(tables.push[n], work.c1, work.c2, k, var.arm)
-        if len(tables.push) == 0:
-            var.arm[0, k] = var.arm[1, k] = 0.0
+            var.momentum[k, i] = sum_of(total, tables.rotary) if k else 0.0  # M: not by the shaft
 
 
 @inner
@@ -129,31 +115,23 @@ def _integrate(weights, slopes_1, slopes_2, k, out):
 
 
 @inner
-def _set_mass(tables, work, var):
-    """Set M (T26) and, by elimination without pivots, the inverse of its free part."""
+def _set_speed_changes(tables, work, var, changes, d, speed):
+    """Set changes of q': M times them is the change of p less that by q at constant q' (T39)."""
     count = len(work.speed)
-    first = count - len(tables.straight)
-    inverse = var.inverse
-    for i in range(count):
-        for k in range(i + 1):
-            total = 0.0
-            for j in range(work.c1.shape[1]):
-                total += (work.image_1[i, j] * work.c1[k, j]
-                          + work.image_2[i, j] * work.c2[k, j])
-            var.mass[i, k] = tables.rotary[i, k] + sum_of(total, tables.rotary)
-            var.mass[k, i] = var.mass[i, k]
-            inverse[i, k] = inverse[k, i] = var.mass[i, k] if k >= first else 0.0
-    for k in range(first, count):
-        pivot = 1.0 / inverse[k, k]
-        inverse[k, k] = 1.0
-        for n in range(first, count):
-            inverse[k, n] *= pivot
-        for i in range(first, count):
-            if i != k:
-                factor = inverse[i, k]
-                inverse[i, k] = 0.0
-                for n in range(first, count):
-                    inverse[i, n] -= factor * inverse[k, n]
+    driven, momenta = count - len(tables.straight), 2 * half_length(tables) - count
+    coordinates = len(tables.axes) - driven
+    for i in range(driven, count):
+        total = changes[momenta + i, d]
+        for k in range(driven, count):
+            total -= var.momentum[k, i] * changes[coordinates + k, d]
+        for k in range(driven, i):
+            total -= work.factors[i, k] * speed[k, d]
+        speed[i, d] = total
+    for i in range(count - 1, driven - 1, -1):
+        total = work.factors[i, i] * speed[i, d]
+        for k in range(i + 1, count):
+            total -= work.factors[k, i] * speed[k, d]
+        speed[i, d] = total
 
 
 @inner
@@ -179,7 +157,7 @@ def _set_stiffness(tables, load, forces, work, numbers, var, terms):
                 total_2 += numbers.rate_2[k, n] * kernel[len(kernel) - 1, n, j]
             image_1[j], image_2[j] = total_1, total_2
             # The forces against the slopes, as in `_set_moments`.
-            arm_x, arm_y = _push_work(tables, load, j)
+            arm_x, arm_y = push_work(tables, load, j)
             force_1 = to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
             force_2 = to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
             twist = 0.0
@@ -201,131 +179,81 @@ def _set_stiffness(tables, load, forces, work, numbers, var, terms):
 
 
 @inner
-def _write_by(tables, var, resistance, change, push_x, push_y, out):
-    """
-    Write the derivative of a rate by what changes q' by `change` and the force on the carrier.
-
-    The force, x and y, is that at constant q'; `out` has what is to be added to the rates of the
-    coordinates.
-    """
-    count, half = len(var.mass), _half(tables)
-    driven = count - len(tables.straight)
-    momenta = 2 * half - count
-    for i in range(count):
-        push_x += resistance[0] * var.centre[0, i] * change[i]
-        push_y += resistance[1] * var.centre[1, i] * change[i]
-    for k in range(len(tables.axes)):
-        out[half + k] = push_x if tables.axes[k] == 0 else push_y
-    for i in range(driven, count):
-        out[momenta - half + i] += change[i]
-        total = (-var.centre[0, i] * push_x - var.centre[1, i] * push_y
-                 - tables.damping[i] * out[momenta - half + i])
-        for n in range(count):
-            total += var.momentum[i, n] * change[n]
-        if i == 0:
-            total -= resistance[2] * change[0]
-        out[momenta + i] = total
-
-
-@functions.jacobian.of(Tables)
-def _jacobian(tables, state, load, inputs, by_state, by_input):
-    """Write the derivatives of the rate less its linear part (T39)."""
-    numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
-    work, var = as_vectors(numbers), as_vectors(variations)
-    _set_variations(tables, state, load, numbers, work, var)
-    count, size, half = len(tables.rotation), 2 * _half(tables), _half(tables)
-    driven, momenta = count - len(tables.straight), size - count
-    terms = as_vectors(local_arrays(Terms, tables))
-    resistance, turned, none = terms.resistance, terms.turned, terms.none
-    forces = _translate(tables, state, load, work, local((state,)))
-    _set_resistance(tables, state, work, resistance)
-    _set_stiffness(tables, load, forces, work, variations, var, terms)
-    shaft_y, shaft_x = sincos(work.coordinate[0])
-    for i in range(count):
-        none[i] = 0.0
-    zeros = as_vectors(by_state)
-    for k in range(len(zeros)):
-        for i in range(zeros.shape[1]):
-            zeros[k, i] = 0.0
-
-    for k in range(driven, count):  # by q_k
-        push_x = resistance[0] * var.centre_speed[0, k]
-        push_y = resistance[1] * var.centre_speed[1, k]
-        if k == 0:
-            _turn(tables, load, shaft_x, shaft_y, turned)
-            push_x += turned[0]
-            push_y += turned[1]
-        out = by_state[momenta - half + k]
-        _write_by(tables, var, resistance, var.speed[k], push_x, push_y, out)
-        for i in range(driven, count):
-            out[momenta + i] += terms.stiffness[i, k]
-            if k == 0:
-                out[momenta + i] += var.tip[0, i] * turned[2] + var.tip[1, i] * turned[3]
-    for k in range(driven, count):  # by p_k
-        out = by_state[momenta + k]
-        for i in range(driven, count):
-            out[momenta - half + i] = -tables.straight[i - driven, k - driven]
-        _write_by(tables, var, resistance, var.inverse[k], 0.0, 0.0, out)
-    for k in range(len(tables.axes)):  # by P
-        push = -resistance[tables.axes[k]] / tables.mass
-        push_x, push_y = (push, 0.0) if tables.axes[k] == 0 else (0.0, push)
-        _write_by(tables, var, resistance, none, push_x, push_y, by_state[half + k])
-    _write_by_inputs(tables, var, inputs, resistance, none, shaft_x, shaft_y, by_input)
-
-
-@inner
 def _set_resistance(tables, state, work, resistance):
     """Set the derivatives of friction by the speeds of carrier x, y and shaft, (T33)."""
     resistance[0] = resistance[1] = 0.0
     for k in range(len(tables.axes)):
         derivative = work.c1 if tables.axes[k] == 0 else work.c2
-        speed = _carrier_speed(tables, state, k, derivative, work.speed)
+        speed = carrier_speed(tables, state, k, derivative, work.speed)
         resistance[tables.axes[k]] = (
             tables.carrier_friction + functions.coulomb_slope(tables, 0, speed))
     resistance[2] = functions.coulomb_slope(tables, 1, work.speed[0])
 
 
 @inner
-def _turn(tables, load, cosine, sine, out):
-    """Write the derivatives of the forces on carrier and tip, x, y each, by the shaft angle."""
-    out[0] = out[1] = 0.0
-    out[2] = -sine * load[TIP_I] - cosine * load[TIP_II]
-    out[3] = cosine * load[TIP_I] - sine * load[TIP_II]
-    for k in range(len(tables.axes)):
-        if tables.axes[k] == 0:
-            out[0] = out[2] - sine * load[FORCE_I] - cosine * load[FORCE_II]
-        else:
-            out[1] = out[3] + cosine * load[FORCE_I] - sine * load[FORCE_II]
+def _force(load, loads, first, d, turn, cosine, sine):
+    """Return the change, x and y, of the force in four columns of a load: x, y, I and II."""
+    along = loads[first + 2, d] - load[first + 3] * turn
+    across = loads[first + 3, d] + load[first + 2] * turn
+    return (loads[first, d] + cosine * along - sine * across,
+            loads[first + 1, d] + sine * along + cosine * across)
 
 
-@inner
-def _write_by_inputs(tables, var, inputs, resistance, none, shaft_x, shaft_y, by_input):
-    """Write the derivatives by loads: those that a unit of each load adds (T28), (T32)."""
-    rows, half = tables.rotation, _half(tables)
-    count = len(rows)
+@functions.differential.of(Tables)
+def _differential(tables, inputs, point, load, rate):
+    """Write the rate less its linear part, and its changes (T39)."""
+    numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
+    work, var = as_vectors(numbers), as_vectors(variations)
+    _set_variations(tables, point.values, load, numbers, work, var)
+    terms, speed = as_vectors(local_arrays(Terms, tables)), as_vectors(
+        local_arrays(Speeds, tables)).speed
+    forces = write_rate(tables, point.values, load, work, rate.values)
+    _set_stiffness(tables, load, forces, work, variations, var, terms)
+    resistance = terms.resistance
+    _set_resistance(tables, point.values, work, resistance)
+    shaft_y, shaft_x = sincos(work.coordinate[0])
+    loads, changes, out = as_vectors(inputs.unit), as_vectors(point.changes), as_vectors(
+        rate.changes)
+    count, half, axes = len(work.speed), half_length(tables), tables.axes
     driven, momenta = count - len(tables.straight), 2 * half - count
-    for k in range(len(inputs.unit)):
-        unit, out = inputs.unit[k], by_input[k]
-        for i in range(len(out)):
-            out[i] = 0.0
-        tip_x = unit[TIP_X] + shaft_x * unit[TIP_I] - shaft_y * unit[TIP_II]
-        tip_y = unit[TIP_Y] + shaft_y * unit[TIP_I] + shaft_x * unit[TIP_II]
-        push_x, push_y = 0.0, 0.0
-        for n in range(len(tables.axes)):
-            if tables.axes[n] == 0:
-                push_x = (tip_x + unit[PUSH_X] + unit[FORCE_X] + shaft_x * unit[FORCE_I]
-                          - shaft_y * unit[FORCE_II])
-            else:
-                push_y = (tip_y + unit[PUSH_Y] + unit[FORCE_Y] + shaft_y * unit[FORCE_I]
-                          + shaft_x * unit[FORCE_II])
-        _write_by(tables, var, resistance, none, push_x, push_y, out)
-        for i in range(driven, count):
-            out[momenta + i] += (
-                var.tip[0, i] * tip_x + var.tip[1, i] * tip_y
-                + var.arm[0, i] * unit[PUSH_X] + var.arm[1, i] * unit[PUSH_Y]
-                + tables.tip_rotation[i] * unit[TIP_TORQUE])
+    coordinates = momenta - half
+    for d in range(loads.shape[1]):
+        _set_speed_changes(tables, work, var, changes, d, speed)
+        turn = 0.0 * loads[0, d]
         if driven == 0:
-            out[momenta] += unit[TORQUE]
+            turn = changes[coordinates, d]
+        tip_x, tip_y = _force(load, loads, TIP_X, d, turn, shaft_x, shaft_y)
+        force_x, force_y = _force(load, loads, FORCE_X, d, turn, shaft_x, shaft_y)
+        push_x, push_y = 0.0, 0.0
+        for k in range(len(axes)):
+            axis = axes[k]
+            change = changes[half + k, d] / tables.mass
+            for i in range(driven, count):
+                change -= (var.centre[axis, i] * speed[i, d]
+                           + var.centre_speed[axis, i] * changes[coordinates + i, d])
+            if axis == 0:
+                push_x = force_x + tip_x + loads[PUSH_X, d] - resistance[0] * change
+            else:
+                push_y = force_y + tip_y + loads[PUSH_Y, d] - resistance[1] * change
+            out[k, d] = 0.0
+            out[half + k, d] = push_x if axis == 0 else push_y
+        for i in range(driven, count):
+            by_speed = speed[i, d]
+            for k in range(driven, count):
+                by_speed -= tables.straight[i - driven, k - driven] * changes[momenta + k, d]
+            total = (var.tip[0, i] * tip_x + var.tip[1, i] * tip_y
+                     - var.centre[0, i] * push_x - var.centre[1, i] * push_y
+                     + tables.tip_rotation[i] * loads[TIP_TORQUE, d]
+                     - tables.damping[i] * by_speed)
+            for n in range(len(tables.push)):
+                total += (var.arm[0, i] * loads[PUSH_X, d] + var.arm[1, i] * loads[PUSH_Y, d])
+            for k in range(driven, count):
+                total += (terms.stiffness[i, k] * changes[coordinates + k, d]
+                          + var.momentum[i, k] * speed[k, d])
+            if i == 0:
+                total += loads[TORQUE, d] - resistance[2] * speed[0, d]
+            out[coordinates + i, d] = by_speed
+            out[momenta + i, d] = total
 
 
 @functions.state_by_motion.of(Tables)
@@ -334,26 +262,24 @@ def _state_by_motion(tables, state, load, out):
     numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
     work, var = as_vectors(numbers), as_vectors(variations)
     _set_variations(tables, state, load, numbers, work, var)
-    count, size, half = len(tables.rotation), 2 * _half(tables), _half(tables)
-    rates = 2 + count
-    driven, momenta = count - len(tables.straight), size - count
-    zeros = as_vectors(out)
-    for k in range(len(zeros)):
-        for i in range(zeros.shape[1]):
-            zeros[k, i] = 0.0
+    count, half = len(work.speed), half_length(tables)
+    driven, momenta, rates = count - len(tables.straight), 2 * half - count, 2 + count
+    # Columns are the numbers of a motion from the shaft angle on.
     for k in range(len(tables.axes)):
         axis = tables.axes[k]
-        out[axis, k] = 1.0
-        out[rates + axis, half + k] = tables.mass
+        out[half + k, count + axis] = tables.mass
         for i in range(driven, count):
-            out[2 + i, k] = var.centre[axis, i]
-            out[2 + i, half + k] = tables.mass * var.centre_speed[axis, i]
-            out[rates + 2 + i, half + k] = tables.mass * var.centre[axis, i]
+            out[k, i] = var.centre[axis, i]
+            out[half + k, i] = tables.mass * var.centre_speed[axis, i]
+            out[half + k, rates + i] = tables.mass * var.centre[axis, i]
     for i in range(driven, count):
-        out[2 + i, momenta - half + i] = 1.0
-        for n in range(driven, count):
-            out[2 + i, momenta + n] = var.momentum[i, n]
-            out[rates + 2 + i, momenta + n] = var.mass[i, n]
+        out[momenta - half + i, i] = 1.0
+        for k in range(driven, count):
+            mass = 0.0
+            for j in range(work.c1.shape[1]):
+                mass += (work.image_1[i, j] * work.c1[k, j] + work.image_2[i, j] * work.c2[k, j])
+            out[momenta + i, k] = var.momentum[k, i]
+            out[momenta + i, rates + k] = tables.rotary[i, k] + sum_of(mass, tables.rotary)
 
 
 @functions.motion_by_state.of(Tables)
@@ -362,26 +288,21 @@ def _motion_by_state(tables, state, load, changes, out):
     numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
     work, var = as_vectors(numbers), as_vectors(variations)
     _set_variations(tables, state, load, numbers, work, var)
-    count, size, half = len(tables.rotation), 2 * _half(tables), _half(tables)
-    rates = 2 + count
-    driven, momenta = count - len(tables.straight), size - count
-    for d in range(len(changes)):
-        change, motion = changes[d], out[d]
-        for i in range(len(motion)):
-            motion[i] = 0.0
+    states, motions = as_vectors(changes), as_vectors(out)
+    speed = as_vectors(local_arrays(Speeds, tables)).speed
+    count, half = len(work.speed), half_length(tables)
+    driven, rates = count - len(tables.straight), 2 + count
+    for d in range(states.shape[1]):
+        _set_speed_changes(tables, work, var, states, d, speed)
         for i in range(driven, count):
-            total = 0.0
-            for k in range(driven, count):
-                total += (var.speed[k, i] * change[momenta - half + k]
-                          + var.inverse[i, k] * change[momenta + k])
-            motion[2 + i] = change[momenta - half + i]
-            motion[rates + 2 + i] = total
+            motions[2 + i, d] = states[len(tables.axes) - driven + i, d]
+            motions[rates + 2 + i, d] = speed[i, d]
         for k in range(len(tables.axes)):
             axis = tables.axes[k]
-            place, speed = change[k], change[half + k] / tables.mass
+            place, change = states[k, d], states[half + k, d] / tables.mass
             for i in range(driven, count):
-                place -= var.centre[axis, i] * motion[2 + i]
-                speed -= (var.centre_speed[axis, i] * motion[2 + i]
-                          + var.centre[axis, i] * motion[rates + 2 + i])
-            motion[axis] = place
-            motion[rates + axis] = speed
+                place -= var.centre[axis, i] * motions[2 + i, d]
+                change -= (var.centre_speed[axis, i] * motions[2 + i, d]
+                           + var.centre[axis, i] * speed[i, d])
+            motions[axis, d] = place
+            motions[rates + axis, d] = change
