@@ -19,12 +19,12 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from timo_sim.compiled.constants import local_arrays
-from timo_sim.compiled.functions import as_vectors, inner, local, separate, sum_of
+from timo_sim.compiled.functions import as_vectors, inner, local, separate, some, sum_of
 from timo_sim.model import functions
 from timo_sim.model.exact_code import (
     carrier_speed, copy_factors, half_length, push_work, set_slopes, solve_for_speed, Tables, Work,
     write_rate)
-from timo_sim.model.functions import sincos
+from timo_sim.model.functions import add_multiple, copy, sincos
 from timo_sim.model.layout import (
     FORCE_X, PUSH_X, PUSH_Y, TIP_TORQUE, TIP_X, TORQUE)
 
@@ -43,25 +43,22 @@ class Variations(NamedTuple):
     tip: Annotated[np.ndarray, 2, 'coordinates']
     arm: Annotated[np.ndarray, 2, 'coordinates']
     centre: Annotated[np.ndarray, 2, 'coordinates']
-    centre_speed: Annotated[np.ndarray, 2, 'coordinates']          # of its speed at constant q'
-    momentum: Annotated[np.ndarray, 'coordinates', 'coordinates']  # of p_i at constant q'
+    # Of its speed, of momenta p_i and of their rates, all at constant q' and force on the carrier.
+    centre_speed: Annotated[np.ndarray, 2, 'coordinates']
+    momentum: Annotated[np.ndarray, 'coordinates', 'coordinates']
+    rate: Annotated[np.ndarray, 'coordinates', 'coordinates']
 
 
-class Terms(NamedTuple):
-    """Work arrays of the derivatives of forces, and changes of q'."""
+class Changes(NamedTuple):
+    """Work arrays, with a column for each number by which steps are differentiated."""
 
-    stiffness: Annotated[np.ndarray, 'coordinates', 'coordinates']  # see `_set_stiffness`
-    by_rotation: Annotated[np.ndarray, 'padded_nodes']
-    by_shear: Annotated[np.ndarray, 'padded_nodes']
-    image_1: Annotated[np.ndarray, 'padded_nodes']
-    image_2: Annotated[np.ndarray, 'padded_nodes']
-    resistance: Annotated[np.ndarray, 3]  # derivatives of friction by speeds of carrier and shaft
-
-
-class Speeds(NamedTuple):
-    """Changes of q', a column for each number by which steps are differentiated."""
-
-    speed: Annotated[np.ndarray, 'coordinates', 'padded_columns']
+    speed: Annotated[np.ndarray, 'coordinates', 'padded_columns']  # of q'
+    tip_x: Annotated[np.ndarray, 'padded_columns']  # of forces on tip and carrier
+    tip_y: Annotated[np.ndarray, 'padded_columns']
+    push_x: Annotated[np.ndarray, 'padded_columns']
+    push_y: Annotated[np.ndarray, 'padded_columns']
+    by_speed: Annotated[np.ndarray, 'padded_columns']  # of rates of a coordinate and its momentum
+    total: Annotated[np.ndarray, 'padded_columns']
 
 
 @separate
@@ -87,18 +84,21 @@ def _set_variations(tables, state, load, numbers, work, var):
             sheared = rotation[k, j] * shearing
             var.rate_1[k, j] = -work.c2[k, j] * turning - cosine[j] * sheared
             var.rate_2[k, j] = work.c1[k, j] * turning - sine[j] * sheared
+    by_rotation, by_shear = (
+        as_vectors(local((tables.to_centre,))), as_vectors(local((tables.to_centre,))))
     for k in range(count):
         _integrate(tables.to_centre, work.c1, work.c2, k, var.centre)
-        _integrate(tables.to_centre, var.rate_1, var.rate_2, k, var.centre_speed)
         _integrate(tables.to_tip, work.c1, work.c2, k, var.tip)
         for n in range(len(tables.push)):
             _integrate(tables.push[n], work.c1, work.c2, k, var.arm)
+        for j in range(nodes):
+            g_1, g_2 = var.image_1[j], var.image_2[j]
+            by_rotation[j] = work.c1[k, j] * g_2 - work.c2[k, j] * g_1
+            by_shear[j] = -rotation[k, j] * (cosine[j] * g_1 + sine[j] * g_2)
         for i in range(count):
             total = 0.0
             for j in range(nodes):
-                g_1, g_2 = var.image_1[j], var.image_2[j]
-                total += (rotation[i, j] * (work.c1[k, j] * g_2 - work.c2[k, j] * g_1)
-                          - shear[i, j] * rotation[k, j] * (cosine[j] * g_1 + sine[j] * g_2)
+                total += (rotation[i, j] * by_rotation[j] + shear[i, j] * by_shear[j]
                           + var.rate_1[k, j] * work.image_1[i, j]
                           + var.rate_2[k, j] * work.image_2[i, j])
             var.momentum[k, i] = sum_of(total, tables.rotary) if k else 0.0  # M: not by the shaft
@@ -115,38 +115,24 @@ def _integrate(weights, slopes_1, slopes_2, k, out):
 
 
 @inner
-def _set_speed_changes(tables, work, var, changes, d, speed):
-    """Set changes of q': M times them is the change of p less that by q at constant q' (T39)."""
-    count = len(work.speed)
-    driven, momenta = count - len(tables.straight), 2 * half_length(tables) - count
-    coordinates = len(tables.axes) - driven
-    for i in range(driven, count):
-        total = changes[momenta + i, d]
-        for k in range(driven, count):
-            total -= var.momentum[k, i] * changes[coordinates + k, d]
-        for k in range(driven, i):
-            total -= work.factors[i, k] * speed[k, d]
-        speed[i, d] = total
-    for i in range(count - 1, driven - 1, -1):
-        total = work.factors[i, i] * speed[i, d]
-        for k in range(i + 1, count):
-            total -= work.factors[k, i] * speed[k, d]
-        speed[i, d] = total
+def _set_centre_speed(tables, var):
+    for k in range(len(tables.rotation)):
+        _integrate(tables.to_centre, var.rate_1, var.rate_2, k, var.centre_speed)
 
 
 @inner
-def _set_stiffness(tables, load, forces, work, numbers, var, terms):
+def _set_rates(tables, load, forces, work, numbers, var):
     """
-    Set the derivatives of the forces on coordinates at constant q' and forces, (1 + N, 1 + N).
+    Set the derivatives of the rates of momenta at constant q' and force on the carrier.
 
     They are d^2 T / dq_k dq_i, and the forces times the second derivatives of the slopes (T39).
     """
     kernel = as_vectors(tables.kernel)
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
     to_centre, to_tip = as_vectors(tables.to_centre), as_vectors(tables.to_tip)
-    cosine, sine, out = work.cosine, work.sine, terms.stiffness
-    by_rotation, by_shear = terms.by_rotation, terms.by_shear
-    image_1, image_2 = terms.image_1, terms.image_2
+    cosine, sine, across = work.cosine, work.sine, tables.to_centre
+    by_rotation, by_shear = as_vectors(local((across,))), as_vectors(local((across,)))
+    image_1, image_2 = as_vectors(local((across,))), as_vectors(local((across,)))
     push_x, push_y, tip_x, tip_y = forces
     count, nodes = rotation.shape
     for k in range(count):
@@ -175,19 +161,47 @@ def _set_stiffness(tables, load, forces, work, numbers, var, terms):
                 total += rotation[i, j] * by_rotation[j] + shear[i, j] * by_shear[j]
                 if k:
                     total += (var.rate_1[i, j] * image_1[j] + var.rate_2[i, j] * image_2[j])
-            out[i, k] = out[k, i] = sum_of(total, tables.to_centre)
+            var.rate[i, k] = var.rate[k, i] = sum_of(total, across)
 
 
 @inner
-def _set_resistance(tables, state, work, resistance):
-    """Set the derivatives of friction by the speeds of carrier x, y and shaft, (T33)."""
-    resistance[0] = resistance[1] = 0.0
-    for k in range(len(tables.axes)):
-        derivative = work.c1 if tables.axes[k] == 0 else work.c2
-        speed = carrier_speed(tables, state, k, derivative, work.speed)
-        resistance[tables.axes[k]] = (
-            tables.carrier_friction + functions.coulomb_slope(tables, 0, speed))
-    resistance[2] = functions.coulomb_slope(tables, 1, work.speed[0])
+def _set_speed_changes(tables, work, var, changes, made):
+    """Set changes of q': M times them is the change of p less that by q at constant q' (T39)."""
+    count, speed, total = len(work.speed), made.speed, made.total
+    driven, momenta = count - len(tables.straight), 2 * half_length(tables) - count
+    coordinates = len(tables.axes) - driven
+    for i in range(driven, count):
+        copy(changes[momenta + i], total)
+        for k in range(driven, count):
+            add_multiple(-var.momentum[k, i], changes[coordinates + k], total)
+        for k in range(driven, i):
+            add_multiple(-work.factors[i, k], speed[k], total)
+        copy(total, speed[i])
+    for i in range(count - 1, driven - 1, -1):
+        for d in range(len(total)):
+            total[d] = work.factors[i, i] * speed[i, d]
+        for k in range(i + 1, count):
+            add_multiple(-work.factors[k, i], speed[k], total)
+        copy(total, speed[i])
+
+
+@inner
+def _carrier_change(tables, var, k, changes, speed, d):
+    """Return changes of the carrier's speed along its k-th free axis."""
+    axis, driven = tables.axes[k], len(tables.rotation) - len(tables.straight)
+    change = changes[half_length(tables) + k, d] / tables.mass
+    for i in range(driven, len(tables.rotation)):
+        change -= (var.centre[axis, i] * speed[i, d]
+                   + var.centre_speed[axis, i] * changes[len(tables.axes) - driven + i, d])
+    return change
+
+
+@inner
+def _resistance_slope(tables, state, k, work):
+    """Return the derivative of friction by the carrier's speed along its k-th free axis, (T33)."""
+    speed = carrier_speed(
+        tables, state, k, work.c1 if tables.axes[k] == 0 else work.c2, work.speed)
+    return tables.carrier_friction + functions.coulomb_slope(tables, 0, speed)
 
 
 @inner
@@ -205,55 +219,64 @@ def _differential(tables, inputs, point, load, rate):
     numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
     work, var = as_vectors(numbers), as_vectors(variations)
     _set_variations(tables, point.values, load, numbers, work, var)
-    terms, speed = as_vectors(local_arrays(Terms, tables)), as_vectors(
-        local_arrays(Speeds, tables)).speed
     forces = write_rate(tables, point.values, load, work, rate.values)
-    _set_stiffness(tables, load, forces, work, variations, var, terms)
-    resistance = terms.resistance
-    _set_resistance(tables, point.values, work, resistance)
-    shaft_y, shaft_x = sincos(work.coordinate[0])
-    loads, changes, out = as_vectors(inputs.unit), as_vectors(point.changes), as_vectors(
-        rate.changes)
-    count, half, axes = len(work.speed), half_length(tables), tables.axes
+    _set_rates(tables, load, forces, work, variations, var)
+    loads, changes, out = (
+        as_vectors(inputs.unit), as_vectors(point.changes), as_vectors(rate.changes))
+    made = as_vectors(local_arrays(Changes, tables))
+    speed, by_speed, total = made.speed, made.by_speed, made.total
+    tip_x, tip_y, push_x, push_y = made.tip_x, made.tip_y, made.push_x, made.push_y
+    count, half = len(work.speed), half_length(tables)
     driven, momenta = count - len(tables.straight), 2 * half - count
     coordinates = momenta - half
-    for d in range(loads.shape[1]):
-        _set_speed_changes(tables, work, var, changes, d, speed)
+    _set_speed_changes(tables, work, var, changes, made)
+
+    # Forces on tip and carrier; those along the arm turn with the shaft.
+    shaft_y, shaft_x = sincos(work.coordinate[0])
+    for d in range(len(total)):
         turn = 0.0 * loads[0, d]
         if driven == 0:
             turn = changes[coordinates, d]
-        tip_x, tip_y = _force(load, loads, TIP_X, d, turn, shaft_x, shaft_y)
+        tip_x[d], tip_y[d] = _force(load, loads, TIP_X, d, turn, shaft_x, shaft_y)
         force_x, force_y = _force(load, loads, FORCE_X, d, turn, shaft_x, shaft_y)
-        push_x, push_y = 0.0, 0.0
-        for k in range(len(axes)):
-            axis = axes[k]
-            change = changes[half + k, d] / tables.mass
-            for i in range(driven, count):
-                change -= (var.centre[axis, i] * speed[i, d]
-                           + var.centre_speed[axis, i] * changes[coordinates + i, d])
-            if axis == 0:
-                push_x = force_x + tip_x + loads[PUSH_X, d] - resistance[0] * change
+        push_x[d], push_y[d] = 0.0, 0.0
+        for k in range(len(tables.axes)):
+            if tables.axes[k] == 0:
+                push_x[d] = force_x + tip_x[d] + loads[PUSH_X, d]
             else:
-                push_y = force_y + tip_y + loads[PUSH_Y, d] - resistance[1] * change
+                push_y[d] = force_y + tip_y[d] + loads[PUSH_Y, d]
+    if some((tables.carrier_friction != 0.0) | (tables.coulomb[0, 0] != 0.0)):
+        _set_centre_speed(tables, var)
+        for k in range(len(tables.axes)):
+            push = push_x if tables.axes[k] == 0 else push_y
+            slope = _resistance_slope(tables, point.values, k, work)
+            for d in range(len(total)):
+                push[d] -= slope * _carrier_change(tables, var, k, changes, speed, d)
+
+    for k in range(len(tables.axes)):
+        for d in range(len(total)):
             out[k, d] = 0.0
-            out[half + k, d] = push_x if axis == 0 else push_y
-        for i in range(driven, count):
-            by_speed = speed[i, d]
-            for k in range(driven, count):
-                by_speed -= tables.straight[i - driven, k - driven] * changes[momenta + k, d]
-            total = (var.tip[0, i] * tip_x + var.tip[1, i] * tip_y
-                     - var.centre[0, i] * push_x - var.centre[1, i] * push_y
-                     + tables.tip_rotation[i] * loads[TIP_TORQUE, d]
-                     - tables.damping[i] * by_speed)
-            for n in range(len(tables.push)):
-                total += (var.arm[0, i] * loads[PUSH_X, d] + var.arm[1, i] * loads[PUSH_Y, d])
-            for k in range(driven, count):
-                total += (terms.stiffness[i, k] * changes[coordinates + k, d]
-                          + var.momentum[i, k] * speed[k, d])
+        copy(push_x if tables.axes[k] == 0 else push_y, out[half + k])
+    slope = functions.coulomb_slope(tables, 1, work.speed[0])
+    for i in range(driven, count):
+        copy(speed[i], by_speed)
+        for k in range(driven, count):
+            add_multiple(-tables.straight[i - driven, k - driven], changes[momenta + k], by_speed)
+        for d in range(len(total)):
+            total[d] = (var.tip[0, i] * tip_x[d] + var.tip[1, i] * tip_y[d]
+                        - var.centre[0, i] * push_x[d] - var.centre[1, i] * push_y[d]
+                        + tables.tip_rotation[i] * loads[TIP_TORQUE, d]
+                        - tables.damping[i] * by_speed[d])
             if i == 0:
-                total += loads[TORQUE, d] - resistance[2] * speed[0, d]
-            out[coordinates + i, d] = by_speed
-            out[momenta + i, d] = total
+                total[d] += loads[TORQUE, d] - slope * speed[0, d]
+        for n in range(len(tables.push)):
+            add_multiple(var.arm[0, i], loads[PUSH_X], total)
+            add_multiple(var.arm[1, i], loads[PUSH_Y], total)
+        for k in range(driven, count):
+            add_multiple(var.rate[i, k], changes[coordinates + k], total)
+            add_multiple(var.momentum[i, k], speed[k], total)
+        copy(by_speed, out[coordinates + i])
+        copy(total, out[momenta + i])
 
 
 @functions.state_by_motion.of(Tables)
@@ -262,6 +285,7 @@ def _state_by_motion(tables, state, load, out):
     numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
     work, var = as_vectors(numbers), as_vectors(variations)
     _set_variations(tables, state, load, numbers, work, var)
+    _set_centre_speed(tables, var)
     count, half = len(work.speed), half_length(tables)
     driven, momenta, rates = count - len(tables.straight), 2 * half - count, 2 + count
     # Columns are the numbers of a motion from the shaft angle on.
@@ -288,21 +312,18 @@ def _motion_by_state(tables, state, load, changes, out):
     numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
     work, var = as_vectors(numbers), as_vectors(variations)
     _set_variations(tables, state, load, numbers, work, var)
+    _set_centre_speed(tables, var)
     states, motions = as_vectors(changes), as_vectors(out)
-    speed = as_vectors(local_arrays(Speeds, tables)).speed
-    count, half = len(work.speed), half_length(tables)
+    made, count = as_vectors(local_arrays(Changes, tables)), len(work.speed)
     driven, rates = count - len(tables.straight), 2 + count
-    for d in range(states.shape[1]):
-        _set_speed_changes(tables, work, var, states, d, speed)
+    _set_speed_changes(tables, work, var, states, made)
+    for i in range(driven, count):
+        copy(states[len(tables.axes) - driven + i], motions[2 + i])
+        copy(made.speed[i], motions[rates + 2 + i])
+    for k in range(len(tables.axes)):
+        place, speed = motions[tables.axes[k]], motions[rates + tables.axes[k]]
+        copy(states[k], place)
         for i in range(driven, count):
-            motions[2 + i, d] = states[len(tables.axes) - driven + i, d]
-            motions[rates + 2 + i, d] = speed[i, d]
-        for k in range(len(tables.axes)):
-            axis = tables.axes[k]
-            place, change = states[k, d], states[half + k, d] / tables.mass
-            for i in range(driven, count):
-                place -= var.centre[axis, i] * motions[2 + i, d]
-                change -= (var.centre_speed[axis, i] * motions[2 + i, d]
-                           + var.centre[axis, i] * speed[i, d])
-            motions[axis, d] = place
-            motions[rates + axis, d] = change
+            add_multiple(-var.centre[tables.axes[k], i], motions[2 + i], place)
+        for d in range(len(speed)):
+            speed[d] = _carrier_change(tables, var, k, states, made.speed, d)

@@ -38,6 +38,18 @@ def observe(tables, state, load, out):
 
 
 @inner
+def copy(vector, out):
+    for i in range(min(len(vector), len(out))):
+        out[i] = vector[i]
+
+
+@inner
+def add_multiple(factor, vector, out):
+    for i in range(len(out)):
+        out[i] += factor * vector[i]
+
+
+@inner
 def coulomb(tables, joint, speed):
     """Return the Coulomb friction against a speed of the carrier, joint 0, or of the shaft, 1."""
     friction = 0.0

@@ -16,9 +16,9 @@ from timo_sim.compiled.constants import local_arrays, pack, Packed
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, as_vectors, Constants, inner, separate
 from timo_sim.model import exact_derivatives  # noqa: F401  bodies of the functions below
-from timo_sim.model.functions import differential, motion_by_state, state_by_motion
+from timo_sim.model.functions import add_multiple, copy, differential, motion_by_state, state_by_motion
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
-from timo_sim.steps.etdrk4 import add_product, copy
+from timo_sim.steps.etdrk4 import add_product
 from timo_sim.steps.steps import Steps
 
 
@@ -73,6 +73,12 @@ class Point(NamedTuple):
     changes: Annotated[np.ndarray, 'state', 'padded_columns']
 
 
+class Row(NamedTuple):
+    """Work array: a row of changes."""
+
+    total: Annotated[np.ndarray, 'padded_columns']
+
+
 class End(NamedTuple):
     """Work array: changes of the motion at the end."""
 
@@ -88,15 +94,6 @@ def _set_zero(out):
 
 
 @inner
-def _copy(source, out):
-    copy(source.values, out.values)
-    sources, changes = as_vectors(source.changes), as_vectors(out.changes)
-    for i in range(len(changes)):
-        for d in range(changes.shape[1]):
-            changes[i, d] = sources[i, d]
-
-
-@inner
 def _set_sum(factor, left, other_factor, right, out):
     for i in range(len(out.values)):
         out.values[i] = factor * left.values[i] + other_factor * right.values[i]
@@ -107,38 +104,34 @@ def _set_sum(factor, left, other_factor, right, out):
             sums[i, d] = factor * lefts[i, d] + other_factor * rights[i, d]
 
 
-@inner
-def _set_product(axes, turned, point, out):
-    for i in range(len(out.values)):
-        out.values[i] = 0.0
-    _set_zero(out.changes)
-    _add_product(axes, turned, point, out)
-
-
 @separate
-def _add_product(axes, turned, point, out):
+def _set_product(tables, turned, point, base, out):
     """
-    Add the product of a matrix, which is given transposed, and a point.
+    Set a point to another one plus the product of a matrix, which is given transposed, and a third.
 
-    In L, and hence in all matrices of a step, the place of the mass centre along each of the free
-    `axes` is connected with its momentum alone, coordinates with coordinates and their momenta.
+    In L, and hence in all matrices of a step, the place of the mass centre along each free axis is
+    connected with its momentum alone, coordinates with coordinates and their momenta.
     """
+    copy(base.values, out.values)
     add_product(turned, point.values, out.values)
+    changes, bases, sums = (
+        as_vectors(point.changes), as_vectors(base.changes), as_vectors(out.changes))
+    total, axes = as_vectors(local_arrays(Row, tables)).total, len(tables.axes)
+    for k in range(axes):
+        _set_block(turned, changes, bases, k, k + 1, total, sums)
+    _set_block(turned, changes, bases, axes, len(turned) // 2, total, sums)
+
+
+@inner
+def _set_block(turned, changes, bases, first, last, total, sums):
     half = len(turned) // 2
     for row in range(0, 2 * half, half):
-        for column in range(0, 2 * half, half):
-            for k in range(axes):
-                _add_block(turned, point.changes, row, column, k, k + 1, out.changes)
-            _add_block(turned, point.changes, row, column, axes, half, out.changes)
-
-
-@inner
-def _add_block(turned, factors, row, column, first, last, out):
-    changes, sums = as_vectors(factors), as_vectors(out)
-    for i in range(row + first, row + last):
-        for j in range(column + first, column + last):
-            for d in range(sums.shape[1]):
-                sums[i, d] += turned[j, i] * changes[j, d]
+        for i in range(row + first, row + last):
+            copy(bases[i], total)
+            for column in range(0, 2 * half, half):
+                for j in range(column + first, column + last):
+                    add_multiple(turned[j, i], changes[j], total)
+            copy(total, sums[i])
 
 
 @entry_point(tables=Constants(), propagator=Constants(), inputs=Constants(),
@@ -160,36 +153,37 @@ def differentiate(tables, propagator, inputs, state, load, loads, count, out):
     out : ndarray, shape (2 (3 + N) + inputs, 2 (3 + N))
 
     """
-    axes = len(tables.axes)
-    now, stage = local_arrays(Point, inputs), local_arrays(Point, inputs)
+    none, now, stage = (
+        local_arrays(Point, inputs), local_arrays(Point, inputs), local_arrays(Point, inputs))
     half, ahead = local_arrays(Point, inputs), local_arrays(Point, inputs)
     rate_0, rate_a = local_arrays(Point, inputs), local_arrays(Point, inputs)
     rate_b, rate_c = local_arrays(Point, inputs), local_arrays(Point, inputs)
-    copy(state, now.values)
+    _set_zero(none.changes)
+    for i in range(len(none.values)):
+        none.values[i] = 0.0
     _set_zero(now.changes)
+    copy(state, now.values)
     state_by_motion(tables, state, load, now.changes)
     for n in range(count):
+        # The stages a, b and c of `etdrk4.one_step`, with their changes.
         differential(tables, inputs, now, loads[n, START], rate_0)
-        _set_product(axes, propagator.half, now, half)
-
-        _copy(half, stage)  # stage a of `etdrk4.one_step`
-        _add_product(axes, propagator.half_weight, rate_0, stage)
+        _set_product(tables, propagator.half, now, none, half)
+        _set_product(tables, propagator.half_weight, rate_0, half, stage)
         differential(tables, inputs, stage, loads[n, MIDDLE], rate_a)
-        _set_product(axes, propagator.half, stage, ahead)
+        _set_product(tables, propagator.half, stage, none, ahead)
 
-        _add_product(axes, propagator.half_weight, rate_a, half)  # b
-        differential(tables, inputs, half, loads[n, MIDDLE], rate_b)
+        _set_product(tables, propagator.half_weight, rate_a, half, stage)
+        differential(tables, inputs, stage, loads[n, MIDDLE], rate_b)
 
         _set_sum(2.0, rate_b, -1.0, rate_0, stage)
-        _add_product(axes, propagator.half_weight, stage, ahead)  # c
+        _set_product(tables, propagator.half_weight, stage, ahead, ahead)
         differential(tables, inputs, ahead, loads[n, END], rate_c)
 
-        _set_sum(1.0, rate_a, 1.0, rate_b, stage)
-        _set_product(axes, propagator.whole, now, ahead)
-        _add_product(axes, propagator.start_weight, rate_0, ahead)
-        _add_product(axes, propagator.middle_weight, stage, ahead)
-        _add_product(axes, propagator.end_weight, rate_c, ahead)
-        _copy(ahead, now)
+        _set_sum(1.0, rate_a, 1.0, rate_b, rate_a)
+        _set_product(tables, propagator.whole, now, none, ahead)
+        _set_product(tables, propagator.start_weight, rate_0, ahead, ahead)
+        _set_product(tables, propagator.middle_weight, rate_a, ahead, ahead)
+        _set_product(tables, propagator.end_weight, rate_c, ahead, now)
         load = loads[n, AFTER]
     end = local_arrays(End, inputs).changes
     _set_zero(end)
@@ -198,5 +192,5 @@ def differentiate(tables, propagator, inputs, state, load, loads, count, out):
         out[0, i] = out[1, i] = 0.0
         for k in range(2, len(out)):
             out[k, i] = end[i, k - 2]
-    for k in range(axes):
+    for k in range(len(tables.axes)):
         out[tables.axes[k], tables.axes[k]] = 1.0
