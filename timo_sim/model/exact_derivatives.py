@@ -101,7 +101,7 @@ def _set_variations(tables, state, load, numbers, work, var):
                 total += (rotation[i, j] * by_rotation[j] + shear[i, j] * by_shear[j]
                           + var.rate_1[k, j] * work.image_1[i, j]
                           + var.rate_2[k, j] * work.image_2[i, j])
-            var.momentum[k, i] = sum_of(total, tables.rotary) if k else 0.0  # M: not by the shaft
+            var.momentum[k, i] = sum_of(total, tables.rotary)
 
 
 @inner
@@ -144,23 +144,20 @@ def _set_rates(tables, load, forces, work, numbers, var):
             image_1[j], image_2[j] = total_1, total_2
             # The forces against the slopes, as in `_set_moments`.
             arm_x, arm_y = push_work(tables, load, j)
-            force_1 = to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
-            force_2 = to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
-            twist = 0.0
-            if k:  # T does not depend on the shaft angle
-                g_1, g_2 = var.image_1[j], var.image_2[j]
-                force_1 += var.turning[j] * g_2
-                force_2 -= var.turning[j] * g_1
-                twist = var.shearing[j] * (sine[j] * g_1 - cosine[j] * g_2)
-            by_rotation[j] = (work.c1[k, j] * force_2 - work.c2[k, j] * force_1
-                              + rotation[k, j] * twist)
+            g_1, g_2 = var.image_1[j], var.image_2[j]
+            force_1 = (to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
+                       + var.turning[j] * g_2)
+            force_2 = (to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
+                       - var.turning[j] * g_1)
+            by_rotation[j] = (
+                work.c1[k, j] * force_2 - work.c2[k, j] * force_1
+                + rotation[k, j] * var.shearing[j] * (sine[j] * g_1 - cosine[j] * g_2))
             by_shear[j] = -rotation[k, j] * (cosine[j] * force_1 + sine[j] * force_2)
         for i in range(k, count):
             total = 0.0
             for j in range(nodes):
-                total += rotation[i, j] * by_rotation[j] + shear[i, j] * by_shear[j]
-                if k:
-                    total += (var.rate_1[i, j] * image_1[j] + var.rate_2[i, j] * image_2[j])
+                total += (rotation[i, j] * by_rotation[j] + shear[i, j] * by_shear[j]
+                          + var.rate_1[i, j] * image_1[j] + var.rate_2[i, j] * image_2[j])
             var.rate[i, k] = var.rate[k, i] = sum_of(total, across)
 
 
