@@ -32,10 +32,6 @@ from timo_sim.model.layout import (
 class Variations(NamedTuple):
     """Derivatives at a state by the coordinates; the first index k is that of q_k."""
 
-    turning: Annotated[np.ndarray, 'padded_nodes']                # phi' and gamma' at the nodes
-    shearing: Annotated[np.ndarray, 'padded_nodes']
-    image_1: Annotated[np.ndarray, 'padded_nodes']                # K a', K b'
-    image_2: Annotated[np.ndarray, 'padded_nodes']
     # Of a' and b' at constant q'.
     rate_1: Annotated[np.ndarray, 'coordinates', 'padded_nodes']
     rate_2: Annotated[np.ndarray, 'coordinates', 'padded_nodes']
@@ -61,15 +57,34 @@ class Changes(NamedTuple):
     total: Annotated[np.ndarray, 'padded_columns']
 
 
+class AtNodes(NamedTuple):
+    """Work arrays at the nodes."""
+
+    turning: Annotated[np.ndarray, 'padded_nodes']      # phi' and gamma'
+    shearing: Annotated[np.ndarray, 'padded_nodes']
+    force_1: Annotated[np.ndarray, 'padded_nodes']      # g = (K a', K b')
+    force_2: Annotated[np.ndarray, 'padded_nodes']
+    image_1: Annotated[np.ndarray, 'padded_nodes']      # K times the derivatives of a', b' by q_k
+    image_2: Annotated[np.ndarray, 'padded_nodes']
+    # Factors of Phi_i and Gamma_i in derivatives by q_k, of momenta and of their rates.
+    by_rotation: Annotated[np.ndarray, 2, 'padded_nodes']
+    by_shear: Annotated[np.ndarray, 2, 'padded_nodes']
+
+
 @separate
-def _set_variations(tables, state, load, numbers, work, var):
-    """Set slopes, speeds and factors in `work`, and the Variations (T38), (T39)."""
+def _set_variations(tables, state, load, numbers, variations, rate):
+    """Set slopes, speeds and factors in `numbers`, the Variations (T38), (T39), and the rate."""
+    work, var = as_vectors(numbers), as_vectors(variations)
     set_slopes(tables, state, load, work)
     mass, inverse = local((tables.rotary, tables.rotary)), local((tables.rotary,))
     solve_for_speed(tables, state, load, numbers, work, mass, inverse)
     copy_factors(tables, mass, inverse, work)
+    push_x, push_y, tip_x, tip_y = write_rate(tables, state, load, work, rate)
+    kernel, speed, at = as_vectors(tables.kernel), work.speed, as_vectors(
+        local_arrays(AtNodes, tables))
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
-    cosine, sine, speed = work.cosine, work.sine, work.speed
+    to_centre, to_tip = as_vectors(tables.to_centre), as_vectors(tables.to_tip)
+    cosine, sine, c1, c2 = work.cosine, work.sine, work.c1, work.c2
     count, nodes = rotation.shape
     for j in range(nodes):
         turning, shearing, g_1, g_2 = 0.0, 0.0, 0.0, 0.0
@@ -78,30 +93,45 @@ def _set_variations(tables, state, load, numbers, work, var):
             shearing += speed[i] * shear[i, j]
             g_1 += speed[i] * work.image_1[i, j]
             g_2 += speed[i] * work.image_2[i, j]
-        var.turning[j], var.shearing[j] = turning, shearing
-        var.image_1[j], var.image_2[j] = g_1, g_2
+        at.turning[j], at.shearing[j], at.force_1[j], at.force_2[j] = turning, shearing, g_1, g_2
         for k in range(count):
             sheared = rotation[k, j] * shearing
-            var.rate_1[k, j] = -work.c2[k, j] * turning - cosine[j] * sheared
-            var.rate_2[k, j] = work.c1[k, j] * turning - sine[j] * sheared
-    by_rotation, by_shear = (
-        as_vectors(local((tables.to_centre,))), as_vectors(local((tables.to_centre,))))
+            var.rate_1[k, j] = -c2[k, j] * turning - cosine[j] * sheared
+            var.rate_2[k, j] = c1[k, j] * turning - sine[j] * sheared
     for k in range(count):
-        _integrate(tables.to_centre, work.c1, work.c2, k, var.centre)
-        _integrate(tables.to_tip, work.c1, work.c2, k, var.tip)
+        _integrate(tables.to_centre, c1, c2, k, var.centre)
+        _integrate(tables.to_centre, var.rate_1, var.rate_2, k, var.centre_speed)
+        _integrate(tables.to_tip, c1, c2, k, var.tip)
         for n in range(len(tables.push)):
-            _integrate(tables.push[n], work.c1, work.c2, k, var.arm)
+            _integrate(tables.push[n], c1, c2, k, var.arm)
         for j in range(nodes):
-            g_1, g_2 = var.image_1[j], var.image_2[j]
-            by_rotation[j] = work.c1[k, j] * g_2 - work.c2[k, j] * g_1
-            by_shear[j] = -rotation[k, j] * (cosine[j] * g_1 + sine[j] * g_2)
+            at.image_1[j], at.image_2[j] = 0.0, 0.0
+            for n in range(kernel.shape[1]):  # K is symmetric
+                at.image_1[j] += variations.rate_1[k, n] * kernel[0, n, j]
+                at.image_2[j] += variations.rate_2[k, n] * kernel[len(kernel) - 1, n, j]
+            g_1, g_2 = at.force_1[j], at.force_2[j]
+            at.by_rotation[0, j] = c1[k, j] * g_2 - c2[k, j] * g_1
+            at.by_shear[0, j] = -rotation[k, j] * (cosine[j] * g_1 + sine[j] * g_2)
+            # The forces against the slopes, as in `_set_moments`, and those of the turning.
+            arm_x, arm_y = push_work(tables, load, j)
+            x = to_tip[j] * tip_x - to_centre[j] * push_x - arm_x + at.turning[j] * g_2
+            y = to_tip[j] * tip_y - to_centre[j] * push_y - arm_y - at.turning[j] * g_1
+            at.by_rotation[1, j] = (
+                c1[k, j] * y - c2[k, j] * x
+                + rotation[k, j] * at.shearing[j] * (sine[j] * g_1 - cosine[j] * g_2))
+            at.by_shear[1, j] = -rotation[k, j] * (cosine[j] * x + sine[j] * y)
         for i in range(count):
-            total = 0.0
+            momentum, force = 0.0, 0.0
             for j in range(nodes):
-                total += (rotation[i, j] * by_rotation[j] + shear[i, j] * by_shear[j]
-                          + var.rate_1[k, j] * work.image_1[i, j]
-                          + var.rate_2[k, j] * work.image_2[i, j])
-            var.momentum[k, i] = sum_of(total, tables.rotary)
+                momentum += (rotation[i, j] * at.by_rotation[0, j] + shear[i, j] * at.by_shear[0, j]
+                             + var.rate_1[k, j] * work.image_1[i, j]
+                             + var.rate_2[k, j] * work.image_2[i, j])
+            var.momentum[k, i] = sum_of(momentum, tables.rotary)
+            for j in range(nodes * (i >= k)):  # the second derivatives are symmetric
+                force += (rotation[i, j] * at.by_rotation[1, j] + shear[i, j] * at.by_shear[1, j]
+                          + var.rate_1[i, j] * at.image_1[j] + var.rate_2[i, j] * at.image_2[j])
+            if i >= k:
+                var.rate[i, k] = var.rate[k, i] = sum_of(force, tables.rotary)
 
 
 @inner
@@ -112,53 +142,6 @@ def _integrate(weights, slopes_1, slopes_2, k, out):
         x += vectors[j] * slopes_1[k, j]
         y += vectors[j] * slopes_2[k, j]
     out[0, k], out[1, k] = sum_of(x, weights), sum_of(y, weights)
-
-
-@inner
-def _set_centre_speed(tables, var):
-    for k in range(len(tables.rotation)):
-        _integrate(tables.to_centre, var.rate_1, var.rate_2, k, var.centre_speed)
-
-
-@inner
-def _set_rates(tables, load, forces, work, numbers, var):
-    """
-    Set the derivatives of the rates of momenta at constant q' and force on the carrier.
-
-    They are d^2 T / dq_k dq_i, and the forces times the second derivatives of the slopes (T39).
-    """
-    kernel = as_vectors(tables.kernel)
-    rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
-    to_centre, to_tip = as_vectors(tables.to_centre), as_vectors(tables.to_tip)
-    cosine, sine, across = work.cosine, work.sine, tables.to_centre
-    by_rotation, by_shear = as_vectors(local((across,))), as_vectors(local((across,)))
-    image_1, image_2 = as_vectors(local((across,))), as_vectors(local((across,)))
-    push_x, push_y, tip_x, tip_y = forces
-    count, nodes = rotation.shape
-    for k in range(count):
-        for j in range(nodes):
-            total_1, total_2 = 0.0, 0.0
-            for n in range(kernel.shape[1]):  # K is symmetric
-                total_1 += numbers.rate_1[k, n] * kernel[0, n, j]
-                total_2 += numbers.rate_2[k, n] * kernel[len(kernel) - 1, n, j]
-            image_1[j], image_2[j] = total_1, total_2
-            # The forces against the slopes, as in `_set_moments`.
-            arm_x, arm_y = push_work(tables, load, j)
-            g_1, g_2 = var.image_1[j], var.image_2[j]
-            force_1 = (to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
-                       + var.turning[j] * g_2)
-            force_2 = (to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
-                       - var.turning[j] * g_1)
-            by_rotation[j] = (
-                work.c1[k, j] * force_2 - work.c2[k, j] * force_1
-                + rotation[k, j] * var.shearing[j] * (sine[j] * g_1 - cosine[j] * g_2))
-            by_shear[j] = -rotation[k, j] * (cosine[j] * force_1 + sine[j] * force_2)
-        for i in range(k, count):
-            total = 0.0
-            for j in range(nodes):
-                total += (rotation[i, j] * by_rotation[j] + shear[i, j] * by_shear[j]
-                          + var.rate_1[i, j] * image_1[j] + var.rate_2[i, j] * image_2[j])
-            var.rate[i, k] = var.rate[k, i] = sum_of(total, across)
 
 
 @inner
@@ -214,10 +197,8 @@ def _force(load, loads, first, d, turn, cosine, sine):
 def _differential(tables, inputs, point, load, rate):
     """Write the rate less its linear part, and its changes (T39)."""
     numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
+    _set_variations(tables, point.values, load, numbers, variations, rate.values)
     work, var = as_vectors(numbers), as_vectors(variations)
-    _set_variations(tables, point.values, load, numbers, work, var)
-    forces = write_rate(tables, point.values, load, work, rate.values)
-    _set_rates(tables, load, forces, work, variations, var)
     loads, changes, out = (
         as_vectors(inputs.unit), as_vectors(point.changes), as_vectors(rate.changes))
     made = as_vectors(local_arrays(Changes, tables))
@@ -231,9 +212,7 @@ def _differential(tables, inputs, point, load, rate):
     # Forces on tip and carrier; those along the arm turn with the shaft.
     shaft_y, shaft_x = sincos(work.coordinate[0])
     for d in range(len(total)):
-        turn = 0.0 * loads[0, d]
-        if driven == 0:
-            turn = changes[coordinates, d]
+        turn = changes[coordinates, d] if driven == 0 else 0.0
         tip_x[d], tip_y[d] = _force(load, loads, TIP_X, d, turn, shaft_x, shaft_y)
         force_x, force_y = _force(load, loads, FORCE_X, d, turn, shaft_x, shaft_y)
         push_x[d], push_y[d] = 0.0, 0.0
@@ -243,7 +222,6 @@ def _differential(tables, inputs, point, load, rate):
             else:
                 push_y[d] = force_y + tip_y[d] + loads[PUSH_Y, d]
     if some((tables.carrier_friction != 0.0) | (tables.coulomb[0, 0] != 0.0)):
-        _set_centre_speed(tables, var)
         for k in range(len(tables.axes)):
             push = push_x if tables.axes[k] == 0 else push_y
             slope = _resistance_slope(tables, point.values, k, work)
@@ -280,9 +258,8 @@ def _differential(tables, inputs, point, load, rate):
 def _state_by_motion(tables, state, load, out):
     """Write the derivatives of (T25), (T26), (T27)."""
     numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
+    _set_variations(tables, state, load, numbers, variations, local((state,)))
     work, var = as_vectors(numbers), as_vectors(variations)
-    _set_variations(tables, state, load, numbers, work, var)
-    _set_centre_speed(tables, var)
     count, half = len(work.speed), half_length(tables)
     driven, momenta, rates = count - len(tables.straight), 2 * half - count, 2 + count
     # Columns are the numbers of a motion from the shaft angle on.
@@ -307,9 +284,8 @@ def _state_by_motion(tables, state, load, out):
 def _motion_by_state(tables, state, load, changes, out):
     """Write the changes of (T25) and (T33)."""
     numbers, variations = local_arrays(Work, tables), local_arrays(Variations, tables)
+    _set_variations(tables, state, load, numbers, variations, local((state,)))
     work, var = as_vectors(numbers), as_vectors(variations)
-    _set_variations(tables, state, load, numbers, work, var)
-    _set_centre_speed(tables, var)
     states, motions = as_vectors(changes), as_vectors(out)
     made, count = as_vectors(local_arrays(Changes, tables)), len(work.speed)
     driven, rates = count - len(tables.straight), 2 + count
