@@ -126,10 +126,11 @@ def _set_variations(tables, state, load, numbers, variations, rate):
                 momentum += (rotation[i, j] * at.by_rotation[0, j] + shear[i, j] * at.by_shear[0, j]
                              + var.rate_1[k, j] * work.image_1[i, j]
                              + var.rate_2[k, j] * work.image_2[i, j])
+                if i >= k:
+                    force += (
+                        rotation[i, j] * at.by_rotation[1, j] + shear[i, j] * at.by_shear[1, j]
+                        + var.rate_1[i, j] * at.image_1[j] + var.rate_2[i, j] * at.image_2[j])
             var.momentum[k, i] = sum_of(momentum, tables.rotary)
-            for j in range(nodes * (i >= k)):  # the second derivatives are symmetric
-                force += (rotation[i, j] * at.by_rotation[1, j] + shear[i, j] * at.by_shear[1, j]
-                          + var.rate_1[i, j] * at.image_1[j] + var.rate_2[i, j] * at.image_2[j])
             if i >= k:
                 var.rate[i, k] = var.rate[k, i] = sum_of(force, tables.rotary)
 
