@@ -11,7 +11,7 @@ Derivatives of the compiled functions of the `exact` formulation, for states of 
 
 They are those of (T22) to (T33) in closed form, see doc/theory.md, (T38) and (T39). Indices are
 those of exact_code: i and k count coordinates, the shaft first, and j vectors of nodes; d counts
-vectors of changes.
+vectors of columns, the numbers by which steps are differentiated.
 """
 
 from typing import Annotated, NamedTuple
@@ -25,8 +25,7 @@ from timo_sim.model.exact_code import (
     carrier_speed, copy_factors, half_length, push_work, set_slopes, solve_for_speed, Tables, Work,
     write_rate)
 from timo_sim.model.functions import add_multiple, copy, sincos
-from timo_sim.model.layout import (
-    FORCE_X, PUSH_X, PUSH_Y, TIP_TORQUE, TIP_X, TORQUE)
+from timo_sim.model.layout import FORCE_X, PUSH_X, PUSH_Y, TIP_TORQUE, TIP_X, TORQUE
 
 
 class Variations(NamedTuple):
@@ -46,29 +45,29 @@ class Variations(NamedTuple):
 
 
 class Changes(NamedTuple):
-    """Work arrays, with a column for each number by which steps are differentiated."""
+    """Work arrays: changes at a state, in columns."""
 
     speed: Annotated[np.ndarray, 'coordinates', 'padded_columns']  # of q'
-    tip_x: Annotated[np.ndarray, 'padded_columns']  # of forces on tip and carrier
+    tip_x: Annotated[np.ndarray, 'padded_columns']   # of the forces on tip and carrier
     tip_y: Annotated[np.ndarray, 'padded_columns']
     push_x: Annotated[np.ndarray, 'padded_columns']
     push_y: Annotated[np.ndarray, 'padded_columns']
-    by_speed: Annotated[np.ndarray, 'padded_columns']  # of rates of a coordinate and its momentum
-    total: Annotated[np.ndarray, 'padded_columns']
+    by_speed: Annotated[np.ndarray, 'padded_columns']  # of the rate of q_i
+    total: Annotated[np.ndarray, 'padded_columns']     # of the rate of p_i; a sum on its way
 
 
 class AtNodes(NamedTuple):
     """Work arrays at the nodes."""
 
-    turning: Annotated[np.ndarray, 'padded_nodes']      # phi' and gamma'
+    turning: Annotated[np.ndarray, 'padded_nodes']     # phi' and gamma'
     shearing: Annotated[np.ndarray, 'padded_nodes']
-    force_1: Annotated[np.ndarray, 'padded_nodes']      # g = (K a', K b')
-    force_2: Annotated[np.ndarray, 'padded_nodes']
-    image_1: Annotated[np.ndarray, 'padded_nodes']      # K times the derivatives of a', b' by q_k
+    g_1: Annotated[np.ndarray, 'padded_nodes']         # K a', K b'
+    g_2: Annotated[np.ndarray, 'padded_nodes']
+    image_1: Annotated[np.ndarray, 'padded_nodes']     # K times the derivatives of a', b' by q_k
     image_2: Annotated[np.ndarray, 'padded_nodes']
-    # Factors of Phi_i and Gamma_i in derivatives by q_k, of momenta and of their rates.
-    by_rotation: Annotated[np.ndarray, 2, 'padded_nodes']
-    by_shear: Annotated[np.ndarray, 2, 'padded_nodes']
+    # Factors of Phi_i and Gamma_i in derivatives by q_k of momenta, 0, and of their rates, 1.
+    rotation: Annotated[np.ndarray, 2, 'padded_nodes']
+    shear: Annotated[np.ndarray, 2, 'padded_nodes']
 
 
 @separate
@@ -80,8 +79,7 @@ def _set_variations(tables, state, load, numbers, variations, rate):
     solve_for_speed(tables, state, load, numbers, work, mass, inverse)
     copy_factors(tables, mass, inverse, work)
     push_x, push_y, tip_x, tip_y = write_rate(tables, state, load, work, rate)
-    kernel, speed, at = as_vectors(tables.kernel), work.speed, as_vectors(
-        local_arrays(AtNodes, tables))
+    kernel, at = as_vectors(tables.kernel), as_vectors(local_arrays(AtNodes, tables))
     rotation, shear = as_vectors(tables.rotation), as_vectors(tables.shear)
     to_centre, to_tip = as_vectors(tables.to_centre), as_vectors(tables.to_tip)
     cosine, sine, c1, c2 = work.cosine, work.sine, work.c1, work.c2
@@ -89,11 +87,11 @@ def _set_variations(tables, state, load, numbers, variations, rate):
     for j in range(nodes):
         turning, shearing, g_1, g_2 = 0.0, 0.0, 0.0, 0.0
         for i in range(count):
-            turning += speed[i] * rotation[i, j]
-            shearing += speed[i] * shear[i, j]
-            g_1 += speed[i] * work.image_1[i, j]
-            g_2 += speed[i] * work.image_2[i, j]
-        at.turning[j], at.shearing[j], at.force_1[j], at.force_2[j] = turning, shearing, g_1, g_2
+            turning += work.speed[i] * rotation[i, j]
+            shearing += work.speed[i] * shear[i, j]
+            g_1 += work.speed[i] * work.image_1[i, j]
+            g_2 += work.speed[i] * work.image_2[i, j]
+        at.turning[j], at.shearing[j], at.g_1[j], at.g_2[j] = turning, shearing, g_1, g_2
         for k in range(count):
             sheared = rotation[k, j] * shearing
             var.rate_1[k, j] = -c2[k, j] * turning - cosine[j] * sheared
@@ -109,27 +107,27 @@ def _set_variations(tables, state, load, numbers, variations, rate):
             for n in range(kernel.shape[1]):  # K is symmetric
                 at.image_1[j] += variations.rate_1[k, n] * kernel[0, n, j]
                 at.image_2[j] += variations.rate_2[k, n] * kernel[len(kernel) - 1, n, j]
-            g_1, g_2 = at.force_1[j], at.force_2[j]
-            at.by_rotation[0, j] = c1[k, j] * g_2 - c2[k, j] * g_1
-            at.by_shear[0, j] = -rotation[k, j] * (cosine[j] * g_1 + sine[j] * g_2)
+            g_1, g_2 = at.g_1[j], at.g_2[j]
+            at.rotation[0, j] = c1[k, j] * g_2 - c2[k, j] * g_1
+            at.shear[0, j] = -rotation[k, j] * (cosine[j] * g_1 + sine[j] * g_2)
             # The forces against the slopes, as in `_set_moments`, and those of the turning.
             arm_x, arm_y = push_work(tables, load, j)
             x = to_tip[j] * tip_x - to_centre[j] * push_x - arm_x + at.turning[j] * g_2
             y = to_tip[j] * tip_y - to_centre[j] * push_y - arm_y - at.turning[j] * g_1
-            at.by_rotation[1, j] = (
+            at.rotation[1, j] = (
                 c1[k, j] * y - c2[k, j] * x
                 + rotation[k, j] * at.shearing[j] * (sine[j] * g_1 - cosine[j] * g_2))
-            at.by_shear[1, j] = -rotation[k, j] * (cosine[j] * x + sine[j] * y)
+            at.shear[1, j] = -rotation[k, j] * (cosine[j] * x + sine[j] * y)
         for i in range(count):
             momentum, force = 0.0, 0.0
             for j in range(nodes):
-                momentum += (rotation[i, j] * at.by_rotation[0, j] + shear[i, j] * at.by_shear[0, j]
+                momentum += (rotation[i, j] * at.rotation[0, j] + shear[i, j] * at.shear[0, j]
                              + var.rate_1[k, j] * work.image_1[i, j]
                              + var.rate_2[k, j] * work.image_2[i, j])
                 if i >= k:
-                    force += (
-                        rotation[i, j] * at.by_rotation[1, j] + shear[i, j] * at.by_shear[1, j]
-                        + var.rate_1[i, j] * at.image_1[j] + var.rate_2[i, j] * at.image_2[j])
+                    force += (rotation[i, j] * at.rotation[1, j] + shear[i, j] * at.shear[1, j]
+                              + var.rate_1[i, j] * at.image_1[j]
+                              + var.rate_2[i, j] * at.image_2[j])
             var.momentum[k, i] = sum_of(momentum, tables.rotary)
             if i >= k:
                 var.rate[i, k] = var.rate[k, i] = sum_of(force, tables.rotary)
@@ -147,7 +145,11 @@ def _integrate(weights, slopes_1, slopes_2, k, out):
 
 @inner
 def _set_speed_changes(tables, work, var, changes, made):
-    """Set changes of q': M times them is the change of p less that by q at constant q' (T39)."""
+    """
+    Set changes of q', by M = L D L^T: M times them is the change of p less dM q' (T39).
+
+    `dM q'` is what changes of q change of the momenta at constant q'.
+    """
     count, speed, total = len(work.speed), made.speed, made.total
     driven, momenta = count - len(tables.straight), 2 * half_length(tables) - count
     coordinates = len(tables.axes) - driven
@@ -231,7 +233,7 @@ def _differential(tables, inputs, point, load, rate):
 
     for k in range(len(tables.axes)):
         for d in range(len(total)):
-            out[k, d] = 0.0
+            out[k, d] = 0.0  # as in `rate`, X' = P / m_t is in the linear part
         copy(push_x if tables.axes[k] == 0 else push_y, out[half + k])
     slope = functions.coulomb_slope(tables, 1, work.speed[0])
     for i in range(driven, count):

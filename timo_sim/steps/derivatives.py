@@ -16,7 +16,8 @@ from timo_sim.compiled.constants import local_arrays, pack, Packed
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, as_vectors, Constants, inner, separate
 from timo_sim.model import exact_derivatives  # noqa: F401  bodies of the functions below
-from timo_sim.model.functions import add_multiple, copy, differential, motion_by_state, state_by_motion
+from timo_sim.model.functions import (
+    add_multiple, copy, differential, motion_by_state, state_by_motion)
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
 from timo_sim.steps.etdrk4 import add_product
 from timo_sim.steps.steps import Steps
@@ -73,16 +74,11 @@ class Point(NamedTuple):
     changes: Annotated[np.ndarray, 'state', 'padded_columns']
 
 
-class Row(NamedTuple):
-    """Work array: a row of changes."""
+class Rows(NamedTuple):
+    """Work arrays: changes of one number, and of the motion at the end."""
 
-    total: Annotated[np.ndarray, 'padded_columns']
-
-
-class End(NamedTuple):
-    """Work array: changes of the motion at the end."""
-
-    changes: Annotated[np.ndarray, 'motion', 'padded_columns']
+    one: Annotated[np.ndarray, 'padded_columns']
+    motion: Annotated[np.ndarray, 'motion', 'padded_columns']
 
 
 @inner
@@ -95,11 +91,10 @@ def _set_zero(out):
 
 @inner
 def _set_sum(factor, left, other_factor, right, out):
-    for i in range(len(out.values)):
-        out.values[i] = factor * left.values[i] + other_factor * right.values[i]
     lefts, rights, sums = (
         as_vectors(left.changes), as_vectors(right.changes), as_vectors(out.changes))
     for i in range(len(sums)):
+        out.values[i] = factor * left.values[i] + other_factor * right.values[i]
         for d in range(sums.shape[1]):
             sums[i, d] = factor * lefts[i, d] + other_factor * rights[i, d]
 
@@ -107,7 +102,7 @@ def _set_sum(factor, left, other_factor, right, out):
 @separate
 def _set_product(tables, turned, point, base, out):
     """
-    Set a point to another one plus the product of a matrix, which is given transposed, and a third.
+    Write a point `base` plus the product of a matrix, which is given transposed, and a point.
 
     In L, and hence in all matrices of a step, the place of the mass centre along each free axis is
     connected with its momentum alone, coordinates with coordinates and their momenta.
@@ -116,7 +111,7 @@ def _set_product(tables, turned, point, base, out):
     add_product(turned, point.values, out.values)
     changes, bases, sums = (
         as_vectors(point.changes), as_vectors(base.changes), as_vectors(out.changes))
-    total, axes = as_vectors(local_arrays(Row, tables)).total, len(tables.axes)
+    total, axes = as_vectors(local_arrays(Rows, tables)).one, len(tables.axes)
     for k in range(axes):
         _set_block(turned, changes, bases, k, k + 1, total, sums)
     _set_block(turned, changes, bases, axes, len(turned) // 2, total, sums)
@@ -185,7 +180,7 @@ def differentiate(tables, propagator, inputs, state, load, loads, count, out):
         _set_product(tables, propagator.middle_weight, rate_a, ahead, ahead)
         _set_product(tables, propagator.end_weight, rate_c, ahead, now)
         load = loads[n, AFTER]
-    end = local_arrays(End, inputs).changes
+    end = local_arrays(Rows, inputs).motion
     _set_zero(end)
     motion_by_state(tables, now.values, load, now.changes, end)
     for i in range(len(end)):
