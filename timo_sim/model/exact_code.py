@@ -128,7 +128,7 @@ def set_slopes(tables, state, load, work):
 # Mass matrix and speeds, (T26) and (T31).
 
 @separate
-def set_speed(tables, state, load, numbers, work):
+def _set_speed(tables, state, load, numbers, work):
     """Do what `solve_for_speed` does; L and D stay in registers."""
     mass, inverse = local((tables.rotary, tables.rotary)), local((tables.rotary,))
     solve_for_speed(tables, state, load, numbers, work, mass, inverse)
@@ -324,7 +324,7 @@ def _rate(tables, state, load, out):
     numbers = local_arrays(Work, tables)
     work = as_vectors(numbers)
     set_slopes(tables, state, load, work)
-    set_speed(tables, state, load, numbers, work)
+    _set_speed(tables, state, load, numbers, work)
     write_rate(tables, state, load, work, out)
 
 
@@ -375,7 +375,7 @@ def _observe(tables, state, load, out):
     numbers = local_arrays(Work, tables)
     work = as_vectors(numbers)
     set_slopes(tables, state, load, work)
-    set_speed(tables, state, load, numbers, work)
+    _set_speed(tables, state, load, numbers, work)
     to_centre, half = as_vectors(across), len(out) // 2
     for i in range(len(rows)):
         out[2 + i] = work.coordinate[i]
@@ -655,7 +655,7 @@ def _add_stretch_forces(tables, load, torque, forces, work, out):
         for j in range(driven):
             total -= factors[i, j] * load[ACCELERATION]
         force[i] = total
-    # Solve M q'' = force for the last q'', with M = L D L^T of `set_speed`.
+    # Solve M q'' = force for the last q'', with M = L D L^T of `_set_speed`.
     for k in range(driven, count):
         for i in range(k + 1, count):
             force[i] -= factors[i, k] * force[k]
