@@ -30,7 +30,7 @@ from timo_sim.simulation.derivatives import unit_loads_of, why_not_differentiabl
 from timo_sim.simulation.loads import Actuators
 from timo_sim.steps import friction
 from timo_sim.steps import instance as steps
-from timo_sim.steps.derivatives import differentiate, Inputs
+from timo_sim.steps.derivatives import differentiate, inputs_of
 from timo_sim.steps.etdrk4 import advance
 from timo_sim.steps.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED
 
@@ -67,8 +67,7 @@ class _Model:
         self.own, self.forces = model.packed, model.force_tables
         # What steps are differentiated by, if they are.
         unit = unit_loads_of(scene.values, [each.column for each in interface.inputs])
-        self.inputs = None if why_not_differentiable(scene) else pack(
-            Inputs(unit, np.zeros(model.size + len(unit))))
+        self.inputs = None if why_not_differentiable(scene) else inputs_of(unit, model.size)
         outputs = steps.MODAL + 2 * len(model.modes) + 1
         self.instance = pack(Instance._make([
             np.zeros(5), *3 * [np.zeros(LOADS)], *2 * [np.zeros(4)], *2 * [np.zeros(1)],

@@ -24,7 +24,7 @@ from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, as_vectors, Constants, inner, strict
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.functions import linear_part_is_valid, observe, rate
+from timo_sim.model.functions import copy, linear_part_is_valid, observe, rate
 from timo_sim.model.layout import (
     ACCELERATION, AFTER, ANGLE, END, LOADS, MIDDLE, SPEED, START, STEP_LOADS)
 
@@ -165,12 +165,6 @@ def flow(model: Formulation, state: np.ndarray, rate: np.ndarray, load: np.ndarr
     by_rate, by_drift = half_time[..., np.newaxis] * rate, half_time[..., np.newaxis] * drift
     return (observe(state - by_rate, load - by_drift), observe(state + by_rate, load + by_drift),
             half_time)
-
-
-@inner
-def copy(vector, out):
-    for i in range(min(len(vector), len(out))):
-        out[i] = vector[i]
 
 
 @inner
