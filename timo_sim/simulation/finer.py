@@ -19,6 +19,7 @@ frequency Omega its stretch is wrong by 2 Omega / omega of itself, a few per cen
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +56,7 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
     axial = min(axial, MOST_AXIAL - stretching)
     if not bending:
         modes = axial = 0  # a rigid arm stays rigid
-    lists = {}
+    lists: dict[str, Any] = {}
     for name in _LISTS:
         if len(values[name]) > (name == 'arm.damping_ratio'):  # a single ratio is for all modes
             along, across = values[name][bending:], values[name][:bending]
@@ -64,8 +65,8 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
                            *axial * [ratio * (along or across)[-1]]]
     if axial and not stretching and _axial_phase(scene, scene.step / parts) > _AXIAL_PHASE:
         clamped = scene.build().damping.tolist()
-        lists.update({'arm.damping_of': 'clamped',
-                      'arm.damping_ratio': [*clamped, *modes * clamped[-1:], *axial * [1.0]]})
+        lists['arm.damping_ratio'] = [*clamped, *modes * clamped[-1:], *axial * [1.0]]
+        lists['arm.damping_of'] = 'clamped'
     lists.update((name, _on_boundaries(value, scene.step)) for name, value in values.items()
                  if name.endswith('.time'))
     equations = {} if same_equations else {'model.formulation': 'exact',

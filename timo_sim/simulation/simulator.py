@@ -59,7 +59,7 @@ class Simulator:
     scene : Scene, or what `load_scene` takes
     estimate : bool
         Whether a finer run is advanced beside this one, to estimate its error, see
-        `simulation.finer`. It takes some ten times as long as the run alone.
+        `simulation.finer`. It takes five to ten times as long as the run alone.
 
     Attributes
     ----------
