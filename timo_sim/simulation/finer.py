@@ -35,7 +35,7 @@ PARTS = 2, 8, 32  # of a step, from which those of the finer run are chosen
 _MODES_OF_IMPACT, _MOST_MODES = 4, 40
 # Largest phase in a step of the finer run of an axial vibration that is resolved [rad].
 _AXIAL_PHASE = 4.0
-_LISTS = 'initial.modal_coordinates', 'initial.modal_rates', 'arm.damping_ratio'
+_LISTS = 'initial.modal_coordinates', 'initial.modal_rates'
 
 
 def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE_AXIAL,
@@ -58,15 +58,17 @@ def refine(scene: Scene, parts: int, modes: int | None = None, axial: int = MORE
         modes = axial = 0  # a rigid arm stays rigid
     lists: dict[str, Any] = {}
     for name in _LISTS:
-        if len(values[name]) > (name == 'arm.damping_ratio'):  # a single ratio is for all modes
-            along, across = values[name][bending:], values[name][:bending]
-            ratio = name == 'arm.damping_ratio'  # further modes have the ratio of the last one
-            lists[name] = [*across, *modes * [ratio * (across or along)[-1]], *along,
-                           *axial * [ratio * (along or across)[-1]]]
+        if values[name]:
+            across, along = values[name][:bending], values[name][bending:]
+            lists[name] = [*across, *modes * [0.0], *along, *axial * [0.0]]
+    # Further modes have the damping of the last one, in terms of those of the clamped arm.
+    damping = scene.build().damping.tolist()
+    across, along = damping[:bending], damping[bending:]
+    further = (along or across)[-1:]
     if axial and not stretching and _axial_phase(scene, scene.step / parts) > _AXIAL_PHASE:
-        clamped = scene.build().damping.tolist()
-        lists['arm.damping_ratio'] = [*clamped, *modes * clamped[-1:], *axial * [1.0]]
-        lists['arm.damping_of'] = 'clamped'
+        further = [1.0]
+    lists['arm.damping_ratio'] = [*across, *modes * across[-1:], *along, *axial * further]
+    lists['arm.damping_of'] = 'clamped'
     lists.update((name, _on_boundaries(value, scene.step)) for name, value in values.items()
                  if name.endswith('.time'))
     equations = {} if same_equations else {'model.formulation': 'exact',
@@ -86,7 +88,7 @@ def _on_boundaries(times, step):
 def can_refine(scene: Scene) -> bool:
     """Return whether a scene has a finer one: the coordinates of static modes have no meaning."""
     return scene.values['model.static_modes'] == 'none' or not any(
-        any(scene.values[name]) for name in _LISTS[:2])
+        any(scene.values[name]) for name in _LISTS)
 
 
 def choose_parts(scene: Scene) -> tuple[int, ...]:
