@@ -16,7 +16,7 @@ from oracles import spectral_elements
 import pytest
 import timo_sim
 from timo_sim.runs.run import run_scene
-from timo_sim.simulation.finer import refine
+from timo_sim.simulation.finer import choose_parts, refine
 
 # A free arm that turns fast, a stroke on the tip of an arm with one mode, an axial force.
 STROKE = {'load.tip_torque.piecewise.time': [0.1, 0.12],
@@ -42,6 +42,10 @@ ABRUPT = {'carrier.held': 'both', 'model.modes': 5, 'model.axial_modes': 1,
           'integrator.step': 0.005, 'initial.shaft_velocity': 10.0,
           'load.tip_force_y.piecewise.time': [0.0, 0.1],
           'load.tip_force_y.piecewise.value': [20.0, 0.0]}
+# Arms that stretch as they turn, with steps of 11 rad of the first axial vibration in a half.
+TURN = {'spun up': {'load.torque.table.time': [0.0, 0.3, 0.6],
+                    'load.torque.table.value': [0.0, 400.0, 0.0]},
+        'one axis held': {'carrier.held': 'x', 'initial.shaft_velocity': 5.0}}
 SCENES = {'stretch': {'initial.shaft_velocity': 20.0}, 'modes': {'model.modes': 1, **STROKE},
           'formulation': PULL}
 
@@ -92,6 +96,17 @@ def test_steps_that_do_not_resolve_axial_vibrations():
     tip = spectral_elements.simulate(run.scene, 0.025, 40, order=8, courant=0.9)[2]
     error = np.linalg.norm(run.position(2.0) - tip, axis=1).max()
     assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.5)
+
+
+@pytest.mark.parametrize('name', TURN)
+def test_stretch_is_measured_by_steps_that_do_not_resolve_axial_vibrations(name):
+    """Without an axial mode the estimate would be a tenth of the error."""
+    run = quietly({**TURN[name], 'integrator.step': 0.01}, 0.6, 1)
+    assert choose_parts(run.scene)[0] == 2
+    tip = spectral_elements.simulate(run.scene, 0.01, 60, order=8, courant=0.9)[2]
+    error = np.linalg.norm(run.position(2.0) - tip, axis=1).max()
+    assert error > 1e-5
+    assert run.stats['estimated_tip_error_m'] == pytest.approx(error, rel=0.2)
 
 
 @pytest.mark.parametrize('name', GROWS)
@@ -185,6 +200,9 @@ def test_lists_of_modes_grow_with_the_modes():
         'initial.modal_coordinates': [1e-3, 2e-3, 3e-6], 'initial.modal_rates': [4.0, 5.0, 6.0]})
     fine = refine(scene, 2)
     assert fine.values['arm.damping_ratio'] == (0.1, 0.2, 0.2, 0.2, 0.2, 0.3, 0.3)
+    coarse = timo_sim.load_scene({'integrator.step': 0.02, 'arm.damping_ratio': 0.1})
+    unresolved = refine(coarse, 2)
+    assert unresolved.values['arm.damping_ratio'] == (*6 * (0.1,), 1.0)
     motion = scene.initial_motion(), fine.initial_motion()
     tips = [each.build().tip(initial) for each, initial in zip((scene, fine), motion)]
     np.testing.assert_allclose(*tips, atol=1e-15)

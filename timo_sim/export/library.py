@@ -24,7 +24,7 @@ from timo_sim.compiled import machine
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.compiled.functions import WIDTH
 from timo_sim.export.constants import Interface, plant_of, scene_loads_of
-from timo_sim.model.functions import tip_once
+from timo_sim.model.functions import tips
 from timo_sim.model.layout import LOADS, STEP_LOADS
 from timo_sim.simulation.derivatives import unit_loads_of, why_not_differentiable
 from timo_sim.simulation.loads import Actuators
@@ -252,8 +252,9 @@ class _Body:
         """Define the function that writes a model's motion and the place of its tip."""
         instance, = self.function(f'observe.{model.number}', _WORD, _POINTER)
         self.advance(model, instance, 0, 1)
-        self.call(model, tip_once, [(model.tables[0], self.data(*model.tables))],
-                  self.field(model, instance, 'motion'), self.field(model, instance, 'tip'))
+        self.call(model, tips, [(model.tables[0], self.data(*model.tables))],
+                  self.field(model, instance, 'motion'), self.word(1),
+                  self.field(model, instance, 'tip'))
         self.builder.ret(self.call(model, steps.set_place, [self.own(model, instance)]))
 
     def follow(self):

@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
-from timo_sim.model.functions import efforts, energies, rate_once, tip_once
+from timo_sim.model.functions import efforts, energies, rate_once, tips
 from timo_sim.model.layout import LOADS, rotate
-from timo_sim.model.modes import AxialModes, Modes, modes_of
+from timo_sim.model.modes import axial_modes, JoinedModes, Modes, modes_of
 
 
 class Points(NamedTuple):
@@ -95,7 +95,7 @@ class Formulation(ABC):
         # Modal masses are 1 with the end effector that the modes were made for.
         self.own_modes = basis == manipulator
         if axial:
-            self.modes = AxialModes(self.modes, basis, axial, constraints)
+            self.modes = JoinedModes(self.modes, axial_modes(basis, axial, constraints))
         self.damping = np.broadcast_to(np.asarray(damping, dtype=float), (len(self.modes),))
         self.size = 2 * (3 + len(self.modes))
         self.driven = int(constraints.driven)
@@ -210,9 +210,13 @@ class Formulation(ABC):
 
     def tip(self, motion: np.ndarray) -> np.ndarray:
         """Return the tip's position in the arm frame [m], rotation from the shaft [rad], (3,)."""
-        tip = np.empty(3)
-        tip_once(self.packed, motion, tip)
-        return tip
+        return self.tips(motion[np.newaxis])[0]
+
+    def tips(self, motions: np.ndarray) -> np.ndarray:
+        """Return what `tip` returns for motions of shape (n, 2 (3 + N)), shape (n, 3)."""
+        found = np.empty((len(motions), 3))
+        tips(self.packed, np.ascontiguousarray(motions), len(motions), found)
+        return found
 
     def rate(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         """Return the rate of a state under a load, linear part included, shape (m,)."""

@@ -131,10 +131,12 @@ def rate_once(tables, state, load, out):
     rate(tables, state, load, out)
 
 
-@entry_point(tables=Constants(), motion=Array(('motion',)), out=Array((3,)))
-def tip_once(tables, motion, out):
-    """Call `tip` from Python."""
-    tip(tables, motion, out)
+@entry_point(tables=Constants(), motions=Array((None, 'motion')), count=int,
+             out=Array((None, 3)))
+def tips(tables, motions, count, out):
+    """Call `tip` from Python for each of `count` motions."""
+    for k in range(count):
+        tip(tables, motions[k], out[k])
 
 
 @entry_point(tables=Constants(), motions=Array((None, 'motion')),

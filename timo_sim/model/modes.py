@@ -576,15 +576,16 @@ class _Stretches(Modes):
         return self._strains.integrate_to(xi) @ self._stretch
 
 
-class AxialModes(JoinedModes):
+@functools.lru_cache(maxsize=16)
+def axial_modes(manipulator: Manipulator, count: int, constraints: Constraints) -> Modes:
     """
-    Bending modes, followed by axial modes of the same arm with its end effector.
+    Return axial modes of a manipulator's arm with its end effector; they are cached.
 
-    Axial modes have no deflection, rotation or shear; bending modes have no stretch. The first
+    They have no deflection, rotation or shear, as bending modes have no stretch. The first
     eigenmode of the rod misses 1.4 % of the lengthening of a uniform arm that turns. The axial
     modes therefore span the responses to loads: to centrifugal forces, to an acceleration along
-    the arm, then to the inertia of earlier responses. They are orthogonal and normalised as the
-    bending modes are (T3), and both sets are in ascending order.
+    the arm, then to the inertia of earlier responses. They are orthogonal and normalised as
+    bending modes are (T3), and in ascending order.
 
     The constraints set the centre of rotation for the centrifugal forces: the root if the carrier
     is held, the mass centre if it is free, the point half-way between if one axis is held.
@@ -592,22 +593,19 @@ class AxialModes(JoinedModes):
     Source: load-dependent Ritz vectors, Wilson, Yuan and Dickens, Earthquake Eng. Struct. Dyn. 10
     (1982) 813-821; strains at Gauss nodes and singular values as in `GalerkinModes`.
     """
-
-    def __init__(self, bending: Modes, manipulator: Manipulator, count: int,
-                 constraints: Constraints) -> None:
-        terms, breaks = 2 * count + 30, manipulator.arm.breaks
-        strains, fine = Quadrature(breaks, terms), Quadrature(breaks, terms, extra=3)
-        mass, section = manipulator.inertia(fine)[0], manipulator.arm.at(strains.nodes)
-        free = 0.5 * len(constraints.free_axes)
-        centre = free * (mass @ fine.points) / (manipulator.base_mass + mass.sum())
-        scale = 1.0 / np.sqrt(strains.weights * section.axial_stiffness)
-        root_mass = np.sqrt(mass)
-        matrix = root_mass[:, np.newaxis] * strains.integrate_to(fine.points) * scale
-        basis, loads = np.empty((len(scale), 0)), [root_mass * (fine.points - centre), root_mass]
-        for number in range(count):
-            basis = np.linalg.qr(np.column_stack([basis, matrix.T @ loads[number]]))[0]
-            loads.append(matrix @ basis[:, number])
-        _, singular, rows = np.linalg.svd(matrix @ basis, full_matrices=False)
-        stretch = scale[:, np.newaxis] * (basis @ (rows.T / singular))
-        stretch *= np.sign(strains.interpolate_to([0.0]) @ stretch)
-        super().__init__(bending, _Stretches(1.0 / singular, strains, stretch))
+    terms, breaks = 2 * count + 30, manipulator.arm.breaks
+    strains, fine = Quadrature(breaks, terms), Quadrature(breaks, terms, extra=3)
+    mass, section = manipulator.inertia(fine)[0], manipulator.arm.at(strains.nodes)
+    free = 0.5 * len(constraints.free_axes)
+    centre = free * (mass @ fine.points) / (manipulator.base_mass + mass.sum())
+    scale = 1.0 / np.sqrt(strains.weights * section.axial_stiffness)
+    root_mass = np.sqrt(mass)
+    matrix = root_mass[:, np.newaxis] * strains.integrate_to(fine.points) * scale
+    basis, loads = np.empty((len(scale), 0)), [root_mass * (fine.points - centre), root_mass]
+    for number in range(count):
+        basis = np.linalg.qr(np.column_stack([basis, matrix.T @ loads[number]]))[0]
+        loads.append(matrix @ basis[:, number])
+    _, singular, rows = np.linalg.svd(matrix @ basis, full_matrices=False)
+    stretch = scale[:, np.newaxis] * (basis @ (rows.T / singular))
+    stretch *= np.sign(strains.interpolate_to([0.0]) @ stretch)
+    return _Stretches(1.0 / singular, strains, stretch)

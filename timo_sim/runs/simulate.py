@@ -208,7 +208,7 @@ def _stretch_warning(run, goal):
     if (run.scene.values['model.formulation'] != 'exact'
             or run.scene.values['model.axial_modes']):
         return None
-    # Axial vibrations may need shorter steps than those of the arm that does not stretch.
+    # An arm that stretches may need shorter steps than one that does not.
     stretched = (_run_alike(refine(run.scene, parts, 0, 1, True), run) for parts in (1, 4))
     off = next((_distance(run, each, in_arm=True) for each in stretched if each is not None), 0.0)
     if off <= goal:
@@ -264,8 +264,8 @@ def simulate(scene: SceneLike, duration: float, sample_every: int = 1,
     sample_every : int
         Steps between samples; divides the number of steps.
     estimate : bool
-        Whether the error of the tip is measured by a finer run, see `Run.stats`, which takes some
-        ten times as long.
+        Whether the error of the tip is measured by a finer run, see `Run.stats`, which takes
+        five to ten times as long.
 
     Raises
     ------

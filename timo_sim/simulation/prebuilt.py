@@ -43,7 +43,7 @@ def entries() -> list[tuple[Any, tuple[type, ...]]]:
                            (newton.Tables, newton.Forces)):
         step, own = (tables, etdrk4.Propagator), (instance.Plant, instance.Instance)
         found += [
-            (functions.rate_once, (tables,)), (functions.tip_once, (tables,)),
+            (functions.rate_once, (tables,)), (functions.tips, (tables,)),
             (functions.efforts, (forces,)), (functions.energies, (forces,)),
             (etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
             (instance.is_valid, (tables, instance.Instance)),

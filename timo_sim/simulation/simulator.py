@@ -59,7 +59,7 @@ class Simulator:
     scene : Scene, or what `load_scene` takes
     estimate : bool
         Whether a finer run is advanced beside this one, to estimate its error, see
-        `simulation.finer`. It takes some ten times as long as the run alone.
+        `simulation.finer`. It takes five to ten times as long as the run alone.
 
     Attributes
     ----------
@@ -207,9 +207,10 @@ class Simulator:
                 motion = each.motion.values
                 # Warnings and efforts need it; a node has no time to compile it later.
                 each.integration.rate(each._state, each.integration.acting(each.load))
+                if messages or self._finer:
+                    each.model.tip(motion)
             if messages:
                 self._table.actuators.warm_up()
-                self.model.tip(motion)
                 self.model.energy(motion[np.newaxis])
                 self.model.effort(motion[np.newaxis], np.zeros((1, len(motion) // 2)),
                                   self.load[np.newaxis])
