@@ -23,7 +23,7 @@ import numpy as np
 from timo_sim.compiled import machine
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.compiled.functions import WIDTH
-from timo_sim.export.constants import Interface, plant_of, scene_loads_of
+from timo_sim.export.constants import Interface, plant_of
 from timo_sim.model.functions import tip_once
 from timo_sim.model.layout import LOADS, STEP_LOADS
 from timo_sim.simulation.derivatives import unit_loads_of, why_not_differentiable
@@ -60,7 +60,7 @@ class _Model:
         sectors = range(model.sectors) if model.sectors else [None]
         parts = [simulator.integration.part(sector).constants for sector in sectors]
         self.parts = len(parts)
-        self.plant, self.loads = plant_of(simulator), scene_loads_of(scene)
+        self.plant, self.loads = plant_of(simulator), pack(scene.load.rows(scene.step))
         self.actuators = Actuators(scene.values).packed
         # In memory actuators and dry friction, with its rooms, follow the instance.
         self.joints = getattr(simulator.integration, 'joints', None)

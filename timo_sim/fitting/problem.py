@@ -22,7 +22,7 @@ from typing import Any
 import warnings
 
 import numpy as np
-from scipy.interpolate import CubicSpline, make_interp_spline, make_lsq_spline
+from scipy.interpolate import CubicSpline, make_interp_spline, make_lsq_spline, PPoly
 from scipy.linalg import matmul_toeplitz, solve_toeplitz
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
@@ -30,7 +30,7 @@ from scipy.signal import lfilter
 from timo_sim.fitting.record import Channel, DRIVE, OUTPUTS, Record, unit_of
 from timo_sim.model.layout import INPUTS
 from timo_sim.runs.run import Run, run_scene
-from timo_sim.scene.loads import Load, Table
+from timo_sim.scene.loads import Load, on_boundaries, Table
 from timo_sim.scene.parameters import did_you_mean, ModelWarning, ParameterError, short
 from timo_sim.scene.scene import (
     INITIAL, initial_names, initial_scale, motor_constants, number_of, overrides_of, Scene)
@@ -168,59 +168,21 @@ def initial_states(problem: Problem, values: Mapping[str, float]) -> list[list[F
 _DEGREE = 5  # of the spline through a driven angle, whose acceleration is smooth
 
 
-def sampled(channel: Channel, gain: float = 1.0, bias: float = 0.0, delay: float = 0.0,
-            shift: float = 0.0) -> Any:
-    """
-    Return a load by samples of a Channel: `gain u(t - delay) + bias`, with the delay in [s].
-
-    Values that are joined by straight lines act as the table of a scene. `shift` is the time in
-    the record at which the scene's begins [s].
-    """
-    t, values = channel.t + (delay - shift), gain * channel.values + bias
-    return Held(t, values) if channel.hold == 'zero' else Table(t, values)
-
-
-class Held:
-    """
-    A load that holds values from times t [s] on; the first one also before.
-
-    A step sees the mean, so that the impulse is right if the value changes inside it.
-    """
-
-    def __init__(self, t: np.ndarray, values: np.ndarray) -> None:
-        self._t, self._values = t, values
-        # The integral begins at the first sample, before which its value holds.
-        self._integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
-
-    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
-        """Add to the loads of steps, see `scene.loads.Term`."""
-        impulse = np.diff(self._integrate(step * np.arange(first, first + len(loads) + 1)))
-        loads[:, :, column] += (impulse / step)[:, np.newaxis]
-
-    def _integrate(self, at):
-        place = np.clip(np.searchsorted(self._t, at, side='right') - 1, 0, None)
-        return self._integral[place] + self._values[place] * (at - self._t[place])
-
-
 class Driven:
-    """A driven shaft's angle, a spline through samples, constant outside; see `sampled`."""
+    """A driven shaft's angle, a spline through the samples of a Channel, constant outside."""
 
-    def __init__(self, channel: Channel, gain: float = 1.0, bias: float = 0.0,
-                 delay: float = 0.0, shift: float = 0.0) -> None:
-        self._spline = _spline(channel.t.tobytes(), channel.values.tobytes(), channel.knots)
-        self._ends, self._late = channel.t[[0, -1]], delay - shift
-        self._gain, self._bias = gain, bias
+    def __init__(self, channel: Channel, gain: float, bias: float, late: float) -> None:
+        spline = _spline(channel.t.tobytes(), channel.values.tobytes(), channel.knots)
+        t, width = spline.x, len(spline.c)
+        self._rows = np.zeros((len(t) + 1, 1 + width))
+        self._rows[:, 0] = np.append(t[0] - 1.0, t) + late
+        self._rows[1:-1, 1:] = gain * spline.c[::-1].T
+        self._rows[[0, -1], 1] = gain * channel.values[0], gain * float(spline(t[-1]))
+        self._rows[:, 1] += bias
 
-    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
-        """Add angle, speed and acceleration to the loads of steps, see `scene.loads.Term`."""
-        at = 0.5 * step * np.arange(2 * first, 2 * (first + len(loads)) + 1) - self._late
-        inside = (self._ends[0] <= at) & (at <= self._ends[1])
-        motion = self._gain * np.stack([
-            self._spline(np.clip(at, *self._ends), order) * (inside if order else 1.0)
-            for order in range(3)], axis=-1)
-        motion[:, 0] += self._bias
-        for row, values in enumerate((motion[:-2:2], motion[1::2], motion[2::2], motion[2::2])):
-            loads[:, row, column:column + 3] += values
+    def rows(self, step: float) -> np.ndarray:
+        """Return times and polynomials, see `scene.loads.Drive`."""
+        return np.column_stack([on_boundaries(self._rows[:, 0], step), self._rows[:, 1:]])
 
 
 def sensor_of(values: Mapping[str, float], quantity: str) -> list[float]:
@@ -240,12 +202,15 @@ def loads_of(record: Record, scene: Scene, values: Mapping[str, float],
     for name, channel in record.inputs.items():
         gain, bias, delay, _ = sensor_of(values, name)
         if name == DRIVE:
-            drive = Driven(channel, gain, bias, delay, shift)
+            drive = Driven(channel, gain, bias, delay - shift)
             continue
         if name == 'voltage':
             constant = motor_constants(scene.values)[0]
             gain, bias, name = constant * gain, constant * bias, 'torque'
-        terms.setdefault(name, []).append(sampled(channel, gain, bias, delay, shift))
+        t, shown = channel.t + (delay - shift), gain * channel.values + bias
+        if channel.hold == 'zero':  # a table that jumps, also inside a step
+            t, shown = np.repeat(t, 2)[1:], np.repeat(shown, 2)[:-1]
+        terms.setdefault(name, []).append(Table(t, shown))
     return Load({name: tuple(found) for name, found in terms.items()}, drive)
 
 
@@ -286,22 +251,23 @@ def _ramp(channel, rate):
 
 @functools.lru_cache(maxsize=4)
 def _spline(t, angle, knots):
+    """Return a spline through samples, or near them with knots so far apart, as a PPoly."""
     t, angle = np.frombuffer(t), np.frombuffer(angle)
-    if not knots:
-        return make_interp_spline(t, angle, _DEGREE)
-    count = max(1.0, np.rint((t[-1] - t[0]) / knots))
+    count = max(1, round((t[-1] - t[0]) / knots)) if knots else 0
     try:
         if count + _DEGREE > len(t):
             raise ValueError
-        ends, inner = np.ones(_DEGREE), np.linspace(t[0], t[-1], int(count) + 1)
-        found = make_lsq_spline(
-            t, angle, np.concatenate([inner[0] * ends, inner, inner[-1] * ends]), _DEGREE)
+        inner = np.pad(np.linspace(t[0], t[-1], count + 1), _DEGREE, 'edge')
+        found = (make_lsq_spline(t, angle, inner, _DEGREE) if knots
+                 else make_interp_spline(t, angle, _DEGREE))
         if not np.isfinite(found.c).all():
             raise ValueError
-        return found
     except (ValueError, np.linalg.LinAlgError):
         raise ParameterError(f'knots of {DRIVE} must be further apart than its samples, also '
                              f'where these have gaps, got {knots:g} s') from None
+    pieces = PPoly.from_spline(found)
+    wide = np.diff(pieces.x) > 0.0  # knots at the ends are repeated
+    return PPoly(pieces.c[:, wide], np.append(pieces.x[:-1][wide], pieces.x[-1]))
 
 
 _AT_STEP = 1e-6  # [steps] distance from a step within which a sample is taken at it

@@ -26,8 +26,7 @@ from timo_sim.model.functions import (
 from timo_sim.model.layout import (
     ACCELERATION, AFTER, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MIDDLE, SPEED, START,
     STEP_LOADS, TORQUE)
-from timo_sim.steps.loads import (
-    begin_lines, of_commands, of_drive, of_harmonic, of_piecewise, of_table, POINT)
+from timo_sim.steps.loads import begin_lines, of_commands, of_scene
 
 
 class Code(IntEnum):
@@ -103,23 +102,6 @@ class Plant(NamedTuple):
     first_load: Annotated[np.ndarray, LOADS]  # the scene's own at its beginning
 
 
-class SceneLoads(NamedTuple):
-    """
-    Loads of a scene over time; rows as `steps.loads` takes them, with their columns of a load.
-
-    The jumps and knots of a term are those from its first to before its last, which follow its
-    column in `pieces` or `tables`.
-    """
-
-    step: float  # [s]
-    harmonics: Annotated[np.ndarray, 'harmonics', 4]  # column, amplitude, frequency, phase
-    pieces: Annotated[np.ndarray, 'pieces', 3]
-    jumps: Annotated[np.ndarray, 'jumps', 2]
-    tables: Annotated[np.ndarray, 'tables', 3]
-    knots: Annotated[np.ndarray, 'knots', 2]
-    drive: Annotated[np.ndarray, 'points', POINT]
-
-
 @entry_point(plant=Constants(), actuators=Constants(), instance=Constants())
 def reset(plant, actuators, instance):
     """Return to the start; commands are 0."""
@@ -191,24 +173,13 @@ def is_valid(tables, instance):
              inputs=Array((LOADS,)))
 def prepare(loads, actuators, instance, inputs):
     """Write the loads of the next step under commands; keep the state."""
-    step, number, out = loads.step, instance.mark[STEPS], instance.loads
+    number, out = instance.mark[STEPS], instance.loads
     for row in range(STEP_LOADS):
         for column in range(LOADS):
             out[0, row, column] = 0.0
-    rows = loads.harmonics
-    for i in range(len(rows)):
-        of_harmonic(int(rows[i, 0]), rows[i, 1], rows[i, 2], rows[i, 3], step, number, 1, out,
-                    instance.sines)
-    rows = loads.pieces
-    for i in range(len(rows)):
-        of_piecewise(int(rows[i, 0]), loads.jumps, int(rows[i, 1]), int(rows[i, 2]), number, 1,
-                     out)
-    rows = loads.tables
-    for i in range(len(rows)):
-        of_table(int(rows[i, 0]), loads.knots, int(rows[i, 1]), int(rows[i, 2]), step, number, 1,
-                 out)
-    if len(loads.drive):
-        of_drive(loads.drive, len(loads.drive), step, number, 1, out)
+    of_scene(loads.step, loads.harmonics, len(loads.harmonics), loads.pieces, len(loads.pieces),
+             loads.jumps, loads.tables, len(loads.tables), loads.knots, loads.drive,
+             len(loads.drive), number, 1, out, instance.sines)
     of_commands(actuators, inputs, number, 1, out)
     for k in range(len(instance.state)):
         instance.before[k] = instance.state[k]

@@ -39,11 +39,11 @@ def entries() -> list[tuple[Any, tuple[type, ...]]]:
     found.append((derivatives.differentiate,
                   (exact_code.Tables, etdrk4.Propagator, derivatives.Inputs)))
     actuators = loads.Actuators, instance.Instance
-    found += [(entry, ()) for entry in loads.TERMS]
+    found.append((loads.add_scene_loads, ()))
     found += [(entry, (loads.Actuators,)) for entry in (
         loads.add_commands, loads.restart, instance.get_parameter)]
     found += [(entry, own) for entry in (instance.finish, instance.set_outputs)]
-    found += [(instance.prepare, (instance.SceneLoads, *actuators)),
+    found += [(instance.prepare, (loads.SceneLoads, *actuators)),
               (instance.reset, (instance.Plant, *actuators))]
     found += [(entry, actuators) for entry in (
         instance.set_parameter, instance.get_state, instance.set_state)]
