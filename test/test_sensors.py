@@ -63,11 +63,13 @@ def test_acceleration_depends_on_the_load_at_once():
     simulator = Simulator(scene)
     simulator.advance(100)
     force = np.array([3.0, -2.0])
-    state = simulator.model.state(simulator.motion.values)
+    motion = simulator.motion.values[np.newaxis]
+    state = simulator.model.state(motion)
     push = simulator.load.copy()
     push[5:7] = force
-    before, pushed, twice = (simulator.integration.tip_acceleration(state, load) for load in (
-        simulator.load, push, 2.0 * push))
+    before, pushed, twice = (
+        simulator.model.accelerations(motion, state, load[np.newaxis])[1][0]
+        for load in (simulator.load, push, 2.0 * push))
     assert twice - before == pytest.approx(2.0 * (pushed - before), rel=1e-8)
     assert (pushed - before) @ force > 0.0
 

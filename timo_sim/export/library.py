@@ -72,8 +72,8 @@ class _Model:
         outputs = steps.MODAL + 2 * len(model.modes) + 1
         self.instance = pack(Instance._make([
             np.zeros(5), *3 * [np.zeros(LOADS)], *2 * [np.zeros(4)], *2 * [np.zeros(1)],
-            *3 * [np.zeros(len(model.linear))], np.zeros((1, STEP_LOADS, LOADS)),
-            np.zeros(WIDTH), *4 * [np.zeros(model.size)], *2 * [np.zeros(3)],
+            *2 * [np.zeros(len(model.linear))], np.zeros((1, STEP_LOADS, LOADS)),
+            np.zeros(WIDTH), *2 * [np.zeros(model.size)], *2 * [np.zeros(3)],
             np.zeros(outputs)]))
         self.tables, self.propagator = (
             [each[k] for each in parts] for k in range(2))
@@ -219,7 +219,7 @@ class _Body:
 
     def advance(self, model, instance, count, every):
         fields = {name: self.field(model, instance, name) for name in (
-            'state', 'load', 'loads', 'motion', 'remainder', 'friction', 'heat')}
+            'state', 'load', 'loads', 'motion', 'friction', 'heat')}
         if model.joints:
             joints = self.at(instance, model.place_of_joints)
             return self.call(
@@ -231,7 +231,7 @@ class _Body:
         return self.call(
             model, advance, self.constants_of_step(model, instance), fields['state'],
             fields['load'], fields['loads'], self.word(count), self.word(every), self.word(0),
-            fields['motion'], fields['remainder'])
+            fields['motion'])
 
     def step_of(self, model):
         """Define the function that does one step of a model under commands."""

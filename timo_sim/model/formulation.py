@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
-from timo_sim.model.functions import efforts, energies, rate_once, tip_once
+from timo_sim.model.functions import (
+    accelerations_of, efforts, energies, Flow, rate_once, tip_once)
 from timo_sim.model.layout import LOADS, rotate
 from timo_sim.model.modes import AxialModes, Modes, modes_of
 
@@ -155,7 +156,7 @@ class Formulation(ABC):
 
     @abstractmethod
     def state(self, motion: np.ndarray) -> np.ndarray:
-        """Return the state that belongs to a motion, shape (m,)."""
+        """Return the states that belong to motions, (..., 2 (3 + N)), shape (..., m)."""
 
     def effort(self, motions: np.ndarray, accelerations: np.ndarray,
                loads: np.ndarray) -> np.ndarray:
@@ -219,6 +220,23 @@ class Formulation(ABC):
         rate = np.empty(len(state))
         rate_once(self.packed, state, load, rate)
         return self.linear @ state + rate
+
+    @cached_property
+    def _accelerations(self):
+        return accelerations_of.of(self.packed, pack(Flow(self.linear, self.points.rotation)))
+
+    def accelerations(self, motions: np.ndarray, states: np.ndarray,
+                      loads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return accelerations of coordinates, (n, 3 + N), and of the tip in world axes, (n, 2).
+
+        For n motions with their states and loads that act; see `functions.accelerate`.
+        """
+        count = len(motions)
+        found, tip = np.empty((count, self.size // 2)), np.empty((count, 2))
+        self._accelerations(*map(np.ascontiguousarray, (motions, states, loads)), count, found,
+                            tip)
+        return found, tip
 
     @cached_property
     def tip_point(self) -> Points:

@@ -159,10 +159,10 @@ class Newton(Formulation):
         return tables, linear
 
     def state(self, motion: np.ndarray) -> np.ndarray:
-        """Return the state that belongs to a motion."""
+        """Return the states that belong to motions, shape (..., m)."""
         half = self.size // 2
         free = np.concatenate([self.axes, np.arange(2 + self.driven, half)])
-        return np.concatenate([motion[free], motion[half + free]])
+        return motion[..., np.concatenate([free, half + free])]
 
     @cached_property
     def force_tables(self) -> Packed:

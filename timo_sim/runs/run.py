@@ -27,7 +27,7 @@ from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, MotionFields, TORQUE
 from timo_sim.scene.files import html_table
 from timo_sim.scene.parameters import PARAMETERS, warn
 from timo_sim.scene.scene import Scene
-from timo_sim.simulation.energy import dissipated
+from timo_sim.simulation.energy import integral
 from timo_sim.simulation.loads import pieces
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import applied, joints_of_run, Snapshot
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     import pandas
 
 
+_MAX_DIFFERENCE = 1e-3  # relative, of integrals by all and by every second sample
 _BLOCK = 1024     # samples whose loads are worked out at once
 _REPORTED = 1024  # steps from one report to the next
 
@@ -146,8 +147,19 @@ class Run(MotionFields):
         This is not possible for a run with commands or resets: its samples alone are integrated,
         with a ModelWarning if they are too far apart for a relative error of 1e-3.
         """
-        taken, doubt = dissipated(self.scene, self.t, self.motion)
-        if doubt:
+        power, steps = self.model.dissipation(self.motion), np.rint(self.t / self.scene.step)
+        every = int(steps[-1]) // max(len(steps) - 1, 1)
+        if every > 1 and power.any():
+            try:
+                dense = run_scene(self.scene, every * (len(steps) - 1))
+            except DivergenceError as error:
+                dense = error.run
+            if np.array_equal(dense.motion[::every], self.motion):
+                return dense.dissipated()[::every]
+        taken, coarse = (np.append(0.0, np.cumsum(integral(1e9 * self.t[::k], power[::k])))
+                         for k in (1, 2))
+        if np.diff(steps).max(initial=1.0) > 1.0 and (
+                np.abs(taken[::2] - coarse).max() > _MAX_DIFFERENCE * taken.max()):
             warn('the dissipated energy is not accurate, because samples are too far apart and '
                  'the run cannot be simulated again: take more samples')
         return taken
@@ -195,6 +207,14 @@ class Run(MotionFields):
     def root_strain(self) -> np.ndarray:
         """Return the strain of the outer fibre at the root, (n,); raises as `root_moment`."""
         return self._of_joints('root_strain')
+
+    def tip_acceleration(self) -> np.ndarray:
+        """
+        Return specific force at the tip, acceleration less gravity, in its axes, (n, 2) [m/s2].
+
+        It is what an accelerometer shows; raises as `root_moment`.
+        """
+        return self._of_joints('tip_acceleration')
 
     @cached_property
     def _joints(self):

@@ -131,42 +131,6 @@ def _phi(z, doublings):
     return np.array(found[:2])
 
 
-_TURN = 1e-5  # largest turn of a section between a motion and those of `flow` [rad]
-
-
-def flow(model: Formulation, state: np.ndarray, rate: np.ndarray, load: np.ndarray,
-         observe: Callable[[np.ndarray, np.ndarray], np.ndarray],
-         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """
-    Return motions just before and after states, and half the time between them.
-
-    Their difference over that time is a rate of the motion, such as an acceleration. States and
-    drives are extrapolated linearly.
-
-    Parameters
-    ----------
-    model : Formulation
-    state, rate, load : ndarray, shapes (..., k, m), (..., k, m), (..., k, LOADS)
-    observe : function(ndarray, ndarray) -> ndarray
-        Takes states and loads, and returns the motions, (..., k, 2 (3 + N)).
-
-    Returns
-    -------
-    before, after : ndarray, shape (..., k, 2 (3 + N))
-    half_time : ndarray, shape (..., k)
-        [s]
-
-    """
-    drift, half = np.zeros_like(load), model.size // 2
-    drift[..., ANGLE], drift[..., SPEED] = load[..., SPEED], load[..., ACCELERATION]
-    speed = observe(state, load)[..., half + 2:]
-    turning = np.abs(speed[..., :1] + speed[..., 1:] @ model.points.rotation).max(axis=-1)
-    half_time = _TURN / (_TURN + turning)
-    by_rate, by_drift = half_time[..., np.newaxis] * rate, half_time[..., np.newaxis] * drift
-    return (observe(state - by_rate, load - by_drift), observe(state + by_rate, load + by_drift),
-            half_time)
-
-
 @inner
 def copy(vector, out):
     for i in range(min(len(vector), len(out))):
@@ -250,10 +214,8 @@ def one_step(tables, propagator, start, middle, end, work):
 
 @entry_point(tables=Constants(), propagator=Constants(), state=Array(('state',)),
              load=Array((LOADS,)), loads=Array((None, STEP_LOADS, LOADS)), count=int,
-             sample_every=int, since=int, samples=Array((None, 'motion')),
-             remainder=Array(('state',)))
-def advance(tables, propagator, state, load, loads, count, sample_every, since, samples,
-            remainder):
+             sample_every=int, since=int, samples=Array((None, 'motion')))
+def advance(tables, propagator, state, load, loads, count, sample_every, since, samples):
     """
     Integrate over some equal steps, as long as the linear part of the tables is valid.
 
@@ -279,8 +241,6 @@ def advance(tables, propagator, state, load, loads, count, sample_every, since, 
         Steps since the first sample.
     samples : ndarray, shape (n, 2 (3 + N))
         Receives the motions `sample_every`, 2 `sample_every`, ... steps after the first sample.
-    remainder : ndarray, shape (m,)
-        Receives n at the start of the last step that was done.
 
     Returns
     -------
@@ -303,7 +263,6 @@ def advance(tables, propagator, state, load, loads, count, sample_every, since, 
         one_step(tables, propagator, start, middle, end, work)
         if not is_finite(following):
             break
-        copy(work.rate_0, remainder)
         copy(following, now)
         load = loads[k, AFTER]
         k += 1

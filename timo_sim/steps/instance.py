@@ -22,7 +22,7 @@ from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
     Array, Constants, floor, inner, local, magnitude, square_root, strict, WIDTH)
 from timo_sim.model.functions import (
-    effort, energy, linear_part_is_valid, observe, rate, sincos, tanh, tip, tip_rate)
+    accelerate, effort, energy, linear_part_is_valid, sincos, tanh)
 from timo_sim.model.layout import (
     ACCELERATION, AFTER, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MIDDLE, SPEED, START,
     STEP_LOADS, TORQUE)
@@ -68,13 +68,10 @@ class Instance(NamedTuple):
     error: Annotated[np.ndarray, 1]       # estimated error of the tip [m]
     state: Annotated[np.ndarray, 'state']
     before: Annotated[np.ndarray, 'state']     # the state before the last step
-    remainder: Annotated[np.ndarray, 'state']  # room for a step
     loads: Annotated[np.ndarray, 1, STEP_LOADS, LOADS]  # those of a step
     sines: Annotated[np.ndarray, WIDTH]    # room for those of loads
     motion: Annotated[np.ndarray, 'motion']
     accelerations: Annotated[np.ndarray, 'motion']  # 3 + N of them
-    early: Annotated[np.ndarray, 'motion']  # shortly before and after now
-    late: Annotated[np.ndarray, 'motion']
     tip: Annotated[np.ndarray, 3]    # of `model.functions.tip`
     place: Annotated[np.ndarray, 3]  # tip in world axes [m], rotation of the end effector [rad]
     outputs: Annotated[np.ndarray, 'outputs']
@@ -237,9 +234,6 @@ def lose(instance):
     return _OK
 
 
-# Rates and forces are differences of motions shortly before and after now, as in `etdrk4.flow`.
-
-_TURN = 1e-4  # largest turn of a section between now and then [rad]
 # Numbers of the first output of rates and forces, and of the first one of a modal coordinate.
 FORCES, MODAL = 13, 20
 
@@ -253,56 +247,12 @@ def set_rates(tables, plant, instance):
     load[FORCE_X] += instance.friction[0]
     load[FORCE_Y] += instance.friction[1]
     load[TORQUE] += instance.friction[2]
-    half, size = len(motion) // 2, plant.linear.shape[0]
-    slope, moved = local((plant.linear,)), local((plant.linear,))
-    rate(tables, state, load, slope)
-    for i in range(size):
-        for j in range(size):
-            slope[i] += plant.linear[i, j] * state[j]
-    turning = 0.0
-    for p in range(plant.points_rotation.shape[1]):
-        here = motion[half + 2]
-        for n in range(plant.points_rotation.shape[0]):
-            here += plant.points_rotation[n, p] * motion[half + 3 + n]
-        turning = max(turning, magnitude(here))
-    time = _TURN / (_TURN + turning)
-    drift = instance.loads[0, START]
-    for k in range(2):
-        sign = time if k else -time
-        for i in range(size):
-            moved[i] = state[i] + sign * slope[i]
-        for column in range(LOADS):
-            drift[column] = load[column]
-        drift[ANGLE] += sign * load[SPEED]
-        drift[SPEED] += sign * load[ACCELERATION]
-        if k:
-            observe(tables, moved, drift, instance.late)
-        else:
-            observe(tables, moved, drift, instance.early)
-    for k in range(half):
-        instance.accelerations[k] = (instance.late[half + k] - instance.early[half + k]) / (
-            2.0 * time)
-    before_x, before_y = _tip_speed(tables, instance, instance.early)
-    after_x, after_y = _tip_speed(tables, instance, instance.late)
-    x = (after_x - before_x) / (2.0 * time) - plant.gravity[0]
-    y = (after_y - before_y) / (2.0 * time) - plant.gravity[1]
+    x, y = accelerate(tables, plant, motion, state, load, instance.accelerations)
+    x, y = x - plant.gravity[0], y - plant.gravity[1]
     sine, cosine = sincos(instance.place[2])
     instance.outputs[13] = cosine * x + sine * y
     instance.outputs[14] = cosine * y - sine * x
     return _OK
-
-
-@inner
-def _tip_speed(tables, instance, motion):
-    """Return the velocity of the tip in world axes."""
-    half, place, speed = len(motion) // 2, instance.loads[0, START], instance.loads[0, MIDDLE]
-    tip(tables, motion, place)
-    tip_rate(tables, motion, speed)
-    along = speed[0] - motion[half + 2] * place[1]
-    across = speed[1] + motion[half + 2] * place[0]
-    sine, cosine = sincos(motion[2])
-    return (motion[half] + (cosine * along - sine * across),
-            motion[half + 1] + (sine * along + cosine * across))
 
 
 @entry_point(tables=Constants(), plant=Constants(), instance=Constants())

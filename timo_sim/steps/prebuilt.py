@@ -30,6 +30,7 @@ def entries() -> list[tuple[Any, tuple[type, ...]]]:
         step, own = (tables, etdrk4.Propagator), (instance.Plant, instance.Instance)
         found += [
             (functions.rate_once, (tables,)), (functions.tip_once, (tables,)),
+            (functions.accelerations_of, (tables, functions.Flow)),
             (functions.efforts, (forces,)), (functions.energies, (forces,)),
             (etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
             (instance.is_valid, (tables, instance.Instance)),
