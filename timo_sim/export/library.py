@@ -64,7 +64,7 @@ class _Model:
         self.actuators = Actuators(scene.values).packed
         # In memory actuators and dry friction, with its rooms, follow the instance.
         self.joints = getattr(simulator.integration, 'joints', None)
-        self.own, self.forces = model.packed, model.force_tables
+        self.own = model.packed
         # What steps are differentiated by, if they are.
         unit = unit_loads_of(scene.values, [each.column for each in interface.inputs])
         self.inputs = None if why_not_differentiable(scene) else pack(
@@ -280,7 +280,7 @@ class _Body:
             self.call(own, steps.set_outputs, rest)
         with builder.if_then(self.equal(stage, 2)):
             self.call(own, steps.set_rates, [(own.own, self.data(own.own)), *rest])
-            self.call(own, steps.set_forces, [(own.forces, self.data(own.forces)), *rest])
+            self.call(own, steps.set_forces, [(own.own, self.data(own.own)), *rest])
         builder.ret(self.word(0))
 
     # The functions of the interface.

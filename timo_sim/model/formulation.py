@@ -117,11 +117,6 @@ class Formulation(ABC):
         self.tables, self.linear = self.build()
         self._linear_parts: dict[float, dict[int | None, Any]] = {}
 
-    @property
-    def force_tables(self) -> Packed:
-        """Constants of the compiled functions `effort` and `energy`."""
-        return self.packed
-
     def linear_parts(self, step: float) -> dict[int | None, Any]:
         """Return the dict in which all `Steps` of a length [s] share their linear parts."""
         return self._linear_parts.setdefault(step, {})
@@ -172,7 +167,7 @@ class Formulation(ABC):
         specific, acting, effort = (np.empty((count, size)) for size in (self.size // 2, LOADS, 3))
         specific[:], acting[:] = accelerations, loads
         specific[:, :2] -= self.gravity  # held in gravity is the same as accelerated against it
-        efforts(self.force_tables, np.ascontiguousarray(motions, dtype=float), specific, acting,
+        efforts(self.packed, np.ascontiguousarray(motions, dtype=float), specific, acting,
                 count, effort)
         return effort
 
@@ -325,7 +320,7 @@ class Formulation(ABC):
         It is kinetic and strain energy, and the potential of gravity, which is 0 at the origin.
         """
         energy = np.empty(len(motions))
-        energies(self.force_tables, np.ascontiguousarray(motions, dtype=float), self.gravity,
+        energies(self.packed, np.ascontiguousarray(motions, dtype=float), self.gravity,
                  len(motions), energy)
         return energy
 

@@ -104,14 +104,14 @@ def effort(tables, motion, accelerations, load, out):
     """
     Write the force on the carrier and torque on the shaft that accelerations need (T44).
 
-    `tables` are those of `Formulation.force_tables`, `accelerations`, (3 + N,), are less gravity;
-    of the load those on tip and arm are used. `out`, (3,), is in world axes [N], then [N m].
+    `accelerations`, (3 + N,), are less gravity; of the load those on tip and arm are used. `out`,
+    (3,), is in world axes [N], then [N m].
     """
 
 
 @declare
 def energy(tables, motion, gravity):
-    """Return the energy [J], see `Formulation.energy`; `tables` as in `effort`."""
+    """Return the energy [J], see `Formulation.energy`."""
 
 
 class Flow(NamedTuple):

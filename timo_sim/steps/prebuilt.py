@@ -25,16 +25,15 @@ def entries() -> list[tuple[Any, tuple[type, ...]]]:
     found: list[tuple[Any, tuple[type, ...]]] = [
         (entry, (modes.UniformArm,))
         for entry in (modes.bisect, modes.boundary_conditions, modes.fields)]
-    for tables, forces in ((exact_code.Tables, exact_code.Tables),
-                           (newton.Tables, newton.Forces)):
+    for tables in (exact_code.Tables, newton.Tables):
         step, own = (tables, etdrk4.Propagator), (instance.Plant, instance.Instance)
         found += [
             (functions.rate_once, (tables,)), (functions.tip_once, (tables,)),
             (functions.accelerations_of, (tables, functions.Flow)),
-            (functions.efforts, (forces,)), (functions.energies, (forces,)),
+            (functions.efforts, (tables,)), (functions.energies, (tables,)),
             (etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
             (instance.is_valid, (tables, instance.Instance)),
-            (instance.set_rates, (tables, *own)), (instance.set_forces, (forces, *own))]
+            (instance.set_rates, (tables, *own)), (instance.set_forces, (tables, *own))]
         found += [(entry, (*step, lanes.LaneConstants))
                   for entry in (lanes.advance_alike, lanes.advance_each)]
     found.append((derivatives.differentiate,
