@@ -409,18 +409,9 @@ def clamped_ratios(model: Formulation, ratios: ArrayLike) -> np.ndarray:
     mass and frequency Omega_k. Damping of the n-th clamped mode adds `2 zeta_n omega_n x_n^2` to
     `2 zeta_k Omega_k`. This gives as many equations as modes, right to first order in the ratios.
 
-    Parameters
-    ----------
-    model : Formulation
-        Its own damping is not used.
-    ratios : float or ndarray, shape (N,)
-        Stated ratios of the manipulator's vibrations, by ascending frequency.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        An entry is negative if no positive damping of the clamped modes gives these ratios.
-
+    The ratios are a float or (N,), by ascending frequency of the manipulator's vibrations; damping
+    of the model itself is not used. An entry of the result, (N,), is negative if no positive
+    damping of the clamped modes gives these ratios.
     """
     half, omega = len(model.linear) // 2, model.modes.omega
     squares, shapes = np.linalg.eig(-model.linear[:half, half:] @ model.linear[half:, :half])

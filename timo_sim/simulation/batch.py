@@ -255,26 +255,10 @@ class Batch:
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """
-        Advance under constant commands; the scenes' own loads act as well.
+        Advance under constant commands as `Simulator.step` does, with its ParameterErrors.
 
-        Parameters
-        ----------
-        duration : float, optional
-            [s], a whole multiple of the time step; by default one step.
-        **commands : float or array_like, shape (n,), (2,) or (n, 2)
-            Those of `Simulator.step`, for all or for each.
-
-        Returns
-        -------
-        Motion
-            At the end.
-
-        Raises
-        ------
-        ParameterError
-            If a command is unknown, is not finite or has another shape, or the duration does not
-            fit the step.
-
+        Commands are for all or for each: float or array_like, shape (n,), (2,) or (n, 2). Returns
+        the Motion at the end.
         """
         commanded = commanded_load(self._needed, (self.n,), **commands)
         self.advance(1 if duration is None else steps_in(duration, self.scenes[0].step), commanded)
@@ -283,22 +267,10 @@ class Batch:
     def advance(self, count: int, commanded: np.ndarray | None = None,
                 sample_every: int = 0) -> np.ndarray:
         """
-        Advance by some steps.
+        Advance by `count` steps; return motions, (n, 1 + count // sample_every, 2 (3 + N)).
 
-        Parameters
-        ----------
-        count : int
-            Number of steps.
-        commanded : ndarray, shape (n, LOADS) or (LOADS,), optional
-            Commands during all of them, see `model.layout`.
-        sample_every : int
-            Steps between samples; 0: none are taken.
-
-        Returns
-        -------
-        ndarray, shape (n, 1 + count // sample_every, 2 (3 + N))
-            Motions at the start and after each `sample_every` steps; with sample_every = 0 empty.
-
+        `commanded`, (n, LOADS) or (LOADS,), are commands during all of them, see `model.layout`.
+        The motions are those at the start and after each `sample_every` steps; with 0 none.
         """
         if not (type(count) is type(sample_every) is int and min(count, sample_every) >= 0):
             count, sample_every = COUNT.check(count), SAMPLE_EVERY.check(sample_every)

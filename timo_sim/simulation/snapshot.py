@@ -128,14 +128,7 @@ _EXACT = 2.0**53  # number of resolutions from which on a float is coarser than 
 
 
 class Sensors:
-    """
-    The sensors at one step, by name: a float, or an array for a sensor of several axes.
-
-    Parameters
-    ----------
-    snapshot : Snapshot
-
-    """
+    """The sensors at one step, by name: a float, or an array for a sensor of several axes."""
 
     def __init__(self, snapshot: Snapshot) -> None:
         self._snapshot = snapshot
@@ -153,27 +146,10 @@ class Sensors:
 def reading(values: Mapping[str, Any], name: str, number: int, step: int,
             quantities: Sequence[float]) -> tuple[float, ...]:
     """
-    Return the reading of a sensor for the true quantities.
+    Return the reading of a sensor at a step for the true quantities, a float for each axis.
 
     The noise is a function of seed, sensor, axis and time step alone; other measurements do not
-    change it.
-
-    Parameters
-    ----------
-    values : dict
-        The scene's parameters, `sensor.gyro.noise` and so on.
-    name : str
-    number : int
-        Position of the sensor in `SENSORS`.
-    step : int
-        Number of the time step.
-    quantities : tuple of float
-        True value on each axis, in the unit of the sensor.
-
-    Returns
-    -------
-    tuple of float
-
+    change it. `values` are the scene's parameters, `number` is the sensor's position in `SENSORS`.
     """
     noise, bias, resolution = (values[f'sensor.{name}.{kind}']
                                for kind in ('noise', 'bias', 'resolution'))
@@ -212,29 +188,11 @@ _SENSORS = {sensor.name: (number, sensor) for number, sensor in enumerate(SENSOR
 
 class Snapshot:
     """
-    The motion at one step; costly quantities are computed on demand.
+    The motion, (2 (3 + N),), at one step; costly quantities are computed on demand.
 
-    Parameters
-    ----------
-    scene : Scene
-    model : Formulation
-    step, nanoseconds : int
-        Number of the step, and sim time [ns].
-    motion : ndarray, shape (2 (3 + N),)
-        See `model.layout`.
-    load : list of float, length LOADS
-        Load at the end of the last step, see `model.layout`.
-    acts : tuple of ndarray (m,) and ndarray (LOADS,), optional
-        The state and the load that acts, friction included. Accelerations, strains and forces of
-        constraints need it; without it `effort` is that of the load.
-
-    Attributes
-    ----------
-    model, step, nanoseconds, motion
-        As given.
-    time : tuple of int
-        Sim time in [s] and [ns].
-
+    `load` is that at the end of the last step, LOADS floats. `acts` are the state, (m,), and the
+    load that acts, (LOADS,), friction included. Accelerations, strains and forces of constraints
+    need it; without it `effort` is that of the load. `time` is sim time in [s] and [ns].
     """
 
     def __init__(self, scene: Scene, model: Formulation, step: int, nanoseconds: int,

@@ -13,7 +13,6 @@ For `y' = L y + n(y, t)`, with the stiff constant part L propagated exactly. Sou
 Matthews, J. Comput. Phys. 176 (2002) 430-455, eqs. (26)-(29); doc/theory.md (T36).
 """
 
-from collections.abc import Callable
 import math
 from typing import Annotated, NamedTuple
 
@@ -23,10 +22,8 @@ from scipy.linalg.lapack import dgebal
 from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, as_vectors, Constants, inner, strict
-from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import linear_part_is_valid, observe, rate
-from timo_sim.model.layout import (
-    ACCELERATION, AFTER, ANGLE, END, LOADS, MIDDLE, SPEED, START, STEP_LOADS)
+from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
 
 
 class Propagator(NamedTuple):
@@ -102,16 +99,7 @@ def _phi(z, doublings):
     by `2^k phi_k(2 z) = phi_0(z) phi_k(z) + sum_j phi_j(z) / (k - j)!`, j = 1..k. Source:
     Skaflestad and Wright, Appl. Numer. Math. 59 (2009) 783-799.
 
-    Parameters
-    ----------
-    z : ndarray, shape (n, m, m)
-        Of a norm up to `_NORM`.
-    doublings : int
-
-    Returns
-    -------
-    ndarray, shape (2, 4, n, m, m)
-
+    `z`, (n, m, m), have norms up to `_NORM`; the shape of the result is (2, 4, n, m, m).
     """
     one = np.eye(z.shape[-1])
     diagonal = np.arange(len(one))
@@ -217,37 +205,16 @@ def one_step(tables, propagator, start, middle, end, work):
              sample_every=int, since=int, samples=Array((None, 'motion')))
 def advance(tables, propagator, state, load, loads, count, sample_every, since, samples):
     """
-    Integrate over some equal steps, as long as the linear part of the tables is valid.
+    Integrate over `count` equal steps, as long as the linear part of the tables is valid.
 
-    Parameters
-    ----------
-    tables : packed constants
-        Constants of the formulation; their kind selects its functions.
-    propagator : packed constants
-        The matrices of the step.
-    state : ndarray, shape (m,)
-        Advanced in place.
-    load : ndarray, shape (LOADS,)
-        Load at the start, for the first sample.
-    loads : ndarray, shape (steps, 4, LOADS)
-        Load of each step at its start, middle and end, as the step itself sees it: of a jump on
-        the boundary between two steps each sees its own side, and changes inside a step enter by
-        their moments (T37). Then the true load at the end of the step, which samples show.
-    count : int
-        Number of steps.
-    sample_every : int
-        Steps between samples; 0: none are taken.
-    since : int
-        Steps since the first sample.
-    samples : ndarray, shape (n, 2 (3 + N))
-        Receives the motions `sample_every`, 2 `sample_every`, ... steps after the first sample.
+    `tables` are the constants of a formulation; their kind selects its functions. `state` is
+    advanced in place, `load` is that at the start. `loads` has for each step those that its stages
+    see, (T37), then the true load at its end, which samples show, see `model.layout`. `samples`
+    receive the motions `sample_every`, 2 `sample_every`, ... steps after the first sample, which
+    was `since` steps ago; with `sample_every` = 0 none.
 
-    Returns
-    -------
-    int
-        Steps done; fewer than given if the state is no longer finite, or the linear part is not
-        the one for it.
-
+    Return the steps done; they are fewer if the state is no longer finite, or the linear part is
+    not the one for it.
     """
     work = local_arrays(Work, propagator)
     now, following = work.now, work.following

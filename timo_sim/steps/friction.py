@@ -319,16 +319,8 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
     """
     Integrate over a run of equal steps with friction, as `etdrk4.advance` does without.
 
-    Parameters
-    ----------
-    joints : packed constants
-        Of `Joints`.
-    memory : ndarray, shape (4,)
-        Friction on carrier x, y [N] and shaft [N m] at the end of the last step; its heat [J].
-        Advanced in place.
-    heat : ndarray, shape (n,)
-        Receives the heat with each sample; see `etdrk4.advance` for the others.
-
+    `memory` is advanced in place: friction on carrier x, y [N] and shaft [N m] at the end of the
+    last step; its heat [J]. `heat` receives that with each sample.
     """
     work, trial = local_arrays(Work, propagator), local_arrays(Trial, joints)
     now, following, model = work.now, work.following, local_arrays(StepModel, joints)

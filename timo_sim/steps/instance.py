@@ -20,12 +20,11 @@ import numpy as np
 
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
-    Array, Constants, floor, inner, local, magnitude, square_root, strict, WIDTH)
+    Array, Constants, floor, square_root, strict, WIDTH)
 from timo_sim.model.functions import (
     accelerate, effort, energy, linear_part_is_valid, sincos, tanh)
 from timo_sim.model.layout import (
-    ACCELERATION, AFTER, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MIDDLE, SPEED, START,
-    STEP_LOADS, TORQUE)
+    AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, START, STEP_LOADS, TORQUE)
 from timo_sim.steps.loads import begin_lines, of_commands, of_scene
 
 

@@ -86,26 +86,11 @@ class Steps:
     def advance(self, state: np.ndarray, load: np.ndarray, loads: np.ndarray, samples: Samples,
                 since: int = 0) -> int:
         """
-        Integrate over equal steps.
+        Integrate over the steps of `loads`, (count, 4, LOADS), see `model.layout`.
 
-        Parameters
-        ----------
-        state : ndarray, shape (m,)
-            Advanced in place.
-        load : ndarray, shape (LOADS,)
-            Load at the start.
-        loads : ndarray, shape (count, 4, LOADS)
-            Loads of the steps, see `model.layout`.
-        samples : Samples
-            Receive those of these steps.
-        since : int
-            Number of steps from the first sample to these steps.
-
-        Returns
-        -------
-        int
-            Steps done; fewer than `count` if the state is no longer finite.
-
+        The state, (m,), is advanced in place, `load`, (LOADS,), is that at the start. `samples`
+        receive those of these steps, which begin `since` steps after the first sample. Return the
+        steps done; fewer than `count` if the state is no longer finite.
         """
         done = 0
         while True:
