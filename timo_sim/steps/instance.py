@@ -19,13 +19,12 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from timo_sim.compiled.entry import entry_point
-from timo_sim.compiled.functions import (
-    Array, Constants, floor, square_root, strict, WIDTH)
+from timo_sim.compiled.functions import Array, Constants, floor, square_root, strict, WIDTH
 from timo_sim.model.functions import (
     accelerate, effort, energy, linear_part_is_valid, sincos, tanh)
 from timo_sim.model.layout import (
     AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, START, STEP_LOADS, TORQUE)
-from timo_sim.steps.loads import begin_lines, of_commands, of_scene
+from timo_sim.steps.loads import add_commands, add_scene_loads, restart
 
 
 class Code(IntEnum):
@@ -143,7 +142,7 @@ def set_parameter(actuators, instance, of_rate, begin, end, value):
     """Set a limit of commands, or of their rates, for the columns from `begin` to before `end`."""
     if not value > 0.0:
         return _NOT_POSITIVE
-    begin_lines(actuators, instance.mark[STEPS])
+    restart(actuators, instance.mark[STEPS])
     for column in range(begin, end):
         if of_rate != 0:
             actuators.rate[column] = value
@@ -173,10 +172,11 @@ def prepare(loads, actuators, instance, inputs):
     for row in range(STEP_LOADS):
         for column in range(LOADS):
             out[0, row, column] = 0.0
-    of_scene(loads.step, loads.harmonics, len(loads.harmonics), loads.pieces, len(loads.pieces),
-             loads.jumps, loads.tables, len(loads.tables), loads.knots, loads.drive,
-             len(loads.drive), number, 1, out, instance.sines)
-    of_commands(actuators, inputs, number, 1, out)
+    add_scene_loads(
+        loads.step, loads.harmonics, len(loads.harmonics), loads.pieces, len(loads.pieces),
+        loads.jumps, loads.tables, len(loads.tables), loads.knots, loads.drive, len(loads.drive),
+        number, 1, out, instance.sines)
+    add_commands(actuators, inputs, number, 1, out)
     for k in range(len(instance.state)):
         instance.before[k] = instance.state[k]
     for k in range(len(instance.friction)):

@@ -78,38 +78,16 @@ class Actuators(NamedTuple):
     since: Annotated[np.ndarray, int, 1]  # number of the step at which they began
 
 
-# Entry points for Python. Each adds to the loads `out` of `count` steps, from step `first` on.
-
-@entry_point(step=float, harmonics=Array((None, 4)), harmonic_count=int, pieces=Array((None, 3)),
-             piece_count=int, jumps=Array((None, 2)), tables=Array((None, 3)), table_count=int,
-             knots=Array((None, 2)), drive=Array((None, POINT)), point_count=int, first=int,
-             count=int, out=Array((None, STEP_LOADS, LOADS)), room=Array((WIDTH,)))
-def add_scene_loads(step, harmonics, harmonic_count, pieces, piece_count, jumps, tables,
-                    table_count, knots, drive, point_count, first, count, out, room):
-    """Add the loads of a scene, whose constants are those of `SceneLoads`."""
-    of_scene(step, harmonics, harmonic_count, pieces, piece_count, jumps, tables, table_count,
-             knots, drive, point_count, first, count, out, room)
-
-
-@entry_point(actuators=Constants(), commanded=Array((LOADS,)), first=int, count=int,
-             out=Array((None, STEP_LOADS, LOADS)))
-def add_commands(actuators, commanded, first, count, out):
-    """Add what `Actuators` make of commands from step `first` on; it changes their goals."""
-    of_commands(actuators, commanded, first, count, out)
-
-
-@entry_point(actuators=Constants(), number=int)
-def restart(actuators, number):
-    """Let all lines begin and end at what acts at a step, so that limits may change."""
-    begin_lines(actuators, number)
-
-
 # Loads over time.
 
-@strict
-def of_scene(step, harmonics, harmonic_count, pieces, piece_count, jumps, tables, table_count,
-             knots, drive, point_count, first, count, out, room):
-    """Do what `add_scene_loads` does."""
+@entry_point(fast=False, step=float, harmonics=Array((None, 4)), harmonic_count=int,
+             pieces=Array((None, 3)), piece_count=int, jumps=Array((None, 2)),
+             tables=Array((None, 3)), table_count=int, knots=Array((None, 2)),
+             drive=Array((None, POINT)), point_count=int, first=int, count=int,
+             out=Array((None, STEP_LOADS, LOADS)), room=Array((WIDTH,)))
+def add_scene_loads(step, harmonics, harmonic_count, pieces, piece_count, jumps, tables,
+                    table_count, knots, drive, point_count, first, count, out, room):
+    """Add the loads of `SceneLoads` to those of `count` steps, from step `first` on."""
     for i in range(harmonic_count):
         _add_harmonic(int(harmonics[i, 0]), harmonics[i, 1], harmonics[i, 2], harmonics[i, 3],
                       step, first, count, out, room)
@@ -290,14 +268,15 @@ def _seen(stage, s):
 
 # Actuators.
 
-@strict
-def of_commands(actuators, commanded, first, count, out):
-    """Do what `add_commands` does."""
+@entry_point(fast=False, actuators=Constants(), commanded=Array((LOADS,)), first=int, count=int,
+             out=Array((None, STEP_LOADS, LOADS)))
+def add_commands(actuators, commanded, first, count, out):
+    """Add what `Actuators` make of commands from step `first` on; it changes their goals."""
     changed = False
     for column in range(LOADS):
         changed = changed or _goal(actuators, commanded, column) != actuators.goal[column]
     if changed:
-        begin_lines(actuators, first)
+        restart(actuators, first)
     for column in range(LOADS):
         actuators.goal[column] = _goal(actuators, commanded, column)
         slow = actuators.rate[column] < np.inf
@@ -316,9 +295,9 @@ def _goal(actuators, commanded, column):
     return min(max(commanded[column], -actuators.limit[column]), actuators.limit[column])
 
 
-@strict
-def begin_lines(actuators, number):
-    """Do what `restart` does."""
+@entry_point(fast=False, actuators=Constants(), number=int)
+def restart(actuators, number):
+    """Let all lines begin and end at what acts at a step, so that limits may change."""
     elapsed = (number - actuators.since[0]) * actuators.step
     for column in range(LOADS):
         reached = _reached(actuators, column, elapsed)
