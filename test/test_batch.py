@@ -166,7 +166,7 @@ def test_momentum_is_constant():
 
 
 @pytest.mark.parametrize('scenes, text', [
-    ([{}, {'model.modes': 4}], 'scene 1 has 4 modes'),
+    ([{}, {'model.modes': 4}], 'model.modes must be the same'),
     ([{'model.modes': 4}, {'model.axial_modes': 1}], 'model.axial_modes must be the same'),
     ([{}, {'integrator.step': 0.005}], 'integrator.step must be the same'),
     ([{}, HELD], 'carrier.held must be the same'),

@@ -20,7 +20,7 @@ import pytest
 import timo_sim
 from timo_sim.runs.run import run_scene
 from timo_sim.runs.sweep import (
-    executor_of, Job, jobs_of, lane_kind, LaneRuns, run_job, SUMMARY)
+    executor_of, Job, jobs_of, lane_kind, run_job, run_lanes, SUMMARY)
 from timo_sim.version import __version__
 
 FAST = {'integrator.step': 0.01}
@@ -237,16 +237,16 @@ def test_bits_of_lanes_do_not_depend_on_the_other_runs(table, scene):
 def test_motions_of_lanes_are_those_of_simulate(scene, base, variation):
     scenes = [scene.vary(base).vary(each) for each in variation]
     steps = round(DURATION / 0.01)
-    kind, = {lane_kind(each, steps) for each in scenes}
-    found = LaneRuns(scenes, kind)
+    assert len({lane_kind(each, steps) for each in scenes}) == 1
+    _, batch = run_lanes(scenes, steps)
     for k, each in enumerate(scenes):
         run = run_scene(each, steps)
-        assert found.motion[k] == pytest.approx(run.motion[-1], rel=1e-10, abs=1e-11)
+        assert batch.motion.values[k] == pytest.approx(run.motion[-1], rel=1e-10, abs=1e-11)
 
 
 def test_a_load_that_is_too_fast_gives_a_warning(scene):
     fast = scene.vary({'load.torque.harmonic.frequency': [30.0]})
-    warning, = LaneRuns([fast], lane_kind(fast, 200)).warnings
+    warning, = run_job(Job(0, fast, 2.0, ({},), (), True))['warning']
     assert warning == run_scene(fast, 200).warning and 'too high' in warning
 
 
@@ -257,17 +257,16 @@ def test_runs_that_lanes_do_not_know_are_done_alone(scene):
 
 def test_an_error_of_one_run_is_not_that_of_the_others(scene, monkeypatch):
     """The others have the same numbers, to the last bit, as if none had failed."""
-    class Failing(LaneRuns):
-        def __init__(self, scenes, kind):
-            if any(scene.values['initial.shaft'] == 1.0 for scene in scenes):
-                raise FloatingPointError('a singular matrix')
-            super().__init__(scenes, kind)
+    def failing(scenes, steps):
+        if any(scene.values['initial.shaft'] == 1.0 for scene in scenes):
+            raise FloatingPointError('a singular matrix')
+        return run_lanes(scenes, steps)
 
     angles = np.linspace(0.0, 1.0, 9)
     job = Job(0, scene, DURATION,
               tuple({'initial.shaft': angle} for angle in angles), ('initial.shaft',), True)
     usual = run_job(job)
-    monkeypatch.setattr('timo_sim.runs.sweep.LaneRuns', Failing)
+    monkeypatch.setattr('timo_sim.runs.sweep.run_lanes', failing)
     found = run_job(job)
     assert [*found['reason']] == 8 * [''] + ['a singular matrix']
     for name in NUMBERS:

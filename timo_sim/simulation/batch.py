@@ -307,29 +307,26 @@ class Batch:
 
 def _check(scenes):
     """Raise ParameterError for scenes that a batch cannot do."""
-    first = scenes[0]
-    model = first.build()
+    wanted = lane_size(scenes[0])
     for number, scene in enumerate(scenes):
-        if scene is first and number:
+        if scene is scenes[0] and number:
             continue
         refused = refusal(scene)
         if refused:
             raise ParameterError(f'{refused} is not possible in a Batch')
-        other = scene.build()
-        for name in ('model.formulation', 'model.axial_modes', 'integrator.step', 'carrier.held',
-                     'motor.shaft'):
-            if scene.values[name] != first.values[name]:
+        for name, value in lane_size(scene).items():
+            if value != wanted[name]:
                 raise ParameterError(f'{name} must be the same in all scenes of a Batch, got '
-                                     f'{first.values[name]} and {scene.values[name]} (scene '
-                                     f'{number})')
-        if (scene.values['push.position'] > 0.0) != (first.values['push.position'] > 0.0):
-            raise ParameterError('push.position must be > 0 in all scenes of a Batch or in none, '
-                                 f'got {scene.values["push.position"]:g} (scene {number})')
-        if [np.shape(part) for part in other.tables] != [np.shape(part) for part in model.tables]:
-            raise ParameterError('the models of all scenes of a Batch must have the same size: '
-                                 f'scene {number} has {scene.modal_count} modes and '
-                                 f'{len(other.quadrature.nodes)} nodes, scene 0 '
-                                 f'{first.modal_count} and {len(model.quadrature.nodes)}')
+                                     f'{wanted[name]} and {value} (scene {number})')
+
+
+def lane_size(scene: Scene) -> dict[str, Any]:
+    """Return what all scenes of a Batch have in common, by name."""
+    values = scene.values
+    return {**{name: values[name] for name in (
+        'model.formulation', 'model.axial_modes', 'model.modes', 'integrator.step',
+        'carrier.held', 'motor.shaft')}, 'push.position > 0': values['push.position'] > 0.0,
+        'the number of nodes': len(scene.build().quadrature.nodes)}
 
 
 def refusal(scene: Scene) -> str:
