@@ -358,7 +358,7 @@ class Problem:
         DivergenceError if the run diverges, ParameterError if the values do not fit together.
         """
         scene = scene or self.scene_of(values, initial)
-        scene = scene.with_load(loads_of(self.record, scene, values, begin))
+        scene = replace(scene, load=loads_of(self.record, scene, values, begin))
         duration = (self.record.duration if end is None else end) - begin + max(
             0.0, *(-values.get(f'{name}.delay', 0.0) for name in self.record.outputs))
         with warnings.catch_warnings():
