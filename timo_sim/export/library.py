@@ -62,7 +62,7 @@ class _Model:
         self.parts = len(parts)
         self.plant, self.loads = plant_of(simulator), pack(scene.load.rows(scene.step))
         self.actuators = Actuators(scene.values).packed
-        # In memory actuators and dry friction, with its rooms, follow the instance.
+        # In memory actuators follow the instance.
         self.joints = getattr(simulator.integration, 'joints', None)
         self.own = model.packed
         # What steps are differentiated by, if they are.
@@ -79,14 +79,9 @@ class _Model:
             [each[k] for each in parts] for k in range(2))
 
     @property
-    def place_of_joints(self):
-        """Place of the constants and rooms of dry friction in the memory of an instance [B]."""
-        return self.instance.length + self.actuators.length
-
-    @property
     def length(self):
         """Length of an instance in memory [B]."""
-        return self.place_of_joints + (self.joints.length if self.joints else 0)
+        return self.instance.length + self.actuators.length
 
     @property
     def saved(self):
@@ -221,10 +216,9 @@ class _Body:
         fields = {name: self.field(model, instance, name) for name in (
             'state', 'load', 'loads', 'motion', 'friction', 'heat')}
         if model.joints:
-            joints = self.at(instance, model.place_of_joints)
             return self.call(
-                model, friction.advance,
-                [*self.constants_of_step(model, instance), (model.joints, joints)],
+                model, friction.advance, [*self.constants_of_step(model, instance),
+                                          (model.joints, self.data(model.joints))],
                 *(fields[name] for name in ('friction', 'state', 'load', 'loads')),
                 self.word(count), self.word(every), self.word(0), fields['motion'],
                 fields['heat'])
@@ -328,13 +322,10 @@ class _Body:
         self.finish()
 
     def copy_constants(self, instance):
-        """Copy the constants that functions change, or beside which they have rooms."""
+        """Copy the constants that functions change."""
         for model, each in self.each(instance):
             self.copy(self.data(model.actuators), model.actuators.length,
                       self.at(each, model.instance.length))
-            if model.joints:
-                self.copy(self.data(model.joints), model.joints.offsets['pushed'],
-                          self.at(each, model.place_of_joints))
 
     def copy(self, source, length, goal):
         for offset in range(0, length, 8):

@@ -19,7 +19,6 @@ import numpy as np
 from timo_sim.extras import optional
 from timo_sim.model.bodies import Quadrature
 from timo_sim.model.layout import ANGLE, INPUTS, LOADS, rotate, TIP_TORQUE, TIP_X, TIP_Y
-from timo_sim.scene.files import html_table
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError
 from timo_sim.scene.scene import load_scene, SceneLike
@@ -64,13 +63,6 @@ class LinearModel:
         time = 'continuous time' if self.dt is None else f'dt = {self.dt:g} s'
         return (f'<LinearModel: {len(self.states)} states, inputs {", ".join(self.inputs)}, '
                 f'outputs {", ".join(self.outputs)}, {time}>')
-
-    def _repr_html_(self):
-        return html_table('LinearModel', {
-            'states': ', '.join(self.states), 'inputs': ', '.join(self.inputs),
-            'outputs': ', '.join(self.outputs),
-            'frequencies [Hz]': ', '.join(f'{each:.4g}' for each in self.frequencies()),
-            'time': 'continuous' if self.dt is None else f'dt = {self.dt:g} s'})
 
     def select(self, inputs: Sequence[str] | None = None,
                outputs: Sequence[str] | None = None) -> LinearModel:

@@ -24,7 +24,6 @@ from numpy.typing import ArrayLike
 from timo_sim.extras import optional
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, MotionFields, TORQUE
-from timo_sim.scene.files import html_table
 from timo_sim.scene.parameters import PARAMETERS, warn
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.energy import integral
@@ -107,13 +106,6 @@ class Run(MotionFields):
 
     def __repr__(self) -> str:
         return f'<Run: {self.message}; {self.scene!r}>'
-
-    def _repr_html_(self) -> str:
-        peak = np.abs(self.deflection(self.scene.manipulator.arm.length)[:, 1]).max()
-        return html_table('Run', {
-            'message': self.message, 'largest tip deflection': f'{peak:.6g} m', **{
-                name: f'{value:.3g}' for name, value in self.stats.items()
-                if isinstance(value, (int, float))}, 'scene': repr(self.scene)})
 
     def position(self, xi: ArrayLike) -> np.ndarray:
         """

@@ -27,7 +27,7 @@ from timo_sim.model.bodies import Beam, Constraints, Manipulator, Section
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, ANGLE, INPUTS, SPEED, START
 from timo_sim.model.statics import equilibrium
-from timo_sim.scene.files import flatten, html_table, read_parameter_file
+from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import (
     CHANNELS, check_slope, Drive, Harmonic, Load, Piecewise, Table)
 from timo_sim.scene.parameters import (
@@ -81,9 +81,6 @@ class Scene:
         return (f'<Scene: arm of {values["arm.length"]:g} m, {values["model.formulation"]} with '
                 f'N = {self.modal_count}, h = {1e3 * self.step:g} ms, {count} '
                 f'{"parameter" if count == 1 else "parameters"} not at default>')
-
-    def _repr_html_(self) -> str:
-        return html_table(repr(self)[1:-1], changed(self.values))
 
     @property
     def modal_count(self) -> int:
