@@ -58,8 +58,9 @@ class Piecewise:
         return self.time
 
     def rows(self, step: float) -> np.ndarray:
-        """Return the numbers of the steps from which values act, and the values, shape (n, 2)."""
-        return np.column_stack([np.rint(np.array(self.time) / step), self.value])
+        """Return times for steps of this size, twice, and values before and after, (2 n, 2)."""
+        times = np.rint(np.array(self.time) / step) * step
+        return np.column_stack([np.repeat(times, 2), np.repeat([0.0, *self.value], 2)[1:-1]])
 
 
 @dataclass(frozen=True)
@@ -145,30 +146,25 @@ class Load:
         loads[:] = 0.0
         rows = self.rows(step)
         add_scene_loads(
-            step, rows.harmonics, len(rows.harmonics), rows.pieces, len(rows.pieces), rows.jumps,
-            rows.tables, len(rows.tables), rows.knots, rows.drive, len(rows.drive), first, count,
-            loads, np.empty(WIDTH))
+            step, rows.harmonics, len(rows.harmonics), rows.tables, len(rows.tables), rows.knots,
+            rows.drive, len(rows.drive), first, count, loads, np.empty(WIDTH))
         return loads
 
     def rows(self, step: float) -> SceneLoads:
         """Return the constants of its terms for steps of a size [s]; they are made once."""
         known = self.__dict__.setdefault('_rows', {})
         if step not in known:
-            harmonics, pieces, tables = [], [], []
-            jumps, knots = [np.empty((0, 2))], [np.empty((0, 2))]
+            harmonics, tables, knots = [], [], [np.empty((0, 2))]
             for channel, terms in self.terms.items():
                 for term in terms:
                     if isinstance(term, Harmonic):
                         harmonics.append((CHANNELS[channel], *term.constants))
                         continue
-                    parts, points = ((pieces, jumps) if isinstance(term, Piecewise)
-                                     else (tables, knots))
-                    begin = sum(map(len, points))
-                    points.append(term.rows(step))
-                    parts.append((CHANNELS[channel], begin, begin + len(points[-1])))
+                    begin = sum(map(len, knots))
+                    knots.append(term.rows(step))
+                    tables.append((CHANNELS[channel], begin, begin + len(knots[-1])))
             known[step] = SceneLoads(
                 step, np.array(harmonics, dtype=float).reshape(-1, 4),
-                np.array(pieces, dtype=float).reshape(-1, 3), np.concatenate(jumps),
                 np.array(tables, dtype=float).reshape(-1, 3), np.concatenate(knots),
                 np.empty((0, POINT)) if self.drive is None else self.drive.rows(step))
         return known[step]

@@ -173,9 +173,8 @@ def prepare(loads, actuators, instance, inputs):
         for column in range(LOADS):
             out[0, row, column] = 0.0
     add_scene_loads(
-        loads.step, loads.harmonics, len(loads.harmonics), loads.pieces, len(loads.pieces),
-        loads.jumps, loads.tables, len(loads.tables), loads.knots, loads.drive, len(loads.drive),
-        number, 1, out, instance.sines)
+        loads.step, loads.harmonics, len(loads.harmonics), loads.tables, len(loads.tables),
+        loads.knots, loads.drive, len(loads.drive), number, 1, out, instance.sines)
     add_commands(actuators, inputs, number, 1, out)
     for k in range(len(instance.state)):
         instance.before[k] = instance.state[k]

@@ -43,16 +43,13 @@ class SceneLoads(NamedTuple):
     """
     Loads of a scene over time, for steps of one size; columns are those of a load.
 
-    The jumps and knots of a term are those from its first to before its last, which follow its
-    column in `pieces` or `tables`.
+    The knots of a table are those from its first to before its last, which follow its column in
+    `tables`.
     """
 
     step: float  # [s]
     # Column, amplitude, frequency [Hz] and phase [rad] of amplitude sin(2 pi frequency t + phase).
     harmonics: Annotated[np.ndarray, 'harmonics', 4]
-    pieces: Annotated[np.ndarray, 'pieces', 3]
-    # Numbers of steps from which on values act, and the values.
-    jumps: Annotated[np.ndarray, 'jumps', 2]
     tables: Annotated[np.ndarray, 'tables', 3]
     # Times [s] and values, linear in between; a repeated time is a jump. Here and in `drive`,
     # times near the boundary of two steps must be exactly on it.
@@ -81,19 +78,15 @@ class Actuators(NamedTuple):
 # Loads over time.
 
 @entry_point(fast=False, step=float, harmonics=Array((None, 4)), harmonic_count=int,
-             pieces=Array((None, 3)), piece_count=int, jumps=Array((None, 2)),
              tables=Array((None, 3)), table_count=int, knots=Array((None, 2)),
              drive=Array((None, POINT)), point_count=int, first=int, count=int,
              out=Array((None, STEP_LOADS, LOADS)), room=Array((WIDTH,)))
-def add_scene_loads(step, harmonics, harmonic_count, pieces, piece_count, jumps, tables,
-                    table_count, knots, drive, point_count, first, count, out, room):
+def add_scene_loads(step, harmonics, harmonic_count, tables, table_count, knots, drive,
+                    point_count, first, count, out, room):
     """Add the loads of `SceneLoads` to those of `count` steps, from step `first` on."""
     for i in range(harmonic_count):
         _add_harmonic(int(harmonics[i, 0]), harmonics[i, 1], harmonics[i, 2], harmonics[i, 3],
                       step, first, count, out, room)
-    for i in range(piece_count):
-        _add_pieces(int(pieces[i, 0]), jumps, int(pieces[i, 1]), int(pieces[i, 2]), first, count,
-                    out)
     for i in range(table_count):
         _add_table(int(tables[i, 0]), knots, int(tables[i, 1]), int(tables[i, 2]), step, first,
                    count, out)
@@ -119,18 +112,6 @@ def _add_harmonic(column, amplitude, frequency, phase, step, first, count, out, 
             if k < count:
                 out[k, START, column] += start
                 out[k, MIDDLE, column] += room[2 * (k - begin) + 1]
-
-
-@strict
-def _add_pieces(column, jumps, begin, end, first, count, out):
-    """Add values that hold, with the jumps from `begin` to `end`."""
-    following = _first_after(jumps, begin, end, 1.0 * first)
-    for k in range(count):
-        while following < end and jumps[following, 0] <= first + k:
-            following += 1
-        if following > begin:
-            for row in range(STEP_LOADS):
-                out[k, row, column] += jumps[following - 1, 1]
 
 
 @strict

@@ -36,7 +36,6 @@ class LinearPart(NamedTuple):
 
     advance: Call       # `etdrk4.advance` with its constants
     constants: tuple[Packed, Packed]  # of the compiled functions; `etdrk4.Propagator`
-    linear: np.ndarray  # L, (m, m)
 
 
 class Steps:
@@ -113,7 +112,7 @@ class Steps:
                 tables, linear = model.in_sector(sector)
                 packed = model.pack(tables)
             constants = packed, pack(transposed(propagator(linear, self.step)))
-            self._parts[sector] = LinearPart(etdrk4.advance.of(*constants), constants, linear)
+            self._parts[sector] = LinearPart(etdrk4.advance.of(*constants), constants)
         return self._parts[sector]
 
     def motion(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
