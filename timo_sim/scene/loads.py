@@ -36,11 +36,6 @@ class Harmonic:
     frequency: float
     phase: float
 
-    @property
-    def constants(self) -> tuple[float, float, float]:
-        """Amplitude, frequency, and the phase less whole turns."""
-        return self.amplitude, self.frequency, float(np.fmod(self.phase, 2.0 * np.pi))
-
     def jumps(self) -> Sequence[float]:
         """Return no time: it does not jump."""
         return ()
@@ -158,7 +153,8 @@ class Load:
             for channel, terms in self.terms.items():
                 for term in terms:
                     if isinstance(term, Harmonic):
-                        harmonics.append((CHANNELS[channel], *term.constants))
+                        harmonics.append((CHANNELS[channel], term.amplitude, term.frequency,
+                                          np.fmod(term.phase, 2.0 * np.pi)))
                         continue
                     begin = sum(map(len, knots))
                     knots.append(term.rows(step))

@@ -169,7 +169,7 @@ class Batch:
                         for each in INPUTS if each.needs}
         self._loads = LaneLoads(self.scenes)
         self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT)
-        self.steps, self._origin, self._warm = 0, np.zeros(self.n, dtype=int), False
+        self.steps, self._origin = 0, np.zeros(self.n, dtype=int)
         self.reset()
 
     def __repr__(self) -> str:
@@ -290,9 +290,6 @@ class Batch:
         samples = lanes.room(1 + count // sample_every if sample_every else 0,
                              lanes.motion.shape[1])
         most = max(1, min(CHUNK, _MAX_NUMBERS // (4 * self.n * max(1, len(loads.columns)))))
-        if not self._warm:
-            lanes.advance(loads.columns, loads.varying(self.steps, 0, self._origin))
-            self._warm = True
         tips = [lanes.room(0, 3)]
         for first in range(0, count, most):
             part = min(most, count - first)

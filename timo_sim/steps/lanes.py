@@ -83,10 +83,6 @@ class LaneSteps:
     def _advance(self):
         return self._entry.of(*self._constants)
 
-    def warm_up(self) -> None:
-        """Compile, or load from disk, what `advance` calls."""
-        self._advance
-
     def room(self, number: int, length: int) -> np.ndarray:
         """Return an array for so many vectors of a length in each lane."""
         return np.empty((self.groups, number, length, WIDTH))
