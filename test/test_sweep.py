@@ -246,7 +246,7 @@ def test_motions_of_lanes_are_those_of_simulate(scene, base, variation):
 
 def test_a_load_that_is_too_fast_gives_a_warning(scene):
     fast = scene.vary({'load.torque.harmonic.frequency': [30.0]})
-    warning, = run_job(Job(0, fast, 2.0, ({},), (), True))['warning']
+    warning, = run_job(Job(1, fast, 2.0, ({},), (), True))['warning']
     assert warning == run_scene(fast, 200).warning and 'too high' in warning
 
 

@@ -241,12 +241,12 @@ def _jacobian(function, at, steps, columns):
 
 
 # Sensors that the motion alone determines, but the encoder's shaft angle.
-_OF_MOTION = [sensor for sensor in SENSORS if sensor.of_motion
-              and sensor.output != 'shaft_rad']
+_OF_MOTION: dict[str, Any] = {sensor.output: sensor.of_motion for sensor in SENSORS
+                              if sensor.of_motion and sensor.output != 'shaft_rad'}
 _NAMES = ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'tip_x_m', 'tip_y_m',
           'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain',
           'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
-          'shaft_velocity_rad_per_s', *(sensor.output for sensor in _OF_MOTION),
+          'shaft_velocity_rad_per_s', *_OF_MOTION,
           'tip_acceleration_m_per_s2')
 
 
@@ -259,7 +259,7 @@ def _outputs(model, motion, load):
     return np.concatenate([
         motion[:3], model.world(motions, tip)[0, 0], model.centre_line(q, tip)[0, 0],
         model.section_rotation(q, tip)[0], joints.root_strain, motion[half:half + 3],
-        *(sensor.of_motion(model, motions) for sensor in _OF_MOTION),
+        *(read(model, motions) for read in _OF_MOTION.values()),
         joints.tip_acceleration[:, 1]])
 
 

@@ -149,7 +149,9 @@ class Load:
         """Return the constants of its terms for steps of a size [s]; they are made once."""
         known = self.__dict__.setdefault('_rows', {})
         if step not in known:
-            harmonics, tables, knots = [], [], [np.empty((0, 2))]
+            harmonics: list[Any] = []
+            tables: list[Any] = []
+            knots = [np.empty((0, 2))]
             for channel, terms in self.terms.items():
                 for term in terms:
                     if isinstance(term, Harmonic):
