@@ -46,10 +46,11 @@ def pytest_collection():
 
 # The longest files begin first; files that wait for nodes stand between those that compute.
 LONGEST = [f'test_{name}.py' for name in (
-    'project examples compiled accuracy lock_step process stress node fit equations api stretch '
-    'tutorial sweep_command fit_statistics same_bits estimated_error recover extending batch '
-    'payload ros2_control friction topics gravity view sensitivities sweep '
-    'parameters peers looking steps').split()]
+    'project export examples process compiled node accuracy lock_step export_fmu looking '
+    'extending same_bits sweep_command tutorial peers recover view equations fit write stretch '
+    'read sweep api topics steps stress formulations payload ros2_control linear '
+    'step_derivatives estimated_error batch fit_statistics gravity friction push parameters '
+    'joints').split()]
 
 
 def pytest_collection_modifyitems(items):

@@ -199,8 +199,8 @@ def test_an_lqr_of_the_fitted_arm_leaves_less_vibration_than_that_of_the_guess(s
         assert node.wait()[0] == 0
         return shown
 
-    assert slewed('arm', 3.0) == '1501 states answered\n'
-    *report, settled = slewed('fitted', LONG, 'arm.mcap').splitlines()
+    assert slewed('arm', 2.4) == '1201 states answered\n'
+    *report, settled = slewed('fitted', 2.2, 'arm.mcap').splitlines()
     arm, found = scene.vary(hidden), 0
     for name, value, low, high in re.findall(
             r'^(\w+\.\w+) +(\S+) +(\S+) to +(\S+)', '\n'.join(report), re.MULTILINE):

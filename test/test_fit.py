@@ -18,8 +18,7 @@ from scipy.signal import lfilter
 
 import timo_sim
 from timo_sim.fitting.record import Channel, OUTPUTS
-from timo_sim.fitting.problem import (
-    covariance, loads_of, Problem, unidentified_combinations, whiteness)
+from timo_sim.fitting.problem import covariance, loads_of, Problem, whiteness
 
 ARM = {'carrier.held': 'both', 'arm.length': 0.42, 'arm.height': 0.001, 'arm.width': 0.02,
        'arm.density': 7800.0, 'arm.young_modulus': 2e11, 'arm.shear_modulus': 7.7e10,
@@ -275,30 +274,6 @@ def test_coarse_steps_are_told():
                      ['arm.young_modulus'])
 
 
-def test_covariance_of_white_residuals():
-    """The mean of n numbers: its variance in closed form."""
-    random, n = np.random.default_rng(5), 4000
-    found, is_white = covariance([-np.ones((n, 1))], [random.standard_normal(n)])
-    assert is_white and found[0, 0] == pytest.approx(1.0 / n)
-
-
-@pytest.mark.parametrize('seed', range(2))
-def test_a_covariance_is_one_however_parameters_are_scaled(seed):
-    """Columns times d give a covariance over d d'; correlations are within -1 and 1."""
-    random, n, count = np.random.default_rng(seed), 400, 5
-    turned = [np.linalg.qr(random.standard_normal((size, count)))[0] for size in (n, count)]
-    jacobian = turned[0] * 10.0 ** random.uniform(0.0, 6.0, count) @ turned[1]
-    for residuals in (random.standard_normal(n), np.cumsum(random.standard_normal(n))):
-        residuals -= turned[0] @ (turned[0].T @ residuals)
-        found, _ = covariance([jacobian], [residuals])
-        deviations = np.sqrt(np.diag(found))
-        assert np.abs(found / np.outer(deviations, deviations)).max() < 1.0 + 1e-12
-        scales = 10.0 ** random.uniform(-6.0, 6.0, count)
-        scaled, _ = covariance([jacobian * scales], [residuals])
-        # The condition of 1e6 times round-off.
-        assert np.sqrt(np.diag(scaled)) * scales == pytest.approx(deviations, rel=1e-8)
-
-
 def test_intervals_with_correlated_residuals_hold_the_truth():
     """Of 100 regressions with errors of AR(1), for five parameters with scales of 1e-6 to 1e6."""
     random, n, rho = np.random.default_rng(11), 2000, 0.9
@@ -327,13 +302,6 @@ def test_whiteness_is_a_probability():
     found = [whiteness(random.standard_normal(400)) for _ in range(200)]
     assert np.mean(np.array(found) < 0.1) == pytest.approx(0.1, abs=0.06)
     assert whiteness(np.sin(np.arange(400) / 5.0)) < 1e-10
-
-
-def test_unknown_combinations():
-    jacobian = np.column_stack([np.arange(9.0), np.arange(9.0), 5.0 * np.ones(9)])
-    parts, = unidentified_combinations(jacobian, ['a', 'b', 'c'], {'a', 'b'})
-    assert {name: round(part, 6) for name, part in parts.items()} in (
-        {'a': 0.707107, 'b': -0.707107}, {'a': -0.707107, 'b': 0.707107})
 
 
 def test_correlated_residuals_do_not_tell_what_no_residual_depends_on():

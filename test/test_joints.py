@@ -12,10 +12,8 @@ import numpy as np
 import pytest
 
 import timo_sim
-from timo_sim.model.layout import (
-    ACCELERATION, AFTER, ANGLE, FORCE_X, LOADS, STEP_LOADS, TORQUE, VOLTAGE)
+from timo_sim.model.layout import ACCELERATION, AFTER, ANGLE, FORCE_X, LOADS, TORQUE, VOLTAGE
 from timo_sim.simulation.energy import work
-from timo_sim.simulation.loads import Actuators
 from timo_sim.simulation.simulator import Simulator
 
 TURN = {'motor.shaft': 'driven', 'motor.drive.time': [0.0, 1.0, 2.0],
@@ -200,19 +198,6 @@ def test_loads_follow_commands_at_the_rate_limit_in_any_batches():
     lines = np.interp(t, [0.0, 0.04, 0.1, 0.16, 0.21], [0.0, 1.2, -0.6, 0.5, -1.0])
     lines[100:161] = np.minimum(-0.6 + 30.0 * (t[100:161] - 0.1), 0.5)
     assert np.abs(loads[:, TORQUE] - lines).max() < 1e-14
-
-
-def test_without_limits_the_load_is_the_command():
-    held = np.arange(float(LOADS))
-    actuators = Actuators(timo_sim.load_scene({}).values)
-    loads = np.zeros((5, STEP_LOADS, LOADS))
-    actuators.add(held, 0, loads)
-    assert np.array_equal(loads, np.broadcast_to(held, loads.shape))
-
-
-def test_a_motor_without_torque_is_refused():
-    with pytest.raises(timo_sim.ParameterError, match='motor.dc.torque_constant must be > 0'):
-        timo_sim.load_scene({'motor.dc.resistance': 1.0})
 
 
 def test_a_scene_may_change_during_a_run():

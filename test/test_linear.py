@@ -243,30 +243,6 @@ def test_a_step_of_the_simulation_is_the_discrete_model(name, step):
         assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
 
 
-def test_outputs_of_a_small_motion():
-    """Under a small torque on the paper's arm model and simulation have the same outputs."""
-    torque, period = 1e-4, 0.002
-    scene = timo_sim.load_scene({
-        'model.modes': 3, 'integrator.step': period,
-        'load.torque.piecewise.time': [0.0], 'load.torque.piecewise.value': [torque]})
-    run = timo_sim.simulate(scene, 0.4)
-    model = timo_sim.linearize(scene.vary({'load.torque.piecewise.time': [],
-                                           'load.torque.piecewise.value': []}))
-    discrete = model.select(['torque_N_m']).to_discrete(period)
-    x, found = np.zeros(len(discrete.A)), []
-    for _ in run.t:
-        found.append(discrete.C @ x + discrete.D[:, 0] * torque)
-        x = discrete.A @ x + discrete.B[:, 0] * torque
-    found = dict(zip(model.outputs, np.transpose(found)))
-    tip = run.position(2.0)
-    for name, values in {
-            'carrier_x_m': run.carrier[:, 0], 'shaft_rad': run.shaft - run.shaft[0],
-            'tip_y_m': tip[:, 1] - tip[0, 1], 'tip_transverse_m': run.deflection(2.0)[:, 1],
-            'tip_rotation_rad': run.rotation(2.0),
-            'shaft_velocity_rad_per_s': run.shaft_velocity}.items():
-        assert np.abs(found[name] - values).max() < 1e-5 * np.abs(values).max(), name
-
-
 @pytest.mark.parametrize('values, inputs', [
     ({}, ['force_x_N', 'force_y_N', 'torque_N_m', 'tip_force_x_N', 'tip_force_y_N',
           'tip_torque_N_m']),
@@ -276,21 +252,6 @@ def test_outputs_of_a_small_motion():
 def test_inputs_without_effect_are_left_out(values, inputs):
     model = timo_sim.linearize(timo_sim.load_scene({'initial.shaft': 0.0, **values}))
     assert list(model.inputs) == inputs
-
-
-def test_selection_and_state_space():
-    model = timo_sim.linearize(timo_sim.load_scene({}))
-    chosen = model.select(['torque_N_m'], ['tip_transverse_m', 'shaft_rad'])
-    system = chosen.state_space()
-    assert system.B.shape == (12, 1) and system.C.shape == (2, 12)
-    assert np.array_equal(system.C, model.C[[6, 2]])
-    assert model.states == (
-        'carrier_x_m', 'carrier_y_m', 'shaft_rad',
-        *(f'mode_{n}_m_sqrt_kg' for n in (1, 2, 3)),
-        'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s', 'shaft_velocity_rad_per_s',
-        *(f'mode_{n}_rate_m_sqrt_kg_per_s' for n in (1, 2, 3)))
-    with pytest.raises(timo_sim.ParameterError, match="output 'tip' is none of carrier_x_m, "):
-        model.select(outputs=['tip'])
 
 
 def test_bode_diagram_from_the_command_line(tmp_path):

@@ -270,16 +270,6 @@ for use in (lambda: run.plot(), lambda: run.view(), lambda: run.to_pandas(),
         assert any(name in line for line in EXTRAS[extra]), package
 
 
-@pytest.mark.skipif(sys.platform != 'linux', reason='elsewhere there is a screen without DISPLAY')
-def test_make_view_without_a_screen_is_an_error_with_one_line(monkeypatch):
-    for name in 'DISPLAY', 'WAYLAND_DISPLAY':
-        monkeypatch.delenv(name, raising=False)
-    done = subprocess.run(['make', '-o', '.venv/.gallery', 'view'],  # rerun need not be installed
-                          cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 2 and 'make view VIEW=--web' in done.stderr
-    assert done.stderr.count('\n') == 2  # the last is make's own
-
-
 def test_a_build_sees_what_pip_has_installed_for_it(tmp_path):
     """pip hands on by PYTHONPATH what a build needs, to a Python that has nothing else."""
     subprocess.run([sys._base_executable, 'setup.py', '-q', 'build_py', '--build-lib', tmp_path],

@@ -176,10 +176,6 @@ def test_other_bags_are_called_what_they_are(bag, tmp_path, storage, default_sce
                                 '--duration', 1, '-o', tmp_path / 'run.mcap')
 
 
-def test_a_bag_needs_a_scene_and_a_log_does_not(bag):
-    assert 'give it by --scene' in call('replay', bag, code=2)
-
-
 def log_of(path, scene, torques, last):
     """Write a log as the node would, joint states of `simulate` every 10 ms; return its path."""
     from timo_sim.log.write import START, start_note
@@ -263,13 +259,6 @@ def test_a_changed_scene_gives_differences_with_time_and_unit(log, tmp_path, mon
     assert '3 other quantities are the same' in text  # efforts
     assert Recording('run_replay.mcap').scene.values['model.modes'] == 5
     assert 'same to the last bit' in call('replay', 'run_replay.mcap')
-
-
-def test_a_log_without_modes_replays_with_modes(tmp_path):
-    log = log_of(tmp_path / 'rigid.mcap', timo_sim.load_scene({'model.modes': 0}), [(1, 1.0)], 100)
-    call('replay', log, '--set', 'model.modes=3', '-o', tmp_path / 'bent.mcap')
-    step, _, motion = Recording(tmp_path / 'bent.mcap').motion()
-    assert step.tolist() == list(range(0, 101, 10)) and motion.shape == (11, 12)
 
 
 def test_an_arm_that_stretches_replays_to_the_last_bit(tmp_path):

@@ -22,12 +22,6 @@ from timo_sim.scene.files import read_parameter_file
 from timo_sim.scene.parameters import PARAMETERS, SCENE, short
 
 
-def test_the_text_of_a_scene_counts_what_differs():
-    one = timo_sim.load_scene({'arm.length': 1.9})
-    assert repr(one).endswith(', 1 parameter not at default>')
-    assert repr(one.vary({'arm.width': 0.03})).endswith(', 2 parameters not at default>')
-
-
 def test_paper_file_gives_the_defaults_and_the_papers_loads(paper):
     values = read_parameter_file(paper)
     loads = {name: value for name, value in values.items() if name.startswith('load.')}
@@ -46,17 +40,6 @@ def test_overrides_win_by_dotted_or_nested_name(paper):
     scene = timo_sim.load_scene(paper, {'model.modes': 5, 'integrator': {'step': 0.005}})
     assert (scene.values['model.modes'], scene.step) == (5, 0.005)
     assert scene.manipulator.arm.section.bending_stiffness == pytest.approx(70.5e9 * 0.02**4 / 12)
-
-
-def test_a_dictionary_has_no_loads_of_its_own():
-    assert not timo_sim.load_scene({}).load
-    assert timo_sim.load_scene({'load.torque.harmonic.amplitude': [1.0],
-                                'load.torque.harmonic.frequency': [1.0]}).load
-
-
-def test_a_scene_made_of_another_scenes_values_is_the_same(paper):
-    scene = timo_sim.load_scene(paper, {'arm.damping_ratio': [0.01]})
-    assert timo_sim.load_scene(scene.values) == scene
 
 
 def test_numbers_that_yaml_reads_as_text_or_whole_numbers_are_accepted(tmp_path):
@@ -131,6 +114,9 @@ CONTRADICTIONS = [
     ({name: 2 * value for name, value in PICKED.items()}, 'payload.time must ascend'),
     ({'load.push_x.piecewise': {'time': [0.0], 'value': [1.0]}},
      'load.push_x.piecewise.time needs push.position > 0, got 0'),
+    ({'motor.dc.resistance': 1.0}, 'motor.dc.torque_constant must be > 0'),
+    ({'load.torque.piecewise': {'time': [0.0, 0.2], 'value': [1.0]}}, 'time: 2.*value: 1'),
+    ({'load.torque.table': {'time': [0.2, 0.1], 'value': [0.0, 0.0]}}, 'time must ascend'),
     ({'push.position': 2.5}, 'push.position must be at most arm.length = 2 m, got 2.5'),
     ({'push.position': 1.0, 'model.formulation': 'newton_root_stress'},
      'push.position must be 0 with model.formulation = newton_root_stress')
@@ -157,11 +143,6 @@ def test_a_scene_that_is_no_file_is_refused(tmp_path, make):
     make(tmp_path / 'scene.yaml')
     with pytest.raises(timo_sim.ParameterError, match='scene.yaml is not a file'):
         timo_sim.load_scene(tmp_path / 'scene.yaml')
-
-
-def test_a_missing_file_is_an_os_error(tmp_path):
-    with pytest.raises(FileNotFoundError):
-        timo_sim.load_scene(tmp_path / 'none.yaml')
 
 
 def test_the_standing_scene_rests_until_its_torque_ends():
@@ -206,7 +187,7 @@ def test_a_scene_cannot_be_changed():
 
 
 # No deadline, because durations mean nothing on a busy machine.
-fuzzed = settings(deadline=None, derandomize=True, max_examples=150,
+fuzzed = settings(deadline=None, derandomize=True, max_examples=100,
                   suppress_health_check=list(HealthCheck))
 
 NUMBERS = st.one_of(

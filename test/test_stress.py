@@ -76,30 +76,6 @@ def test_errors_that_were_silent_once_no_longer_are(cell):
         assert found['verdict'] != 'silent' or found['against'] == 'exact', found
 
 
-def test_all_parameters_vary_and_a_number_is_the_same_scene():
-    cells = [scenes.cell(number, seed=3) for number in range(4 * len(scenes.KINDS))]
-    assert scenes.cell(40, seed=3) == cells[40] != scenes.cell(40, seed=4)
-    cells += [scenes.laden_cell(number, seed=3)
-              for number in range(len(cells), 2 * len(cells))]
-    names = set().union(*(cell.values for cell in cells))
-    bodies = [name for name in timo_sim.load_scene({}).values
-              if name.startswith(('arm.', 'carrier.', 'motor.', 'end_effector.'))]
-    # Limits and motors act on commands only; profiles would need machine code for further sizes;
-    # test_smooth_friction.py compares friction with a speed with DOP853.
-    assert {name for name in bodies if name not in names} == {
-        name for name in bodies if any(part in name for part in (
-            'limit', '.dc.', 'profile', 'coulomb_speed'))} | {'arm.damping_of'}
-    assert {f'load.{channel}' for channel in scenes.CHANNELS} <= {
-        name.rsplit('.', 2)[0] for name in names}
-    for name in names:
-        given = [cell.values[name] for cell in cells if name in cell.values]
-        if all(isinstance(value, float) for value in given) and len(given) > 1:
-            assert len(set(given)) > len(given) / 2, name
-    for cell in cells:
-        timo_sim.load_scene(cell.values)
-        assert cell.steps % cell.every == 0
-
-
 def test_errors_of_steps_give_a_warning():
     """Compare with the same modes at finer steps, so that only the error of the steps shows."""
     cells = [scenes.cell(number, seed=2) for number in range(10 * len(scenes.KINDS))]
@@ -151,18 +127,7 @@ def test_the_two_references_agree_and_see_too_few_modes_and_stretch(monkeypatch)
     assert found == pytest.approx(found[:1] * 2, rel=0.1) and found[0] > 1e-4
 
 
-def test_an_unstable_motion_is_no_silent_error():
-    """A push along the arm beyond Euler's load: the arm may buckle to either side."""
-    cell = plain(bend=0.0, step=0.0005, steps=4000, **{
-        'carrier.mass': 1e5, 'initial.shaft': 0.0, 'initial.shaft_velocity': 0.0,
-        'load.tip_force_x.piecewise.time': [0.0],
-        'load.tip_force_x.piecewise.value': [-2000.0]})
-    doubt, sensitive = truth._Finer(cell).doubt
-    assert sensitive and doubt > 1e-3
-    assert truth._Finer(plain()).doubt[1] is False
-
-
-@pytest.mark.parametrize('number', range(6))
+@pytest.mark.parametrize('number', range(2))
 def test_linear_models_of_heavy_tips(number):
     """They converge with the modes, down to the round-off of elements with a heavy tip."""
     few, many = (np.array(numerics.linear_errors(number, modes)) for modes in (3, 8))

@@ -19,8 +19,7 @@ import pytest
 
 import timo_sim
 from timo_sim.runs.run import run_scene
-from timo_sim.runs.sweep import (
-    executor_of, Job, jobs_of, lane_kind, run_job, run_lanes, SUMMARY)
+from timo_sim.runs.sweep import executor_of, Job, run_job, run_lanes, SUMMARY
 from timo_sim.version import __version__
 
 FAST = {'integrator.step': 0.01}
@@ -117,12 +116,6 @@ def test_a_run_with_a_warning_has_it_in_its_row(scene):
     assert table['warning'].tolist() == [str(caught[0].message), '']
 
 
-def test_a_run_without_a_finer_one_has_no_error_in_its_row(scene):
-    bent = {'model.static_modes': 'force', 'initial.modal_coordinates': [0.1, 0.0, 0.0]}
-    table = timo_sim.simulate_many(scene, [bent, {}], 0.1, workers=1)
-    assert table['reason'].tolist() == ['', ''] and np.isnan(table['tip_error']).all()
-
-
 BAD_ARGUMENTS = [
     ({'variations': []}, 'at least one element, got none'),
     ({'duration': 0.125}, 'the ratio is 12.5'),
@@ -138,19 +131,6 @@ def test_invalid_arguments_are_refused(scene):
         with pytest.raises(timo_sim.ParameterError, match=words) as caught:
             timo_sim.simulate_many(scene, **{'variations': [{}], 'duration': 0.1, **given})
         assert '\n' not in str(caught.value)
-
-
-def test_jobs_hold_every_run_once_and_are_short_and_many(scene):
-    for count in (1, 7, 33, 1000, 100_003):
-        sizes, first = [], 0
-        for job in jobs_of(scene, 10.0, count, ({} for _ in range(count)), []):
-            assert job.first == first
-            first += len(job.variations)
-            sizes.append(len(job.variations))
-        assert first == count and len(sizes) >= min(count, 16) and max(sizes) <= 100
-    for count, length in ((1000, 8), (32, 1)):  # the lanes of a vector, or a run
-        long = next(jobs_of(scene, 10_000.0, count, [{}] * count, []))
-        assert len(long.variations) == length
 
 
 def test_a_worker_that_dies_is_an_error_and_one_that_prints_is_not():
@@ -225,34 +205,10 @@ def test_bits_of_lanes_do_not_depend_on_the_other_runs(table, scene):
         np.testing.assert_array_equal(table[name], again)
 
 
-@pytest.mark.parametrize('base, variation', [
-    ({}, [{'end_effector.mass': mass} for mass in (0.5, 2.0, 6.0)]),
-    ({}, [{'initial.shaft_velocity': speed} for speed in (0.0, 1.0, 3.0)]),
-    (PULSES, [{'arm.length': length} for length in (1.6, 2.0)]),
-    ({'carrier.held': 'both', 'motor.shaft': 'driven', 'motor.drive': {
-        'time': [0.0, 1.0], 'angle': [0.0, 0.4], 'speed': [0.0, 0.0],
-        'acceleration': [0.0, 0.0]}, 'gravity': [0.0, -9.81]},
-     [{'end_effector.mass': mass} for mass in (1.0, 2.0)])],
-    ids=['masses', 'speeds', 'pulses', 'driven'])
-def test_motions_of_lanes_are_those_of_simulate(scene, base, variation):
-    scenes = [scene.vary(base).vary(each) for each in variation]
-    steps = round(DURATION / 0.01)
-    assert len({lane_kind(each, steps) for each in scenes}) == 1
-    _, batch = run_lanes(scenes, steps)
-    for k, each in enumerate(scenes):
-        run = run_scene(each, steps)
-        assert batch.motion.values[k] == pytest.approx(run.motion[-1], rel=1e-10, abs=1e-11)
-
-
 def test_a_load_that_is_too_fast_gives_a_warning(scene):
     fast = scene.vary({'load.torque.harmonic.frequency': [30.0]})
     warning, = run_job(Job(1, fast, 2.0, ({},), (), True))['warning']
     assert warning == run_scene(fast, 200).warning and 'too high' in warning
-
-
-def test_runs_that_lanes_do_not_know_are_done_alone(scene):
-    for more in ({'carrier.held': 'x'}, {'model.formulation': 'newton'}, {'model.modes': 0}):
-        assert lane_kind(scene.vary(more), 200) is None
 
 
 def test_an_error_of_one_run_is_not_that_of_the_others(scene, monkeypatch):

@@ -195,6 +195,10 @@ def test_a_killed_sweep_is_resumed_and_repeats_only_damaged_parts(write, tmp_pat
     path = write(random=RANDOM, duration=10.0)
     sweep = start(tmp_path, path, '--workers', '2')
     wait_for_parts(tmp_path, 4)
+    sweep.send_signal(signal.SIGSTOP)
+    assert refused(path, tmp_path) == (
+        'timo_sim: another sweep is running with study.parquet.parts: wait for its end or choose '
+        'another --output\n')
     workers = [int(pid) for task in Path(f'/proc/{sweep.pid}/task').iterdir()
                for pid in (task / 'children').read_text().split()]
     sweep.send_signal(signal.SIGKILL)
@@ -228,24 +232,6 @@ def test_a_killed_sweep_is_resumed_and_repeats_only_damaged_parts(write, tmp_pat
     table['warning'] = direct['warning']
     np.testing.assert_equal(table, direct)
     assert {part.suffix for part in (tmp_path / 'study.parquet').iterdir()} == {'.parquet'}
-
-
-def test_a_second_sweep_at_the_same_time_is_refused(write, tmp_path):
-    """The first gives the same table as if it were alone."""
-    path = write(random=RANDOM, duration=10.0)
-    first = start(tmp_path, path, '--workers', '1')
-    wait_for_parts(tmp_path, 2)
-    first.send_signal(signal.SIGSTOP)
-    try:
-        assert refused(path, tmp_path) == (
-            'timo_sim: another sweep is running with study.parquet.parts: wait for its end or '
-            'choose another --output\n')
-    finally:
-        first.send_signal(signal.SIGCONT)
-    code, _, errors = end(first)
-    assert (code, errors) == (0, '')
-    np.testing.assert_equal(rows(tmp_path / 'study.parquet'), many(path))
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ['study.parquet', 'study.yaml']
 
 
 def test_on_a_cluster_a_killed_worker_loses_and_repeats_nothing(write, tmp_path):

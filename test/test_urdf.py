@@ -62,14 +62,6 @@ def test_bodies_move_as_those_of_the_model(name, changes):
         assert 0.0 <= moments[2] <= moments[0] + moments[1]
 
 
-def test_a_tapered_arm_has_its_mass_where_it_is_thick():
-    arm = urdf_parser_py.URDF.from_xml_string(urdf('paper', TAPERED).encode()).link_map['arm']
-    # The height falls from 3 to 1 on a line: mean 2, first moment (3 + 2 * 1) / 6.
-    assert arm.inertial.mass == pytest.approx(2710.0 * 0.02 * 0.02 * 2.0 * 2.0, rel=1e-8)
-    assert arm.inertial.origin.xyz == pytest.approx([2.0 * (5.0 / 6.0) / 2.0, 0.0, 0.0], rel=1e-8)
-    assert arm.visual.geometry.size == [2.0, 0.06, 0.02]
-
-
 def test_joints_topics_and_the_file_that_is_installed(tmp_path):
     printed = urdf('paper')
     assert printed == URDF.read_text()

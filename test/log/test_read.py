@@ -10,8 +10,6 @@
 
 from collections import Counter
 import csv
-import json
-import os
 import random
 import re
 import subprocess
@@ -43,7 +41,7 @@ from timo_sim.topics.cdr import Serializer
 from timo_sim.topics.commands import COMMANDS
 from timo_sim.topics.outputs import outputs
 
-LIES = 150
+LIES = 100
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -93,36 +91,37 @@ def numbers(message):
     return [*message.position, *message.velocity, *message.effort]
 
 
-def test_an_imu_of_an_older_log_or_bag_gets_its_present_name(tmp_path):
-    output, = (output for output in outputs(0) if output.name == '~/tip_imu/data_raw')
-    recorder = Recorder(
-        tmp_path / 'old.mcap', [Channel('/left/sim/tip_imu', output.type_name)], {})
-    recorder.write(0, 1, 1000000, Serializer(output.type_name, output.template)(
-        (0, 1000000), (1.0, 2.0, 3.0)))
+def recorded(path, topics, messages, notes=None):
+    """Write messages, (index of a topic, step, numbers), on (topic, name of its output)."""
+    known = {output.name: output for output in outputs(0)}
+    recorder = Recorder(path, [Channel(topic, known[name].type_name)
+                               for topic, name in topics], notes or {})
+    serializers = [Serializer(known[name].type_name, known[name].template) for _, name in topics]
+    for index, step, numbers in messages:
+        recorder.write(index, step, step * 1000000,
+                       serializers[index]((0, step * 1000000), numbers))
     recorder.close()
-    recording = Recording(tmp_path / 'old.mcap')
-    assert recording.name == '/left/sim'
-    assert recording.topics['~/tip_imu/data_raw'].values.tolist() == [[1.0, 2.0, 3.0]]
-    columns, _ = table(recording, '~/tip_imu/data_raw')
-    assert list(columns) == ['time_s', *output.columns]
+    return Recording(path)
 
 
-def test_joint_states_of_a_bag_are_those_of_the_simulator(tmp_path):
-    """If ros2_control publishes joint_states, the simulator's are those below its name."""
-    output, = (output for output in outputs(0) if output.name == 'joint_states')
-    serialize = Serializer(output.type_name, output.template)
-    recorder = Recorder(tmp_path / 'bag.mcap', [
-        Channel('/joint_states', output.type_name), Channel('/sim/joint_states', output.type_name),
-        Channel('/sim/motor_torque', 'std_msgs/msg/Float64')], {})
-    for index in 0, 1:
-        recorder.write(index, 1, 1000000, serialize((0, 1000000), [float(index)] * 9))
-    recorder.close()
-    assert Recording(tmp_path / 'bag.mcap').topics['joint_states'].values.tolist() == [[1.0] * 9]
+def test_names_of_topics_of_other_nodes_and_of_older_logs(tmp_path):
+    """The IMU had another name; joint states below a node's name are its, not ros2_control's."""
+    imu, old = '~/tip_imu/data_raw', recorded(
+        tmp_path / 'old.mcap', [('/left/sim/tip_imu', '~/tip_imu/data_raw')],
+        [(0, 1, (1.0, 2.0, 3.0))])
+    assert old.name == '/left/sim' and old.topics[imu].values.tolist() == [[1.0, 2.0, 3.0]]
+    columns, _ = table(old, imu)
+    assert list(columns)[0] == 'time_s' and len(columns) == 4
+    two = recorded(tmp_path / 'bag.mcap', [
+        ('/joint_states', 'joint_states'), ('/sim/joint_states', 'joint_states'),
+        ('/sim/tip_deflection', '~/tip_deflection')], [(k, 1, 9 * [1.0 * k]) for k in (0, 1)])
+    assert two.topics['joint_states'].values.tolist() == [[1.0] * 9]
 
 
-def test_series_agree_with_another_reader(log):
+def test_series_agree_with_another_reader(log, paper):
     recording = Recording(log)
     assert recording.name == '/left/timo_sim' and not len(recording.resets)
+    assert recording.scene == timo_sim.load_scene(paper)
     topics = recording.topics
     assert set(topics) == {'joint_states', '~/modal_state', '~/tip_deflection', '~/tip_pose',
                            '~/carrier_pose', '~/root_strain', '~/tip_imu/data_raw', '~/encoder',
@@ -143,16 +142,8 @@ def test_series_agree_with_another_reader(log):
         [pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w]
         for pose in (message.ros_msg.pose for message in found['~/tip_pose'])]
     assert topics['~/tip_deflection'].columns == ('axial_m', 'transverse_m')
-
-
-def test_motion_and_scene_are_those_of_the_run(log, paper):
-    recording = Recording(log)
-    scene = timo_sim.load_scene(paper)
-    assert recording.scene == scene
-    step, ns, motion = recording.motion()
-    run = timo_sim.simulate(scene, 2.0, sample_every=20)
-    assert step.tolist() == list(range(0, 2001, 20)) and ns.tolist() == (step * 1000000).tolist()
-    assert np.array_equal(motion, run.motion)
+    run = timo_sim.simulate(recording.scene, 2.0, sample_every=20)
+    assert np.array_equal(recording.motion()[2], run.motion)
 
 
 def test_a_bag_has_sim_time_of_headers_and_commands_by_log_time(tmp_path):
@@ -187,22 +178,19 @@ def test_a_bag_has_sim_time_of_headers_and_commands_by_log_time(tmp_path):
 def test_a_late_sensor_is_not_the_clock_of_a_bag(tmp_path):
     """Its headers have the time of measurement, 0.2 s ago; joint states have the present time."""
     with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as bag:
-        encoder, joints, torque = (
-            bag.add_connection(topic, kind, typestore=STORE) for topic, kind in (
-                ('/timo_sim/encoder', 'sensor_msgs/msg/JointState'),
-                ('/joint_states', 'sensor_msgs/msg/JointState'),
-                ('/timo_sim/motor_torque', 'std_msgs/msg/Float64')))
-        types, none = STORE.types, np.zeros(0)
-        for k in range(11):
-            for connection, names, late in ((encoder, ['shaft'], 200), (
-                    joints, ['carrier_x', 'carrier_y', 'shaft'], 0)):
+        types, none, three = STORE.types, np.zeros(0), np.zeros(3)
+        joint_states = types['sensor_msgs/msg/JointState']
+        for topic, late, names, *numbers in (
+                ('/timo_sim/encoder', 200, ['shaft'], three[:1], none, none),
+                ('/joint_states', 0, ['carrier_x', 'carrier_y', 'shaft'], three, three, three)):
+            connection = bag.add_connection(topic, joint_states.__msgtype__, typestore=STORE)
+            for k in range(11):
                 header = types['std_msgs/msg/Header'](
                     types['builtin_interfaces/msg/Time'](5, (300 + k - late) * 1000000), '')
-                numbers = np.zeros(len(names))
-                message = types[connection.msgtype](
-                    header, names, numbers, *([none, none] if late else [numbers, numbers]))
                 bag.write(connection, 1000000 * k, STORE.serialize_cdr(
-                    message, connection.msgtype))
+                    joint_states(header, names, *numbers), connection.msgtype))
+        torque = bag.add_connection('/timo_sim/motor_torque', 'std_msgs/msg/Float64',
+                                    typestore=STORE)
         bag.write(torque, 4000000, STORE.serialize_cdr(types[torque.msgtype](1.0),
                                                        torque.msgtype))
     topics = Recording(tmp_path / 'bag', '/timo_sim').topics
@@ -210,53 +198,18 @@ def test_a_late_sensor_is_not_the_clock_of_a_bag(tmp_path):
     assert topics['~/motor_torque'].ns.tolist() == [5304000000]
 
 
-def changed(log, folder, change):
-    """Return a copy of a log, changed by a function of its bytes."""
-    data = bytearray(log.read_bytes())
-    change(data)
-    path = folder / 'changed.mcap'
-    path.write_bytes(data)
-    return path
-
-
-def damage_chunk(data):
-    place = data.index(b'lz4') + 200
-    data[place:place + 8] = b'\xff' * 8
-
-
 def test_damaged_logs_are_refused_with_advice(log, tmp_path):
-    for change, words in (
-            (lambda data: data.__delitem__(slice(-1000, None)), 'has no end.*timo_sim recover'),
-            (damage_chunk, 'damaged.*timo_sim recover'),
-            (lambda data: data.__setitem__(-100, data[-100] ^ 1),
+    data, path = log.read_bytes(), tmp_path / 'damaged.mcap'
+    chunk = data.index(b'lz4') + 200
+    for damaged, words in (
+            (data[:-1000], 'has no end.*timo_sim recover'), (b'', 'is empty'),
+            (data[:chunk] + b'\xff' * 8 + data[chunk + 8:], 'damaged.*timo_sim recover'),
+            (data[:-100] + bytes([data[-100] ^ 1]) + data[-99:],
              'checksum of the summary is wrong.*timo_sim recover'),
-            (lambda data: data.clear(), 'is empty'),
-            (lambda data: data.__setitem__(slice(0, 4), b'oops'), 'not an MCAP file')):
+            (b'oops' + data[4:], 'not an MCAP file')):
+        path.write_bytes(damaged)
         with pytest.raises(LogError, match=words):
-            Recording(changed(log, tmp_path, change)).topics
-
-
-def test_an_index_that_points_to_something_else_is_refused(log, tmp_path):
-    file = LogFile(log)
-    number, place = next(
-        (number, place) for number, place in file.chunks[0].message_index_offsets.items()
-        if file.channels[number].topic.endswith('joint_states'))
-    for offset in (1, 2**63):
-        def change(data):
-            entry = slice(place + 15 + 8, place + 15 + 16)
-            data[entry] = (int.from_bytes(data[entry], 'little') + offset).to_bytes(8, 'little')
-        with pytest.raises(LogError, match='joint_states.*the index points to something'):
-            Recording(changed(log, tmp_path, change)).topics
-
-
-def test_an_invalid_scene_in_a_log_is_an_error(log, tmp_path):
-    def change(data):
-        place = data.index(b'"arm.length": 2.0')
-        data[place:place + 17] = b'"arm.length": -20'
-    path = changed(log, tmp_path, change)
-    recording = Recording(path)
-    with pytest.raises(LogError, match='scene cannot be built: arm.length must be'):
-        recording.scene
+            Recording(path).topics
 
 
 def test_a_log_without_a_scene_gives_one_line(tmp_path):
@@ -271,14 +224,6 @@ def test_a_log_without_a_scene_gives_one_line(tmp_path):
             text = call(command[0], path, *command[1:], code=2)
             assert text.count('\n') == 1
             assert 'its scene cannot be built' in text or command[0] == 'export'
-
-
-def test_a_log_is_open_only_while_it_is_read(log):
-    recording = Recording(log)
-    assert len(recording.topics['joint_states'].ns) == 201
-    opened = {os.path.realpath(f'/proc/self/fd/{number}') for number in
-              os.listdir('/proc/self/fd')}
-    assert str(log) not in opened
 
 
 def records(path):
@@ -451,23 +396,13 @@ def test_info_describes_the_run(log, paper):
 
 
 def test_info_finds_gaps_and_a_peak_that_was_not_noted(tmp_path):
-    output, = (output for output in outputs(0) if output.name == '~/tip_deflection')
-    topics = [Channel('/timo_sim/tip_deflection', output.type_name)]
-    recorder = Recorder(tmp_path / 'run.mcap', topics, {
-        'timo_sim': {'node': '/timo_sim', 'parameters': '{}', 'changed': '{}'}})
-    serialize = Serializer(output.type_name, output.template)
-    for step in [*range(0, 50), *range(80, 100)]:
-        recorder.write(0, step, step * 1000000, serialize((0, step * 1000000), (0.0, -step)))
-    recorder.close()
+    """Nor does a note make a terminal do something: control characters are not printed."""
+    recorded(tmp_path / 'run.mcap', [('/timo_sim/tip_deflection', '~/tip_deflection')],
+             [(0, step, (0.0, -step)) for step in (*range(50), *range(80, 100))],
+             {START: {'node': '/timo_sim', 'parameters': '{}', 'changed': '{}',
+                      'numpy': '\x1b[2J'}})
     text = call('info', tmp_path / 'run.mcap')
     assert '0.031 s' in text and '99 m transverse, at 0.099 s' in text and 'not known' in text
-
-
-def test_info_prints_no_control_characters(tmp_path):
-    recorder = Recorder(tmp_path / 'run.mcap', [Channel('/\x1b[2J', 'std_msgs/msg/Float64')], {
-        'timo_sim': {'node': '\x1b]0;', 'changed': json.dumps({'\x1b': 1}), 'numpy': '\x1b'}})
-    recorder.close()
-    text = call('info', tmp_path / 'run.mcap')
     assert '\x1b' not in text and '[2J' in text
 
 
@@ -563,8 +498,3 @@ def test_a_bag_opens_as_a_folder(log, tmp_path):
     call('export', tmp_path / 'link.mcap', '-o', tmp_path / 'third', '--bag')
     assert (tmp_path / 'third/third_0.mcap').samefile(log)
     assert not (tmp_path / 'third/third_0.mcap').is_symlink()
-
-
-def test_each_subcommand_shows_an_example():
-    for name in main.commands:
-        assert f'    timo_sim {name} ' in call(name, '--help'), name

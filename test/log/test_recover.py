@@ -11,13 +11,10 @@
 from importlib.util import find_spec
 from inspect import signature
 import os
-from pathlib import Path
 import random
 import resource
 import signal
 import struct
-import subprocess
-import sys
 import time
 import zlib
 
@@ -193,9 +190,9 @@ def test_flipped_bits_are_detected(log, intact, no_sync):
     """A closed log has checksums over every byte; also a record may become one of another kind."""
     generator, new = random.Random(SEED), log.with_name('new.mcap')
     bits = [[generator.randrange(8 * len(intact)) for _ in range(count)]
-            for count in generator.choices((1, 2, 20), (3, 1, 1), k=60)]
-    bits += [[8 * place + bit] for place, _, _ in places(intact) for bit in range(0, 8, 3)]
-    bits += [[bit] for bit in range(8 * (len(intact) - 37), 8 * len(intact), 5)]  # the footer
+            for count in generator.choices((1, 2, 20), (3, 1, 1), k=40)]
+    bits += [[8 * place + bit] for place, _, _ in places(intact) for bit in (0, 5)]
+    bits += [[bit] for bit in range(8 * (len(intact) - 37), 8 * len(intact), 9)]  # the footer
     for each in bits:
         damaged = bytearray(intact)
         for bit in each:
@@ -329,24 +326,6 @@ def test_a_full_disk_leaves_no_half_recovered_log(log, intact, small_disk):
     code, output, errors = run(log)
     assert (code, output) == (1, '') and 'File too large' in errors and errors.count('\n') == 1
     assert [*log.parent.iterdir()] == [log]
-
-
-def test_a_name_that_is_no_utf_8(tmp_path, intact):
-    path = tmp_path / os.fsdecode(b'run\xff.mcap')
-    path.write_bytes(intact[:-20])
-    assert 'run\ufffd_recovered.mcap' in recover(path)
-    new = tmp_path / os.fsdecode(b'run\xff_recovered.mcap')
-    assert contents(new).total() == 132
-    assert 'is complete: 132 messages' in recover(new)
-
-
-def test_rerun_accepts_a_recovered_log(log, intact):
-    log.write_bytes(intact[:-20])
-    recover(log)
-    pytest.importorskip('rerun')
-    done = subprocess.run([Path(sys.executable).with_name('rerun'), 'mcap', 'check',
-                           log.with_name('run_recovered.mcap')], capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_killed_nodes_leave_logs_that_can_be_recovered(start, client, tmp_path):

@@ -75,13 +75,6 @@ def test_a_reader_that_seeks_finds_its_part(path):
     assert [channel.topic for channel in summary.channels.values()] == ['/a', '/b', '/silent']
 
 
-def test_a_log_without_messages_is_complete(tmp_path):
-    recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
-    recorder.close()
-    with open(recorder.path, 'rb') as stream:
-        assert make_reader(stream).get_summary().statistics.message_count == 0
-
-
 def test_a_path_that_is_no_regular_file_is_refused(tmp_path):
     path = tmp_path / 'run.mcap'
     for make in (os.mkfifo, lambda path: path.symlink_to('/dev/null'),
@@ -180,18 +173,6 @@ def test_a_slow_disk_is_given_the_time_it_takes_to_end_a_log(tmp_path, monkeypat
         assert len([*make_reader(stream).iter_messages()]) == 10
 
 
-def test_no_file_descriptor_left_is_an_error(tmp_path):
-    Recorder(tmp_path / 'first.mcap', CHANNELS, {}).close()  # reads the message definitions
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (os.dup(0), hard))
-    try:
-        with pytest.raises(OSError, match='Too many open files'):
-            Recorder(tmp_path / 'run.mcap', CHANNELS, {})
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-    assert not (tmp_path / 'run.mcap').exists()
-
-
 def test_a_disk_that_is_full_at_the_start_leaves_no_file(tmp_path, small_disk):
     with pytest.raises(OSError, match='File too large'):
         Recorder(tmp_path / 'run.mcap', CHANNELS, {'timo_sim': {'long': 'x' * 10000}})
@@ -223,16 +204,6 @@ def test_a_log_is_on_the_disk_when_it_is_closed(tmp_path, monkeypatch):
     assert synced == [recorder.path.stat().st_size]
 
 
-def test_messages_in_any_order_keep_their_span(tmp_path):
-    recorder = Recorder(tmp_path / 'run.mcap', CHANNELS, {})
-    for stamp in (5, 3, 9, 4):
-        recorder.write(0, stamp, stamp, logs.payload(stamp))
-    recorder.close()
-    with open(recorder.path, 'rb') as stream:
-        statistics = make_reader(stream).get_summary().statistics
-    assert (statistics.message_start_time, statistics.message_end_time) == (3, 9)
-
-
 def test_only_the_name_of_a_log_depends_on_the_wall_clock():
     """A clock that is set back changes no stamp and no deadline, because no code reads it."""
     package = Path(write.__file__).parents[1]
@@ -257,8 +228,6 @@ def test_metadata_that_rosbag2_and_rerun_need(start, paper):
     for channel in summary.channels.values():
         schema = summary.schemas[channel.schema_id]
         assert (schema.encoding, channel.message_encoding) == ('ros2msg', 'cdr')
-        assert channel.metadata['topic_type_hash'].startswith('RIHS01_')
-        assert len(channel.metadata['topic_type_hash']) == 7 + 64
         assert yaml.safe_load(channel.metadata['offered_qos_profiles'])[0]['depth'] == 10
     # This is the hash of the type by REP-2011, as in every installation of ROS 2.
     hashes = {channel.topic: channel.metadata['topic_type_hash']

@@ -72,15 +72,6 @@ def test_code_is_loaded_from_disk(find):
     assert product_by(2) == product_by(3) == 2
 
 
-def test_a_sentence_comes_before_a_compilation_and_only_then(find):
-    folder, told = find(), []
-    for _ in range(2):
-        with machine.telling(lambda text: told.append((text, code_in(folder)))):
-            product_by(2)
-    product_by(2)
-    assert told == [(machine.COMPILING, [])]
-
-
 @pytest.mark.parametrize('damage', [
     lambda content: b'', lambda content: content[:-100],
     lambda content: content[:400] + bytes([content[400] ^ 1]) + content[401:]],

@@ -229,7 +229,7 @@ for modes in sys.argv[1]:
 
 def test_bits_do_not_depend_on_who_compiled_what_in_which_order(tmp_path):
     """
-    Two processes compile a size each at once; others load both, or compile some anew.
+    Two processes compile a size each at once; another compiles them anew, in another order.
 
     The first two disable numba's compilation of the caller's functions, which is left to them.
     """
@@ -246,8 +246,7 @@ def test_bits_do_not_depend_on_who_compiled_what_in_which_order(tmp_path):
         start(modes, NUMBA_DISABLE_JIT='1') for modes in '20']]
     (plain, two), (_, zero) = apart
     assert plain == 'function'
-    assert ends(start('20')) == (['CPUDispatcher', two, zero], '')
     for file in [*tmp_path.glob('*/*.advance-*.bc'), *tmp_path.glob('*/*.o')]:
         file.unlink()
     again, told = ends(start('02'))
-    assert again[1:] == [zero, two] and machine.COMPILING in told
+    assert again == ['CPUDispatcher', zero, two] and machine.COMPILING in told

@@ -253,8 +253,7 @@ def test_formulation_agrees_with_its_equations(formulation, constraints):
 
 
 @pytest.mark.parametrize('constraints, modes, axial_modes', [
-    ('free', 3, 2), ('x held', 3, 1), ('carrier held', 5, 1),
-    ('shaft driven, carrier held', 5, 1)])
+    ('free', 3, 2), ('x held', 3, 1), ('shaft driven, carrier held', 5, 1)])
 def test_an_arm_that_stretches_agrees_with_its_equations(constraints, modes, axial_modes):
     """Those are Lagrange's; the state of `timo_sim` has momenta and rates of axial coordinates."""
     scene = scene_of('exact', constraints, **STRETCHING, **{

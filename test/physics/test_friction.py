@@ -18,8 +18,7 @@ from scipy.optimize import brentq
 
 import timo_sim
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, TORQUE
-from timo_sim.simulation.simulator import DivergenceError, Simulator
-from timo_sim.steps import friction
+from timo_sim.simulation.simulator import Simulator
 from timo_sim.view.track import track_of_run
 
 # The paper's manipulator with a rigid arm: mass of all, static moment and inertia about the shaft.
@@ -266,23 +265,6 @@ def test_the_acceleration_of_the_tip_includes_friction():
     assert np.abs(without - found).max() > 0.5
 
 
-def test_a_reset_and_a_run_that_diverges_leave_the_right_heat(monkeypatch):
-    scene = timo_sim.load_scene(LIVELY)
-    simulator, other = Simulator(scene), Simulator(scene)
-    simulator.advance(100)
-    assert simulator.integration.heat > 0.0 and simulator.integration.friction.any()
-    simulator.reset()
-    assert simulator.integration.heat == 0.0 and not simulator.integration.friction.any()
-    monkeypatch.setattr('timo_sim.simulation.simulator.MOST_BENT', 0.06)
-    with pytest.raises(DivergenceError):
-        simulator.advance(1000, loaded([0.0, 0.0, 200.0]))
-    monkeypatch.undo()
-    other.advance(simulator.steps - 100, loaded([0.0, 0.0, 200.0]))
-    assert other.steps > 20 and other.integration.heat == simulator.integration.heat
-    assert np.array_equal(other.integration.friction, simulator.integration.friction)
-    assert np.array_equal(other.motion.values, simulator.motion.values)
-
-
 LIGHT = {'motor.shaft_inertia': 0.01, 'motor.coulomb_friction': 30.0,
          'load.torque.harmonic.amplitude': [36.0], 'load.torque.harmonic.frequency': [0.3]}
 THICK = {'arm.height': 0.2, 'motor.coulomb_friction': 1e4, 'carrier.coulomb_friction': 1e4,
@@ -298,14 +280,3 @@ def test_steps_that_cannot_hold_a_joint_give_a_warning(scene, step, warned):
         run = timo_sim.simulate(timo_sim.load_scene({**scene, 'integrator.step': step}), 1.0,
                                 round(0.05 / step))
     assert ('take a smaller integrator.step' in (run.warning or '')) == warned
-
-
-def test_scenes_without_friction_do_not_compute_it(monkeypatch):
-    monkeypatch.setattr(friction, 'advance', None)
-    locked = timo_sim.load_scene({'motor.coulomb_friction': 1.0, 'motor.shaft': 'locked',
-                                  'initial.modal_coordinates': [0.1, 0.0, 0.0]})
-    for scene in (locked, timo_sim.load_scene({'initial.shaft_velocity': 1.0})):
-        assert not timo_sim.simulate(scene, 0.1, estimate=False).friction_heat.any()
-    assert locked.vary({**ALL, 'carrier.held': 'y'}).friction.tolist() == [2.0, 0.0, 0.0]
-    held = {**ALL, 'carrier.held': 'both', 'motor.shaft': 'free'}
-    assert locked.vary(held).friction.tolist() == [0.0, 0.0, 1.0]

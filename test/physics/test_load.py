@@ -27,22 +27,10 @@ def seen(term, first, count):
     return Load({'torque': (term,)}).stages(first, count, STEP)[:, :3, TORQUE]
 
 
-def test_harmonic():
-    values = seen(Harmonic(2.0, 0.5, 0.3), 3, 2)
-    times = np.array([[0.3, 0.35, 0.4], [0.4, 0.45, 0.5]])
-    assert values == pytest.approx(2.0 * np.sin(np.pi * times + 0.3))
-
-
 def test_piecewise_gives_each_step_its_own_piece():
     # 0.3 = 3 x 0.1 only up to rounding: steps are counted, not compared as times.
     values = seen(Piecewise((0.3, 0.5), (4.0, -1.0)), 2, 4)
     assert values.tolist() == [[0.0] * 3, [4.0] * 3, [4.0] * 3, [-1.0] * 3]
-
-
-def test_table_is_linear_between_points_and_held_outside():
-    table = Table((0.1, 0.3), (1.0, 5.0))
-    assert seen(table, 0, 4) == pytest.approx(
-        np.array([[1, 1, 1], [1, 2, 3], [3, 4, 5], [5, 5, 5]]))
 
 
 def test_table_jumps_where_a_time_is_given_twice():
@@ -81,18 +69,6 @@ def test_a_jump_inside_a_step_is_refused_with_the_ratio(kind, time, value):
             r'integrator\.step = 0.1, the ratio is 2.5')):
         timo_sim.load_scene({'integrator.step': STEP, f'load.force_y.{kind}.time': time,
                              f'load.force_y.{kind}.value': value})
-
-
-def test_times_that_do_not_ascend_are_refused():
-    with pytest.raises(timo_sim.ParameterError, match='time must ascend'):
-        timo_sim.load_scene({'load.torque.table.time': [0.0, 0.2, 0.1],
-                             'load.torque.table.value': [0.0, 0.0, 0.0]})
-
-
-def test_lists_of_different_length_are_refused():
-    with pytest.raises(timo_sim.ParameterError, match='time: 2.*value: 1'):
-        timo_sim.load_scene({'load.torque.piecewise.time': [0.0, 0.2],
-                             'load.torque.piecewise.value': [1.0]})
 
 
 def moments(values):

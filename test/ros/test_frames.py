@@ -28,7 +28,7 @@ from timo_sim.model.layout import LOADS, TIP_TORQUE, TIP_X, TIP_Y
 from timo_sim.runs.replay import replay
 from timo_sim.scene.parameters import frame_names, ParameterError
 from timo_sim.simulation.simulator import Simulator
-from timo_sim.topics.commands import load_of_commands, COMMANDED, COMMANDS, RefusedError
+from timo_sim.topics.commands import load_of_commands, COMMANDED, COMMANDS
 from timo_sim.topics.outputs import in_frames, TRANSFORMS
 
 GIVEN = {'frame_prefix': 'left/', 'frame.world': 'map', 'frame.carrier': 'base_link'}
@@ -148,13 +148,6 @@ def test_a_force_in_axes_of_the_tip_has_its_direction_to_second_order(formulatio
     assert np.abs(driven(scene, 'arm').motion.values[:len(true)] - true).max() > 1e-3
     rigid = scene.vary({'model.modes': 0})
     assert np.array_equal(driven(rigid).motion.values, driven(rigid, 'arm').motion.values)
-
-
-def test_the_carrier_has_no_such_axes():
-    with pytest.raises(RefusedError, match="frame_id must be empty, 'world' or 'arm', got 'tip'"):
-        CARRIER.row(['tip'], [FORCE])
-    with pytest.raises(RefusedError, match="must be empty, 'world', 'arm' or 'tip', got 'tool'"):
-        TIP.row(['tool'], [FORCE])
 
 
 def test_a_node_obeys_a_force_in_axes_of_the_tip_and_its_log_replays(start, client):

@@ -22,13 +22,10 @@ import numpy as np
 import pytest
 from ros_process import PATIENCE
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
 from visualization_msgs.msg import Marker
 import yaml
 
 import timo_sim
-from timo_sim.ros.node import no_live_feed
-from timo_sim.scene.parameters import ParameterError
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.topics.outputs import TRANSFORMS
 
@@ -88,11 +85,6 @@ def test_neither_a_missing_viewer_nor_a_long_table_stops_the_node(start, tmp_pat
     assert code == 0 and 'simulated 1 s' in output
     assert re.search(r'\[WARN\].*no viewer listens at \S+:\d+/proxy yet: ', output)
     assert 'Error' not in output
-
-
-def test_a_node_without_a_stream_refuses_an_address():
-    with pytest.raises(ParameterError, match='^rerun_live = .*:9876.* needs the executable'):
-        no_live_feed(None, 'rerun+http://127.0.0.1:9876/proxy', '/timo_sim')
 
 
 def test_the_arm_has_its_shape_in_rviz(start, client, paper):
@@ -211,21 +203,6 @@ def test_held_keys_push_and_other_keys_pause_reset_and_quit(start, client, termi
     assert keys.end(lambda keys: keys.press(b'q')) == (0, True)
     client.wait(lambda: states[-1].effort[2] == 0.0, 'no torque')
     assert node.end()[0] == 0
-
-
-def test_what_is_not_known_yet_is_not_shown(client, terminal):
-    """Joint states have come, but those of another robot, and no deflection of the tip."""
-    states = client.create_publisher(JointState, '/joint_states', 10)
-    client.create_subscription(Float64, '/timo_sim/motor_torque', lambda message: None, 10)
-    keys, state = terminal(), JointState(name=['elbow'], position=[1.0])
-
-    def shown():
-        states.publish(state)
-        return 'push' in keys.line()
-    client.wait(shown, 'a line')
-    state.name = ['shaft']
-    client.wait(lambda: shown() and 'shaft' in keys.line(), 'the shaft')
-    assert 'shaft    57.3 deg   push 0, 0 N' in keys.line() and 'nan' not in keys.shown()
 
 
 def test_the_terminal_is_as_it_was_whatever_ends_it(client, terminal):

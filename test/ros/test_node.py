@@ -12,10 +12,9 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Vector3Stamped, WrenchStamped
-from mcap.reader import NonSeekingReader
 import numpy as np
 import pytest
-from ros_process import facts, nanoseconds, PATIENCE, shared_node
+from ros_process import facts, nanoseconds, shared_node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
@@ -261,30 +260,3 @@ def test_a_state_is_repeated_only_for_new_subscribers(client):
     client.collect(JointState, '/joint_states')
     client.wait(lambda: outlet.watched_anew(time.monotonic()), 'a subscriber')
     assert not outlet.watched_anew(time.monotonic() + 20.0)
-
-
-def test_a_node_that_waits_for_its_controller_shows_its_state(start, client):
-    """The controller has answered once and then takes a minute."""
-    node = start(sync='wait', sync_period=0.005, sync_timeout=PATIENCE, publish_clock=True)
-    torque = client.command(Float64, '/timo_sim/motor_torque')
-    states = client.collect(JointState, '/joint_states')
-
-    def answered():  # once or more often, until the node has found the publisher
-        if states and nanoseconds(states[-1]) == 1:
-            states.clear()
-            torque.publish(Float64(data=1.0))
-        return states and nanoseconds(states[-1]) > 1
-    client.wait(answered, 'a later state')
-    clocks = shown(client, Clock, '/clock')
-    poses = shown(client, PoseStamped, '/timo_sim/tip_pose')
-    client.wait(lambda: nanoseconds(clocks[-1]) == nanoseconds(poses[-1]), 'the same state')
-    assert node.end()[0] == 0
-    topics = Recording(node.log).topics
-    for name in '/clock', 'joint_states':
-        assert 1 < len(topics[name].step) < 100 and {*np.diff(topics[name].step)} == {5}
-    # The clock goes on before the states come that wake the controller.
-    with open(node.log, 'rb') as stream:
-        order = [(message.sequence, channel.topic) for _, channel, message in NonSeekingReader(
-            stream).iter_messages(log_time_order=False) if message.sequence % 5 == 0]
-    firsts = dict(reversed(order))
-    assert {firsts[step] for step in topics['/clock'].step} == {'/clock'}

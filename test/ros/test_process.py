@@ -16,7 +16,7 @@ import subprocess
 import sys
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
 import numpy as np
@@ -26,7 +26,6 @@ from ros_process import facts, nanoseconds, PATIENCE
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from benchmark.stress.node_process import growth, LEAK, WINDOWS
 import timo_sim
 from timo_sim.ros.process import use_profiles
 
@@ -319,34 +318,3 @@ def test_two_nodes_in_one_process(tmp_path):
         statuses = {message.ros_msg.status[0].name for message in messages
                     if message.channel.topic == '/diagnostics'}
         assert statuses <= {f'{name}/timo_sim: simulation'}
-
-
-def test_a_log_that_is_moved_then_deleted_is_reported_and_the_simulation_goes_on(start, client):
-    node = start()
-    health = client.collect(DiagnosticArray, '/diagnostics')
-    states = client.collect(JointState, '/joint_states')
-
-    def told(words):
-        client.wait(lambda: health and words in health[-1].status[0].message, words)
-        assert health[-1].status[0].level == DiagnosticStatus.ERROR
-    client.wait(lambda: health and node.log.exists(), 'a log')
-    moved = node.log.rename(node.log.with_stem('moved'))
-    told('was moved')
-    moved.unlink()
-    told('the log ends early')
-    count = len(states)
-    client.wait(lambda: len(states) > count, 'joint states')
-    code, output = node.end()
-    assert code == 0 and 'Traceback' not in output
-    assert output.count('run.mcap was moved') == output.count('it was deleted') == 1
-    assert list(node.log.parent.iterdir()) == []
-
-
-def test_the_stress_test_distinguishes_a_leak_from_pools_that_fill():
-    """Data: memory of a node in a storm, and in one with parameters and services [MB]."""
-    for lows in ([218.4, 225.4, 230.0, 232.8, 232.5, 232.5, 232.5, 232.5, 234.5, 234.5, 234.0],
-                 [218.1, 226.9, 231.9, 232.1, 230.7, 231.3, 231.4, 234.0, 234.9, 234.1, 234.0]):
-        lows = 1e6 * np.array(lows)
-        leaking = lows + 3e6 * np.arange(len(lows))
-        for number in range(WINDOWS + 2, len(lows) + 1):
-            assert growth(lows[:number]) < LEAK < growth(leaking[:number])

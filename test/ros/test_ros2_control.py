@@ -9,7 +9,6 @@
 """A stand-in of ros2_control's controller manager drives the node, and leaves it."""
 
 from pathlib import Path
-import re
 from xml.etree import ElementTree
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -148,22 +147,12 @@ def test_time_stands_when_the_controller_of_lock_step_has_left(start, client):
         return nanoseconds(states[-1])
 
     assert stands() == 1
-    command = client.command(JointState, '/timo_sim/joint_command')
-    wrong = JointState(name=['shaft'], effort=[1.0])
-    wrong.header.stamp.sec = 7
-
-    def told():
-        command.publish(wrong)
-        return re.fullmatch('waiting for a command; .*more mismatched_commands',
-                            health[-1].status[0].message)
-    client.wait(told, 'a warning of the wrong stamp')
-    client.destroy_publisher(command)
     control(20000000)
     left = stands()
     assert stands() == left
     control(left + 20000000)
     code, output = node.end()
-    assert code == 0 and output.count('need sync: any_command') == 1
+    assert code == 0
     assert output.count('nobody publishes commands any more') in (1, 2)  # it may end at once
     recording = Recording(node.log)
     assert recording.summary['overruns'] == '0' and recording.summary['dropped_time_s'] == '0.0'

@@ -22,11 +22,9 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 import timo_sim
-from timo_sim.log.info import info
 from timo_sim.log.read import recover
-from timo_sim.log.tables import export, Recording
+from timo_sim.log.tables import Recording
 from timo_sim.runs.replay import Replay, segments_of
-from timo_sim.view.track import track_of_run
 
 TURNING = {'initial.shaft_velocity': 1.0}
 EVERY_STEP = ('joint_states', 'modal_state', 'tip_deflection', 'tip_pose', 'carrier_pose', 'clock')
@@ -172,37 +170,7 @@ def test_parameters_that_change_and_a_log_of_a_replay(start, client, paper, tmp_
         assert np.array_equal(series.step, again.step) and series.data == again.data
         assert np.array_equal(series.values, again.values) and series.topic == again.topic
     replayed(tmp_path / 'again.mcap')
-    look_at_loads(node.log, paper)
-
-
-def look_at_loads(log, paper):
-    """Check a log with a load that moved with the tip, one that was at rest, and a reset."""
-    run = timo_sim.open_log(log)
-    (moving, *one), (at_rest, *two) = run.payloads
-    assert (one, two) == ([5.0, 0.6], [8.0, 0.6])
-    shown = '\n'.join(info(log))
-    assert (f'at step {moving}: end_effector.mass = 5.0' in shown
-            and f'at step {at_rest}: end_effector.pick_up = "at_rest"' in shown)
-    # A load that moves brings its momentum along; of one at rest nothing is added. The loads of
-    # the scene do 0.01 N s and 0.02 J in a step.
-    momentum, energy = run.momentum()[:, :2], run.energy()
-    tip, (start,) = run.position(2.0), np.searchsorted(run.t, 0.001 * run.recording.resets)
-    speed = (tip[moving] - tip[moving - 1]) / 0.001
-    assert momentum[moving + 1] - momentum[moving] == pytest.approx(3.0 * speed, abs=0.05)
-    assert np.abs(momentum[at_rest + 1] - momentum[at_rest]).max() < 0.02
-    gained = np.diff(energy)
-    assert gained[moving] > 0.5 and gained[at_rest] < -0.5
-    # A reset begins with the load that is set then. The modes are still those of the first one,
-    # of which three differ by some micrometres.
-    scene = timo_sim.load_scene(paper, {**TURNING, 'end_effector.mass': 8.0,
-                                        'end_effector.inertia': 0.6})
-    heavy = timo_sim.simulate(scene, 0.2)
-    assert energy[start + 1:start + 202] == pytest.approx(heavy.energy(), rel=1e-3)
-    assert np.abs(tip[start + 1:start + 202] - heavy.position(2.0)).max() < 1e-5
-    track = track_of_run(run)
-    np.testing.assert_array_equal(track.trace('energy').values[:, 0], energy)
-    export(log, log.with_suffix('.csv'))
-    assert len(log.with_suffix('.csv').read_text().splitlines()) == 1 + len(run.t)
+    assert len(timo_sim.open_log(node.log).payloads) == 2
 
 
 def test_commands_after_a_reset_act_in_a_record_when_the_log_says(start, client):

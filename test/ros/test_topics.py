@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 import yaml
 
 import timo_sim
-from timo_sim.log.tables import export_bag, Recording, table
+from timo_sim.log.tables import export_bag, Recording
 from timo_sim.ros.parameters import ParameterNode
 from timo_sim.ros.topics import message_class
 from timo_sim.runs.replay import replay
@@ -316,31 +316,3 @@ def test_covariances_of_the_imu_are_those_of_its_errors(log, exact):
         noisy = variance > 0.0
         # The variance of 251 values is off by sqrt(2 / 250) = 9 %, three times that at most.
         assert np.diag(covariance)[noisy] == pytest.approx(variance[noisy], rel=0.27)
-
-
-def test_the_acceleration_integrated_twice_gives_the_position_of_the_tip(exact):
-    """From messages alone: IMU without noise, turned into world axes from the tip's first pose."""
-    topics = Recording(exact).topics
-    imu = topics['~/tip_imu/data_raw'].values[:246]
-    x, y, z, w = topics['~/tip_pose'].values[:50].T
-    turned = 2.0 * np.unwrap(np.arctan2(z, w), period=2.0 * np.pi)
-    h = 2e-3
-    # The trapezoidal rule at 2 ms has measured errors of 2e-5 rad and 7e-6 m.
-    gained = np.concatenate([[0.0], np.cumsum(0.5 * h * (imu[1:, 2] + imu[:-1, 2]))])
-    assert np.abs(gained[::5] - (turned - turned[0])).max() < 3e-5
-    angle = turned[0] + gained
-    world = np.exp(1j * angle) * (imu[:, 0] + 1j * imu[:, 1])
-    speed = np.concatenate([[0.0], np.cumsum(0.5 * h * (world[1:] + world[:-1]))])
-    place = np.concatenate([[0.0], np.cumsum(0.5 * h * (speed[1:] + speed[:-1]))])[::5]
-    start = (x + 1j * y)[[0, -1]]
-    # The initial velocity is not measured; it follows from the final position of the tip.
-    time = 0.01 * np.arange(50)
-    drift = (start[1] - start[0] - place[-1]) / time[-1]
-    assert np.abs(x + 1j * y - (start[0] + drift * time + place)).max() < 2e-5
-
-
-def test_sensors_are_columns_of_a_table(log):
-    columns, left = table(Recording(log))
-    assert {'encoder_shaft_rad', 'root_strain_outer_fibre', 'tip_imu_turning_rad_per_s',
-            'tip_imu_acceleration_x_m_per_s2'} <= columns.keys() and left == ['~/tip_imu/data_raw']
-    assert np.isnan(columns['encoder_shaft_rad']).sum() == 1  # the last
