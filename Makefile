@@ -128,7 +128,7 @@ stress-quick: $(VENV)/.benchmark ## do a part of make stress
 
 clean:
 	rm -rf $(VENV) .venv-lowest .venv-without-ros run build install log .pytest_cache .mypy_cache \
-		*.egg-info
+		*.egg-info timo_sim/compiled/prebuilt
 
 # A virtual environment that git does not see.
 %/.made:

@@ -10,20 +10,21 @@ from setuptools.command.build_py import build_py
 
 
 class Build(build_py):
-    """Makes the intermediate code of the physics, too; without it, the first run makes it."""
+    """Compiles the physics, too; without it, the first run does."""
 
     def run(self):
         super().run()
-        if not self.editable_mode:
-            built = os.path.abspath(self.build_lib)
-            # pip hands on by PYTHONPATH what it has installed for the build.
-            paths = [built, *filter(None, [os.environ.get('PYTHONPATH')])]
-            done = subprocess.run(
-                [sys.executable, '-m', 'timo_sim.steps.prebuilt',
-                 os.path.join(built, 'timo_sim', 'compiled', 'prebuilt')],
-                cwd=built, env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths)})
-            if done.returncode:
-                print('timo_sim: the first runs will compile for some 10 s', file=sys.stderr)
+        # An editable installation has it beside the sources.
+        built = os.path.abspath('' if self.editable_mode else self.build_lib)
+        # pip hands on by PYTHONPATH what it has installed for the build.
+        paths = [built, *filter(None, [os.environ.get('PYTHONPATH')])]
+        done = subprocess.run(
+            [sys.executable, '-m', 'timo_sim.simulation.prebuilt',
+             os.path.join(built, 'timo_sim', 'compiled', 'prebuilt'),
+             *['editable'] * self.editable_mode],
+            cwd=built, env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths)})
+        if done.returncode:
+            print('timo_sim: the first runs will compile for some 10 s', file=sys.stderr)
 
 
 setup(

@@ -27,9 +27,12 @@ INPUTS = [FORCE_X, FORCE_Y, TORQUE, TIP_X, TIP_Y, TIP_TORQUE, PUSH_X, PUSH_Y]
     {**MOVING, 'carrier.coulomb_friction': 2.0, 'motor.coulomb_friction': 0.5,
      'carrier.coulomb_speed': 0.3, 'motor.coulomb_speed': 2.0},
     {'initial.modal_rates': [0.3, 0.2, -0.1], 'motor.shaft': 'locked'},
+    {'initial.modal_rates': [0.3, 0.2, -0.1], 'motor.shaft': 'driven',
+     'motor.drive.time': [0.0, 1.0], 'motor.drive.angle': [0.3, 4.0],
+     'motor.drive.speed': [2.0, 3.0], 'motor.drive.acceleration': [0.0, 0.0]},
     {**MOVING, 'model.modes': 8, 'end_effector.mass': 0.1, 'end_effector.inertia': 0.01,
      'initial.modal_rates': [0.1] * 8}],
-    ids=['free', 'held', 'damped', 'friction', 'locked', 'light tip'])
+    ids=['free', 'held', 'damped', 'friction', 'locked', 'driven', 'light tip'])
 def test_derivatives_are_those_of_three_steps(values):
     """Under loads of all kinds, also along the arm's axes; differences are good to 1e-10."""
     simulator = timo_sim.Simulator(timo_sim.load_scene(values))

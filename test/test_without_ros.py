@@ -82,11 +82,9 @@ def test_a_divergent_run_is_written_and_has_code_1(python, tmp_path):
     assert 'the state diverges' in told and (tmp_path / 'run.csv').exists()
 
 
-@pytest.mark.parametrize('arguments, words, code', [
-    (['duration:=1.0'], "'duration:=1.0' must be inside of --ros-args", 2),
-    (['--ros-args', '-p', 'duration:=1.0'], 'sim_node needs ROS 2', 1)])
-def test_arguments_of_the_node(python, arguments, words, code):
-    assert words in python('-m', 'timo_sim.cli.sim_node', *arguments, code=code)
+def test_the_node_says_what_is_missing(python):
+    told = python('-m', 'timo_sim.cli.sim_node', '--ros-args', '-p', 'duration:=1.0', code=1)
+    assert 'sim_node needs ROS 2' in told
 
 
 def test_teleop_says_what_is_missing(python):

@@ -12,6 +12,7 @@ import ctypes
 import itertools
 import os
 from pathlib import Path
+import resource
 import shutil
 import subprocess
 import sys
@@ -40,12 +41,14 @@ PAPER = ROOT / 'config' / 'paper.yaml'
 STEPS = 1000  # of 10 ms
 TARGETS = [('exact', 3, 1.5e-6), ('exact', 5, 2.5e-6), ('exact', 10, 8e-6), ('newton', 3, 0.6e-6)]
 BLOCK = 40  # variations or runs that are timed together
-# The very first run, of the paper's scene and of a finer one beside it; then one of another size
-# alone. Prints the time of each, and how much of it numba and LLVM take.
+# The very first run where nothing is compiled, of the paper's scene and of a finer one beside it;
+# then one of another size alone. Prints the time of each, and how much of it numba and LLVM take.
 FIRST = """
 import time
 import timo_sim
-from timo_sim.compiled import machine
+from timo_sim.compiled import machine, store
+
+store.PREBUILT /= 'none'  # what the installation has compiled
 
 def timing(name):
     function = getattr(machine, name)
@@ -204,6 +207,12 @@ def differentiated():
             found.shown(), ratio <= 4.0, f'as long as {ratio:.1f} steps')
 
 
+def processor_time():
+    """Return the processor time of the processes that this one has started and that ended [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def around(quick):
     """Return rows of what surrounds the steps: set-up, result and the first compilation."""
     scene, random, rounds = paper(), np.random.default_rng(1), 5 if quick else 25
@@ -221,9 +230,14 @@ def around(quick):
                                   for _ in range(BLOCK)], units=BLOCK, rounds=rounds)
     own, least = whole.middle - steps.middle, whole.least - steps.least
     with tempfile.TemporaryDirectory() as folder:
+        empty, other = ({**os.environ, 'NUMBA_CACHE_DIR': f'{folder}/{name}'} for name in 'ab')
+        begun = processor_time()
+        subprocess.run([sys.executable, '-m', 'timo_sim', 'simulate', PAPER], check=True,
+                       capture_output=True, env=empty)
+        installed = processor_time() - begun
         output = subprocess.run(
             [sys.executable, '-c', FIRST], check=True, text=True, stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL, env={**os.environ, 'NUMBA_CACHE_DIR': folder}).stdout
+            stderr=subprocess.DEVNULL, env=other).stdout
     (very_first, numba, llvm), (further, _, again) = [
         map(float, line.split()) for line in output.splitlines()]
     return [
@@ -234,6 +248,9 @@ def around(quick):
         ('`simulate` of a checked scene, beside its steps', '0.3 ms',
          f'{1e3 * own:.2f} ms (min {1e3 * least:.2f})', own <= 0.3e-3,
          '10 s at 10 ms, every step sampled: simulator, loads, samples and the Run'),
+        ('first result of an installation, `timo_sim simulate paper`', '2 s',
+         f'{installed:.2f} s', installed <= 2.0,
+         'processor time of the process; nothing is in the store of machine code'),
         ('first run of a size', '5 s', f'{further:.1f} s', further <= 5.0,
          f'N = 4, with no machine code of it: LLVM takes {again:.1f} s'),
         ('very first run, compared with a finer one', '', f'{very_first:.1f} s', None,

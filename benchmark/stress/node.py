@@ -133,7 +133,9 @@ def _signalled(cold, moment, sent):
     """Send a node a signal; return whether all is well, and whether it could not take it yet."""
     with tempfile.TemporaryDirectory() as folder:
         environment = {**ENVIRONMENT, **({'NUMBA_CACHE_DIR': folder} if cold else {})}
-        node = Node(folder, environment=environment, duration=1.0)
+        # An installation has no machine code of nine modes.
+        node = Node(folder, environment=environment, duration=1.0,
+                    **({'model.modes': 9} if cold else {}))
         time.sleep(moment)
         early = not node.handles_signals()
         code = node.end(sent)

@@ -242,15 +242,12 @@ def test_steps_and_a_pause_end_with_state_and_clock_and_the_log_is_the_same(
         assert {1000000 * number for number in steps} <= {*map(nanoseconds, messages)}
     assert node.end()[0] == 0
     recording = Recording(node.log)
-    deflections = recording.topics['~/tip_deflection']
     for name in '/clock', 'joint_states', '~/tip_deflection':
         assert recording.topics[name].step.tolist() == [*range(0, steps[-1] + 1, 10)]
     if watched:  # the states between the marks are those of the run
         run = timo_sim.simulate({'initial.modal_rates': [0.1, 0.0, 0.0]}, 1e-3 * steps[-1])
         for state in received['/joint_states']:
             assert [*state.position] == run.motion[nanoseconds(state) // 1000000, :3].tolist()
-    assert float(recording.summary['peak_tip_deflection_m']) == np.abs(
-        deflections.values[:, 1]).max()
 
 
 def test_a_state_is_repeated_only_for_new_subscribers(client):

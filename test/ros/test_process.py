@@ -51,7 +51,7 @@ REFUSED = [
     (['--params-file', 'invalid.yaml'], 'invalid.yaml'),
     (['--params-file', 'tag.yaml'], 'tag'),
     (['--params-file', 'twice.yaml'], 'arm.length is given twice (twice.yaml)'),
-    (['-r', f'__ns:=/{"x" * 230}'], 'topic length should not exceed')]
+    (['--', 'duration:=1.0'], "'duration:=1.0' must be inside of --ros-args")]
 
 
 def test_what_is_refused_ends_a_node_with_one_line_and_code_2(start, tmp_path):
@@ -110,19 +110,20 @@ main()
 """
 
 
-def test_the_node_is_in_the_graph_when_it_can_answer(client, tmp_path):
-    """It does not appear while it compiles; afterwards one line says what it does."""
+def test_services_and_topics_come_when_the_node_can_answer(client, tmp_path):
+    """It offers nothing of its own while it compiles; afterwards one line says what it does."""
     node = subprocess.Popen(
         [sys.executable, '-c', BUILDING, '--ros-args', '-r', '__ns:=/late', '-p', 'record:=false',
          '-p', 'end_effector.mass:=2.5'], cwd=tmp_path, stdin=subprocess.PIPE,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         client.wait(lambda: 'marker' in client.get_node_names(), 'the node that is built')
-        assert ('timo_sim', '/late') not in client.get_node_names_and_namespaces()
+        offered = {name for name, _ in client.get_service_names_and_types_by_node(
+            'timo_sim', '/late')}
+        assert offered <= {'/late/timo_sim/get_type_description'}
+        assert not client.get_publishers_info_by_topic('/late/joint_states')
         node.stdin.write('\n')
         node.stdin.flush()
-        client.wait(lambda: ('timo_sim', '/late') in client.get_node_names_and_namespaces(),
-                    'the node')
         mass, = client.service(GetParameters, '/late/timo_sim/get_parameters')(
             names=['end_effector.mass']).values
         assert mass.double_value == 2.5

@@ -82,17 +82,6 @@ class _Command(click.Command):
         sys.exit(code)
 
 
-class _InputOption(click.Option):
-    """An option whose help, when it is shown, lists the inputs of linear models."""
-
-    def get_help_record(self, context):
-        """Return the option and its help."""
-        from timo_sim.model.layout import INPUTS
-        names = ', '.join(each.column for each in INPUTS if each.prescribed)
-        self.help = f'Input of the model: {names}.'
-        return super().get_help_record(context)
-
-
 @click.group()
 @click.version_option(__version__, prog_name='timo_sim')
 def main() -> None:
@@ -109,7 +98,8 @@ _node = click.option('--node', metavar='NAME', help='Full name of the node, if a
 @click.argument('scene')
 @_settings
 @click.option('--input', 'cause', default='torque_N_m', show_default=True, metavar='NAME',
-              cls=_InputOption)
+              help='Input of the model: force_x_N, force_y_N, torque_N_m, tip_force_x_N, '
+                   'tip_force_y_N, tip_torque_N_m, push_x_N, push_y_N.')
 @click.option('--response', 'effects', multiple=True, metavar='NAME', show_default=True,
               default=['shaft_rad', 'tip_transverse_m', 'root_strain'],
               help='Output of the model, such as tip_acceleration_m_per_s2; once for each curve.')
@@ -223,7 +213,7 @@ def export_fmu(scene: str, output: str, fmi: str, settings: tuple[str, ...], est
 @click.argument('file', type=click.Path())
 def info(file: str) -> None:
     r"""
-    Describe FILE, a log or a bag's folder: scene, duration, topics with rates and gaps, peak.
+    Describe FILE, a log or a bag's folder: scene, duration, topics with mean rates.
 
     \b
         timo_sim info run.mcap
@@ -562,10 +552,11 @@ def _parse_bounds(texts):
 def unique_names(names: list[str]) -> list[str]:
     """Return names with a suffix _N after repeated ones, such that all differ."""
     found: list[str] = []
-    for place, name in enumerate(names):
-        numbered = (f'{name}_{number}' for number in itertools.count(place))
-        found.append(name if name not in found else next(
-            each for each in numbered if each not in {*names, *found}))
+    for name in names:
+        numbers, unique = itertools.count(1), name
+        while unique in found or unique != name and unique in names:
+            unique = f'{name}_{next(numbers)}'
+        found.append(unique)
     return found
 
 

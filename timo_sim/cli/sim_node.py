@@ -24,15 +24,12 @@ The ROS 2 node timo_sim. Parameters are set by --ros-args:
 
 class StopRequest:
     """
-    Turns SIGINT, SIGTERM and SIGHUP into a clean end of the process, with code 0.
-
-    SIGHUP comes when a terminal is closed; `nohup` has it ignored, and it stays so.
+    Turns SIGINT, SIGTERM and SIGHUP (unless ignored, by nohup) into a clean end, with code 0.
 
     While modules are imported there is nothing to clean up, and an exception could appear as a
     failed import: the process exits at once. While the node is `building` (it may compile for
-    seconds), SystemExit unwinds it. If a callback of C code swallows that, the node's loop sees
-    `set` as soon as it runs. Once the node is `running`, its loop sees `set`. Further signals are
-    ignored, so that they cannot interrupt the clean-up.
+    seconds), SystemExit unwinds it. Once the node is `running`, also if C code has swallowed that,
+    its loop sees `set`. Further signals are ignored, so that they cannot interrupt the clean-up.
     """
 
     def __init__(self) -> None:
@@ -70,25 +67,16 @@ def _ignore_exit(unraisable):
 
 
 def main(args: list[str] | None = None) -> int:
-    """
-    Run the node until a signal of `StopRequest` or the end of its duration; return the exit code.
-
-    It is 0 for a good end, 1 if ROS is missing or the middleware fails, 2 for a parameter or an
-    argument, by default those of the process, that breaks its rule.
-    """
+    """Run the node with these arguments or the process's; return the exit code, as `run` does."""
     _open_streams()
     stop = StopRequest()
-    given = _outside_ros_args(sys.argv[1:] if args is None else args)
+    given = sys.argv[1:] if args is None else args
     if given in (['-h'], ['--help']):
         print(_HELP)
         return 0
-    if given:
-        print(f'timo_sim: {given[0]!r} must be inside of --ros-args: try sim_node --ros-args '
-              '-p duration:=10.0, or sim_node --help', file=sys.stderr)
-        return 2
     try:
         from timo_sim.ros.process import run
-        return run(stop, args, live_feed=_live_feed)
+        return run(stop, args)
     except ModuleNotFoundError as error:
         if error.name != 'rclpy':
             raise
@@ -109,24 +97,6 @@ def _open_streams():
             os.fstat(number)
         except OSError:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), 'w' if number else 'r'))
-
-
-def _outside_ros_args(arguments):
-    # Arguments before --ros-args, or after the -- that ends it.
-    outside, inside = [], False
-    for argument in arguments:
-        if argument == '--ros-args':
-            inside = True
-        elif inside and argument == '--':
-            inside = False
-        elif not inside:
-            outside.append(argument)
-    return outside
-
-
-def _live_feed(scene, url, name):
-    from timo_sim.view.feed import Feed
-    return Feed(scene, url, name)
 
 
 if __name__ == '__main__':

@@ -15,13 +15,12 @@ in the store and loaded.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from contextvars import ContextVar
 import functools
 import gc
 import hashlib
 from importlib.metadata import version
-from pathlib import Path
 import threading
 from typing import Any
 
@@ -61,10 +60,6 @@ def symbols_of(constants: tuple[Any, ...]) -> dict[str, int]:
     return symbols
 
 
-# Intermediate code that was made when the package was built, see `steps/prebuilt.py`.
-PREBUILT = Path(__file__).with_name('prebuilt')
-
-
 def file_name(entry: Any, kinds: tuple[type, ...]) -> str:
     """Return the name of the file with the intermediate code of an entry point for some kinds."""
     names = (f'{kind.__module__.removeprefix("timo_sim.")}.{kind.__name__}' for kind in kinds)
@@ -76,23 +71,7 @@ def file_name(entry: Any, kinds: tuple[type, ...]) -> str:
 @functools.cache
 def intermediate_code(entry: Any, kinds: tuple[type, ...]) -> bytes:
     """Return LLVM's bitcode of an entry point for constants of some kinds, of any size."""
-    name = file_name(entry, kinds)
-    with suppress(OSError):
-        return (PREBUILT / name).read_bytes()
-    with store.lock(f'{name}.lock'):
-        code = store.read(name)
-        if code is None:
-            with _no_garbage_collection():
-                code = _emit(entry, kinds)
-            store.write(name, code)
-    return code
-
-
-def write_intermediate_code(folder: str, entries: list[tuple[Any, tuple[type, ...]]]) -> None:
-    """Write the intermediate code of entry points with their kinds to files of a folder."""
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    for entry, kinds in entries:
-        Path(folder, file_name(entry, kinds)).write_bytes(intermediate_code(entry, kinds))
+    return store.read_or_make(file_name(entry, kinds), lambda: _emit(entry, kinds))
 
 
 def _emit(entry, kinds):
@@ -102,7 +81,8 @@ def _emit(entry, kinds):
         raise ImportError('numba cannot be imported with its settings, NUMBA_* of the environment '
                           'or .numba_config.yaml in the working directory: '
                           + ' '.join(str(error).split())) from error
-    return emit(entry, kinds)
+    with _no_garbage_collection():
+        return emit(entry, kinds)
 
 
 @contextmanager
@@ -178,12 +158,9 @@ def specialise(code: bytes, symbols: dict[str, int], machine: Any, name: str) ->
 def module_for_target(entry: Any, constants: tuple[Any, ...], target: str, name: str) -> Any:
     """Return the module of `specialise` for some constants' sizes; the store keeps it."""
     kinds, symbols = tuple(each.kind for each in constants), symbols_of(constants)
-    file = f'{_digest(entry, kinds, symbols, target)}-{name}.bc'
-    code = store.read(file)
-    if code is None:
-        code = specialise(intermediate_code(entry, kinds), symbols, target_machine(target),
-                          name).as_bitcode()
-        store.write(file, code)
+    code = store.read_or_make(
+        f'{_digest(entry, kinds, symbols, target)}-{name}.bc', lambda: specialise(
+            intermediate_code(entry, kinds), symbols, target_machine(target), name).as_bitcode())
     _initialise()
     return llvm.parse_bitcode(code)
 
@@ -240,11 +217,8 @@ def load(entry: Any, constants: tuple[Any, ...]) -> int:
     name = _digest(entry, kinds, symbols, 'host')
     with _LOCK:
         if name not in _ADDRESSES:
-            data = store.read(f'{name}.o')
-            if data is None:
-                with store.lock(f'{name}.lock'):
-                    # Another process may have been faster.
-                    data = store.read(f'{name}.o') or _compile(entry, kinds, symbols, name)
+            data = store.read_or_make(
+                f'{name}.o', lambda: _compile(entry, kinds, symbols, name))
             _ADDRESSES[name] = _engine().add(data, name)
         return _ADDRESSES[name]
 
@@ -254,6 +228,4 @@ def _compile(entry, kinds, symbols, name):
     if tell:
         tell(COMPILING)
         _TELL.set(None)
-    data = object_code(intermediate_code(entry, kinds), symbols, _loading_machine(), name)
-    store.write(f'{name}.o', data)
-    return data
+    return object_code(intermediate_code(entry, kinds), symbols, _loading_machine(), name)

@@ -13,10 +13,11 @@ A file begins with a checksum and gets its name when it is complete; if anything
 it is as if it did not exist.
 
 Code from the store is executed: nothing is read from a folder or file that another user owns or
-may write to, or that is a symbolic link.
+may write to, or that is a symbolic link. Code that was made when the package was built is a part
+of the package, which is trusted.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, ExitStack, suppress
 import errno
 import fcntl
@@ -35,6 +36,7 @@ import platformdirs
 
 _CHECKSUM = 32  # length of a SHA-256 checksum [B]
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+PREBUILT = Path(__file__).with_name('prebuilt')  # see `simulation/prebuilt.py`
 # Folders with the sources of compiled functions.
 _SOURCES = [Path(__file__).parents[1] / folder for folder in ('compiled', 'model', 'steps')]
 
@@ -129,14 +131,14 @@ def _file(name, mode):
 
 
 def read(name: str) -> bytes | None:
-    """Return the contents of a file of the store, None if there is no whole one."""
-    try:
-        with _file(name, 'rb') as file:
-            content = file.read()
-    except OSError:
-        return None
-    data = content[_CHECKSUM:]
-    return data if hashlib.sha256(data).digest() == content[:_CHECKSUM] else None
+    """Return the contents of a file of the package or the store, None if there is no whole one."""
+    for file in (PREBUILT / name).open, functools.partial(_file, name):
+        with suppress(OSError), file('rb') as opened:
+            content = opened.read()
+            data = content[_CHECKSUM:]
+            if hashlib.sha256(data).digest() == content[:_CHECKSUM]:
+                return data
+    return None
 
 
 def write(name: str, data: bytes) -> None:
@@ -165,3 +167,15 @@ def lock(name: str) -> Iterator[None]:
             fcntl.flock(held, fcntl.LOCK_EX)
             stack.callback(fcntl.flock, held, fcntl.LOCK_UN)  # a forked child may keep it open
         yield
+
+
+def read_or_make(name: str, make: Callable[[], bytes]) -> bytes:
+    """Return the contents of a file; if there is none, one process makes it and others wait."""
+    data = read(name)
+    if data is None:
+        with lock(f'{name}.lock'):
+            data = read(name)
+            if data is None:
+                data = make()
+                write(name, data)
+    return data

@@ -30,7 +30,7 @@ from timo_sim.simulation.derivatives import unit_loads_of, why_not_differentiabl
 from timo_sim.simulation.loads import Actuators
 from timo_sim.steps import friction
 from timo_sim.steps import instance as steps
-from timo_sim.steps.derivatives import differentiate, Inputs
+from timo_sim.steps.derivatives import differentiate, inputs_of
 from timo_sim.steps.etdrk4 import advance
 from timo_sim.steps.instance import Code, Instance, KNOWN, LOST, MAGIC, PART, SAVED
 
@@ -67,8 +67,7 @@ class _Model:
         self.own = model.packed
         # What steps are differentiated by, if they are.
         unit = unit_loads_of(scene.values, [each.column for each in interface.inputs])
-        self.inputs = None if why_not_differentiable(scene) else pack(
-            Inputs(unit, np.zeros(model.size + len(unit))))
+        self.inputs = None if why_not_differentiable(scene) else inputs_of(unit, model.size)
         outputs = steps.MODAL + 2 * len(model.modes) + 1
         self.instance = pack(Instance._make([
             np.zeros(5), *3 * [np.zeros(LOADS)], *2 * [np.zeros(4)], *2 * [np.zeros(1)],
@@ -112,35 +111,41 @@ class _Body:
         self.builder: Any = None
         self.offsets = [0, models[0].length]
         self.size = sum(model.length for model in models)
-        self._constants: dict[Any, Any] = {}
+        self._keys: dict[Any, int] = {}  # numbers of constants
 
     # Pieces of code.
 
     def word(self, value):
         return ir.Constant(_WORD, value)
 
+    def constant(self, name, kind, content, align=None):
+        """Return the place of a constant, which is made once."""
+        if name not in self.module.globals:
+            made = ir.GlobalVariable(self.module, kind, name)
+            made.initializer, made.global_constant = ir.Constant(kind, content), True
+            made.linkage, made.align = 'internal', align
+        return self.module.globals[name]
+
+    def content(self, key, content, align=None):
+        """Return the place of bytes; equal keys have the same place."""
+        number = self._keys.setdefault(key, len(self._keys))
+        return self.constant(f'bytes.{number}', ir.ArrayType(ir.IntType(8), len(content)),
+                             bytearray(content), align)
+
     def data(self, *packed: Packed) -> Any:
         """Return the place of constants; several of one kind stand one after another."""
-        key = tuple(map(id, packed))
-        if key not in self._constants:
-            content = bytearray(b''.join(bytes(each.memory[:each.length]) for each in packed))
-            kind = ir.ArrayType(ir.IntType(8), len(content))
-            place = ir.GlobalVariable(self.module, kind, f'constants.{len(self._constants)}')
-            place.initializer, place.global_constant = ir.Constant(kind, content), True
-            place.linkage, place.align = 'internal', 64
-            self._constants[key] = place
-        return self._constants[key]
+        return self.content((*map(id, packed),), b''.join(
+            bytes(each.memory[:each.length]) for each in packed), align=64)
 
     def text(self, value):
         """Return the place of a text."""
-        if value not in self._constants:
-            content = bytearray(value.encode() + b'\0')
-            kind = ir.ArrayType(ir.IntType(8), len(content))
-            place = ir.GlobalVariable(self.module, kind, f'text.{len(self._constants)}')
-            place.initializer, place.global_constant = ir.Constant(kind, content), True
-            place.linkage = 'internal'
-            self._constants[value] = place
-        return self._constants[value]
+        return self.content(value, value.encode() + b'\0')
+
+    def element(self, name, kind, values, place):
+        """Return one of some constant values."""
+        table = self.constant(name, ir.ArrayType(kind, len(values)), values)
+        return self.builder.load(self.builder.gep(table, [
+            ir.Constant(_INT, 0), self.builder.zext(place, _WORD)]), typ=kind)
 
     def at(self, pointer, offset):
         """Return a pointer moved by some bytes."""
@@ -332,17 +337,6 @@ class _Body:
             self.builder.store(self.builder.load(self.at(source, offset), typ=_WORD),
                                self.at(goal, offset))
 
-    def number_in(self, name, numbers, place):
-        """Return one of some whole numbers, which are a constant of this name."""
-        kind = ir.ArrayType(_WORD, len(numbers))
-        if name not in self.module.globals:
-            made = ir.GlobalVariable(self.module, kind, name)
-            made.initializer = ir.Constant(kind, numbers)
-            made.linkage, made.global_constant = 'internal', True
-        found = self.builder.gep(self.module.globals[name], [
-            ir.Constant(_INT, 0), self.builder.zext(place, _WORD)])
-        return self.builder.load(found, typ=_WORD)
-
     def memory(self):
         self.function(f'{self.name}_size', _WORD)
         self.builder.ret(self.word(self.size))
@@ -361,7 +355,7 @@ class _Body:
             instance, number, value = self.public(entry.__name__, _INT, kind)
             self.fail_unless_below(number, len(columns))
             self.finish(self.call(own, entry, [self.own(own, instance)],
-                                  self.number_in('columns', columns, number), value))
+                                  self.element('columns', _WORD, columns, number), value))
 
     def parameters(self):
         limits = self.interface.parameters
@@ -383,7 +377,7 @@ class _Body:
 
     def columns_of_limit(self, number):
         """Return whether a parameter limits rates, its first column and the one after its last."""
-        return [self.number_in(f'limits.{name}', [
+        return [self.element(f'limits.{name}', _WORD, [
             int(getattr(each, name)) for each in self.interface.parameters], number)
             for name in ('of_rate', 'begin', 'end')]
 
@@ -479,15 +473,10 @@ class _Body:
                 ('parameter_name', [each.title for each in self.interface.parameters]),
                 ('parameter_unit', [each.unit for each in self.interface.parameters])):
             number, = self.function(f'{self.name}_{name}', _POINTER, _INT)
-            kind = ir.ArrayType(_POINTER, len(texts))
-            table = ir.GlobalVariable(self.module, kind, f'texts.{name}')
-            table.initializer = ir.Constant(kind, [self.text(each) for each in texts])
-            table.linkage, table.global_constant = 'internal', True
             self.return_if(self.builder.icmp_unsigned(
                 '>=', number, ir.Constant(_INT, len(texts))), self.text('unknown'))
-            place = self.builder.gep(table, [
-                ir.Constant(_INT, 0), self.builder.zext(number, _WORD)])
-            self.builder.ret(self.builder.load(place, typ=_POINTER))
+            self.builder.ret(self.element(
+                f'texts.{name}', _POINTER, [self.text(each) for each in texts], number))
 
     def write(self) -> ir.Module:
         """Return the module with all functions."""

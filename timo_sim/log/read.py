@@ -7,15 +7,13 @@
 # language governing permissions and limitations under the License.
 
 """
-Read a log by its summary and index; write a new one of what is there before the first damage.
+Read a log record by record, or its summary alone; recover what is intact in a damaged one.
 
 Records are parsed by mcap. Checksums are verified, and lengths are compared with the file and with
 fixed limits before anything is read.
 """
 
-from collections import Counter, defaultdict
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 import fcntl
 from io import BytesIO
@@ -25,33 +23,34 @@ import os
 from pathlib import Path
 import stat
 import struct
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 import zlib
 
 import lz4.frame
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel, Chunk as ChunkRecord, ChunkIndex, Header, Message, Metadata, MetadataIndex, Schema,
-    Statistics)
-from mcap.stream_reader import breakup_chunk, StreamReader
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk as ChunkRecord, Header, Metadata, Schema
+from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
-import numpy as np
 import zstandard
 
 from timo_sim.log.write import (
-    CHANGE, Chunk, CHUNK_SIZE, create, HEAD, printable, RESET, START, SUMMARY, sync, Writer)
+    CHANGE, Chunk, CHUNK_SIZE, HEAD, MESSAGE_OPCODE, numbered, printable, RESET, START, SUMMARY,
+    sync, Writer)
+from timo_sim.scene.files import whole_file
 
 _LARGEST_CHUNK = 64 * 1024 * 1024      # [B] uncompressed
 _LARGEST_RECORD = _LARGEST_CHUNK + 1024 * 1024
 _LARGEST_SUMMARY = 512 * 1024 * 1024   # [B], about that of a log of a month
 _FOOTER = struct.Struct('<BQQQI8s')    # opcode, length, places of summary and offsets, CRC, magic
+_MESSAGE = struct.Struct('<HIQQ')      # channel, sequence number, log time, publish time
 # What mcap and the decompressors raise for bytes that they cannot read.
-_UNREADABLE = (McapError, ValueError, OverflowError, RuntimeError, EOFError, struct.error,
-               zstandard.ZstdError)
+_UNREADABLE = (McapError, ValueError, OverflowError, RuntimeError, EOFError, LookupError,
+               struct.error, zstandard.ZstdError)
 _COPIED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
-_FIRST_PRIVATE_OPCODE = 0x80
+_CHUNK_OPCODE, _FIRST_PRIVATE_OPCODE = int(Opcode.CHUNK), 0x80
 
 
 class LogError(ValueError):
@@ -65,7 +64,8 @@ class _DamageError(ValueError):
 def files_of(path: Path | str) -> list[Path]:
     """Return the Paths of a file, or of the parts of a bag in a folder; else raise LogError."""
     path = Path(path)
-    inside = sorted(path.iterdir()) if path.is_dir() else [path]
+    inside = sorted(path.iterdir(), key=lambda file: (len(file.name), file.name)) if (
+        path.is_dir()) else [path]
     foreign = [file for file in inside if file.suffix in ('.db3', '.zstd')]
     if foreign:
         kind = 'SQLite' if '.db3' in foreign[0].suffixes else 'compressed as a whole'
@@ -76,12 +76,10 @@ def files_of(path: Path | str) -> list[Path]:
         return inside
     files = [file for file in inside if file.suffix == '.mcap']
     # A bag that rosbag2 has split has files NAME_0.mcap, NAME_1.mcap, ...
-    parts = {int(number): file for file in files
-             if (number := file.stem.rpartition('_')[2]).isdecimal()}
-    first = min(parts, default=0)
-    if len(files) > 1 and len({file.stem.rpartition('_')[0] for file in files}) == 1 and (
-            sorted(parts) == [*range(first, first + len(files))]):
-        return [parts[number] for number in sorted(parts)]
+    name, _, first = files[0].stem.rpartition('_') if files else ('', '', '')
+    if first.isdecimal() and [file.stem for file in files] == [
+            f'{name}_{number}' for number in range(int(first), int(first) + len(files))]:
+        return files
     if len(files) != 1:
         raise LogError(f'{printable(path)} has {len(files)} files *.mcap: name one')
     return files
@@ -123,10 +121,10 @@ def _is_being_written(stream):
     return False
 
 
-def _parse(kind, content, *length):
-    """Return a record of mcap; its messages must be told their length."""
+def _parse(kind, content):
+    """Return a record of mcap."""
     try:
-        return kind.read(ReadDataStream(BytesIO(content)), *length)
+        return kind.read(ReadDataStream(BytesIO(content)))
     except _UNREADABLE:
         raise _DamageError(f'a record of kind {kind.__name__.lower()} is malformed') from None
 
@@ -156,8 +154,20 @@ def _decompress(chunk):
     return data
 
 
-def _read_summary(stream):
-    """Return the records of a log's summary by their type; raise _DamageError without one."""
+def _split(data):
+    """Return opcode and content of each record in the data of a chunk."""
+    found, place = [], 0
+    while place < len(data):
+        opcode, length = HEAD.unpack_from(data, place)
+        begin, place = place + HEAD.size, place + HEAD.size + length
+        if place > len(data) or opcode == _CHUNK_OPCODE:
+            raise struct.error
+        found.append((opcode, data[begin:place]))
+    return found
+
+
+def _read_summary(stream: BinaryIO) -> Summary:
+    """Return the summary of a log; raise _DamageError if it is missing or damaged."""
     size = stream.seek(0, os.SEEK_END)
     stream.seek(max(0, size - _FOOTER.size))
     end = stream.read(_FOOTER.size)
@@ -167,23 +177,22 @@ def _read_summary(stream):
     if not place or not _FOOTER.size < size - place <= _LARGEST_SUMMARY:
         raise _DamageError('there is no summary')
     stream.seek(place)
-    data = stream.read(size - place)
-    if crc and zlib.crc32(memoryview(data)[:-12]) != crc:  # it covers all but itself and the magic
+    # The checksum covers all but itself and the magic.
+    if crc and zlib.crc32(memoryview(stream.read(size - place))[:-12]) != crc:
         raise _DamageError('the checksum of the summary is wrong')
-    found: defaultdict[type, list[Any]] = defaultdict(list)
+    stream.seek(0)
     try:
-        for record in StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records:
-            found[type(record)].append(record)
+        found = SeekingReader(stream, record_size_limit=_LARGEST_RECORD).get_summary()
     except _UNREADABLE as error:
         raise _DamageError(f'its index is damaged: {error}') from None
-    if not found[Statistics]:
+    if not found or not found.statistics:
         raise _DamageError('there are no statistics')
-    counts = found[Statistics][-1]
-    for kind, count in ((Schema, counts.schema_count), (Channel, counts.channel_count),
-                        (MetadataIndex, counts.metadata_count)):
-        if len(found[kind]) < count:
-            raise _DamageError(f'its summary has {len(found[kind])} of {count} records of kind '
-                               f'{kind.__name__.lower()}')
+    for kind, there, count in (
+            ('schema', found.schemas, found.statistics.schema_count),
+            ('channel', found.channels, found.statistics.channel_count),
+            ('metadata', found.metadata_indexes, found.statistics.metadata_count)):
+        if len(there) < count:
+            raise _DamageError(f'its summary has {len(there)} of {count} records of kind {kind}')
     return found
 
 
@@ -192,18 +201,17 @@ class LogNotes(NamedTuple):
 
     facts: dict    # texts noted at the start of the run; empty if there are none
     summary: dict  # texts noted at its end; empty if there are none
-    resets: list   # (step, place in the file) of each
-    changes: list  # (step, place, values by name) of each setting of the scene's parameters
+    resets: list   # steps, in the order of the file
+    changes: list  # (step, resets before it in the file, values by name of the scene's parameters)
 
 
 class LogFile:
     """
-    The summary of a log, and its metadata and chunks, read when they are asked for.
+    The summary of a log; its metadata and records, read when they are asked for.
 
     The file, or that in a bag's folder, is open only while it is read. `name` is its path as text
-    that can be printed; `schemas` and `channels` are records by number, `statistics` is one, and
-    `chunks` is a list of ChunkIndex in the order of the file. LogError is raised if it is not a
-    log, or has no summary: the text says what to do.
+    that can be printed, `summary` is mcap's. LogError is raised if it is not a log, or has no
+    summary: the text says what to do.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -211,115 +219,60 @@ class LogFile:
         self.name = printable(self.path)
         with _open(self.path) as stream:
             try:
-                found = _read_summary(stream)
+                self.summary = _read_summary(stream)
             except _DamageError as error:
                 reason = ('it is still being written: wait for its end, or'
                           if _is_being_written(stream) else f'{error}:')
                 raise LogError(f'{self.name}: {reason} timo_sim recover {self.name} makes a '
                                'complete log of what is there') from None
-        self.schemas = {schema.id: schema for schema in found[Schema]}
-        self.channels = {channel.id: channel for channel in found[Channel]}
-        self.statistics = found[Statistics][-1]
-        self.chunks = sorted(found[ChunkIndex], key=lambda chunk: chunk.chunk_start_offset)
-        self._metadata = sorted(found[MetadataIndex], key=lambda entry: entry.offset)
 
     def notes(self) -> LogNotes:
         """Return the metadata; raise LogError if they are malformed or of several runs."""
-        starts, summary, resets, changes = [], {}, [], []
-        for entry in self._metadata:
-            if entry.name not in (START, SUMMARY, RESET, CHANGE):
-                continue
-            with self._opened() as stream:
-                note = _parse(Metadata, self._record(
-                    stream, entry.offset, entry.length, Opcode.METADATA)).metadata
+        found = LogNotes({}, {}, [], [])
+        for name, note in self._metadata():
+            if name == START:
+                if found.facts not in ({}, note):
+                    raise LogError(f'{self.name} has the notes of several runs')
+                found.facts.update(note)
+            elif name == SUMMARY:
+                found.summary.update(note)
             try:
-                if entry.name == START:
-                    starts.append(note)
-                elif entry.name == SUMMARY:
-                    summary = note
-                elif not note['step'].isdecimal() or len(note['step']) > 18:
-                    raise ValueError
-                elif entry.name == RESET:
-                    resets.append((int(note['step']), entry.offset))
-                else:
-                    changes.append((int(note['step']), entry.offset,
-                                    dict(json.loads(note['values']))))
+                if name == RESET:
+                    found.resets.append(_step_of(note))
+                elif name == CHANGE:
+                    found.changes.append((_step_of(note), len(found.resets),
+                                          dict(json.loads(note['values']))))
             except (KeyError, TypeError, ValueError, RecursionError):
-                raise LogError(f'{self.name} has a malformed metadata record {entry.name}: '
+                raise LogError(f'{self.name} has a malformed metadata record {name}: '
                                f'{str(note)[:80]!r}') from None
-        if any(note != starts[0] for note in starts):
-            raise LogError(f'{self.name} has the notes of several runs')
-        return LogNotes(starts[0] if starts else {}, summary, sorted(resets),
-                        sorted(changes, key=lambda change: change[:2]))
+        return found
 
-    def blocks(self, most: int | None = None) -> Iterator[
-            tuple[int, np.ndarray, dict[int, np.ndarray]]]:
-        """Yield place, bytes, and message offsets by channel of at most `most` blocks, spread."""
-        # A record of a message index has 15 bytes, and 16 more for each message.
-        indexed = sum((chunk.message_index_length - 15 * len(chunk.message_index_offsets)) // 16
-                      for chunk in self.chunks)
-        if indexed == self.statistics.message_count:
-            for chunk in self.chunks[::math.ceil(len(self.chunks) / (most or math.inf)) or 1]:
-                with self._opened() as stream:
-                    data = _decompress(_parse(ChunkRecord, self._record(
-                        stream, chunk.chunk_start_offset, chunk.chunk_length, Opcode.CHUNK)))
-                    yield chunk.chunk_start_offset, np.frombuffer(data, np.uint8), {
-                        channel: entries[:, 1]
-                        for channel, entries in self._index(stream, chunk)}
-            return
-        # Files without chunks, or without their indexes, are read record by record.
+    def _metadata(self):
         with _open(self.path) as stream:
-            reader, place = _Reader(stream), 0
-            for record in reader.records():
-                if isinstance(record, Chunk):
-                    place = max(place + 1, reader.place)
-                    yield place, np.frombuffer(record.data, np.uint8), {
-                        channel: np.array(entries[1::2], np.uint64)
-                        for channel, entries in record.index.items()}
+            stream.seek(0)
+            try:
+                return [(record.name, record.metadata) for record in SeekingReader(
+                    stream, record_size_limit=_LARGEST_RECORD).iter_metadata()]
+            except _UNREADABLE as error:
+                raise self._damaged(error) from None
+
+    def records(self) -> Iterator[Schema | Channel | Metadata | Chunk]:
+        """Yield what the file has, see `_Reader.records`; raise LogError if it is damaged."""
+        with _open(self.path) as stream:
+            reader = _Reader(stream)
+            yield from reader.records()
             if reader.damage:
-                raise LogError(f'{self.name}: {reader.damage}: timo_sim recover {self.name} keeps '
-                               'what is intact')
+                raise self._damaged(reader.damage)
 
-    def times(self, chunk: ChunkIndex) -> dict[int, np.ndarray]:
-        """Return log times of a chunk's messages by channel, (n,) [ns]; reads its index only."""
-        with self._opened() as stream:
-            return {channel: entries[:, 0].astype(np.int64)
-                    for channel, entries in self._index(stream, chunk)}
+    def _damaged(self, reason):
+        return LogError(f'{self.name} is damaged: {reason}: timo_sim recover {self.name} keeps '
+                        'what is intact')
 
-    @contextmanager
-    def _opened(self):
-        try:
-            with _open(self.path) as stream:
-                yield stream
-        except (_DamageError, struct.error) as error:
-            raise LogError(f'{self.name} is damaged: {error}: timo_sim recover {self.name} keeps '
-                           'what is intact') from None
 
-    def _record(self, stream, place, length, opcode):
-        """Return the content of the record of this place, length and kind."""
-        if not HEAD.size <= length <= _LARGEST_RECORD:
-            raise _DamageError(f'a record would have {length} bytes')
-        stream.seek(place)
-        data = stream.read(length)
-        if len(data) < length or HEAD.unpack_from(data) != (opcode, length - HEAD.size):
-            raise _DamageError(f'at byte {place} is no record of kind {int(opcode)}')
-        return data[HEAD.size:]
-
-    def _index(self, stream, chunk):
-        """Yield each channel of a chunk with times and offsets of its messages, (n, 2)."""
-        if chunk.message_index_length > _LARGEST_RECORD:
-            raise _DamageError(f'the index of a chunk would have {chunk.message_index_length} '
-                               'bytes')
-        stream.seek(chunk.chunk_start_offset + chunk.chunk_length)
-        data, place = stream.read(chunk.message_index_length), 0
-        while place < len(data):
-            opcode, length, channel, size = struct.unpack_from('<BQHI', data, place)
-            place += 15
-            if (opcode != Opcode.MESSAGE_INDEX or length != 6 + size or size % 16
-                    or place + size > len(data)):
-                raise _DamageError('the index of a chunk is malformed')
-            yield channel, np.frombuffer(data, '<u8', size // 8, place).reshape(-1, 2)
-            place += size
+def _step_of(note):
+    if not note['step'].isdecimal() or len(note['step']) > 18:
+        raise ValueError
+    return int(note['step'])
 
 
 class _Reader:
@@ -327,31 +280,30 @@ class _Reader:
     Reads a log, behind its magic, record by record until it breaks; damaged records are left out.
 
     `damage` is the first damage and its place, None for a complete file; `lost` are bytes that
-    could not be read, `left_out` attachments and private records, which are not copied.
+    could not be read, `left_out` counts attachments and private records, which are not copied.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream, self.profile = stream, 'ros2'
         self.size = os.fstat(stream.fileno()).st_size
         self.place, self.lost, self.faults, self.count = len(MCAP0_MAGIC), 0, 0, 0
-        self.earliest, self.latest = math.inf, 0
+        self.earliest, self.latest, self.left_out = math.inf, 0, 0
         self.damage: str | None = None
-        self.left_out: Counter = Counter()
 
     def records(self) -> Iterator[Schema | Channel | Metadata | Chunk]:
         """Yield each Schema and Channel once, Metadata (not rosbag2's) and Chunks of messages."""
         chunk = Chunk()
         known: set[tuple[type, int]] = {(Schema, 0)}
         for record in self._intact():
-            if isinstance(record, Message):
-                if (Channel, record.channel_id) not in known:
-                    self._report(f'a message is of an unknown channel, {record.channel_id}')
+            if isinstance(record, bytes):
+                channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(record)
+                if (Channel, channel) not in known:
+                    self._report(f'a message is of an unknown channel, {channel}')
                     continue
                 self.count += 1
-                self.earliest = min(self.earliest, record.log_time)
-                self.latest = max(self.latest, record.log_time)
-                chunk.add(record.channel_id, record.sequence, record.log_time,
-                          record.publish_time, record.data)
+                self.earliest = min(self.earliest, log_time)
+                self.latest = max(self.latest, log_time)
+                chunk.add(channel, sequence, log_time, publish_time, record[_MESSAGE.size:])
                 if len(chunk.data) < CHUNK_SIZE:
                     continue
             if chunk.data:
@@ -365,7 +317,7 @@ class _Reader:
                     self._report(f'{record.topic[:80]!r} is of an unknown schema, '
                                  f'{record.schema_id}, and is kept without')
                     record = replace(record, schema_id=0)
-            if not isinstance(record, Message):
+            if not isinstance(record, bytes):
                 yield record
         if chunk.data:
             yield chunk
@@ -376,7 +328,7 @@ class _Reader:
         self.damage = self.damage or f'{damage} (byte {self.place})'
 
     def _intact(self):
-        """Yield the records of mcap that are to be copied, also those inside of chunks."""
+        """Yield the records that are to be copied, also those in chunks; messages as bytes."""
         crc, opcode, data_ended = zlib.crc32(MCAP0_MAGIC), None, False
         while opcode != Opcode.FOOTER:
             head, left = self._stream.read(HEAD.size), self.size - self.place
@@ -408,15 +360,17 @@ class _Reader:
 
     def _contents(self, opcode, content):
         """Return the list of records to copy that a record is or contains."""
-        if opcode == Opcode.CHUNK:
-            chunk = _parse(ChunkRecord, content)
-            data = _decompress(chunk)
+        if opcode == MESSAGE_OPCODE:
+            if len(content) < _MESSAGE.size:
+                raise _DamageError('a record of kind message is malformed')
+            return [content]
+        if opcode == _CHUNK_OPCODE:
+            data = _decompress(_parse(ChunkRecord, content))
             try:
-                return breakup_chunk(replace(chunk, compression='', data=data))
-            except _UNREADABLE as error:
-                raise _DamageError(f'a chunk cannot be read: {error}') from None
-        if opcode == Opcode.MESSAGE:
-            return [_parse(Message, content, len(content))]
+                inside = _split(data)
+            except struct.error:
+                raise _DamageError('a chunk cannot be read: its records are malformed') from None
+            return [record for part in inside for record in self._contents(*part)]
         if opcode in _COPIED:
             record = _parse(_COPIED[opcode], content)
             made_again = isinstance(record, Metadata) and record.name == 'rosbag2'
@@ -424,7 +378,7 @@ class _Reader:
         if opcode == Opcode.HEADER:
             self.profile = _parse(Header, content).profile
         elif opcode == Opcode.ATTACHMENT or opcode >= _FIRST_PRIVATE_OPCODE:
-            self.left_out['attachments' if opcode == Opcode.ATTACHMENT else 'private records'] += 1
+            self.left_out += 1
         return []
 
 
@@ -456,8 +410,9 @@ def recover(file: Path | str, output: Path | str | None = None) -> str:
         new = _write(_Reader(stream).records(), reader.profile, Path(file), output)
         state = 'it is still being written' if _is_being_written(stream) else reader.damage
     more = f' and {reader.faults - 1} more' if reader.faults > 1 else ''
-    lost = ', '.join([f'{reader.lost} bytes lost', *(
-        f'{count} {kind} left out' for kind, count in reader.left_out.items())])
+    lost = f'{reader.lost} bytes lost'
+    if reader.left_out:
+        lost += f', {reader.left_out} attachments or private records left out'
     return f'{printable(path)}: {state}{more}; {contents}, {lost}; complete in {printable(new)}'
 
 
@@ -465,26 +420,21 @@ def _write(records, profile, path, output):
     """Write a new log; return its path."""
     if output is None:
         path = Path(f'{path.resolve()}.mcap') if path.is_dir() else path
-        new, stream = create(path.with_stem(path.stem + '_recovered'))
+        path = path.with_stem(path.stem + '_recovered')
+        new = next(name for name in numbered(path) if not name.exists())
     else:
-        try:
-            new, stream = Path(output), open(output, 'xb')
-        except FileExistsError:
-            raise LogError(
-                f'{printable(output)} exists: remove it or choose another --output') from None
-    try:
-        with stream:
-            writer = Writer(stream, profile)
-            for record in records:
-                if isinstance(record, Chunk):
-                    writer.add_chunk(record)
-                elif isinstance(record, Metadata):
-                    writer.add_metadata(record.name, record.metadata)
-                else:
-                    writer.add_record(record)
-            writer.finish(new.name)
-            sync(stream)
-    except BaseException:
-        new.unlink()  # an incomplete file would be taken for a recovered log
-        raise
+        new = Path(output)
+        if new.exists():
+            raise LogError(f'{printable(output)} exists: remove it or choose another --output')
+    with whole_file(new, new=True) as part, open(part, 'wb') as stream:
+        writer = Writer(stream, profile)
+        for record in records:
+            if isinstance(record, Chunk):
+                writer.add_chunk(record)
+            elif isinstance(record, Metadata):
+                writer.add_metadata(record.name, record.metadata)
+            else:
+                writer.add_record(record)
+        writer.finish(new.name)
+        sync(stream)
     return new

@@ -19,12 +19,13 @@ from pathlib import Path
 import shutil
 from typing import Any
 
-from mcap.opcode import Opcode
+from mcap.records import Metadata
 import numpy as np
 
 from timo_sim.extras import optional
 from timo_sim.log.read import files_of, LogError, LogFile
-from timo_sim.log.write import HEAD, information, original_names, printable, yaml_text
+from timo_sim.log.write import (
+    Chunk, information, original_names, printable, RESET, yaml_text)
 from timo_sim.scene.files import whole_file
 from timo_sim.scene.parameters import frame_names, ParameterError, SPLIT
 from timo_sim.scene.scene import load_scene
@@ -32,13 +33,13 @@ from timo_sim.topics.cdr import CdrError, layout
 from timo_sim.topics.commands import COMMANDS, LARGEST_COMMAND, RefusedError
 from timo_sim.topics.outputs import NANOSECONDS, outputs, title, with_angles
 
-_HEAD = 31              # [B] of a message's record before its content, see `_HEAD_TYPE`
-_HEAD_TYPE = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
-                       ('sequence', '<u4'), ('log_time', '<u8'), ('publish_time', '<u8')])
+# What a message's record has before its content.
+_HEAD = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
+                  ('sequence', '<u4'), ('log_time', '<u8'), ('publish_time', '<u8')])
 _COMMANDS = {command.name: command for command in COMMANDS}
 _WRAP = 2**32  # sequence numbers are steps modulo this, or all 0 if a tool has not kept them
 _RESTART = 10**8  # [ns] by which stamps fall only if a simulator is started again
-_EARLIER = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of topics in older versions
+_EARLIER = {'~/tip_imu': '~/tip_imu/data_raw'}  # names of topics in 0.2.0
 _TYPES = {**{output.name: output.type_name for output in outputs(1)},
           **{command.name: command.type_name for command in COMMANDS}}
 
@@ -48,21 +49,12 @@ class Series:
     """
     The n messages of a topic, with `columns`, the names of k quantities with units.
 
-    Attributes
-    ----------
-    step, ns, log_ns : ndarray of int64, shape (n,)
-        Time steps (-1 in a plain bag), sim time and time at which it was logged [ns]. In a plain
-        bag, sim time is the stamp of the header, but for commands, whose stamps mean nothing
-        there, the sim time at their log time or, if that is not known, log time.
-    values : ndarray, shape (n, k)
-        NaN for what a command does not set.
-    refused : int
-        Commands that are left out, because the node refuses them.
-    resets : ndarray of int64, shape (n,)
-        How many resets were before a message; -1 if that is not known.
-    data : list of bytes
-        The messages of a command, CDR; empty for other topics.
-
+    `step`, `ns` and `log_ns`, int64 of shape (n,), are time steps (-1 in a plain bag), sim time
+    and time at which it was logged [ns]. In a plain bag, sim time is the stamp of the header, but
+    for commands, whose stamps mean nothing there, the sim time at their log time or, if that is
+    not known, log time. `values`, shape (n, k), are NaN for what a command does not set. Commands
+    that the node refused are left out and counted. `resets`, int64 of shape (n,), says how many
+    resets were before a message, -1 if that is not known. `data` are a command's messages, CDR.
     """
 
     topic: str
@@ -88,15 +80,13 @@ class Recording:
     ----------
     title, name : str
         Of the file, or of the folder of a split bag; the node's fully qualified name.
-    scene : Scene or None
-        None for a plain bag.
     facts, summary : dict
-        What the node noted at its start ('parameters', 'numpy', ...) and its end; empty if
-        nothing.
+        What the node noted at its start ('parameters', 'numpy', ...) and its end, or empty.
     resets : ndarray of int
         Steps at which the motion was reset.
     changes : list of tuple
-        (step, place in the file, values by name) of each setting of the scene's parameters.
+        (step, resets before it in the file, values by name) of each setting of the scene's
+        parameters.
     unread : dict of str
         By topic of the node, why its messages are not read.
 
@@ -109,11 +99,12 @@ class Recording:
             first.path, first.name)
         if split and any(file.notes().facts for file in self.parts):
             raise LogError(f'{self.title} has {len(self.parts)} logs: name one')
-        self.facts, self.summary, resets, self.changes = first.notes()
+        self.facts, self.summary, logged, self.changes = first.notes()
         if self.facts.get('timo_sim', '').startswith('0.1.'):
             raise LogError(f'{self.title} is of timo_sim {self.facts["timo_sim"][:9]}, whose logs '
                            'timo_sim 0.2.0 was the last to read')
-        self.resets, self.reset_places = np.array(resets, dtype=np.int64).reshape(-1, 2).T
+        self.resets = np.array(sorted(logged), dtype=np.int64)
+        self._resets_in_order = self.resets.tolist() == logged
         self.name = node or self.facts.get('node') or self._find_node()
         # If ros2_control publishes joint_states, the node publishes its own below its name.
         topics = {channel.topic for _, channel, _ in self._channels()}
@@ -171,25 +162,32 @@ class Recording:
         """All series by short name: 'joint_states', '~/tip_pose', ..., '~/motor_torque'."""
         return self.read()
 
-    def read(self, *names: str, most_chunks: int | None = None) -> dict[str, Series]:
-        """Return series by short name, by default all; read at most `most_chunks` chunks."""
+    def read(self, *names: str) -> dict[str, Series]:
+        """Return series by short name, by default all."""
         found = {number: about for number, about in self._wanted.items()
                  if not names or about[0] in names}
         twice = Counter((part, about[0]) for (part, _), about in found.items()).most_common(1)
         if twice and twice[0][1] > 1:
             raise LogError(f'{self.title} has two channels of {twice[0][0][1]}')
         collectors = {about: _Collector(*about, self.frames) for about in found.values()}
-        for part, place, data, offsets in self._blocks(most_chunks):
-            for number, at in offsets.items():
-                if (part, number) not in found:
-                    continue
-                collector = collectors[found[part, number]]
-                try:
-                    collector.add(place, data, at, number)
-                except CdrError as error:
-                    raise LogError(f'{self.title}: a message on {collector.topic[:80]} '
-                                   f'is not a {collector.type_name}: {error}') from None
+        for part, file in enumerate(self.parts):
+            resets = 0
+            for record in file.records():
+                if isinstance(record, Metadata):
+                    resets += record.name == RESET
+                elif isinstance(record, Chunk):
+                    for number, entries in record.index.items():
+                        if (part, number) in found:
+                            self._add(collectors[found[part, number]], resets, record.data,
+                                      np.array(entries[1::2]))
         return {collector.name: self._series(collector) for collector in collectors.values()}
+
+    def _add(self, collector, resets, data, offsets):
+        try:
+            collector.add(resets, np.frombuffer(data, np.uint8), offsets)
+        except CdrError as error:
+            raise LogError(f'{self.title}: a message on {collector.topic[:80]} '
+                           f'is not a {collector.type_name}: {error}') from None
 
     def motion(self, series: dict[str, Series] | None = None) -> tuple[
             np.ndarray, np.ndarray, np.ndarray]:
@@ -240,16 +238,15 @@ class Recording:
                     now = tip
         return tuple(found)
 
-    def resets_before(self, step: np.ndarray, place: np.ndarray) -> np.ndarray:
+    def resets_before(self, step: np.ndarray, found: np.ndarray) -> np.ndarray:
         """
-        Return how many resets were before messages of these steps, at these places in the file.
+        Return how many resets were before messages of these steps, of those `found` in the file.
 
-        It is -1 if places, which decide at the step of a reset, contradict steps: the file was
-        rewritten.
+        It is -1 if the order in the file, which decides at the step of a reset, contradicts steps:
+        the file was rewritten.
         """
         first, last = (np.searchsorted(self.resets, step, side) for side in ('left', 'right'))
-        found = np.searchsorted(np.sort(self.reset_places), place)
-        if (np.diff(self.reset_places) < 0).any() or ((found < first) | (found > last)).any():
+        if not self._resets_in_order or ((found < first) | (found > last)).any():
             found = np.where(first < last, -1, found)
         return np.where(found < 0, -1, np.clip(found, first, last))
 
@@ -265,8 +262,8 @@ class Recording:
     def _channels(self):
         """Yield (part, number), Channel and Schema or None of each channel."""
         for part, file in enumerate(self.parts):
-            for number, channel in file.channels.items():
-                yield (part, number), channel, file.schemas.get(channel.schema_id)
+            for number, channel in file.summary.channels.items():
+                yield (part, number), channel, file.summary.schemas.get(channel.schema_id)
 
     def _find_node(self):
         ends = [name.removeprefix('~') for name in (*_TYPES, *_EARLIER) if name.startswith('~')]
@@ -280,16 +277,8 @@ class Recording:
                            f'{", ".join(sorted(nodes))[:200]}')
         return nodes.pop()
 
-    def _blocks(self, most):
-        """Yield part, place, data and offsets by channel of chunks, in the order of files."""
-        before = 0
-        for part, file in enumerate(self.parts):
-            for place, data, offsets in file.blocks(most):
-                yield part, before + place, data, offsets
-            before += file.path.stat().st_size
-
     def _series(self, collector):
-        place, sequence, log_ns, ns, values, messages = collector.arrays()
+        found, sequence, log_ns, ns, values, messages = collector.arrays()
         resets, step = np.zeros(len(ns), dtype=np.int64), np.full(len(ns), -1)
         if self.facts:
             # In lock step, the stamp of the first state differs from its time by some ns.
@@ -298,7 +287,7 @@ class Recording:
             if collector.command and sequence.any() and ((step - sequence) % _WRAP).any():
                 raise LogError(f'{self.title}: log times of {collector.topic[:80]} do not '
                                'agree with its sequence numbers, which are time steps')
-            resets = self.resets_before(step, place)
+            resets = self.resets_before(step, found)
             if (np.diff(step) < 0).any() and np.isin(step, self.resets).any():
                 raise LogError(f'{self.title}: {collector.topic[:80]} is in another order '
                                'than it was logged in, so that it does not say which messages '
@@ -372,27 +361,25 @@ class _Collector:
         self.command = _COMMANDS.get(name)
         self.columns = self.command.names if self.command else ()
         self.refused = 0
-        self._layouts, self._parts = [], []
+        self._layouts, self._parts, self._count = [], [], 0
 
-    def add(self, place, data, offsets, channel):
-        """Add the messages of a channel at these offsets in a block of data."""
-        if not len(offsets):
-            return
-        heads = _gather(data, offsets, _HEAD_TYPE)
-        if np.any(heads['opcode'] != Opcode.MESSAGE) or np.any(heads['channel'] != channel):
-            raise CdrError('the index points to something else')
-        sizes = heads['length'] - (_HEAD - HEAD.size)
+    def add(self, resets, data, offsets):
+        """Add the messages at these offsets in the data of a Chunk, after some resets."""
+        heads = _gather(data, offsets, _HEAD)
+        sizes = heads['length'] + np.uint64(9) - np.uint64(_HEAD.itemsize)
         for size in np.unique(sizes):
             if not 4 <= size <= LARGEST_COMMAND:
                 raise CdrError(f'it has {size} bytes')
             same = np.flatnonzero(sizes == size)
-            rows = _gather(data, offsets[same] + np.uint64(_HEAD), np.dtype(f'V{size}')).view(
+            rows = _gather(data, offsets[same] + _HEAD.itemsize, np.dtype(f'V{size}')).view(
                 np.uint8).reshape(len(same), -1)
             while len(rows):
                 found = self._layout(bytes(rows[0]))
                 alike = np.all(rows[:, found.fixed] == rows[0, found.fixed], axis=1)
-                self._keep(place, offsets[same[alike]], heads[same[alike]], found, rows[alike])
+                self._keep(self._count + same[alike], resets, heads[same[alike]], found,
+                           rows[alike])
                 same, rows = same[~alike], rows[~alike]
+        self._count += len(offsets)
 
     def _layout(self, data):
         for known, size, text in self._layouts:
@@ -411,8 +398,8 @@ class _Collector:
             raise CdrError(f'{", ".join(texts)[:80]} are not the joints of this node')
         return found
 
-    def _keep(self, place, offsets, heads, found, rows):
-        """Keep messages of one layout, for `arrays`."""
+    def _keep(self, numbers, resets, heads, found, rows):
+        """Keep messages of one layout and their numbers in the file, for `arrays`."""
         log_ns, messages = heads['log_time'].astype(np.int64), np.empty(len(rows), object)
         if self.command:
             kept, loads = [], []
@@ -424,8 +411,8 @@ class _Collector:
                     messages[number] = rows[number].tobytes()
                 except RefusedError:
                     self.refused += 1
-            offsets, heads, log_ns, messages = (
-                array[kept] for array in (offsets, heads, log_ns, messages))
+            numbers, heads, log_ns, messages = (
+                array[kept] for array in (numbers, heads, log_ns, messages))
             ns, values = log_ns, np.array(loads, dtype=float).reshape(-1, len(self.columns))
         else:
             values = _doubles(rows, [found.doubles[place] for place in self._places])
@@ -433,24 +420,21 @@ class _Collector:
             stamp = np.ascontiguousarray(rows[:, first:first + 8]).view('<i4')
             # As int64 before the product, which NumPy 1.26 would take in 32 bits.
             ns = NANOSECONDS * stamp[:, 0].astype(np.int64) + stamp[:, 1]
-        self._parts.append((np.full(len(heads), place), offsets,
+        self._parts.append((numbers, np.full(len(heads), resets),
                             heads['sequence'].astype(np.int64), log_ns, ns, values, messages))
 
     def arrays(self):
-        """Return place, sequence, log time, stamp, values and bytes in the order of the file."""
+        """Return resets, sequence, log time, stamp, values and bytes in the order of the file."""
         none = np.zeros(0, dtype=np.int64)
-        place, offset, *others = map(np.concatenate, zip(*self._parts or [
+        numbers, *others = map(np.concatenate, zip(*self._parts or [
             (*[none] * 5, np.zeros((0, len(self.columns))), np.zeros(0, object))]))
-        order = np.lexsort((offset, place))
-        return tuple(array[order] for array in (place, *others))
+        order = np.argsort(numbers)
+        return tuple(array[order] for array in others)
 
 
 def _gather(data, offsets, kind):
     """Return an element of the type `kind` from each of these offsets, shape (n,)."""
-    last = len(data) - kind.itemsize
-    if last < 0 or int(offsets.max()) > last:
-        raise CdrError('the index points to something outside of its chunk')
-    return np.ndarray((last + 1,), kind, data, strides=(1,))[offsets]
+    return np.ndarray((len(data) - kind.itemsize + 1,), kind, data, strides=(1,))[offsets]
 
 
 def _doubles(rows, places):
@@ -466,11 +450,10 @@ def export(file: Path | str, output: Path | str, topic: str | None = None,
     """
     Write a log as a table to `output`, a new *.parquet or *.csv; return what was written.
 
-    There is one row for each message of joint_states, or of `topic`, a short name such as
-    '~/motor_torque'. It also has the messages of the other topics with the same stamp; NaN stands
-    for missing ones. At a reset two rows have the same time, before and after it. Raises LogError
-    if the file is not a log or lacks the topic, or `output` exists or has another suffix. `node`:
-    see `Recording`.
+    There is one row for each message of joint_states, with the messages of the other topics that
+    have the same stamp (NaN if missing), or of `topic` alone, such as '~/motor_torque'. Raises
+    LogError if `file`, of which `node` is as for `Recording`, is not a log or lacks the topic, or
+    `output` exists or has another suffix.
     """
     path = Path(output)
     _check_table(path)
@@ -552,7 +535,7 @@ def export_bag(file: Path | str, output: Path | str) -> str:
     """Make a new folder as rosbag2 writes it; return a text that says what was done."""
     folder, log = Path(output), LogFile(file)
     name = f'{folder.name}_0.mcap'  # `ros2 bag reindex` takes no other name
-    content = information(log.schemas.values(), log.channels.values(), log.statistics, name)
+    content = information(log.summary, name)
     _check_new(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(folder, new=True) as part:

@@ -15,11 +15,12 @@ Besides messages, a file has what rosbag2 writes: the QoS of topics, and its own
 from __future__ import annotations
 
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterable
+from collections.abc import Iterator
 from contextlib import suppress
 import errno
 import fcntl
 from importlib.metadata import version
+from itertools import count
 import json
 import math
 import os
@@ -36,7 +37,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel as ChannelRecord, Chunk as ChunkRecord, ChunkIndex, DataEnd, Footer, Header, Metadata,
-    MetadataIndex, Schema, Statistics, SummaryOffset)
+    MetadataIndex, Schema, Statistics)
+from mcap.summary import Summary
 from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 import numpy as np
 import yaml
@@ -101,27 +103,10 @@ def _environment():
         platform.machine(), get_host_cpu_name())))
 
 
-class Peak:
-    """The largest transverse deflection of the tip that was published."""
-
-    def __init__(self) -> None:
-        self._found = 0.0, 0.0
-
-    def update(self, numbers: np.ndarray, nanoseconds: int) -> None:
-        """Take account of a tip deflection, axial and transverse [m], at a time [ns]."""
-        if not abs(numbers[1]) <= self._found[0]:
-            self._found = abs(numbers[1]), 1e-9 * nanoseconds
-
-    def note(self) -> dict[str, str]:
-        """Return the metadata for it."""
-        return {'peak_tip_deflection_m': str(self._found[0]),
-                'peak_tip_deflection_at_s': f'{self._found[1]:.9f}'}
-
-
 HEAD = struct.Struct('<BQ')  # of a record: opcode, and length of the content
 # Head of a message's record; channel, sequence number, log time and publish time.
 _MESSAGE = struct.Struct('<BQHIQQ')
-_MESSAGE_OPCODE = int(Opcode.MESSAGE)
+MESSAGE_OPCODE = int(Opcode.MESSAGE)  # comparing with the enum itself takes longer
 _FOR_EVER = {'sec': 9223372036, 'nsec': 854775807}
 DEPTH = 10  # default depth of a topic's queue [messages]
 # What the node offers on a topic by default, as rosbag2 writes it (metadata version 9).
@@ -149,7 +134,7 @@ class Chunk:
         self.index[channel] += log_time, len(self.data)
         length = _MESSAGE.size - HEAD.size + len(data)
         self.data += _MESSAGE.pack(
-            _MESSAGE_OPCODE, length, channel, sequence, log_time, publish_time)
+            MESSAGE_OPCODE, length, channel, sequence, log_time, publish_time)
         self.data += data
 
 
@@ -159,19 +144,23 @@ class Writer:
     def __init__(self, stream: BinaryIO, profile: str) -> None:
         self._stream, self._profile = stream, profile
         self._crc = self.size = 0
-        self._schemas, self._channels = [], []
         # Kept as bytes: a log of a day has so many that objects would fill the memory.
         self._chunk_indexes, self._metadata_indexes = RecordBuilder(), RecordBuilder()
         self._statistics = Statistics(
             attachment_count=0, channel_count=0, channel_message_counts=Counter(), chunk_count=0,
             message_count=0, metadata_count=0, message_start_time=0, message_end_time=0,
             schema_count=0)
+        self._summary = Summary()
+        self._summary.statistics = self._statistics
         self._put(MCAP0_MAGIC)
         self._write(Header(profile=profile, library=LIBRARY_IDENTIFIER))
 
     def add_record(self, record: Schema | ChannelRecord) -> None:
         """Add a Schema or a Channel."""
-        (self._schemas if isinstance(record, Schema) else self._channels).append(record)
+        if isinstance(record, Schema):
+            self._summary.schemas[record.id] = record
+        else:
+            self._summary.channels[record.id] = record
         self._write(record)
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
@@ -212,28 +201,20 @@ class Writer:
 
     def finish(self, name: str) -> None:
         """Write the end of the file: rosbag2's metadata, with the file's name, and summary."""
-        self._statistics.schema_count = len(self._schemas)
-        self._statistics.channel_count = len(self._channels)
+        schemas, channels = self._summary.schemas.values(), self._summary.channels.values()
+        self._statistics.schema_count = len(schemas)
+        self._statistics.channel_count = len(channels)
         if self._profile == 'ros2':
-            self.add_metadata('rosbag2', {'serialized_metadata': yaml_text(information(
-                self._schemas, self._channels, self._statistics, name))})
+            self.add_metadata('rosbag2', {
+                'serialized_metadata': yaml_text(information(self._summary, name))})
         self._write(DataEnd(self._crc))
-        start, data, offsets = self.size, b'', []
-        for opcode, group in (
-                (Opcode.SCHEMA, _bytes_of(*self._schemas)),
-                (Opcode.CHANNEL, _bytes_of(*self._channels)),
-                (Opcode.STATISTICS, _bytes_of(self._statistics)),
-                (Opcode.CHUNK_INDEX, self._chunk_indexes.end()),
-                (Opcode.METADATA_INDEX, self._metadata_indexes.end())):
-            offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + len(data),
-                                         group_length=len(group)))
-            data += group
-        offsets_start = start + len(data)
-        data += _bytes_of(*offsets)
+        start, data = self.size, b''.join([
+            _bytes_of(*schemas, *channels, self._statistics), self._chunk_indexes.end(),
+            self._metadata_indexes.end()])
         # The checksum covers the footer up to the checksum itself.
-        head = struct.pack('<BQQQ', Opcode.FOOTER, 20, start, offsets_start)
+        head = struct.pack('<BQQQ', Opcode.FOOTER, 20, start, 0)
         self._put(data)
-        self._write(Footer(summary_start=start, summary_offset_start=offsets_start,
+        self._write(Footer(summary_start=start, summary_offset_start=0,
                            summary_crc=zlib.crc32(head, zlib.crc32(data))))
         self._put(MCAP0_MAGIC)
 
@@ -272,14 +253,15 @@ def _qos_of(channel):
         return []
 
 
-def information(schemas: Iterable[Schema], channels: Iterable[ChannelRecord],
-                statistics: Statistics, name: str) -> dict[str, Any]:
-    """Return rosbag2's metadata (version 9) of a bag with these records and this file name."""
+def information(summary: Summary, name: str) -> dict[str, Any]:
+    """Return rosbag2's metadata (version 9) of a bag with this summary and file name."""
+    statistics = summary.statistics
+    assert statistics is not None
     start, end = statistics.message_start_time, statistics.message_end_time
     span = {'duration': {'nanoseconds': end - start},
             'starting_time': {'nanoseconds_since_epoch': start},
             'message_count': statistics.message_count}
-    types = {schema.id: schema.name for schema in schemas}
+    types = {schema.id: schema.name for schema in summary.schemas.values()}
     topics = [
         {'topic_metadata': {
             'name': channel.topic, 'type': types.get(channel.schema_id, ''),
@@ -287,7 +269,7 @@ def information(schemas: Iterable[Schema], channels: Iterable[ChannelRecord],
             'offered_qos_profiles': _qos_of(channel),
             'type_description_hash': channel.metadata.get('topic_type_hash', '')},
          'message_count': statistics.channel_message_counts.get(channel.id, 0)}
-        for channel in channels]
+        for channel in summary.channels.values()]
     return {
         'version': 9, 'storage_identifier': 'mcap', **span,
         'topics_with_message_count': topics, 'compression_format': '', 'compression_mode': '',
@@ -313,14 +295,13 @@ class Channel(NamedTuple):
 
 class Recorder:
     """
-    Write serialised messages and metadata, `notes`, to a new MCAP file.
+    Write serialised messages and metadata, `notes`, to a new MCAP file, numbered if it exists.
 
     `write` only appends to a chunk; a thread compresses chunks, for the most part without holding
     up other threads, and gives them to the operating system at least every `FLUSH_PERIOD`. If that
     fails or takes longer than `GIVE_UP_AFTER`, or another program deletes, cuts or writes to the
-    file, `error` says so, what was written is kept, and later messages are dropped; `warning` says
-    that the file has been moved or the disk is slow. A file is never overwritten: `_1`, `_2`, ...
-    is appended to the stem of `path`. Raises OSError if the file cannot be made.
+    file, `error` says so and later messages are dropped; `warning` says that the file has been
+    moved or the disk is slow. Raises OSError if the file cannot be made.
     """
 
     def __init__(self, path: Path | str, channels: list[Channel],
@@ -453,7 +434,7 @@ class NewLog(Recorder):
         namespace = node.rpartition('/')[0]
         channels = [Channel(node + command.name[1:], command.type_name) for command in COMMANDS]
         self._topics: dict[str, tuple] = {}
-        self._peak, frames = Peak(), frame_names(values)
+        frames = frame_names(values)
         for output in outputs(scene.modal_count):
             name = output.name
             topic = (name if name.startswith('/') else
@@ -471,12 +452,10 @@ class NewLog(Recorder):
         index, serialize, delay, output = self._topics[name]
         self.write(index, snapshot.step, snapshot.nanoseconds + delay,
                    serialize(snapshot.time, output.content(snapshot, numbers)))
-        if name == '~/tip_deflection':
-            self._peak.update(numbers, snapshot.nanoseconds)
 
     def close(self) -> None:
         """Complete the file; raise OSError if that fails, or the log has ended early."""
-        self.note(SUMMARY, self._peak.note())
+        self.note(SUMMARY, {})
         super().close()
         if self.error:
             raise OSError(self.error)
@@ -490,8 +469,7 @@ def create(path: Path) -> tuple[Path, BinaryIO]:
         raise OSError(f'{path} must be a regular file or none yet, not a device or FIFO')
     path.parent.mkdir(parents=True, exist_ok=True)
     # With mode 'x' the file system guarantees that nothing is overwritten.
-    for attempt in range(10000):
-        candidate = path.with_stem(f'{path.stem}_{attempt}') if attempt else path
+    for candidate in numbered(path):
         try:
             # O_APPEND: if another program cuts the file or adds to it, its size shows that.
             stream = open(candidate, 'xb', opener=lambda name, flags: os.open(
@@ -501,8 +479,15 @@ def create(path: Path) -> tuple[Path, BinaryIO]:
         with suppress(OSError):  # some network file systems have no locks
             # Marks it as being written until the stream is closed or its process ends.
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return candidate, stream
-    raise FileExistsError(f'{path} and 9999 numbered names after it exist')
+        break
+    return candidate, stream
+
+
+def numbered(path: Path) -> Iterator[Path]:
+    """Yield a path, and the same with `_1`, `_2`, ... after its stem, without end."""
+    yield path
+    for number in count(1):
+        yield path.with_stem(f'{path.stem}_{number}')
 
 
 def sync(stream: BinaryIO) -> None:

@@ -74,7 +74,7 @@ class Tables(NamedTuple):
 
 
 @inner
-def _half(tables):
+def half_length(tables):
     """Return the half of the length of a state."""
     return len(tables.axes) + len(tables.straight)
 
@@ -99,7 +99,7 @@ class Work(NamedTuple):
 # Slopes of the centre line and their derivatives, (T22) to (T24).
 
 @inner
-def _set_slopes(tables, state, load, work):
+def set_slopes(tables, state, load, work):
     """Set q, cosine and sine of phi, a, b (T23), C1 and C2 (T24)."""
     a, b, c1, c2, cosine, sine = work.a, work.b, work.c1, work.c2, work.cosine, work.sine
     coordinate = work.coordinate
@@ -129,10 +129,18 @@ def _set_slopes(tables, state, load, work):
 
 @separate
 def _set_speed(tables, state, load, numbers, work):
+    """Do what `solve_for_speed` does; L and D stay in registers."""
+    mass, inverse = local((tables.rotary, tables.rotary)), local((tables.rotary,))
+    solve_for_speed(tables, state, load, numbers, work, mass, inverse)
+
+
+@inner
+def solve_for_speed(tables, state, load, numbers, work, mass, inverse):
     """
     Set the images K C1, K C2 and q', the solution of M q' = p (T26), (T31).
 
-    `numbers` are the work arrays as single numbers, `work` the same as vectors.
+    `numbers` are the work arrays as single numbers, `work` the same as vectors. Below the diagonal
+    `mass` gets L of the free part M = L D L^T, and `inverse` gets 1/D.
 
     The kernel K turns slopes at the nodes into forces on them: it integrates accelerations of the
     slopes to the points of mass, takes those of the mass centre away along an axis on which the
@@ -153,7 +161,6 @@ def _set_speed(tables, state, load, numbers, work):
             image_1[i, j] = total_1
             image_2[i, j] = total_2
     # The lower triangle of M_ij = Xi_ij + C1_i K C1_j + C2_i K C2_j.
-    mass = local((rotary, rotary))
     for i in range(driven, count):
         for j in range(i + 1):
             product = 0.0
@@ -162,14 +169,14 @@ def _set_speed(tables, state, load, numbers, work):
             mass[i, j] = rotary[i, j] + sum_of(product, rotary)
 
     # The momenta less the share M_i0 q_0' of a driven shaft, whose speed is given (T31).
-    momenta = 2 * _half(tables) - count
+    momenta = 2 * half_length(tables) - count
     speed[0] = load[SPEED]
     for i in range(driven, count):
         speed[i] = state[momenta + i]
         for j in range(driven):
             speed[i] -= mass[i, j] * speed[j]
     # M = L D L^T column by column, in place; the same loop solves L x = p, the last one L^T.
-    factor, inverse = local((rotary,)), local((rotary,))
+    factor = local((rotary,))
     for k in range(driven, count):
         inverse[k] = 1.0 / mass[k, k]
         for i in range(k + 1, count):
@@ -188,6 +195,16 @@ def _set_speed(tables, state, load, numbers, work):
             speed[i] -= mass[k, i] * speed[k]
 
 
+@inner
+def copy_factors(tables, mass, inverse, work):
+    """Copy L and 1/D of the mass matrix to `factors`."""
+    count = len(work.speed)
+    for i in range(count - len(tables.straight), count):
+        for j in range(i):
+            work.factors[i, j] = mass[i, j]
+        work.factors[i, i] = inverse[i]
+
+
 # A force on the arm. For every x, x + -0.0 is x: without one the compiler removes these sums.
 
 @inner
@@ -200,7 +217,7 @@ def _push_force(tables, load):
 
 
 @inner
-def _push_work(tables, load, j):
+def push_work(tables, load, j):
     """Return what this force adds to the forces against the slopes at nodes j, in x and y."""
     push = as_vectors(tables.push)
     x, y = -0.0, -0.0
@@ -212,7 +229,7 @@ def _push_work(tables, load, j):
 # Mass centre and carrier, (T25), (T27), (T33), (T46).
 
 @inner
-def _carrier_speed(tables, state, k, derivative, speed):
+def carrier_speed(tables, state, k, derivative, speed):
     """Return the carrier's speed along its k-th free axis (T33); `derivative` is C1 or C2."""
     to_centre = as_vectors(tables.to_centre)
     centre = 0.0
@@ -221,7 +238,7 @@ def _carrier_speed(tables, state, k, derivative, speed):
         for i in range(len(speed)):
             slope_rate += derivative[i, j] * speed[i]
         centre += to_centre[j] * slope_rate
-    return state[_half(tables) + k] / tables.mass - sum_of(centre, tables.to_centre)
+    return state[half_length(tables) + k] / tables.mass - sum_of(centre, tables.to_centre)
 
 
 @inner
@@ -238,7 +255,7 @@ def _translate(tables, state, load, work, out):
     The first is F of (T28), along free axes the sum of the forces on carrier and tip (T32). Where
     the carrier is held, the weights act on the arm as a force -m_t g on the carrier would (T46).
     """
-    axes, half, weight = tables.axes, _half(tables), tables.weight
+    axes, half, weight = tables.axes, half_length(tables), tables.weight
     push_x, push_y = 0.0 - weight[0], 0.0 - weight[1]
     shaft_y, shaft_x = sincos(work.coordinate[0])
     tip_x = load[TIP_X] + shaft_x * load[TIP_I] - shaft_y * load[TIP_II]
@@ -250,13 +267,13 @@ def _translate(tables, state, load, work, out):
             push_x = (load[FORCE_X] + shaft_x * load[FORCE_I] - shaft_y * load[FORCE_II]
                       + tip_x + arm_x)
             if rubs:
-                speed = _carrier_speed(tables, state, k, work.c1, work.speed)
+                speed = carrier_speed(tables, state, k, work.c1, work.speed)
                 push_x -= _resistance(tables, speed)
         else:
             push_y = (load[FORCE_Y] + shaft_y * load[FORCE_I] + shaft_x * load[FORCE_II]
                       + tip_y + arm_y)
             if rubs:
-                speed = _carrier_speed(tables, state, k, work.c2, work.speed)
+                speed = carrier_speed(tables, state, k, work.c2, work.speed)
                 push_y -= _resistance(tables, speed)
         out[k] = 0.0  # X' = P / m_t is in the linear part
         out[half + k] = push_x + weight[0] if axes[k] == 0 else push_y + weight[1]
@@ -291,7 +308,7 @@ def _set_moments(tables, load, torque, forces, work, script_a, script_b):
             shearing += speed[i] * shear[i, j]
         along = cosine[j] * g1 + sine[j] * g2
         # The force against the slope: -Q_i of (T28), (T32) is the sum of its products with C_i.
-        arm_x, arm_y = _push_work(tables, load, j)
+        arm_x, arm_y = push_work(tables, load, j)
         force_x = to_centre[j] * push_x - to_tip[j] * tip_x + arm_x
         force_y = to_centre[j] * push_y - to_tip[j] * tip_y + arm_y
         script_a[j] = force_x * b[j] - force_y * a[j]
@@ -304,14 +321,20 @@ def _set_moments(tables, load, torque, forces, work, script_a, script_b):
 @functions.rate.of(Tables)
 def _rate(tables, state, load, out):
     """Write the state's rate less its linear part."""
-    rows, across = tables.rotation, tables.to_centre
     numbers = local_arrays(Work, tables)
     work = as_vectors(numbers)
-    _set_slopes(tables, state, load, work)
+    set_slopes(tables, state, load, work)
     _set_speed(tables, state, load, numbers, work)
+    write_rate(tables, state, load, work, out)
+
+
+@inner
+def write_rate(tables, state, load, work, out):
+    """Write what `rate` does, where slopes and speeds are set; return what `_translate` does."""
+    rows, across = tables.rotation, tables.to_centre
     rotation, shear = as_vectors(rows), as_vectors(tables.shear)
     count, nodes = rotation.shape
-    driven, half = count - len(tables.straight), _half(tables)
+    driven, half = count - len(tables.straight), half_length(tables)
     momenta = 2 * half - count
     coordinates = momenta - half
 
@@ -342,6 +365,7 @@ def _rate(tables, state, load, out):
         out[momenta + i] = total - tables.damping[i] * out[coordinates + i]
     _add_stretch_forces(tables, load, torque, forces, work, out)
     _subtract_turning(tables, state, out)
+    return forces
 
 
 @functions.observe.of(Tables)
@@ -350,7 +374,7 @@ def _observe(tables, state, load, out):
     rows, across = tables.rotation, tables.to_centre
     numbers = local_arrays(Work, tables)
     work = as_vectors(numbers)
-    _set_slopes(tables, state, load, work)
+    set_slopes(tables, state, load, work)
     _set_speed(tables, state, load, numbers, work)
     to_centre, half = as_vectors(across), len(out) // 2
     for i in range(len(rows)):
@@ -366,7 +390,7 @@ def _observe(tables, state, load, out):
         for j in range(len(to_centre)):
             centre += to_centre[j] * slope[j]
         out[axis] = state[k] - sum_of(centre, across)
-        out[half + axis] = _carrier_speed(tables, state, k, derivative, work.speed)
+        out[half + axis] = carrier_speed(tables, state, k, derivative, work.speed)
 
 
 @inner
@@ -565,12 +589,9 @@ def _take_rates_of_state(tables, state, mass, inverse, work):
         return
     count = len(work.speed)
     rates_from = count - len(tables.linear_rate)
-    for i in range(count - len(tables.straight), count):
-        for j in range(i):
-            work.factors[i, j] = mass[i, j]
-        work.factors[i, i] = inverse[i]
+    copy_factors(tables, mass, inverse, work)
     for i in range(rates_from, count):
-        work.speed[i] = state[2 * _half(tables) - count + i]
+        work.speed[i] = state[2 * half_length(tables) - count + i]
         for j in range(rates_from, i):
             mass[i, j] = 0.0  # the back substitution that follows must not change these rates
 
@@ -588,7 +609,7 @@ def _add_stretch_forces(tables, load, torque, forces, work, out):
     factors = work.factors
     count, nodes = rotation.shape
     driven, axial, momenta = (
-        count - len(tables.straight), count - len(stretch), 2 * _half(tables) - count)
+        count - len(tables.straight), count - len(stretch), 2 * half_length(tables) - count)
     rates_from = count - len(tables.linear_rate)
     push_x, push_y, tip_x, tip_y = forces
     # The addition to A_j of (T29), and a_2, b_2 of (T35): accelerations of the slopes at q'' = 0.
@@ -619,7 +640,7 @@ def _add_stretch_forces(tables, load, torque, forces, work, out):
         added = 0.0
         for j in range(nodes):
             added += rotation[i, j] * added_a[j]
-            arm_x, arm_y = _push_work(tables, load, j)
+            arm_x, arm_y = push_work(tables, load, j)
             force_x = to_tip[j] * tip_x - to_centre[j] * push_x - arm_x
             force_y = to_tip[j] * tip_y - to_centre[j] * push_y - arm_y
             done += (force_x * c1[i, j] + force_y * c2[i, j] - image_1[i, j] * a_2[j]
@@ -672,7 +693,7 @@ def _band(tables, state, load):
     if len(tables.turning) == 0:
         return 0
     driven = len(tables.rotation) > len(tables.straight)
-    speed = load[SPEED] if driven else state[_half(tables) + len(tables.axes)]
+    speed = load[SPEED] if driven else state[half_length(tables) + len(tables.axes)]
     return min(max(floor(speed * tables.bands_per_speed), -BANDS), BANDS - 1) + BANDS
 
 

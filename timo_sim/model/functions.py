@@ -41,6 +41,18 @@ def observe(tables, state, load, out):
 
 
 @inner
+def copy(vector, out):
+    for i in range(min(len(vector), len(out))):
+        out[i] = vector[i]
+
+
+@inner
+def add_multiple(factor, vector, out):
+    for i in range(len(out)):
+        out[i] += factor * vector[i]
+
+
+@inner
 def coulomb(tables, joint, speed):
     """Return the Coulomb friction against a speed of the carrier, joint 0, or of the shaft, 1."""
     friction = 0.0
@@ -60,29 +72,30 @@ def coulomb_slope(tables, joint, speed):
 
 
 @declare
-def jacobian(tables, state, load, inputs, by_state, by_input):
+def differential(tables, inputs, point, load, rate):
     """
-    Write the derivatives of what `rate` writes; a row is what a unit of state or load changes.
+    Write what `rate` writes, and to first order what changes of state and load change of it.
 
     Parameters
     ----------
-    tables, state, load
+    tables, load
         As in `rate`.
     inputs : packed constants
         `steps.derivatives.Inputs`.
-    by_state, by_input : ndarray, shapes (m, m), (inputs, m), padded
+    point, rate : steps.derivatives.Point
+        The state with its changes; they get the rate.
 
     """
 
 
 @declare
 def state_by_motion(tables, state, load, out):
-    """Write the derivatives of the state by the motion, shape (2 (3 + N), m), padded."""
+    """Write the derivatives of the state by a motion's numbers from the shaft on; zeros stay."""
 
 
 @declare
 def motion_by_state(tables, state, load, changes, out):
-    """Write changes of the motion, (n, 2 (3 + N)), by those of the state, (n, m), padded."""
+    """Write changes of the motion by those of the state, a column for each; zeros stay."""
 
 
 @declare

@@ -9,5 +9,5 @@
 """
 The simulator as a ROS 2 node: subscriptions, publishers, services, clock and log, wired together.
 
-This package may import everything below it but `view`; nothing else imports rclpy.
+This package may import everything below it; nothing else imports rclpy.
 """

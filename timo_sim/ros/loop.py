@@ -256,9 +256,8 @@ class Pace:
     """
     Paces sim time by wall time and the real-time factor; `step` is in [s].
 
-    `overruns` counts ticks that came later than the deadline of the next one, `dropped_steps`
-    steps that were given up because they were beyond the catch-up limit. Neither is counted if
-    the loop `waits` for commands.
+    Unless the loop `waits` for commands, it counts `overruns`, ticks later than the deadline of
+    the next one, and `dropped_steps`, given up because they were beyond the catch-up limit.
     """
 
     def __init__(self, step: float, waits: bool = False) -> None:
@@ -307,19 +306,16 @@ class Gate:
     """
     Lock step: says when a step must wait for the controller's command.
 
-    The run begins with the first command, for which the wait has no limit. The stamp of the state
-    that it answers is `late` by a nanosecond, and by one more for each further reset at the same
-    step: at time 0 it would otherwise equal the stamp 0 of a command that has none, and after a
-    reset the stamp of the state before.
+    The run begins with the first command, which is waited for without limit or, where any command
+    is an answer, until somebody publishes commands: a controller manager on sim time sends none
+    before its clock has gone on by a period. Then a wait takes at most `timeout` [s of wall time].
+    The stamp of the first state is `late` by a nanosecond, and by one more for each further reset
+    at the same step: at time 0 it would otherwise equal the stamp 0 of a command that has none.
 
-    Where any command is an answer, a wait for the first one also ends once somebody publishes
-    commands: a controller manager on sim time sends none before its clock has gone on by a period.
-
-    `period` is the number of steps from one wait to the next, 0 without lock step; `timeout` the
-    longest wait once the first command has come [s of wall time]. An answer has the stamp of the
-    state if `stamped`; if not, any command is an answer. `missed` counts waits that ended without
-    a command. `awaits_first` says that the first command since the start or a reset has not come
-    yet, `abandoned` that time stands because nobody publishes commands any more.
+    `period` is the number of steps from one wait to the next, 0 without lock step. An answer has
+    the stamp of the state if `stamped`; if not, any command is an answer. `missed` counts waits
+    that ended without a command. While time stands, `awaits_first` says that the first command
+    since the start or a reset has not come yet, `abandoned` that nobody publishes any more.
     """
 
     def __init__(self, period: int, timeout: float, stamped: bool = True) -> None:
@@ -361,12 +357,7 @@ class Gate:
 
     def must_wait(self, step: int, now: float, answered: bool,
                   expected: Callable[[], bool]) -> bool:
-        """
-        Return whether a step must wait at a wall time [s].
-
-        `answered` says whether its command has come, and `expected()` whether anybody publishes
-        commands; while nobody does, a wait does not end.
-        """
+        """Return whether a step must wait at a wall time [s] for an answer."""
         if step % self.period or step == self._passed:
             return False
         self._since = now if self._since is None else self._since

@@ -8,77 +8,31 @@
 
 """The node `timo_sim`, which connects loop, topics, services, diagnostics and log."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, ExitStack
+from collections.abc import Iterator
 from functools import partial
 from importlib.util import find_spec
 import math
-import os
 import threading
 import time
-from typing import Any, NoReturn
+from typing import Any
 
-from rclpy.context import Context
+from rclpy.parameter_service import ParameterService
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
 
-from timo_sim.log.write import CHANGE, change_note, Peak, RESET, start_note
+from timo_sim.log.write import CHANGE, change_note, RESET, start_note
 from timo_sim.ros.diagnostics import Health
 from timo_sim.ros.loop import Loop, StateError
 from timo_sim.ros.parameters import ParameterNode, steps_between_messages
 from timo_sim.ros.topics import Commands, LateOutlet, MotionOutlet, RunLog
 from timo_sim.runs.simulate import resolve
 from timo_sim.scene.parameters import (
-    changed, frame_names, LATEST, ParameterError, PARAMETERS, SCENE, short)
-from timo_sim.scene.scene import find_implausible, Scene, scene_from
+    changed, frame_names, LATEST, ParameterError, PARAMETERS, SCENE)
+from timo_sim.scene.scene import find_implausible, scene_from
 from timo_sim.simulation.simulator import Simulator, STEPS_BEHIND
 from timo_sim.topics.outputs import outputs, TRANSFORMS
 
 _LONGEST_SLEEP = 0.1  # [s] after which a sleeping node looks at its flags
-# Environment in which a node discovers no other and is discovered by none.
-_UNDISCOVERED = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF', 'ROS_LOCALHOST_ONLY': ''}
-
-
-def no_live_feed(scene: Scene, url: str, name: str) -> NoReturn:
-    """Raise ParameterError: only the executable sim_node can stream to a viewer."""
-    raise ParameterError(f'rerun_live = {short(url)} needs the executable sim_node, which brings '
-                         'the stream of the viewer')
-
-
-@contextmanager
-def _undiscovered(args, options):
-    """Yield a node that has the parameters of a SimNode, and that no other node sees."""
-    context, before = Context(), {name: os.environ.get(name) for name in _UNDISCOVERED}
-    os.environ.update(_UNDISCOVERED)
-    try:
-        context.init(args, initialize_logging=False)
-    finally:
-        for name, value in before.items():
-            del os.environ[name]
-            os.environ.update({name: value} if value is not None else {})
-    with ExitStack() as stack:
-        stack.callback(context.try_shutdown)
-        node = ParameterNode('timo_sim', context=context, enable_rosout=False, **options)
-        stack.callback(node.destroy_node)
-        yield node
-
-
-def _prepare(node):
-    """
-    Return a simulator, compiled, and its settings from the parameters of a node.
-
-    The settings are values by name, steps between messages by rate, and the last step.
-    """
-    values, tell = node.given(), node.get_logger().info
-    if values['model.accuracy']:
-        tell('choosing modes and step for model.accuracy')
-    scene, steps = resolve(scene_from(values), values['duration'], tell,
-                           partial(steps_between_messages, values))
-    values.update(scene.values)
-    steps_each = steps_between_messages(values, scene.step)
-    simulator = Simulator(scene, values['estimate_error'])
-    simulator.warm_up(tell, messages=True)
-    return simulator, values, steps_each, steps or math.floor(LATEST / scene.step)
 
 
 class SimNode(ParameterNode):
@@ -86,39 +40,44 @@ class SimNode(ParameterNode):
     Integrates a scene in step with the wall clock.
 
     `run` is called by the main thread, callbacks by the executor's. Both touch the simulation only
-    under `_lock`. `stop` is a StopRequest, `args` a command line with parameters, by default that
-    of the process; `options` are those of rclpy.node.Node, such as the namespace of one of several
-    nodes in a process. `live_feed` returns a stream of a scene to a viewer, given its address and
-    the name of the node: `send(now, simulator, effort)` is called at each tick, `close()` at the
-    end; its attribute `warning` is a warning or None. Raises ParameterError.
+    under `_lock`. `stop` is a StopRequest; `options` are those of rclpy.node.Node, such as the
+    namespace of one of several nodes in a process. Raises ParameterError.
     """
 
-    def __init__(self, stop: Any, live_feed: Callable[[Scene, str, str], Any] = no_live_feed,
-                 args: list[str] | None = None, **options: Any) -> None:
-        # Compiling takes seconds: it is done before others see the node and wait for its answers.
-        with _undiscovered(args, options) as node:
-            self._simulator, values, steps_each, end = _prepare(node)
+    def __init__(self, stop: Any, **options: Any) -> None:
+        # Compiling takes seconds. Services and topics come after it: others wait for these.
+        super().__init__('timo_sim', start_parameter_services=False, **options)
+        self._stop, self._lock = stop, threading.Lock()
+        self._values, tell = self.given(), self.get_logger().info
+        if self._values['model.accuracy']:
+            tell('choosing modes and step for model.accuracy')
+        scene, steps = resolve(scene_from(self._values), self._values['duration'], tell,
+                               partial(steps_between_messages, self._values))
+        self._values.update(scene.values)
+        values, steps_each = self._values, steps_between_messages(self._values, scene.step)
+        self._simulator = Simulator(scene, values['estimate_error'])
+        self._simulator.warm_up(tell, messages=True)
         self._frames = frame_names(values)
-        super().__init__('timo_sim', **options)
-        self._stop, self._values, scene = stop, values, self._simulator.scene
-        self._lock = threading.Lock()
         doubts = find_implausible(scene.values)
         if doubts:
             self.get_logger().warning(doubts)
         self._step = scene.step
-        self._log, self._peak = RunLog(self.get_logger()), Peak()
+        self._log = RunLog(self.get_logger())
         self._commands = Commands(self, values['motor.dc.resistance'] > 0.0, self._frames)
         self._outlets = self._make_outlets(scene)
         self._loop = Loop(self._simulator, values, self._commands, self._outlets, self._log,
-                          self.get_logger(), end)
+                          self.get_logger(), steps or math.floor(LATEST / scene.step))
         self._health = Health(self, self._simulator, self._loop, self._commands, self._log,
                               values['publish_clock'])
-        self._live = values['rerun_live'] and live_feed(
-            scene, values['rerun_live'], self.get_fully_qualified_name())
-        if self._live and self._live.warning:
-            self.get_logger().warning(self._live.warning)
+        self._live = None
+        if values['rerun_live']:
+            from timo_sim.view.feed import Feed
+            self._live = Feed(scene, values['rerun_live'], self.get_fully_qualified_name())
+            if self._live.warning:
+                self.get_logger().warning(self._live.warning)
         self._loop.configure(values, steps_each)
         self.declare(values, self._on_parameters)
+        self._parameter_services = ParameterService(self)
         self._offer_services()
 
     @property
@@ -131,16 +90,16 @@ class SimNode(ParameterNode):
                    if output.name != '/clock' or self._values['publish_clock']]
         try:
             if self._values['publish_arm_shape']:
-                remedy = 'publish_arm_shape', 'visualization-msgs, or pip install it'
                 from timo_sim.ros.arm_shape import ArmShape
                 outlets.append(ArmShape(self, self._simulator.model, self._frames['world']))
             if self._values['publish_tf']:
-                remedy = 'publish_tf', 'tf2-msgs'
                 outlets.append(MotionOutlet(self, TRANSFORMS, self._frames))
                 outlets[-1].logged = False
         except ModuleNotFoundError as error:
-            raise ParameterError(f'{remedy[0]} needs {error.name}, which is not installed: '
-                                 f'apt-get install ros-jazzy-{remedy[1]}') from None
+            name = 'publish_tf' if error.name == 'tf2_msgs' else 'publish_arm_shape'
+            package = str(error.name).replace('_', '-')
+            raise ParameterError(f'{name} needs {error.name}, which is not installed: '
+                                 f'apt-get install ros-jazzy-{package}') from None
         return outlets
 
     def _make_outlet(self, output):
@@ -163,7 +122,11 @@ class SimNode(ParameterNode):
     def open(self) -> None:
         """Open the log and publish the initial state, before any callback can change it."""
         if self._values['record']:
-            self._open_log()
+            self._log.open(
+                self._values['record_file'], self._commands.channels,
+                [*self._outlets, self._health.outlet],
+                start_note(self.get_fully_qualified_name(), self._values, changed(self._values),
+                           self._simulator.scene))
         self._loop.check_subscribers()
         self._loop.publish()
         # After publishing, because rclpy's first log line in a process takes a tenth of a second.
@@ -171,16 +134,6 @@ class SimNode(ParameterNode):
             f'{"paused" if self.paused else "running"}: {self._simulator.scene.modal_count} '
             f'modes, step {self._step:g} s, waiting for commands' + (
                 f', logging to {self._log.path}' if self._log.path else ''))
-
-    def _open_log(self):
-        self._log.open(
-            self._values['record_file'], self._commands.channels,
-            [*self._outlets, self._health.outlet],
-            start_note(self.get_fully_qualified_name(), self._values, changed(self._values),
-                       self._simulator.scene))
-        for outlet in self._outlets:
-            if self._log.path and outlet.name == '~/tip_deflection':
-                outlet.watch = self._peak.update
 
     def run(self) -> None:
         """Advance sim time with wall time until asked to stop."""
@@ -214,7 +167,7 @@ class SimNode(ParameterNode):
         report = (f'simulated {self.steps * self._step:.6g} s in {wall_time:.3f} s, '
                   f'{pace.overruns} overruns, {pace.dropped_steps * self._step:.6g} s dropped')
         self._log.close({
-            **self._peak.note(), 'estimated_tip_error_m': f'{error:.3g}',
+            'estimated_tip_error_m': f'{error:.3g}',
             **{name: str(count) for name, count in self._health.counters().items()}})
         if self._log.path:
             report += f'; log: {self._log.path}'

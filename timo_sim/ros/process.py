@@ -20,6 +20,7 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from timo_sim.ros.node import SimNode
 from timo_sim.scene.files import is_for, read_sections
@@ -67,9 +68,9 @@ def _warn_of_unused_file(node, file, sections):
         node.get_logger().warning(f'{file} has no parameter for {name}{others}')
 
 
-def run(stop: Any, args: list[str] | None, **options: Any) -> int:
+def run(stop: Any, args: list[str] | None) -> int:
     """
-    Start ROS, run the node with its options until a StopRequest, end ROS; return the exit code.
+    Start ROS, run the node until a StopRequest, end ROS; return the exit code.
 
     It is 0, 1 if the middleware refuses, or 2 for a parameter that breaks its rule. `args` is the
     command line, by default that of the process.
@@ -96,10 +97,13 @@ def run(stop: Any, args: list[str] | None, **options: Any) -> int:
                 # This also refuses names that are there twice, which rcl accepts.
                 files[file] = read_sections(file)
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        for argument in remove_ros_args(given)[args is None:]:
+            raise ParameterError(f'{argument!r} must be inside of --ros-args: try sim_node '
+                                 '--ros-args -p duration:=10.0, or sim_node --help')
     except (ParameterError, RuntimeError, UnicodeError) as error:  # arguments, or a file
         return _refuse(error)
     try:
-        node = SimNode(stop, args=given, **options)
+        node = SimNode(stop)
     except (ParameterError, NameValidationException, ParameterException) as error:
         return _refuse(error)
     except RCLError as error:  # the middleware refuses

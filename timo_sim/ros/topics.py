@@ -22,7 +22,7 @@ from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.subscription import Subscription
 
-from timo_sim.log.write import Channel, names_note, Recorder, START, SUMMARY
+from timo_sim.log.write import Channel, DEPTH, names_note, Recorder, START, SUMMARY
 from timo_sim.simulation.snapshot import Snapshot
 from timo_sim.topics.cdr import Serializer
 from timo_sim.topics.commands import COMMANDS, GROUPS, JOINTS, LARGEST_COMMAND, RefusedError
@@ -47,9 +47,8 @@ class Outlet:
     """
     A publisher that also hands its messages to the log, and knows whether anybody wants them.
 
-    `subscribed` says whether anybody subscribes. If it is `logged`, its messages go to the
-    `channel` with an `index` in the log, once this has a `recorder`; with `always_logged` also
-    those that nobody receives.
+    If it is `logged`, they go to the `channel` with an `index` of a `recorder`, once there is one;
+    with `always_logged` also those that nobody receives.
     """
 
     logged = always_logged = True
@@ -57,7 +56,7 @@ class Outlet:
     def __init__(self, node, topic, type_name):
         self.subscribed, self._joined = False, -math.inf
         self._publisher = node.create_publisher(
-            message_class(type_name), topic, 10,
+            message_class(type_name), topic, DEPTH,
             event_callbacks=PublisherEventCallbacks(matched=self._matched))
         self.channel = channel_of(self._publisher, type_name, topic)
         self.recorder, self.index = None, None
@@ -82,11 +81,7 @@ class Outlet:
             self.always_logged and self.recorder is not None and self.recorder.error is None)
 
     def send(self, data: bytes, step: int, nanoseconds: int, again: bool = False) -> None:
-        """
-        Send a serialised message to subscribers and log; with `again` to subscribers alone.
-
-        `step` and `nanoseconds`, sim time [ns], are those that the log notes.
-        """
+        """Send a message to subscribers and, unless `again`, log its step and sim time [ns]."""
         if self.subscribed:
             self._publisher.publish(data)
         if self.recorder is not None and not again:
@@ -94,35 +89,28 @@ class Outlet:
 
 
 class MotionOutlet(Outlet):
-    """
-    The outlet of an Output of `topics.outputs`; `frames` names each of its FRAMES.
-
-    It is published each `every` steps; `watch(numbers, ns)`, unless None, sees what is logged.
-    """
+    """The outlet of an Output with names of its FRAMES; it is published each `every` steps."""
 
     def __init__(self, node, output, frames):
         super().__init__(node, output.name, output.type_name)
         self._serialize = Serializer(output.type_name, in_frames(output.template, frames))
         self._output, self.rate = output, output.rate
-        self.name, self.every, self.watch = output.name, 1, None
+        self.name, self.every = output.name, 1
 
     def publish(self, snapshot: Snapshot, again: bool = False) -> None:
         """Send the message of a snapshot."""
-        numbers, data = self._message(snapshot)
-        self.send(data, snapshot.step, snapshot.nanoseconds, again)
-        if self.watch is not None and not again:
-            self.watch(numbers, snapshot.nanoseconds)
+        self.send(self._message(snapshot), snapshot.step, snapshot.nanoseconds, again)
 
     def _message(self, snapshot):
-        numbers = self._output.numbers(snapshot)
-        return numbers, self._serialize(snapshot.time, self._output.content(snapshot, numbers))
+        return self._serialize(snapshot.time, self._output.content(
+            snapshot, self._output.numbers(snapshot)))
 
 
 class LateOutlet(MotionOutlet):
     """
     The outlet of a sensor whose messages are sent `delay` steps after the measurement.
 
-    Their header and their step in the log are those of the measurement.
+    Header and step in the log are those of the measurement; measuring a step again replaces it.
     """
 
     def __init__(self, node, output, frames, delay):
@@ -130,8 +118,8 @@ class LateOutlet(MotionOutlet):
         self._delay, self._under_way = delay, {}
 
     def publish(self, snapshot: Snapshot, again: bool = False) -> None:
-        """Measure; measuring the same step again replaces the earlier measurement."""
-        self._under_way[snapshot.step] = self._message(snapshot)[1]
+        """Measure."""
+        self._under_way[snapshot.step] = self._message(snapshot)
 
     @property
     def arrival(self) -> float:
@@ -147,9 +135,6 @@ class LateOutlet(MotionOutlet):
     def drop(self) -> None:
         """Drop the messages that are not due yet."""
         self._under_way.clear()
-
-
-QUEUE = 10  # commands that may wait on a topic, by default
 
 
 def _wrench(message):
@@ -179,10 +164,8 @@ class Inlet:
     The subscription to a command topic; the loop polls it under the node's lock.
 
     No executor serves it: the EventsExecutor's queue is unbounded, the middleware's is not.
-    `pending` is the command that will act next, its row and its serialised message, or None. Its
-    numbers are those of commands `refused`, of commands dropped because they answer another state
-    (`mismatched`), and of names that are no joints here, such as those of other robots
-    (`foreign`).
+    `pending` is the command that will act next, its row and its message, or None. Counted are
+    commands `refused` or, because they answer another state, `mismatched`, and `foreign` names.
     """
 
     def __init__(self, node, command, frames):
@@ -191,7 +174,7 @@ class Inlet:
         # A logger for each topic, so that the warnings of each are throttled separately.
         self.logger = node.get_logger().get_child(command.name.removeprefix('~/'))
         self._subscription = node.create_subscription(
-            self.type, command.name, lambda data: None, QUEUE, raw=True)
+            self.type, command.name, lambda data: None, DEPTH, raw=True)
         self.publishers = self._subscription.get_publisher_count
         self.channel = channel_of(self._subscription, command.type_name, command.name)
         self.pending = None
@@ -251,10 +234,9 @@ class Commands:
     """
     All command topics of a node, and which of them each group of inputs follows.
 
-    `voltage` says whether there is a motor that takes one, `frames` names each frame. `channels`
-    are those of the log, in the order of COMMANDS. `stale` counts how often a group of inputs fell
-    to zero because its command was too old; `received` says whether a command has come since the
-    last call of `apply`, or since this was set to False.
+    `voltage` says whether there is a motor that takes one. `channels` of the log are in the order
+    of COMMANDS. `stale` counts how often a group of inputs fell to zero because its command was
+    too old; `received` says whether a command has come since the last call of `apply`.
     """
 
     def __init__(self, node, voltage, frames):
@@ -274,12 +256,7 @@ class Commands:
         return any(inlet.publishers() for inlet in self._inlets)
 
     def poll(self, answered: int | None) -> None:
-        """
-        Receive what has arrived.
-
-        In lock step `answered` is the stamp of the state that commands answer [ns], else None. A
-        command with another stamp is dropped at once, so that it replaces no pending one.
-        """
+        """Receive what has arrived; drop what has another stamp than `answered` [ns], if any."""
         for inlet in self._inlets:
             self.received |= inlet.poll(answered)
 
@@ -289,8 +266,8 @@ class Commands:
         Let pending commands act from this step on, and set inputs to zero that have timed out.
 
         `commanded`, shape (COMMANDED,), is updated in place; with `timeout_steps` 0 nothing times
-        out. Return the index in COMMANDS and the serialised message of each command that begins to
-        act; a time-out counts as a message of zeros.
+        out. Return the index in COMMANDS and the message of each command that begins to act; a
+        time-out counts as a message of zeros.
         """
         started, self.received = [], False
         for index, inlet in enumerate(self._inlets):
@@ -327,12 +304,7 @@ class Commands:
 
 
 class RunLog:
-    """
-    The log of a run; while it is not open, what is written to it is dropped.
-
-    `error` says why there is no log, why it ends early, that it was moved or that the disk is
-    slow; it is also sent to rclpy's logger.
-    """
+    """The log of a run, if it is open; `error` is the last one of it, also sent to the logger."""
 
     def __init__(self, logger):
         self._logger, self._recorder, self.error = logger, None, None
@@ -347,8 +319,7 @@ class RunLog:
         """
         Begin a log with a note, a dictionary; without a path its name has date and time.
 
-        It has `channels`, whose messages `write` takes, and the channels of the outlets, which
-        write to it by themselves from now on. If it cannot be opened, `error` says why.
+        Messages of `channels` are given to `write`; outlets write to it by themselves from now on.
         """
         # ~ comes as it is from parameter files, and from -p in some shells.
         path = os.path.expanduser(path or f'timo_sim_{datetime.now():%Y%m%d_%H%M%S}.mcap')

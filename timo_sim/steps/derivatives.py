@@ -12,13 +12,14 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import local_arrays, pack
+from timo_sim.compiled.constants import local_arrays, pack, Packed
 from timo_sim.compiled.entry import entry_point
-from timo_sim.compiled.functions import Array, as_vectors, Constants, inner
+from timo_sim.compiled.functions import Array, as_vectors, Constants, inner, separate
 from timo_sim.model import exact_derivatives  # noqa: F401  bodies of the functions below
-from timo_sim.model.functions import jacobian, motion_by_state, state_by_motion
+from timo_sim.model.functions import (
+    add_multiple, copy, differential, motion_by_state, state_by_motion)
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
-from timo_sim.steps.etdrk4 import add_product, copy, one_step, Work
+from timo_sim.steps.etdrk4 import add_product
 from timo_sim.steps.steps import Steps
 
 
@@ -42,79 +43,90 @@ def step_derivatives(steps: Steps, state: np.ndarray, load: np.ndarray, loads: n
         Columns: by the motion before the steps, then by the inputs.
 
     """
-    rows, part = steps.model.size + len(unit), steps.part(None)
-    out = np.empty((rows, steps.model.size))
-    inputs = pack(Inputs(unit, np.zeros(rows)))
+    motion, part = steps.model.size, steps.part(None)
+    out = np.empty((motion + len(unit), motion))
+    inputs = inputs_of(unit, motion)
     differentiate.of(*part.constants, inputs)(state, load, loads, len(loads), out)
     return out.T
 
 
 class Inputs(NamedTuple):
-    """The loads by which steps are differentiated; each acts during all of them."""
+    """
+    What steps are differentiated by.
 
-    unit: Annotated[np.ndarray, 'inputs', LOADS]  # a load of 1 for each
-    rows: Annotated[np.ndarray, 'rows']  # its length is that of motion and inputs together
+    Columns are the numbers of a motion from the shaft angle on, since nothing depends on the
+    carrier's place, then the inputs; each input acts during all of the steps.
+    """
 
-
-class Changes(NamedTuple):
-    """Work arrays: changes of states and rates by those of the motion and by the inputs."""
-
-    stage: Annotated[np.ndarray, 'padded_state']              # a state at which rates are taken
-    by_state: Annotated[np.ndarray, 'state', 'padded_state']  # J there, transposed
-    by_input: Annotated[np.ndarray, 'inputs', 'padded_state']  # b there
-    none: Annotated[np.ndarray, 'inputs', 'padded_state']     # zeros
-    changes: Annotated[np.ndarray, 'rows', 'padded_state']    # of the state
-    at_a: Annotated[np.ndarray, 'rows', 'padded_state']       # of the stages, see `etdrk4.Work`
-    middle: Annotated[np.ndarray, 'rows', 'padded_state']
-    end: Annotated[np.ndarray, 'rows', 'padded_state']
-    rate_0: Annotated[np.ndarray, 'rows', 'padded_state']
-    rate_a: Annotated[np.ndarray, 'rows', 'padded_state']
-    rate_b: Annotated[np.ndarray, 'rows', 'padded_state']
-    rate_c: Annotated[np.ndarray, 'rows', 'padded_state']
+    unit: Annotated[np.ndarray, LOADS, 'padded_columns']  # what one of each adds to a load
 
 
-# Changes of states and rates are rows: by each number of the first motion, then by each input.
+def inputs_of(unit: np.ndarray, motion: int) -> Packed:
+    """Return the constants for unit loads, (k, LOADS), and the length of a motion."""
+    return pack(Inputs(np.hstack([np.zeros((LOADS, motion - 2)), unit.T])),
+                rows=motion + len(unit))
+
+
+class Point(NamedTuple):
+    """A state or a rate, and its change by a unit of each column."""
+
+    values: Annotated[np.ndarray, 'padded_state']
+    changes: Annotated[np.ndarray, 'state', 'padded_columns']
+
+
+class Rows(NamedTuple):
+    """Work arrays: changes of one number, and of the motion at the end."""
+
+    one: Annotated[np.ndarray, 'padded_columns']
+    motion: Annotated[np.ndarray, 'motion', 'padded_columns']
+
 
 @inner
 def _set_zero(out):
     changes = as_vectors(out)
-    for k in range(len(changes)):
-        for i in range(changes.shape[1]):
-            changes[k, i] = 0.0
-
-
-@inner
-def _copy_changes(source, out):
-    sources, changes = as_vectors(source), as_vectors(out)
-    for k in range(len(changes)):
-        for i in range(changes.shape[1]):
-            changes[k, i] = sources[k, i]
-
-
-@inner
-def _set_products(turned, changes, by_input, out):
-    """Write the products of a matrix, which is given transposed, and changes; add by_input."""
-    results, inputs = as_vectors(out), as_vectors(by_input)
-    first = len(results) - len(inputs)
-    for k in range(len(results)):
-        for i in range(results.shape[1]):
-            results[k, i] = inputs[k - first, i] if k >= first else 0.0
-    _add_products(turned, changes, out)
-
-
-@inner
-def _add_products(turned, changes, out):
-    """Add the products of a matrix, which is given transposed, and changes."""
-    for k in range(len(changes)):
-        add_product(turned, changes[k], out[k])
+    for i in range(len(changes)):
+        for d in range(changes.shape[1]):
+            changes[i, d] = 0.0
 
 
 @inner
 def _set_sum(factor, left, other_factor, right, out):
-    lefts, rights, sums = as_vectors(left), as_vectors(right), as_vectors(out)
-    for k in range(len(sums)):
-        for i in range(sums.shape[1]):
-            sums[k, i] = factor * lefts[k, i] + other_factor * rights[k, i]
+    lefts, rights, sums = (
+        as_vectors(left.changes), as_vectors(right.changes), as_vectors(out.changes))
+    for i in range(len(sums)):
+        out.values[i] = factor * left.values[i] + other_factor * right.values[i]
+        for d in range(sums.shape[1]):
+            sums[i, d] = factor * lefts[i, d] + other_factor * rights[i, d]
+
+
+@separate
+def _set_product(tables, turned, point, base, out):
+    """
+    Write a point `base` plus the product of a matrix, which is given transposed, and a point.
+
+    In L, and hence in all matrices of a step, the place of the mass centre along each free axis is
+    connected with its momentum alone, coordinates with coordinates and their momenta.
+    """
+    copy(base.values, out.values)
+    add_product(turned, point.values, out.values)
+    changes, bases, sums = (
+        as_vectors(point.changes), as_vectors(base.changes), as_vectors(out.changes))
+    total, axes = as_vectors(local_arrays(Rows, tables)).one, len(tables.axes)
+    for k in range(axes):
+        _set_block(turned, changes, bases, k, k + 1, total, sums)
+    _set_block(turned, changes, bases, axes, len(turned) // 2, total, sums)
+
+
+@inner
+def _set_block(turned, changes, bases, first, last, total, sums):
+    half = len(turned) // 2
+    for row in range(0, 2 * half, half):
+        for i in range(row + first, row + last):
+            copy(bases[i], total)
+            for column in range(0, 2 * half, half):
+                for j in range(column + first, column + last):
+                    add_multiple(turned[j, i], changes[j], total)
+            copy(total, sums[i])
 
 
 @entry_point(tables=Constants(), propagator=Constants(), inputs=Constants(),
@@ -125,8 +137,8 @@ def differentiate(tables, propagator, inputs, state, load, loads, count, out):
     Write the derivatives of the motion after some steps, each through its stages; the state stays.
 
     Each row is what a unit of a number of the motion before the steps or, in the last rows, of an
-    input changes. To first order a change does a step of `y' = L y + J y + b`, with the
-    derivatives J and b of each stage, doc/theory.md, section 7.
+    input changes. The changes go through the stages of a step (T36) as the state does, with the
+    changes of n at each stage, doc/theory.md, section 7.
 
     Parameters
     ----------
@@ -136,48 +148,44 @@ def differentiate(tables, propagator, inputs, state, load, loads, count, out):
     out : ndarray, shape (2 (3 + N) + inputs, 2 (3 + N))
 
     """
-    work, here = local_arrays(Work, propagator), local_arrays(Changes, propagator)
-    stage, by_state, by_input, none = here.stage, here.by_state, here.by_input, here.none
-    changes, middle, end = here.changes, here.middle, here.end
-    rate_0, rate_a, rate_b, rate_c = here.rate_0, here.rate_a, here.rate_b, here.rate_c
-    _set_zero(none)
-    _set_zero(changes)
-    state_by_motion(tables, state, load, changes)
-    copy(state, work.now)
+    none, now, stage = (
+        local_arrays(Point, inputs), local_arrays(Point, inputs), local_arrays(Point, inputs))
+    half, ahead = local_arrays(Point, inputs), local_arrays(Point, inputs)
+    rate_0, rate_a = local_arrays(Point, inputs), local_arrays(Point, inputs)
+    rate_b, rate_c = local_arrays(Point, inputs), local_arrays(Point, inputs)
+    _set_zero(none.changes)
+    for i in range(len(none.values)):
+        none.values[i] = 0.0
+    _set_zero(now.changes)
+    copy(state, now.values)
+    state_by_motion(tables, state, load, now.changes)
     for n in range(count):
-        load_0, load_ab, load_c = loads[n, START], loads[n, MIDDLE], loads[n, END]
-        one_step(tables, propagator, load_0, load_ab, load_c, work)
+        # The stages a, b and c of `etdrk4.one_step`, with their changes.
+        differential(tables, inputs, now, loads[n, START], rate_0)
+        _set_product(tables, propagator.half, now, none, half)
+        _set_product(tables, propagator.half_weight, rate_0, half, stage)
+        differential(tables, inputs, stage, loads[n, MIDDLE], rate_a)
+        _set_product(tables, propagator.half, stage, none, ahead)
 
-        jacobian(tables, work.now, load_0, inputs, by_state, by_input)
-        _set_products(by_state, changes, by_input, rate_0)
-        _set_products(propagator.half, changes, none, middle)
+        _set_product(tables, propagator.half_weight, rate_a, half, stage)
+        differential(tables, inputs, stage, loads[n, MIDDLE], rate_b)
 
-        # The step has not kept its stages a and b: they are made again.
-        copy(work.half, stage)
-        add_product(propagator.half_weight, work.rate_0, stage)
-        jacobian(tables, stage, load_ab, inputs, by_state, by_input)
-        _copy_changes(middle, here.at_a)
-        _add_products(propagator.half_weight, rate_0, here.at_a)
-        _set_products(by_state, here.at_a, by_input, rate_a)
+        _set_sum(2.0, rate_b, -1.0, rate_0, stage)
+        _set_product(tables, propagator.half_weight, stage, ahead, ahead)
+        differential(tables, inputs, ahead, loads[n, END], rate_c)
 
-        copy(work.half, stage)
-        add_product(propagator.half_weight, work.rate_a, stage)
-        jacobian(tables, stage, load_ab, inputs, by_state, by_input)
-        _add_products(propagator.half_weight, rate_a, middle)
-        _set_products(by_state, middle, by_input, rate_b)
-
-        jacobian(tables, work.third, load_c, inputs, by_state, by_input)
-        _set_products(propagator.half, here.at_a, none, end)
-        _set_sum(2.0, rate_b, -1.0, rate_0, middle)
-        _add_products(propagator.half_weight, middle, end)
-        _set_products(by_state, end, by_input, rate_c)
-
-        _set_products(propagator.whole, changes, none, end)
-        _add_products(propagator.start_weight, rate_0, end)
         _set_sum(1.0, rate_a, 1.0, rate_b, rate_a)
-        _add_products(propagator.middle_weight, rate_a, end)
-        _add_products(propagator.end_weight, rate_c, end)
-        _copy_changes(end, changes)
-        copy(work.following, work.now)
+        _set_product(tables, propagator.whole, now, none, ahead)
+        _set_product(tables, propagator.start_weight, rate_0, ahead, ahead)
+        _set_product(tables, propagator.middle_weight, rate_a, ahead, ahead)
+        _set_product(tables, propagator.end_weight, rate_c, ahead, now)
         load = loads[n, AFTER]
-    motion_by_state(tables, work.now, load, changes, out)
+    end = local_arrays(Rows, inputs).motion
+    _set_zero(end)
+    motion_by_state(tables, now.values, load, now.changes, end)
+    for i in range(len(end)):
+        out[0, i] = out[1, i] = 0.0
+        for k in range(2, len(out)):
+            out[k, i] = end[i, k - 2]
+    for k in range(len(tables.axes)):
+        out[tables.axes[k], tables.axes[k]] = 1.0

@@ -22,7 +22,7 @@ from scipy.linalg.lapack import dgebal
 from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, as_vectors, Constants, inner, strict
-from timo_sim.model.functions import linear_part_is_valid, observe, rate
+from timo_sim.model.functions import copy, linear_part_is_valid, observe, rate
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
 
 
@@ -117,12 +117,6 @@ def _phi(z, doublings):
             phi_0 @ phi_0, 0.5 * (phi_0 @ phi_1 + phi_1), 0.25 * (phi_0 @ phi_2 + phi_1 + phi_2),
             0.125 * (phi_0 @ phi_3 + 0.5 * phi_1 + phi_2 + phi_3)]))
     return np.array(found[:2])
-
-
-@inner
-def copy(vector, out):
-    for i in range(min(len(vector), len(out))):
-        out[i] = vector[i]
 
 
 @inner

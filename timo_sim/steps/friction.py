@@ -25,9 +25,9 @@ from timo_sim.compiled.constants import local_arrays, pack
 from timo_sim.compiled.entry import Call, entry_point
 from timo_sim.compiled.functions import Array, Constants, inner, local, square_root
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.functions import linear_part_is_valid, observe
+from timo_sim.model.functions import copy, linear_part_is_valid, observe
 from timo_sim.model.layout import AFTER, FORCE_X, FORCE_Y, LOADS, STAGES, STEP_LOADS, TORQUE
-from timo_sim.steps.etdrk4 import copy, is_finite, one_step, Work
+from timo_sim.steps.etdrk4 import is_finite, one_step, Work
 from timo_sim.steps.steps import Steps
 
 COLUMNS = FORCE_X, FORCE_Y, TORQUE  # of a load, by joint

@@ -24,9 +24,9 @@ from timo_sim.compiled.entry import EntryPoint
 from timo_sim.compiled.functions import (
     Array, Constants, inner, local, magnitude, where, WIDTH)
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.functions import observe, tip
+from timo_sim.model.functions import copy, observe, tip
 from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, STAGES, START, STEP_LOADS
-from timo_sim.steps.etdrk4 import copy, one_step, propagator, transposed, Work
+from timo_sim.steps.etdrk4 import one_step, propagator, transposed, Work
 
 
 class LaneConstants(NamedTuple):

@@ -132,11 +132,7 @@ class CdrError(ValueError):
 
 
 class Layout(NamedTuple):
-    """
-    Places of the parts of a message, in bytes from its beginning.
-
-    Messages of the same size with the same bytes at the places `fixed` have the same layout.
-    """
+    """Places in a message [B]; it is that of all of this size with these bytes at `fixed`."""
 
     size: int            # [B], without the padding that some writers add at the end
     stamps: list         # place of the seconds of each time; its nanoseconds follow
@@ -268,11 +264,10 @@ class _Walk:
 
 class Number(NamedTuple):
     """
-    Stands in a template for a number that changes from message to message.
+    Stands in a template, values as `pack` takes them, for a number that each message has anew.
 
-    A template has the values of a message as `cdr.pack` takes them. Numbers are counted in the
-    order of the template, whatever the order of the message, those without a name last; these
-    describe the others, as variances do, and are no columns.
+    Numbers are counted in the order of the template, those without a name last; these describe
+    the others, as variances do, and are no columns.
 
     >>> template = {'name': ['shaft'], 'position': [Number('shaft_rad')]}
     >>> serialize = Serializer('sensor_msgs/msg/JointState', template)

@@ -31,23 +31,13 @@ class Sensor(NamedTuple):
 
     From its entry in `SENSORS` follow the parameters `sensor.NAME.noise`, `.bias` and
     `.resolution`, `Simulator.sensors.NAME`, its topic with rate and delay, and columns in logs.
+    Its messages are a `sensor_msgs/msg/JointState` or, on the topic `IMU`, `sensor_msgs/msg/Imu`.
 
-    Attributes
-    ----------
-    name, unit, meaning : str
-    topic : str
-        Of its messages, a `sensor_msgs/msg/JointState`, or the `sensor_msgs/msg/Imu` of `IMU`.
-    columns : tuple of str
-        Names of its axes in logs, with units.
-    read : function(simulation.snapshot.Snapshot) -> sequence of float
-        Returns what it measures, a number for each axis.
-    of_motion : function(Formulation, ndarray (n, 2 (3 + N))) -> ndarray (n,), or None
-        In place of `read`, for a sensor of one axis that the motion alone determines. Such a
-        sensor is also a quantity of fits and an output of linear models.
-    quantity, joint : str
-        Of fits, which its last axis shows, by default its own name with `of_motion`, else none;
-        name in a `JointState`, by default its own.
-
+    `read` takes a Snapshot and returns what it measures, a number for each of `columns`. Where the
+    motion alone determines it, a sensor of one axis has `of_motion` in its place, which takes a
+    Formulation and motions, (n, 2 (3 + N)), and returns (n,); it is also a quantity of fits and an
+    output of linear models. `quantity` is the one of fits that its last axis shows, by default its
+    own name with `of_motion`; `joint` is its name in a JointState, by default its own.
     """
 
     name: str
@@ -132,17 +122,10 @@ class Output(NamedTuple):
     """
     A topic that carries the motion; '~/encoder' is below the node's own name, '/clock' is not.
 
-    Attributes
-    ----------
-    numbers : function(simulation.snapshot.Snapshot) -> tuple of float
-        Returns the numbers of a message, in the order of `columns`.
-    template : dict
-        The message with a Number in place of each number; time stamps are filled in.
-    delay : str or None
-        Of a sensor, the parameter with the time from measurement to message [s].
-    unlogged : function(simulation.snapshot.Snapshot) -> sequence of float
-        Returns the values of the template's Numbers without a name.
-
+    `numbers` takes a Snapshot and returns those of a message in the order of `columns`; `template`
+    is the message with a Number in place of each; time stamps are filled in. `delay` is the
+    parameter with the time from measurement to message [s], for a sensor. `unlogged` takes a
+    Snapshot and returns the values of the template's Numbers without a name.
     """
 
     name: str

@@ -8,7 +8,7 @@
 
 """Sends samples of a running simulation to a process that streams them to a viewer."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 import json
 import os
@@ -71,7 +71,7 @@ class Feed:
         self._due = 0.0
 
     def send(self, now: float, simulator: Simulator,
-             effort: Callable[[], tuple[float, float, float]]) -> None:
+             effort: Callable[[], Sequence[float]]) -> None:
         """Send a sample if one is due at the wall time `now` [s]; return at once."""
         if now < self._due:
             return

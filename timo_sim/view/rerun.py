@@ -11,9 +11,7 @@
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 import json
-import math
 import os
 from pathlib import Path
 import signal
@@ -42,11 +40,7 @@ _PLANE, _CURVES, _ABOUT = 'plane', 'curves', 'about'
 _COLOURS = [(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (240, 228, 66),
             (213, 94, 0), (0, 114, 178)]
 _GHOST, _GRID, _TICKS = (120, 120, 120), (128, 128, 128, 90), (170, 170, 170)
-_EFFORT = _COLOURS[3]
 _TRAIL = 90  # frames of the tip's trail
-# Length of the arrow of the largest force [arm lengths], angle of the largest torque's arc [rad].
-_LONGEST_ARROW, _WIDEST_ARC = 0.3, 1.5 * np.pi
-_ARC = np.linspace(0.0, 1.0, 20)
 _BLOCK = 65536  # samples, or frames, that are sent at once
 # By panel of differences: the trace that is compared, and its columns.
 _DIFFERENCES: dict[str, tuple[str, Any]] = {
@@ -87,48 +81,41 @@ class ViewerError(OSError):
 
 
 def write(tracks: Sequence[Track], path: Path | str, fps: float = 30.0,
-          report: Callable[[float], object] = lambda done: None,
           at: float | None = None) -> np.ndarray:
     """
     Write tracks of different names to a rerun file, laid over each other.
 
     The plane has at most `fps` frames per second of sim time, and one at the sim time `at` [s];
-    curves have all samples. `report` is called with the share of the work done since its last
-    call. Returns the corners of the plane that is shown, lower left and upper right, shape (2, 2)
-    [m]. Raises OSError if the file cannot be written.
+    curves have all samples. Returns the corners of the plane that is shown, lower left and upper
+    right, shape (2, 2) [m]. Raises OSError if the file cannot be written.
     """
     stream = rr.RecordingStream('timo_sim')
     with whole_file(path) as part:
         # Not `stream.save`, which prints some errors of a full disk and waits for ever at others.
         content = stream.binary_stream()
-        bounds = _send(stream, tracks, fps, report, at)
+        bounds = _send(stream, tracks, fps, at)
         part.write_bytes(content.read())
     return bounds
 
 
-def _send(stream, tracks, fps, report, at):
+def _send(stream, tracks, fps, at):
     frames = [track.frames(fps, at) for track in tracks]
-    bounds, largest = _extent(tracks, frames)
+    bounds = _extent(tracks, frames)
     _log_plane(stream, bounds)
-    stream.log(_ABOUT, rr.TextDocument(_about(tracks, largest, fps), media_type='text/markdown'),
+    stream.log(_ABOUT, rr.TextDocument(_about(tracks, fps), media_type='text/markdown'),
                static=True)
-    shares = sum(len(track.traces) + 2 for track in tracks)
-    panels: dict[str, Panel] = {}
+    panels: dict[str, int] = {}
     for run, track in enumerate(tracks):
         entities = Entities(stream, track, run, len(tracks), bounds)
         for part in _blocks(len(frames[run])):
             picked = frames[run][part]
-            entities.send_poses(track.ns[picked], track.poses(picked), largest)
-        report(2 / shares)
+            entities.send_poses(track.ns[picked], track.poses(picked))
         for trace in track.traces:
             entities.name_curves(trace.panel, trace.names)
             entities.send_curves(trace.panel, trace.ns, trace.values)
-            panels.setdefault(trace.panel, Panel()).add(trace.values)
-            report(1 / shares)
+            panels[trace.panel] = len(trace.names)
         if run:
             _send_differences(entities, tracks[0], track, panels)
-    if 'balance' in panels:  # so that a balance that closes looks flat, not like magnified noise
-        panels['balance'].least = 1e-3 * max(panels['energy'].high, -panels['energy'].low)
     stream.send_blueprint(_blueprint(panels, bounds, len(tracks)))
     return bounds
 
@@ -138,19 +125,15 @@ def _blocks(count):
 
 
 def _extent(tracks, frames):
-    # Return the corners of all that is drawn, with a margin, and the largest force and torque.
-    corners, efforts = [], []
+    """Return the corners of all that is drawn, with a margin, (2, 2) [m]."""
+    corners = []
     for track, picked in zip(tracks, frames):
         for part in _blocks(len(picked)):
-            poses = track.poses(picked[part])
-            points = poses.line.reshape(-1, 2)
+            points = track.poses(picked[part]).line.reshape(-1, 2)
             corners += [points.min(axis=0) - 0.15 * track.body.length,
                         points.max(axis=0) + 0.15 * track.body.length]
-            efforts.append([np.hypot(*poses.effort[:, :2].T).max(),
-                            np.abs(poses.effort[:, 2]).max()])
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
-    # Room for the numbers at the grid.
-    return (np.array([low - 0.05 * np.max(high - low), high]), np.max(efforts, axis=0).tolist())
+    return np.array([low - 0.05 * np.max(high - low), high])  # room for the numbers at the grid
 
 
 def _send_differences(entities, first, track, panels):
@@ -166,14 +149,13 @@ def _send_differences(entities, first, track, panels):
         names = np.array(ours.names)[columns].reshape(-1)
         entities.name_curves(panel, [f'{text} less {first.name}' for text in names])
         entities.send_curves(panel, ns, values)
-        panels.setdefault(panel, Panel(least=1e-12)).add(values)
+        panels[panel] = len(names)
 
 
-def _about(tracks, largest, fps):
+def _about(tracks, fps):
     lines = [f'- **{track.name}**: {track.note}' for track in tracks]
-    lines.append(f'- arrow: force, at most {largest[0]:.3g} N; arc: torque, at most '
-                 f'{largest[1]:.3g} N m; grey: the arm if it did not bend; trail: '
-                 f'{_TRAIL} frames of the tip, at most {fps:g} per second')
+    lines.append(f'- grey: the arm if it did not bend; trail: {_TRAIL} frames of the tip, at most '
+                 f'{fps:g} per second')
     if any(track.floor is not None for track in tracks):
         lines.append('- line and arrow at the carrier: floor, and direction of gravity')
     if len(tracks) > 1:
@@ -203,9 +185,7 @@ class Entities:
             ('motor', rr.Points2D, grey, 0.5 * body.motor, {}),
             ('arm', rr.LineStrips2D, own, line if line > 0.004 * body.length else points(2.0), {}),
             ('end_effector', rr.Points2D, tip, 0.5 * body.end_effector, {}),
-            ('trail', rr.LineStrips2D, grey, points(1.0), {}),
-            ('force', rr.Arrows2D, _EFFORT, points(2.0), {}),
-            ('torque', rr.LineStrips2D, _EFFORT, points(1.5), {})]
+            ('trail', rr.LineStrips2D, grey, points(1.0), {})]
         for order, (name, kind, colors, radii, more) in enumerate(styles):
             self._stream.log(f'{self._path}/{name}', kind.from_fields(
                 colors=colors, radii=radii, draw_order=float(order), **more), static=True)
@@ -224,8 +204,8 @@ class Entities:
         base = np.array(_COLOURS[self._run % len(_COLOURS)])
         return tuple((base + (255 - base) * (1 - 0.6**curve)).astype(int).tolist())
 
-    def send_poses(self, ns: np.ndarray, poses: Poses, largest: Sequence[float]) -> None:
-        """Send Poses at times (m,) [ns]; the `largest` force and torque are drawn in full size."""
+    def send_poses(self, ns: np.ndarray, poses: Poses) -> None:
+        """Send Poses at times (m,) [ns]."""
         body, root, tip = self._body, poses.line[:, 0], poses.line[:, -1]
         straight = root + body.length * np.column_stack([np.cos(poses.shaft), np.sin(poses.shaft)])
         before = np.repeat(tip[:1], _TRAIL - 1, axis=0) if self._trail is None else self._trail
@@ -239,13 +219,7 @@ class Entities:
                 'carrier': rr.Boxes2D.columns(centers=_floats(root)),
                 'motor': rr.Points2D.columns(positions=_floats(root)),
                 'arm': rr.LineStrips2D.columns(strips=_floats(poses.line)),
-                'end_effector': rr.Points2D.columns(positions=_floats(tip)),
-                'force': rr.Arrows2D.columns(
-                    origins=_floats(root), vectors=_floats(poses.effort[:, :2] * (
-                        _LONGEST_ARROW * body.length / (largest[0] or 1.0)))),
-                'torque': rr.LineStrips2D.columns(strips=_floats(
-                    _arcs(root, poses.shaft, poses.effort[:, 2] / (largest[1] or 1.0), body)))
-                }.items():
+                'end_effector': rr.Points2D.columns(positions=_floats(tip))}.items():
             self._stream.send_columns(f'{self._path}/{name}', [_time(ns)], columns)
 
     def name_curves(self, panel: str, names: Sequence[str]) -> None:
@@ -294,65 +268,22 @@ def _floats(values):
     return np.ascontiguousarray(values, dtype=np.float32)
 
 
-def _arcs(centre, start, share, body):
-    # An arc from the arm in the sense of the torque, and the two strokes of its head.
-    radius = 0.12 * body.length
-    angle = start[:, np.newaxis] + _WIDEST_ARC * share[:, np.newaxis] * _ARC
-    arc = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    last, head = angle[:, -1], np.clip(0.4 * np.abs(share), 0.0, 0.2) * np.sign(share)
-    strokes = [arc]
-    for distance in (0.85, 1.15):
-        back = radius * distance * np.column_stack([np.cos(last - head), np.sin(last - head)])
-        strokes += [arc[:, -1:] + np.minimum(1.0, np.abs(share) * 10)[:, np.newaxis, np.newaxis]
-                    * (back[:, np.newaxis] - arc[:, -1:]), arc[:, -1:]]
-    return centre[:, np.newaxis] + np.concatenate(strokes, axis=1)
-
-
-@dataclass
-class Panel:
-    """What a panel shows: number of curves, lowest and highest value, least limit of its axis."""
-
-    curves: int = 0
-    low: float = math.inf
-    high: float = -math.inf
-    least: float = 0.0
-
-    def add(self, values: np.ndarray) -> None:
-        """Add curves with these values, (n, k)."""
-        self.curves += values.shape[1]
-        self.low = min(self.low, float(values.min()))
-        self.high = max(self.high, float(values.max()))
-
-    def title(self, key: str) -> str:
-        """Return quantity, unit, and its lowest and highest value."""
-        if self.low > self.high:
-            return _TITLES[key]
-        # Round-off beside larger values is shown as 0.
-        nothing = 1e-12 * max(abs(self.low), abs(self.high))
-        low, high = (0.0 if abs(end) < nothing else end for end in (self.low, self.high))
-        return f'{_TITLES[key]}: {low:.3g} to {high:.3g}'
-
-    def axis(self) -> rrb.ScalarAxis | None:
-        """Return the vertical axis, -`least` to `least`; None if values exceed it: rerun fits."""
-        small = max(self.high, -self.low) < self.least
-        return rrb.ScalarAxis(range=(-self.least, self.least)) if small else None
-
-
 def _blueprint(panels, bounds, runs=1, live=False):
     """
-    Return the layout of panels, by key of _TITLES, and of the plane with corners `bounds`.
+    Return the layout of the plane with corners `bounds` and of panels.
 
-    With several runs only some panels have a legend. Of a live run the last ten seconds are shown.
+    `panels` has the number of curves by key of _TITLES. With several runs only some panels have a
+    legend. Of a live run the last ten seconds are shown.
     """
     ranges = rrb.VisibleTimeRange(
         _TIMELINE, start=rrb.TimeRangeBoundary.cursor_relative(seconds=-10.0),
         end=rrb.TimeRangeBoundary.cursor_relative()) if live else None
 
     views = [rrb.TimeSeriesView(
-        origin=f'{_CURVES}/{key}', name=panels[key].title(key), time_ranges=ranges,
-        axis_y=panels[key].axis(), plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=(
-            key in _WITH_LEGEND if runs > 1 else panels[key].curves > 1)))
-        for key in _TITLES if key in panels]
+        origin=f'{_CURVES}/{key}', name=title, time_ranges=ranges,
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=(
+            key in _WITH_LEGEND if runs > 1 else panels[key] > 1)))
+        for key, title in _TITLES.items() if key in panels]
     (left, bottom), (right, top) = bounds
     plane = rrb.Spatial2DView(
         origin='/', contents=f'{_PLANE}/**', name='plane of motion, x right, y up [m]',
@@ -389,18 +320,14 @@ def show_tracks(makers: Sequence[Callable[[], Track]], save: str | None = None,
         raise ParameterError(f'--png {png} cannot be written: its folder is missing or read-only')
     with tempfile.TemporaryDirectory(prefix='timo_sim_') as folder:
         path = Path(save or Path(folder, 'run.rrd'))
-        with tqdm(total=1000, desc='converting', bar_format='{l_bar}{bar}', delay=1.0,
-                  disable=None, leave=False) as bar:
-            tracks = []
-            for maker in makers:
-                tracks.append(maker())
-                bar.update(500 // len(makers))
-            begin = min(track.ns[0] for track in tracks)
-            end = max(track.ns[-1] for track in tracks)
-            if at is not None and not begin <= round(1e9 * at) <= end:
-                raise ParameterError(f'--at = {at:g} s is not in the run, which is from '
-                                     f'{1e-9 * begin:g} to {1e-9 * end:g} s')
-            write(tracks, path, fps, lambda done: bar.update(round(500 * done)), at)
+        tracks = [maker() for maker in tqdm(
+            makers, 'reading', bar_format='{l_bar}{bar}', delay=1.0, disable=None, leave=False)]
+        begin = min(track.ns[0] for track in tracks)
+        end = max(track.ns[-1] for track in tracks)
+        if at is not None and not begin <= round(1e9 * at) <= end:
+            raise ParameterError(f'--at = {at:g} s is not in the run, which is from '
+                                 f'{1e-9 * begin:g} to {1e-9 * end:g} s')
+        write(tracks, path, fps, at)
         if png:
             picture(path, png, at)
         if web or not (save or png):
@@ -518,7 +445,6 @@ class Stream:
 
     def __init__(self, url: str, name: str, scene: Scene) -> None:
         self._scene, self._name = scene, name.strip('/').replace('/', '_')
-        self._largest = [0.0, 0.0]
         self._stream = rr.RecordingStream('timo_sim')
         self._stream.connect_grpc(url)
         start, margin = scene.initial_motion(), 1.3 * body_of(scene).length
@@ -532,20 +458,17 @@ class Stream:
         for trace in first.traces:
             self._entities.name_curves(trace.panel, trace.names)
         self._stream.send_blueprint(_blueprint(
-            {trace.panel: Panel(len(trace.names)) for trace in first.traces}, bounds, live=True))
+            {trace.panel: len(trace.names) for trace in first.traces}, bounds, live=True))
 
     def _track(self, samples):
         return track_of_motion(
             self._name, self._scene, samples[:, 0].astype(np.int64), samples[:, 1:-3],
-            samples[:, -3:], balanced=False)
+            samples[:, -3:])
 
     def send(self, samples: np.ndarray) -> None:
         """Send samples, shape (m, 1 + 2 (3 + N) + 3): time [ns], motion, effort."""
         track = self._track(samples)
-        poses = track.poses(slice(None))
-        self._largest = [max(self._largest[0], np.hypot(*poses.effort[:, :2].T).max()),
-                         max(self._largest[1], np.abs(poses.effort[:, 2]).max())]
-        self._entities.send_poses(track.ns, poses, self._largest)
+        self._entities.send_poses(track.ns, track.poses(slice(None)))
         for trace in track.traces:
             self._entities.send_curves(trace.panel, track.ns, trace.values)
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from timo_sim.log.tables import Recording
 from timo_sim.model.layout import INPUTS, rotate
@@ -23,16 +22,11 @@ from timo_sim.scene.parameters import Parameter
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.energy import integral, work
 from timo_sim.simulation.loads import pieces
-from timo_sim.topics.commands import COMMANDS
 
 FPS = Parameter('--fps', 30.0, 'Hz', 'frames', low=0.0, high=1e6, open_low=True)
 _POINTS = 41     # of the centre line that is drawn
 _BLOCK = 1024    # samples that are computed at once: their arrays stay in the processor's cache
 _BESIDE = 0.08   # from the carrier to the arrow of gravity, and its length, in arm lengths
-# Commands whose work `effort` does not contain: the tip wrench always, the others where the motion
-# of the shaft is prescribed.
-_WITHOUT_EFFORT = (
-    '~/tip_wrench', '~/motor_torque', '~/motor_voltage', '~/joint_command', '~/commands')
 
 
 class TrackError(ValueError):
@@ -50,11 +44,10 @@ class Body(NamedTuple):
 
 
 class Poses(NamedTuple):
-    """Places and efforts at m times, in world axes."""
+    """Places at m times, in world axes."""
 
     line: np.ndarray    # centre line from root to tip, (m, p, 2) [m]
     shaft: np.ndarray   # (m,) [rad]
-    effort: np.ndarray  # force x, y [N] and torque [N m] as applied, (m, 3)
 
 
 class Floor(NamedTuple):
@@ -127,49 +120,32 @@ def track_of_recording(recording: Recording, name: str) -> Track:
     Without modal coordinates the shape is a cubic from root to tip. Raises TrackError if topics
     that the shape needs are missing.
     """
-    scene, series = recording.scene, recording.read(
-        'joint_states', '~/modal_state', *(command.name for command in COMMANDS))
+    scene, series = recording.scene, recording.read('joint_states', '~/modal_state')
     joints = series.get('joint_states')
     if joints is None or not len(joints.ns):
         raise TrackError(f'{recording.path} has no joint_states: there is nothing to show')
     if scene is None or scene.modal_count and '~/modal_state' not in series:
         return _of_bag(recording, name, joints)
-    step, ns, motion = recording.motion(series)
+    _, ns, motion = recording.motion(series)
     if not len(ns):
         raise TrackError(f'{recording.path}: joint_states and modal_state are never of the same '
                          'time: choose rates of which one is a multiple of the other')
     place = slice(None) if len(ns) == len(joints.ns) else (
         np.searchsorted(joints.ns, ns, side='right') - 1)
-    resets = np.searchsorted(step, recording.resets, side='right') - 1
-    resets += step[resets] < recording.resets
-    driven = scene.values['motor.shaft'] == 'driven'
-    hidden = any(topic in series and len(series[topic].ns)
-                 for topic in (_WITHOUT_EFFORT if driven else _WITHOUT_EFFORT[:1]))
-    # A limited rate makes a straight line of the jump that a command would be.
-    limited = np.isfinite([scene.values['carrier.force_rate_limit'],
-                           scene.values['motor.torque_rate_limit']]).any()
-    commands = [] if limited else [
-        series[command.name].step for command in COMMANDS if command.name in series]
-    return track_of_motion(
-        name, scene, ns, motion, joints.values[place, 6:9],
-        resets[(0 < resets) & (resets < len(ns))],
-        not (recording.changes or hidden),
-        payloads=recording.payloads, commands=np.concatenate([[], *commands]))
+    return track_of_motion(name, scene, ns, motion, joints.values[place, 6:9],
+                           payloads=recording.payloads)
 
 
-def track_of_motion(
-        name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray, effort: np.ndarray,
-        resets: ArrayLike = (), balanced: bool = True, heat: np.ndarray | None = None,
-        payloads: Sequence[tuple[int, float, float]] = (), commands: ArrayLike = ()) -> Track:
+def track_of_motion(name: str, scene: Scene, ns: np.ndarray, motion: np.ndarray,
+                    effort: np.ndarray, heat: np.ndarray | None = None,
+                    payloads: Sequence[tuple[int, float, float]] = ()) -> Track:
     """
     Return the track of a known motion, shape (n, 2 (3 + N)), at the sim times `ns`, (n,) [ns].
 
-    `effort` is force on the carrier, world x and y [N], and torque [N m], (n, 3). `resets` are
-    first samples after resets, which do not follow from the one before. `balanced`: whether to
-    compute the balance of energy, work and losses, which is not known if a command acted on the
-    tip, or parameters such as friction were set during the run, or with `payloads` (see `Run`).
-    Where dry friction acts it needs its `heat` so far, (n,) [J]. `commands` are steps at which
-    forces and torques jump besides those of the scene's loads.
+    `effort` is force on the carrier, world x and y [N], and torque [N m], (n, 3); `payloads` are
+    those of `Run`. The balance of energy, work and losses needs the `heat` of dry friction so far,
+    (n,) [J], and is not computed without it, with `payloads`, or if loads act whose work the
+    efforts do not contain.
     """
     formulation, half = scene.build(), motion.shape[1] // 2
     length, modal = scene.manipulator.arm.length, motion[:, 3:half]
@@ -189,26 +165,22 @@ def track_of_motion(
     seen = ('carrier',) if scene.values['motor.shaft'] == 'driven' else ('carrier', 'shaft')
     pushed = any(scene.load.terms[each.name] for each in INPUTS
                  if each.prescribed and each.group not in seen)
-    known = heat is not None or not scene.friction.any()
-    if balanced and known and not pushed and not payloads:
+    if heat is not None and not pushed and not payloads:
         jumps = np.rint([time / scene.step for terms in scene.load.terms.values()
                          for term in terms for time in term.jumps()])
-        jumps = np.isin(steps, np.concatenate([jumps, commands]))[:, np.newaxis]
-        done = work(ns, motion[:, :3], motion[:, half:half + 3], effort, jumps)
-        done -= integral(ns, _in_blocks(formulation.dissipation, motion))
-        done -= 0.0 if heat is None else np.diff(heat)
-        gained = np.diff(stored)
-        gained[np.asarray(resets, dtype=int) - 1] = 0.0
-        done[np.asarray(resets, dtype=int) - 1] = 0.0
-        curves = np.column_stack([stored, stored[0] + np.append(0.0, np.cumsum(done))])
-        balance = np.append(0.0, np.cumsum(gained - done))[:, np.newaxis]
-        traces += [Trace('energy', ('energy', 'first energy + work - losses'), ns, curves),
-                   Trace('balance', ('energy - work + losses',), ns, balance)]
+        done = work(ns, motion[:, :3], motion[:, half:half + 3], effort,
+                    np.isin(steps, jumps)[:, np.newaxis])
+        done -= integral(ns, _in_blocks(formulation.dissipation, motion)) + np.diff(heat)
+        expected = stored[0] + np.append(0.0, np.cumsum(done))
+        traces += [Trace('energy', ('energy', 'first energy + work - losses'), ns,
+                         np.column_stack([stored, expected])),
+                   Trace('balance', ('energy - work + losses',), ns,
+                         (stored - expected)[:, np.newaxis])]
     else:
         traces.append(Trace('energy', ('energy',), ns, stored[:, np.newaxis]))
 
     def poses(part):
-        return Poses(formulation.world(motion[part], line), motion[part, 2], effort[part])
+        return Poses(formulation.world(motion[part], line), motion[part, 2])
 
     note = (f'formulation `{scene.values["model.formulation"]}`, {scene.values["model.modes"]} '
             f'modes, step {1e3 * scene.step:g} ms; {_span(ns)}. The shape of the arm is that of '
@@ -276,7 +248,7 @@ def _of_bag(recording, name, joints):
                 + slope[:, np.newaxis] * end[:, np.newaxis])
         line = np.stack(rotate(motion[part, 2][:, np.newaxis], bent[..., 0], bent[..., 1]),
                         axis=-1)
-        return Poses(motion[part, np.newaxis, :2] + line, motion[part, 2], motion[part, 6:9])
+        return Poses(motion[part, np.newaxis, :2] + line, motion[part, 2])
 
     traces = [Trace('tip_deflection', ('w',), bend_ns, bend[:, 1:2]),
               Trace('tip_axial', ('u',), bend_ns, bend[:, :1]),

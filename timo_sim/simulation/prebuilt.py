@@ -7,17 +7,31 @@
 # language governing permissions and limitations under the License.
 
 """
-Intermediate code of all entry points, made when the package is built.
+Code that is made when the package is built, for a first result at once.
 
-An installation that has it needs numba for nothing: LLVM alone makes machine code for a size.
+An installation that has the intermediate code of all entry points needs numba for nothing: LLVM
+alone makes machine code for a size. The machine code of usual sizes is made here, too, for the
+processor of the build; its files have names that tell the processor, so that no other loads them.
+An editable installation, whose sources will change, has the code of the default scene alone.
 """
 
+from concurrent.futures import ProcessPoolExecutor
+import os
+from pathlib import Path
+import shutil
 import sys
+import tempfile
 from typing import Any
 
-from timo_sim.compiled import machine
+from timo_sim.compiled import machine, store
 from timo_sim.model import exact_code, functions, modes, newton
+from timo_sim.scene.scene import load_scene
+from timo_sim.simulation.simulator import Simulator
 from timo_sim.steps import derivatives, etdrk4, friction, instance, lanes, loads
+
+# A carrier and a shaft that move freely, as in the paper; each with the size of its finer run.
+USUAL = [{'model.formulation': formulation, 'model.modes': modes}
+         for formulation in ('exact', 'newton') for modes in range(1, 9)]
 
 
 def entries() -> list[tuple[Any, tuple[type, ...]]]:
@@ -52,5 +66,26 @@ def entries() -> list[tuple[Any, tuple[type, ...]]]:
         instance.lose, instance.get_output, instance.get_outputs, instance.check_state)]
 
 
+def compile_usual(values: dict[str, Any]) -> None:
+    """Compile what runs and nodes with some values of a scene need, and runs that are finer."""
+    Simulator(load_scene(values), estimate=True).warm_up(messages=True)
+
+
+def build(folder: str, editable: bool) -> None:
+    """Write the code that an installation has to files of a new folder."""
+    shutil.rmtree(folder, ignore_errors=True)
+    with tempfile.TemporaryDirectory() as root:
+        os.environ['NUMBA_CACHE_DIR'] = root
+        for entry, kinds in [] if editable else entries():
+            machine.intermediate_code(entry, kinds)
+        with ProcessPoolExecutor(4) as pool:
+            list(pool.map(compile_usual, [{}] if editable else USUAL))
+        Path(folder).mkdir()
+        directory = store.store_directory()
+        for made in directory.iterdir() if directory else []:
+            if made.suffix != '.lock':
+                shutil.copyfile(made, Path(folder, made.name))
+
+
 if __name__ == '__main__':
-    machine.write_intermediate_code(sys.argv[1], entries())
+    build(sys.argv[1], 'editable' in sys.argv[2:])
