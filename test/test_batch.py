@@ -153,7 +153,7 @@ def test_reset_starts_loads_again():
 def test_what_a_batch_cannot_do():
     """The error names the parameter."""
     for scenes, n, text in (
-            ([{}, {'model.modes': 4}], None, 'scene 1 has 4 modes'),
+            ([{}, {'model.modes': 4}], None, 'model.modes must be the same'),
             ([{'model.modes': 4}, {'model.axial_modes': 1}], None, 'axial_modes must be the'),
             ([{}, {'integrator.step': 0.005}], None, 'integrator.step must be the same'),
             ([{}, HELD], None, 'carrier.held must be the same'),

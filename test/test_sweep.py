@@ -19,7 +19,7 @@ import pytest
 
 import timo_sim
 from timo_sim.runs.run import run_scene
-from timo_sim.runs.sweep import executor_of, Job, lane_kind, LaneRuns, run_job, SUMMARY
+from timo_sim.runs.sweep import executor_of, Job, run_job, run_lanes, SUMMARY
 from timo_sim.version import __version__
 
 FAST = {'integrator.step': 0.01}
@@ -207,23 +207,22 @@ def test_bits_of_lanes_do_not_depend_on_the_other_runs(table, scene):
 
 def test_a_load_that_is_too_fast_gives_a_warning(scene):
     fast = scene.vary({'load.torque.harmonic.frequency': [30.0]})
-    warning, = LaneRuns([fast], lane_kind(fast, 200)).warnings
+    warning, = run_job(Job(1, fast, 2.0, ({},), (), True))['warning']
     assert warning == run_scene(fast, 200).warning and 'too high' in warning
 
 
 def test_an_error_of_one_run_is_not_that_of_the_others(scene, monkeypatch):
     """The others have the same numbers, to the last bit, as if none had failed."""
-    class Failing(LaneRuns):
-        def __init__(self, scenes, kind):
-            if any(scene.values['initial.shaft'] == 1.0 for scene in scenes):
-                raise FloatingPointError('a singular matrix')
-            super().__init__(scenes, kind)
+    def failing(scenes, steps):
+        if any(scene.values['initial.shaft'] == 1.0 for scene in scenes):
+            raise FloatingPointError('a singular matrix')
+        return run_lanes(scenes, steps)
 
     angles = np.linspace(0.0, 1.0, 9)
     job = Job(0, scene, DURATION,
               tuple({'initial.shaft': angle} for angle in angles), ('initial.shaft',), True)
     usual = run_job(job)
-    monkeypatch.setattr('timo_sim.runs.sweep.LaneRuns', Failing)
+    monkeypatch.setattr('timo_sim.runs.sweep.run_lanes', failing)
     found = run_job(job)
     assert [*found['reason']] == 8 * [''] + ['a singular matrix']
     for name in NUMBERS:

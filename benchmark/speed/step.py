@@ -88,7 +88,6 @@ class Prepared:
         self.steps = steps
         self._start = self.model.state(scene.initial_motion())
         self._loads = scene.load.stages(0, steps, scene.step)
-        self._remainder = np.empty(len(self._start))
         self._advance = etdrk4.advance.of(
             self.model.packed, pack(transposed(propagator(self.model.linear, scene.step))))
 
@@ -96,7 +95,7 @@ class Prepared:
         """Do the steps; return motions at the start and after each `every` of them."""
         samples = np.empty((1 + len(self._loads) // every if every else 0, self.model.size))
         self._advance(self._start.copy(), self._loads[0, 0], self._loads, len(self._loads), every,
-                      0, samples, self._remainder)
+                      0, samples)
         return samples
 
     def time_of_step(self):

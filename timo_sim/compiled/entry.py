@@ -31,11 +31,14 @@ class EntryPoint(Function):
         an int or nothing.
     name : str
         Name in its module, by default that of the function.
+    fast : bool
+        See `Function`.
 
     """
 
-    def __init__(self, function: Callable, arguments: dict[str, Any], name: str = '') -> None:
-        super().__init__(function)
+    def __init__(self, function: Callable, arguments: dict[str, Any], name: str = '',
+                 fast: bool = True) -> None:
+        super().__init__(function, fast)
         self.arguments = arguments
         module = function.__module__.removeprefix('timo_sim.')
         self.name = f'{module}.{name or function.__name__}'
@@ -67,9 +70,9 @@ class EntryPoint(Function):
         return self.of(*args[:count])(*args[count:])
 
 
-def entry_point(**arguments: Any) -> Callable[[Callable], EntryPoint]:
+def entry_point(fast: bool = True, **arguments: Any) -> Callable[[Callable], EntryPoint]:
     """Return a decorator for a module-level function that Python calls, see `EntryPoint`."""
-    return lambda function: EntryPoint(function, arguments)
+    return lambda function: EntryPoint(function, arguments, fast=fast)
 
 
 _Place = ctypes.c_char * 0

@@ -15,13 +15,11 @@ import numpy as np
 
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.layout import INPUTS
-from timo_sim.scene.loads import Drive, Harmonic, Piecewise, Table
 from timo_sim.scene.parameters import ParameterError, PARAMETERS
 from timo_sim.scene.scene import Scene
 from timo_sim.simulation.finer import can_refine, choose_parts
 from timo_sim.simulation.simulator import MOST_BENT, Simulator
-from timo_sim.steps.instance import Plant, SceneLoads
-from timo_sim.steps.loads import POINT
+from timo_sim.steps.instance import Plant
 
 
 class Quantity(NamedTuple):
@@ -154,31 +152,3 @@ def _strains(model):
     by_motion = model.strain(motions, 0.0, none)
     by_moment = model.strain(np.zeros((1, model.size)), 0.0, np.ones(1))
     return by_moment[0], by_motion[:count], by_motion[count:2 * count]
-
-
-def scene_loads_of(scene: Scene) -> Packed:
-    """Return the constants for the loads of a scene over time."""
-    step, drive = scene.step, np.empty((0, POINT))
-    harmonics, pieces, tables = [np.empty((0, 4))], [np.empty((0, 3))], [np.empty((0, 3))]
-    jumps, knots = [np.empty((0, 2))], [np.empty((0, 2))]
-    for column, term in scene.load.by_column:
-        if isinstance(term, Harmonic):
-            harmonics.append(np.array([(column, *term.constants)]))
-        elif isinstance(term, Piecewise):
-            _add(pieces, jumps, column, term.rows(step))
-        elif isinstance(term, Table):
-            _add(tables, knots, column, term.rows(step))
-        elif isinstance(term, Drive):
-            drive = term.rows(step)
-        else:
-            raise ParameterError(f'a load of {INPUTS[column].name} must be harmonic, piecewise, '
-                                 f'a table or a drive of points, got {term!r}')
-    return pack(SceneLoads(
-        step, np.concatenate(harmonics), np.concatenate(pieces), np.concatenate(jumps),
-        np.concatenate(tables), np.concatenate(knots), drive))
-
-
-def _add(parts, rows, column, own):
-    begin = sum(map(len, rows))
-    rows.append(own)
-    parts.append(np.array([(column, begin, begin + len(own))]))

@@ -23,7 +23,7 @@ import numpy as np
 from timo_sim.compiled import machine
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.compiled.functions import WIDTH
-from timo_sim.export.constants import Interface, plant_of, scene_loads_of
+from timo_sim.export.constants import Interface, plant_of
 from timo_sim.model.functions import tips
 from timo_sim.model.layout import LOADS, STEP_LOADS
 from timo_sim.simulation.derivatives import unit_loads_of, why_not_differentiable
@@ -60,32 +60,27 @@ class _Model:
         sectors = range(model.sectors) if model.sectors else [None]
         parts = [simulator.integration.part(sector).constants for sector in sectors]
         self.parts = len(parts)
-        self.plant, self.loads = plant_of(simulator), scene_loads_of(scene)
+        self.plant, self.loads = plant_of(simulator), pack(scene.load.rows(scene.step))
         self.actuators = Actuators(scene.values).packed
-        # In memory actuators and dry friction, with its rooms, follow the instance.
+        # In memory actuators follow the instance.
         self.joints = getattr(simulator.integration, 'joints', None)
-        self.own, self.forces = model.packed, model.force_tables
+        self.own = model.packed
         # What steps are differentiated by, if they are.
         unit = unit_loads_of(scene.values, [each.column for each in interface.inputs])
         self.inputs = None if why_not_differentiable(scene) else inputs_of(unit, model.size)
         outputs = steps.MODAL + 2 * len(model.modes) + 1
         self.instance = pack(Instance._make([
             np.zeros(5), *3 * [np.zeros(LOADS)], *2 * [np.zeros(4)], *2 * [np.zeros(1)],
-            *3 * [np.zeros(len(model.linear))], np.zeros((1, STEP_LOADS, LOADS)),
-            np.zeros(WIDTH), *4 * [np.zeros(model.size)], *2 * [np.zeros(3)],
+            *2 * [np.zeros(len(model.linear))], np.zeros((1, STEP_LOADS, LOADS)),
+            np.zeros(WIDTH), *2 * [np.zeros(model.size)], *2 * [np.zeros(3)],
             np.zeros(outputs)]))
         self.tables, self.propagator = (
             [each[k] for each in parts] for k in range(2))
 
     @property
-    def place_of_joints(self):
-        """Place of the constants and rooms of dry friction in the memory of an instance [B]."""
-        return self.instance.length + self.actuators.length
-
-    @property
     def length(self):
         """Length of an instance in memory [B]."""
-        return self.place_of_joints + (self.joints.length if self.joints else 0)
+        return self.instance.length + self.actuators.length
 
     @property
     def saved(self):
@@ -224,19 +219,18 @@ class _Body:
 
     def advance(self, model, instance, count, every):
         fields = {name: self.field(model, instance, name) for name in (
-            'state', 'load', 'loads', 'motion', 'remainder', 'friction', 'heat')}
+            'state', 'load', 'loads', 'motion', 'friction', 'heat')}
         if model.joints:
-            joints = self.at(instance, model.place_of_joints)
             return self.call(
-                model, friction.advance,
-                [*self.constants_of_step(model, instance), (model.joints, joints)],
+                model, friction.advance, [*self.constants_of_step(model, instance),
+                                          (model.joints, self.data(model.joints))],
                 *(fields[name] for name in ('friction', 'state', 'load', 'loads')),
                 self.word(count), self.word(every), self.word(0), fields['motion'],
                 fields['heat'])
         return self.call(
             model, advance, self.constants_of_step(model, instance), fields['state'],
             fields['load'], fields['loads'], self.word(count), self.word(every), self.word(0),
-            fields['motion'], fields['remainder'])
+            fields['motion'])
 
     def step_of(self, model):
         """Define the function that does one step of a model under commands."""
@@ -286,7 +280,7 @@ class _Body:
             self.call(own, steps.set_outputs, rest)
         with builder.if_then(self.equal(stage, 2)):
             self.call(own, steps.set_rates, [(own.own, self.data(own.own)), *rest])
-            self.call(own, steps.set_forces, [(own.forces, self.data(own.forces)), *rest])
+            self.call(own, steps.set_forces, [(own.own, self.data(own.own)), *rest])
         builder.ret(self.word(0))
 
     # The functions of the interface.
@@ -334,13 +328,10 @@ class _Body:
         self.finish()
 
     def copy_constants(self, instance):
-        """Copy the constants that functions change, or beside which they have rooms."""
+        """Copy the constants that functions change."""
         for model, each in self.each(instance):
             self.copy(self.data(model.actuators), model.actuators.length,
                       self.at(each, model.instance.length))
-            if model.joints:
-                self.copy(self.data(model.joints), model.joints.offsets['pushed'],
-                          self.at(each, model.place_of_joints))
 
     def copy(self, source, length, goal):
         for offset in range(0, length, 8):

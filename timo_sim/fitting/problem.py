@@ -22,7 +22,7 @@ from typing import Any
 import warnings
 
 import numpy as np
-from scipy.interpolate import CubicSpline, make_interp_spline, make_lsq_spline
+from scipy.interpolate import CubicSpline, make_interp_spline, make_lsq_spline, PPoly
 from scipy.linalg import matmul_toeplitz, solve_toeplitz
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
@@ -30,7 +30,7 @@ from scipy.signal import lfilter
 from timo_sim.fitting.record import Channel, DRIVE, OUTPUTS, Record, unit_of
 from timo_sim.model.layout import INPUTS
 from timo_sim.runs.run import Run, run_scene
-from timo_sim.scene.loads import Load, Table
+from timo_sim.scene.loads import Load, on_boundaries, Table
 from timo_sim.scene.parameters import did_you_mean, ModelWarning, ParameterError, short
 from timo_sim.scene.scene import (
     INITIAL, initial_names, initial_scale, motor_constants, number_of, overrides_of, Scene)
@@ -168,59 +168,21 @@ def initial_states(problem: Problem, values: Mapping[str, float]) -> list[list[F
 _DEGREE = 5  # of the spline through a driven angle, whose acceleration is smooth
 
 
-def sampled(channel: Channel, gain: float = 1.0, bias: float = 0.0, delay: float = 0.0,
-            shift: float = 0.0) -> Any:
-    """
-    Return a load by samples of a Channel: `gain u(t - delay) + bias`, with the delay in [s].
-
-    Values that are joined by straight lines act as the table of a scene. `shift` is the time in
-    the record at which the scene's begins [s].
-    """
-    t, values = channel.t + (delay - shift), gain * channel.values + bias
-    return Held(t, values) if channel.hold == 'zero' else Table(t, values)
-
-
-class Held:
-    """
-    A load that holds values from times t [s] on; the first one also before.
-
-    A step sees the mean, so that the impulse is right if the value changes inside it.
-    """
-
-    def __init__(self, t: np.ndarray, values: np.ndarray) -> None:
-        self._t, self._values = t, values
-        # The integral begins at the first sample, before which its value holds.
-        self._integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
-
-    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
-        """Add to the loads of steps, see `scene.loads.Term`."""
-        impulse = np.diff(self._integrate(step * np.arange(first, first + len(loads) + 1)))
-        loads[:, :, column] += (impulse / step)[:, np.newaxis]
-
-    def _integrate(self, at):
-        place = np.clip(np.searchsorted(self._t, at, side='right') - 1, 0, None)
-        return self._integral[place] + self._values[place] * (at - self._t[place])
-
-
 class Driven:
-    """A driven shaft's angle, a spline through samples, constant outside; see `sampled`."""
+    """A driven shaft's angle, a spline through the samples of a Channel, constant outside."""
 
-    def __init__(self, channel: Channel, gain: float = 1.0, bias: float = 0.0,
-                 delay: float = 0.0, shift: float = 0.0) -> None:
-        self._spline = _spline(channel.t.tobytes(), channel.values.tobytes(), channel.knots)
-        self._ends, self._late = channel.t[[0, -1]], delay - shift
-        self._gain, self._bias = gain, bias
+    def __init__(self, channel: Channel, gain: float, bias: float, late: float) -> None:
+        spline = _spline(channel.t.tobytes(), channel.values.tobytes(), channel.knots)
+        t, width = spline.x, len(spline.c)
+        self._rows = np.zeros((len(t) + 1, 1 + width))
+        self._rows[:, 0] = np.append(t[0] - 1.0, t) + late
+        self._rows[1:-1, 1:] = gain * spline.c[::-1].T
+        self._rows[[0, -1], 1] = gain * channel.values[0], gain * float(spline(t[-1]))
+        self._rows[:, 1] += bias
 
-    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
-        """Add angle, speed and acceleration to the loads of steps, see `scene.loads.Term`."""
-        at = 0.5 * step * np.arange(2 * first, 2 * (first + len(loads)) + 1) - self._late
-        inside = (self._ends[0] <= at) & (at <= self._ends[1])
-        motion = self._gain * np.stack([
-            self._spline(np.clip(at, *self._ends), order) * (inside if order else 1.0)
-            for order in range(3)], axis=-1)
-        motion[:, 0] += self._bias
-        for row, values in enumerate((motion[:-2:2], motion[1::2], motion[2::2], motion[2::2])):
-            loads[:, row, column:column + 3] += values
+    def rows(self, step: float) -> np.ndarray:
+        """Return times and polynomials, see `scene.loads.Drive`."""
+        return np.column_stack([on_boundaries(self._rows[:, 0], step), self._rows[:, 1:]])
 
 
 def sensor_of(values: Mapping[str, float], quantity: str) -> list[float]:
@@ -240,12 +202,15 @@ def loads_of(record: Record, scene: Scene, values: Mapping[str, float],
     for name, channel in record.inputs.items():
         gain, bias, delay, _ = sensor_of(values, name)
         if name == DRIVE:
-            drive = Driven(channel, gain, bias, delay, shift)
+            drive = Driven(channel, gain, bias, delay - shift)
             continue
         if name == 'voltage':
             constant = motor_constants(scene.values)[0]
             gain, bias, name = constant * gain, constant * bias, 'torque'
-        terms.setdefault(name, []).append(sampled(channel, gain, bias, delay, shift))
+        t, shown = channel.t + (delay - shift), gain * channel.values + bias
+        if channel.hold == 'zero':  # a table that jumps, also inside a step
+            t, shown = np.repeat(t, 2)[1:], np.repeat(shown, 2)[:-1]
+        terms.setdefault(name, []).append(Table(t, shown))
     return Load({name: tuple(found) for name, found in terms.items()}, drive)
 
 
@@ -286,22 +251,23 @@ def _ramp(channel, rate):
 
 @functools.lru_cache(maxsize=4)
 def _spline(t, angle, knots):
+    """Return a spline through samples, or near them with knots so far apart, as a PPoly."""
     t, angle = np.frombuffer(t), np.frombuffer(angle)
-    if not knots:
-        return make_interp_spline(t, angle, _DEGREE)
-    count = max(1.0, np.rint((t[-1] - t[0]) / knots))
+    count = max(1, round((t[-1] - t[0]) / knots)) if knots else 0
     try:
         if count + _DEGREE > len(t):
             raise ValueError
-        ends, inner = np.ones(_DEGREE), np.linspace(t[0], t[-1], int(count) + 1)
-        found = make_lsq_spline(
-            t, angle, np.concatenate([inner[0] * ends, inner, inner[-1] * ends]), _DEGREE)
+        inner = np.pad(np.linspace(t[0], t[-1], count + 1), _DEGREE, 'edge')
+        found = (make_lsq_spline(t, angle, inner, _DEGREE) if knots
+                 else make_interp_spline(t, angle, _DEGREE))
         if not np.isfinite(found.c).all():
             raise ValueError
-        return found
     except (ValueError, np.linalg.LinAlgError):
         raise ParameterError(f'knots of {DRIVE} must be further apart than its samples, also '
                              f'where these have gaps, got {knots:g} s') from None
+    pieces = PPoly.from_spline(found)
+    wide = np.diff(pieces.x) > 0.0  # knots at the ends are repeated
+    return PPoly(pieces.c[:, wide], np.append(pieces.x[:-1][wide], pieces.x[-1]))
 
 
 _AT_STEP = 1e-6  # [steps] distance from a step within which a sample is taken at it
@@ -392,7 +358,7 @@ class Problem:
         DivergenceError if the run diverges, ParameterError if the values do not fit together.
         """
         scene = scene or self.scene_of(values, initial)
-        scene = scene.with_load(loads_of(self.record, scene, values, begin))
+        scene = replace(scene, load=loads_of(self.record, scene, values, begin))
         duration = (self.record.duration if end is None else end) - begin + max(
             0.0, *(-values.get(f'{name}.delay', 0.0) for name in self.record.outputs))
         with warnings.catch_warnings():
@@ -569,8 +535,6 @@ _LOOSE, _TIGHT = 1e-4, 1e-7  # relative changes of the sum of squares at which a
 _MAX_SEARCHES = 6  # most searches with standard deviations from the one before
 _SETTLED_CHANGE = 0.01  # relative change of standard deviations that counts as none
 _PRIOR_DEVIATION = 10.0  # standard deviation of initial states of windows, in their scales
-# Sizes of dry friction that are tried, as shares of the force that accelerates the free body.
-_FRICTION_SHARES = 0.01, 0.1, 1.0
 _MAD = 1.4826  # standard deviations in a median absolute deviation
 
 
@@ -651,9 +615,9 @@ class Search:
             first += len(every)
         return self.problem.values(x), states
 
-    def _residuals(self, x, more=None):
+    def _residuals(self, x):
         values, states = self.split(x)
-        parts = [self.problem.residuals({**values, **(more or {})}, self.deviations, window, state)
+        parts = [self.problem.residuals(values, self.deviations, window, state)
                  for window, state in zip(self._windows, states)]
         states = x[len(self.problem.free):]
         return np.concatenate([*parts, (states - self._prior) / _PRIOR_DEVIATION])
@@ -710,16 +674,13 @@ class Search:
                 self.deviations[name] = new
         return change
 
-    def derivatives(self) -> tuple[list[np.ndarray], list[np.ndarray], list[str],
-                                   dict[str, tuple[float, float]]]:
+    def derivatives(self) -> tuple[list[np.ndarray], list[np.ndarray], list[str]]:
         """
-        Return the derivatives at the end: jacobians, residuals, jumps, friction.
+        Return jacobians and residuals at the end, and names of what runs depend on in jumps.
 
         The first two are lists of ndarray, (n_i, p + k) and (n_i,), of each output in each window,
         and of the prior of k initial states of windows; with a loss other than `linear` they have
-        its weights. `jumps` names parameters on which runs depend in jumps. `friction` has, by
-        name of a parameter of dry friction that the scene has not got, the part of the squares of
-        the residuals that it would explain, and its value.
+        its weights.
         """
         jacobian, residuals = self._jacobian(self.x, _CENTRAL, True), self._residuals(self.x)
         wide, count = self._jacobian(self.x, _WIDE, True), len(self.problem.free)
@@ -732,40 +693,8 @@ class Search:
                   'huber': lambda z: np.where(z <= 1.0, 1.0, 1.0 / np.sqrt(np.maximum(z, 1.0))),
                   'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
         root = np.sqrt(weight)
-        friction = self._friction(jacobian * root[:, np.newaxis], residuals, root)
         root[len(root) - len(self._prior):] = 1.0  # the prior has no weights
         jacobians, parts = (self._split_rows(rows) for rows in (
             jacobian * root[:, np.newaxis], residuals * root))
         used = len(parts) - (not len(self._prior))
-        return jacobians[:used], parts[:used], jumps, friction
-
-    def _friction(self, jacobian, residuals, root):
-        """Return what dry friction would explain beside all that is free, see `derivatives`."""
-        problem, found = self.problem, {}
-        values, states = self.split(self.x)
-        scene = problem.scene_of(values, states[0])
-        try:
-            run = problem.run(values, 0.0, problem.until, states[0])
-        except DivergenceError:
-            return found
-        motion = run.motion[:, run.motion.shape[1] // 2:][:, :3]
-        needed = np.abs(np.diag(run.model.mass_matrix(run.motion[0])[0])[:3] * np.sqrt(
-            np.mean(np.gradient(motion, run.t, axis=0)**2, axis=0)))
-        free, _ = np.linalg.qr(jacobian)
-        left = root * residuals
-        left -= free @ (free.T @ left)
-        for name, size in (('carrier.coulomb_friction', needed[:2].max()),
-                           ('motor.coulomb_friction', needed[2])):
-            if not size or scene.values[name]:
-                continue
-            for each in _FRICTION_SHARES:
-                try:
-                    scene.vary({name: each * size})
-                except ParameterError:
-                    continue
-                changed = root * (self._residuals(self.x, {name: each * size}) - residuals)
-                changed -= free @ (free.T @ changed)
-                fall, power = -(changed @ left), changed @ changed
-                if fall > 0.0 and fall**2 > found.get(name, (0.0, 0.0))[0] * power * (left @ left):
-                    found[name] = fall**2 / (power * (left @ left)), fall / power * each * size
-        return found
+        return jacobians[:used], parts[:used], jumps

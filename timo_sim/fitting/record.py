@@ -25,12 +25,10 @@ import re
 from typing import Any, Callable, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from timo_sim.extras import optional
 from timo_sim.log.tables import Recording
-from timo_sim.model.layout import (
-    INPUTS, PUSH_X, PUSH_Y, rotate, TIP_TORQUE, TIP_X, TIP_Y, with_unit)
+from timo_sim.model.layout import INPUTS, with_unit
 from timo_sim.runs.replay import segments_of
 from timo_sim.scene.files import read_yaml
 from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError, PARAMETERS, short
@@ -57,44 +55,6 @@ def _place(run, axis):
     return run.position(run.scene.manipulator.arm.length)[:, axis]
 
 
-def _derivative(run, values):
-    # A spline through the samples is differentiated: a run has thousands, and its friction need
-    # not be known.
-    return CubicSpline(run.t, values).derivative()(run.t) if len(run.t) > 3 else np.gradient(
-        values, run.t, axis=0)
-
-
-def _root_strain(run):
-    """Return the strain at the root from the arm's angular momentum about it, shape (n,)."""
-    model, half = run.model, run.motion.shape[1] // 2
-    velocity, turning = model.velocities(run.motion, model.points)
-    place = model.world(run.motion, model.points) - run.carrier[:, np.newaxis]
-    linear = np.einsum('p,npi->ni', model.point_mass, velocity)
-    angular = (_cross(place, velocity) @ model.point_mass + turning @ model.point_inertia)
-    load = run.loads()
-    tip = np.column_stack([load[:, TIP_X], load[:, TIP_Y]])
-    moment = (_derivative(run, angular) + _cross(run.motion[:, half:half + 2], linear)
-              - _cross(np.einsum('p,npi->ni', model.point_mass, place), model.gravity)
-              - _cross(place[:, -1], tip) - load[:, TIP_TORQUE])
-    if model.push_point:
-        place = model.world(run.motion, model.push_point)[:, 0] - run.carrier
-        moment -= _cross(place, load[:, [PUSH_X, PUSH_Y]])
-    return model.strain(run.motion, 0.0, -moment)
-
-
-def _tip_acceleration(run):
-    """Return the specific force across the tip, shape (n,) [m/s2]."""
-    model = run.model
-    x, y = (_derivative(run, model.velocities(run.motion, model.tip_point)[0][:, 0])
-            - model.gravity).T
-    turned = run.shaft + run.rotation(run.scene.manipulator.arm.length)
-    return rotate(-turned, x, y)[1]
-
-
-def _cross(first, second):
-    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
-
-
 # Units of the inputs that a record may have.
 INPUT_UNITS = {**{each.name: each.unit for each in INPUTS if each.argument}, DRIVE: 'rad'}
 
@@ -118,9 +78,9 @@ OUTPUTS = {
     'tip_rotation': Output('rad', 'rotation of the end effector relative to the shaft',
                            lambda run: run.rotation(run.scene.manipulator.arm.length)),
     'root_strain': Output('', 'strain of the outer fibre at the root',
-                          _root_strain),
+                          lambda run: run.root_strain()),
     'tip_acceleration': Output('m/s2', 'specific force on the tip across it, as an accelerometer '
-                               'shows it', _tip_acceleration),
+                               'shows it', lambda run: run.tip_acceleration()[:, 1]),
 }
 UNITS = {
     'rad': {'rad': 1.0, 'mrad': 1e-3, 'deg': np.pi / 180.0, 'turn': 2.0 * np.pi},

@@ -24,28 +24,14 @@ class Section:
     A rectangular cross-section of the arm, or arrays of them.
 
     Source: paper, section 2.1 and Table 1.
-
-    Attributes
-    ----------
-    width : float or ndarray
-        Section size normal to the plane of motion [m].
-    height : float or ndarray
-        Section size in the plane of motion, the direction of bending [m].
-    density : float or ndarray
-        [kg/m3]
-    young_modulus, shear_modulus : float or ndarray
-        [Pa]
-    shear_correction : float
-        Shear correction factor kappa, paper eq. (37) for a rectangle.
-
     """
 
-    width: float
-    height: float
-    density: float
-    young_modulus: float
-    shear_modulus: float
-    shear_correction: float
+    width: float             # size normal to the plane of motion [m]
+    height: float            # size in the plane of motion, the direction of bending [m]
+    density: float           # [kg/m3]
+    young_modulus: float     # [Pa]
+    shear_modulus: float     # [Pa]
+    shear_correction: float  # factor kappa, paper eq. (37) for a rectangle
 
     @property
     def area(self) -> float:
@@ -93,21 +79,13 @@ class Beam:
     """
     A Timoshenko beam of rectangular section: the arm.
 
-    Attributes
-    ----------
-    length : float
-        [m]
-    section : Section
-        Its fields are floats, or tuples of values at `positions` with linear interpolation.
-    positions : tuple of float
-        Distances from the root, ascending from 0 to `length` [m]; at a position given twice the
-        section jumps. Empty for a uniform arm.
-
+    The fields of the section are floats, or tuples of values at `positions`, with linear
+    interpolation. At a position given twice the section jumps.
     """
 
-    length: float
+    length: float  # [m]
     section: Section
-    positions: tuple = ()
+    positions: tuple = ()  # distances from the root, from 0 to `length` [m]; empty: uniform
 
     @property
     def uniform(self) -> bool:
@@ -139,33 +117,18 @@ class Manipulator:
     Rigid carrier, motor, elastic arm and end effector.
 
     Source: paper, section 3.1 and Table 1.
-
-    Attributes
-    ----------
-    arm : Beam
-    carrier_mass, motor_mass : float
-        m_c, m_m [kg]; the motor is on the carrier, so both masses only translate.
-    shaft_inertia : float
-        J_m [kg m2]
-    end_effector_mass, end_effector_inertia : float
-        Mass m_e [kg] and moment of inertia J_e [kg m2] of the end effector, at the arm's tip.
-    carrier_friction, shaft_friction : float
-        Viscous friction of the carrier along either axis, c_c [N s/m], and of the shaft, c_s
-        [N m s/rad].
-    coulomb : tuple of (float, float)
-        Limits of the Coulomb friction of carrier [N] and shaft [N m] that builds up over a speed,
-        each with this speed [m/s], [rad/s].
-
     """
 
     arm: Beam
-    carrier_mass: float
-    motor_mass: float
-    shaft_inertia: float
-    end_effector_mass: float
-    end_effector_inertia: float
-    carrier_friction: float = 0.0
-    shaft_friction: float = 0.0
+    carrier_mass: float          # m_c [kg]; carrier and motor only translate
+    motor_mass: float            # m_m [kg]
+    shaft_inertia: float         # J_m [kg m2]
+    end_effector_mass: float     # m_e, at the arm's tip [kg]
+    end_effector_inertia: float  # J_e [kg m2]
+    carrier_friction: float = 0.0  # viscous, along either axis, c_c [N s/m]
+    shaft_friction: float = 0.0    # viscous, c_s [N m s/rad]
+    # Limits of the Coulomb friction of carrier [N] and shaft [N m] that builds up over a speed,
+    # each with this speed [m/s], [rad/s].
     coulomb: tuple = ((0.0, 1.0), (0.0, 1.0))
 
     @property
@@ -187,24 +150,13 @@ class Manipulator:
 
 @dataclass(frozen=True)
 class Constraints:
-    """
-    Degrees of freedom that are removed from the state; no stiff springs are used.
+    """Degrees of freedom that are removed from the state; no stiff springs are used."""
 
-    Attributes
-    ----------
-    carrier : tuple of float or None
-        Position at which the carrier is held, x and y in world axes [m]; None: it is free to move
-        along that axis.
-    driven : bool
-        Whether the shaft follows an angle that is given in the load, instead of a torque.
-    locked : float or None
-        The angle of a driven shaft that never moves [rad]; None for all others.
-
-    """
-
+    # Positions at which the carrier is held, x and y in world axes [m]; None: it is free there.
     carrier: tuple = (None, None)
+    # Whether the shaft follows an angle that is given in the load, instead of a torque.
     driven: bool = False
-    locked: float | None = None
+    locked: float | None = None  # angle of a driven shaft that never moves [rad]
 
     @property
     def free_axes(self) -> list[int]:
@@ -272,26 +224,11 @@ def _spanned(ends, count, extra):
 
 class Quadrature:
     """
-    Gauss-Legendre quadrature on the spans of an arm.
+    Gauss-Legendre quadrature on the spans of an arm, whose ends, `breaks`, ascend from 0 [m].
 
-    Nodal values stand for the polynomial through them in each span.
-
-    Parameters
-    ----------
-    breaks : ndarray, shape (spans + 1,)
-        Ends of the spans, ascending from 0 [m].
-    count : int
-        Least number of nodes, distributed by length; each span has at least four.
-    extra : int
-        Further nodes in each span.
-
-    Attributes
-    ----------
-    nodes, weights : ndarray, shape (n,)
-        [m]
-    points : ndarray, shape (n + 1,)
-        The nodes and the tip [m].
-
+    It has at least `count` nodes, distributed by length, at least four in each span, and `extra`
+    further ones in each. Nodal values stand for the polynomial through them in each span. `nodes`
+    and `weights`, (n,), and `points`, (n + 1,), the nodes and the tip, are in [m].
     """
 
     def __init__(self, breaks: ArrayLike, count: int, extra: int = 0) -> None:

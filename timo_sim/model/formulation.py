@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 
 from timo_sim.compiled.constants import pack, Packed
 from timo_sim.model.bodies import Constraints, Manipulator, Quadrature
-from timo_sim.model.functions import efforts, energies, rate_once, tips
+from timo_sim.model.functions import (
+    accelerations_of, efforts, energies, Flow, rate_once, tips)
 from timo_sim.model.layout import LOADS, rotate
 from timo_sim.model.modes import axial_modes, JoinedModes, Modes, modes_of
 
@@ -116,11 +117,6 @@ class Formulation(ABC):
         self.tables, self.linear = self.build()
         self._linear_parts: dict[float, dict[int | None, Any]] = {}
 
-    @property
-    def force_tables(self) -> Packed:
-        """Constants of the compiled functions `effort` and `energy`."""
-        return self.packed
-
     def linear_parts(self, step: float) -> dict[int | None, Any]:
         """Return the dict in which all `Steps` of a length [s] share their linear parts."""
         return self._linear_parts.setdefault(step, {})
@@ -155,7 +151,7 @@ class Formulation(ABC):
 
     @abstractmethod
     def state(self, motion: np.ndarray) -> np.ndarray:
-        """Return the state that belongs to a motion, shape (m,)."""
+        """Return the states that belong to motions, (..., 2 (3 + N)), shape (..., m)."""
 
     def effort(self, motions: np.ndarray, accelerations: np.ndarray,
                loads: np.ndarray) -> np.ndarray:
@@ -171,7 +167,7 @@ class Formulation(ABC):
         specific, acting, effort = (np.empty((count, size)) for size in (self.size // 2, LOADS, 3))
         specific[:], acting[:] = accelerations, loads
         specific[:, :2] -= self.gravity  # held in gravity is the same as accelerated against it
-        efforts(self.force_tables, np.ascontiguousarray(motions, dtype=float), specific, acting,
+        efforts(self.packed, np.ascontiguousarray(motions, dtype=float), specific, acting,
                 count, effort)
         return effort
 
@@ -223,6 +219,23 @@ class Formulation(ABC):
         rate = np.empty(len(state))
         rate_once(self.packed, state, load, rate)
         return self.linear @ state + rate
+
+    @cached_property
+    def _accelerations(self):
+        return accelerations_of.of(self.packed, pack(Flow(self.linear, self.points.rotation)))
+
+    def accelerations(self, motions: np.ndarray, states: np.ndarray,
+                      loads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return accelerations of coordinates, (n, 3 + N), and of the tip in world axes, (n, 2).
+
+        For n motions with their states and loads that act; see `functions.accelerate`.
+        """
+        count = len(motions)
+        found, tip = np.empty((count, self.size // 2)), np.empty((count, 2))
+        self._accelerations(*map(np.ascontiguousarray, (motions, states, loads)), count, found,
+                            tip)
+        return found, tip
 
     @cached_property
     def tip_point(self) -> Points:
@@ -311,7 +324,7 @@ class Formulation(ABC):
         It is kinetic and strain energy, and the potential of gravity, which is 0 at the origin.
         """
         energy = np.empty(len(motions))
-        energies(self.force_tables, np.ascontiguousarray(motions, dtype=float), self.gravity,
+        energies(self.packed, np.ascontiguousarray(motions, dtype=float), self.gravity,
                  len(motions), energy)
         return energy
 
@@ -400,18 +413,9 @@ def clamped_ratios(model: Formulation, ratios: ArrayLike) -> np.ndarray:
     mass and frequency Omega_k. Damping of the n-th clamped mode adds `2 zeta_n omega_n x_n^2` to
     `2 zeta_k Omega_k`. This gives as many equations as modes, right to first order in the ratios.
 
-    Parameters
-    ----------
-    model : Formulation
-        Its own damping is not used.
-    ratios : float or ndarray, shape (N,)
-        Stated ratios of the manipulator's vibrations, by ascending frequency.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        An entry is negative if no positive damping of the clamped modes gives these ratios.
-
+    The ratios are a float or (N,), by ascending frequency of the manipulator's vibrations; damping
+    of the model itself is not used. An entry of the result, (N,), is negative if no positive
+    damping of the clamped modes gives these ratios.
     """
     half, omega = len(model.linear) // 2, model.modes.omega
     squares, shapes = np.linalg.eig(-model.linear[:half, half:] @ model.linear[half:, :half])

@@ -14,12 +14,15 @@ An integrator calls `rate` and `observe` by these names. The body is chosen by t
 is described in `formulation.Formulation`, a load in `layout`.
 """
 
+from typing import Annotated, NamedTuple
+
 import numpy as np
 
+from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import (
-    Array, Constants, declare, floor, inner, some, strict, where)
-from timo_sim.model.layout import LOADS
+    Array, Constants, declare, floor, inner, magnitude, some, strict, where)
+from timo_sim.model.layout import ACCELERATION, ANGLE, LOADS, SPEED
 
 
 @declare
@@ -114,14 +117,101 @@ def effort(tables, motion, accelerations, load, out):
     """
     Write the force on the carrier and torque on the shaft that accelerations need (T44).
 
-    `tables` are those of `Formulation.force_tables`, `accelerations`, (3 + N,), are less gravity;
-    of the load those on tip and arm are used. `out`, (3,), is in world axes [N], then [N m].
+    `accelerations`, (3 + N,), are less gravity; of the load those on tip and arm are used. `out`,
+    (3,), is in world axes [N], then [N m].
     """
 
 
 @declare
 def energy(tables, motion, gravity):
-    """Return the energy [J], see `Formulation.energy`; `tables` as in `effort`."""
+    """Return the energy [J], see `Formulation.energy`."""
+
+
+class Flow(NamedTuple):
+    """Constants of `accelerate`."""
+
+    linear: Annotated[np.ndarray, 'state', 'state']  # L of the straight arm
+    points_rotation: Annotated[np.ndarray, 'modes', 'points']  # of sections by each mode
+
+
+class _Room(NamedTuple):
+    """Work arrays of `accelerate`."""
+
+    slope: Annotated[np.ndarray, 'state']
+    moved: Annotated[np.ndarray, 'state']
+    drift: Annotated[np.ndarray, LOADS]
+    motion: Annotated[np.ndarray, 'motion']
+    place: Annotated[np.ndarray, 3]
+    speed: Annotated[np.ndarray, 3]
+
+
+_TURN = 1e-5  # largest turn of a section in half of the time between two motions [rad]
+
+
+@inner
+def accelerate(tables, flow, motion, state, load, accelerations):
+    """
+    Write the accelerations of all coordinates under a load; return the tip's in world axes.
+
+    They are central differences of speeds along the flow: states and drives are extrapolated
+    linearly.
+    """
+    room = local_arrays(_Room, tables)
+    slope, moved, drift = room.slope, room.moved, room.drift
+    half, size = len(motion) // 2, len(state)
+    rate(tables, state, load, slope)
+    for i in range(size):
+        for j in range(size):
+            slope[i] += flow.linear[i, j] * state[j]
+    turning = 0.0
+    for p in range(flow.points_rotation.shape[1]):
+        here = motion[half + 2]
+        for n in range(flow.points_rotation.shape[0]):
+            here += flow.points_rotation[n, p] * motion[half + 3 + n]
+        turning = max(turning, magnitude(here))
+    time = _TURN / (_TURN + turning)
+    x, y = 0.0, 0.0
+    for k in range(2):
+        sign = time if k else -time
+        for i in range(size):
+            moved[i] = state[i] + sign * slope[i]
+        for column in range(LOADS):
+            drift[column] = load[column]
+        drift[ANGLE] += sign * load[SPEED]
+        drift[SPEED] += sign * load[ACCELERATION]
+        observe(tables, moved, drift, room.motion)
+        tip_x, tip_y = _tip_velocity(tables, room)
+        if k:
+            x, y = (tip_x - x) / (2.0 * time), (tip_y - y) / (2.0 * time)
+        else:
+            x, y = tip_x, tip_y
+        for i in range(half):
+            speed = room.motion[half + i]
+            accelerations[i] = (speed - accelerations[i]) / (2.0 * time) if k else speed
+    return x, y
+
+
+@inner
+def _tip_velocity(tables, room):
+    """Return the velocity of the tip in world axes."""
+    motion, place, speed = room.motion, room.place, room.speed
+    half = len(motion) // 2
+    tip(tables, motion, place)
+    tip_rate(tables, motion, speed)
+    along = speed[0] - motion[half + 2] * place[1]
+    across = speed[1] + motion[half + 2] * place[0]
+    sine, cosine = sincos(motion[2])
+    return (motion[half] + (cosine * along - sine * across),
+            motion[half + 1] + (sine * along + cosine * across))
+
+
+@entry_point(tables=Constants(), flow=Constants(), motions=Array((None, 'motion')),
+             states=Array((None, 'state')), loads=Array((None, LOADS)), count=int,
+             out=Array((None, 'accelerations')), tips=Array((None, 2)))
+def accelerations_of(tables, flow, motions, states, loads, count, out, tips):
+    """Call `accelerate` from Python for each of `count` motions."""
+    for k in range(count):
+        tips[k, 0], tips[k, 1] = accelerate(tables, flow, motions[k], states[k], loads[k], out[k])
 
 
 @entry_point(tables=Constants(), state=Array(('state',)), load=Array((LOADS,)),

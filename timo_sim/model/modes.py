@@ -43,29 +43,32 @@ class Modes:
     def __len__(self) -> int:
         return len(self.omega)
 
+    def _field(self, name: str, xi: np.ndarray) -> np.ndarray:
+        return np.zeros((len(xi), len(self)))
+
     def deflection(self, xi: np.ndarray) -> np.ndarray:
         """Return W_n(xi), shape (len(xi), N) [1/sqrt(kg)]."""
-        return np.zeros((len(xi), len(self)))
+        return self._field('deflection', xi)
 
     def rotation(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return np.zeros((len(xi), len(self)))
+        return self._field('rotation', xi)
 
     def curvature(self, xi: np.ndarray) -> np.ndarray:
         """Return Phi_n'(xi), shape (len(xi), N) [1/(m2 sqrt(kg))]."""
-        return np.zeros((len(xi), len(self)))
+        return self._field('curvature', xi)
 
     def shear(self, xi: np.ndarray) -> np.ndarray:
         """Return the shear strain (W_n' - Phi_n)(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return np.zeros((len(xi), len(self)))
+        return self._field('shear', xi)
 
     def stretch(self, xi: np.ndarray) -> np.ndarray:
         """Return the axial strain E_n(xi), shape (len(xi), N) [1/(m sqrt(kg))]."""
-        return np.zeros((len(xi), len(self)))
+        return self._field('stretch', xi)
 
     def displacement(self, xi: np.ndarray) -> np.ndarray:
         """Return the integral of E_n from the root to xi, shape (len(xi), N) [1/sqrt(kg)]."""
-        return np.zeros((len(xi), len(self)))
+        return self._field('displacement', xi)
 
 
 class JoinedModes(Modes):
@@ -75,29 +78,8 @@ class JoinedModes(Modes):
         self._parts = parts
         self.omega = np.concatenate([part.omega for part in parts])
 
-    def deflection(self, xi: np.ndarray) -> np.ndarray:
-        """Return W_n(xi), see `Modes`."""
-        return np.hstack([part.deflection(xi) for part in self._parts])
-
-    def rotation(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n(xi), see `Modes`."""
-        return np.hstack([part.rotation(xi) for part in self._parts])
-
-    def curvature(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n'(xi), see `Modes`."""
-        return np.hstack([part.curvature(xi) for part in self._parts])
-
-    def shear(self, xi: np.ndarray) -> np.ndarray:
-        """Return (W_n' - Phi_n)(xi), see `Modes`."""
-        return np.hstack([part.shear(xi) for part in self._parts])
-
-    def stretch(self, xi: np.ndarray) -> np.ndarray:
-        """Return E_n(xi), see `Modes`."""
-        return np.hstack([part.stretch(xi) for part in self._parts])
-
-    def displacement(self, xi: np.ndarray) -> np.ndarray:
-        """Return the integral of E_n, see `Modes`."""
-        return np.hstack([part.displacement(xi) for part in self._parts])
+    def _field(self, name, xi):
+        return np.hstack([getattr(part, name)(xi) for part in self._parts])
 
 
 @functools.lru_cache(maxsize=16)
@@ -149,21 +131,9 @@ class UniformModes(Modes):
         sign = np.sign(self.curvature(np.zeros(1))[0])
         self._shape *= (sign / np.sqrt(modal_mass))[:, np.newaxis]
 
-    def deflection(self, xi: np.ndarray) -> np.ndarray:
-        """Return W_n(xi), see `Modes`."""
-        return self._fields(xi)[0]
-
-    def rotation(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n(xi), see `Modes`."""
-        return self._fields(xi)[1]
-
-    def curvature(self, xi: np.ndarray) -> np.ndarray:
-        """Return Phi_n'(xi), see `Modes`."""
-        return self._fields(xi)[2]
-
-    def shear(self, xi: np.ndarray) -> np.ndarray:
-        """Return (W_n' - Phi_n)(xi), see `Modes`."""
-        return self._fields(xi)[3]
+    def _field(self, name, xi):
+        known = 'deflection', 'rotation', 'curvature', 'shear'
+        return self._fields(xi)[known.index(name)] if name in known else super()._field(name, xi)
 
     def _fields(self, xi):
         values = np.empty((len(xi) * len(self), 4))
@@ -262,20 +232,11 @@ def _waves(arm, omega, xi):
 @entry_point(arm=Constants(), omega=float, matrix=Array((4, 4)), scale=Array((4,)))
 def boundary_conditions(arm, omega, matrix, scale):
     """
-    Write the boundary conditions at a frequency.
+    Write the boundary conditions of a `UniformArm` at a frequency [rad/s].
 
-    Parameters
-    ----------
-    arm : packed constants
-        Of `UniformArm`.
-    omega : float
-        [rad/s]
-    matrix : ndarray, shape (4, 4)
-        Receives W(0), Phi(0), shear force and moment balance of the end effector as rows, one
-        column for each wave; first rows, then columns are scaled to length 1.
-    scale : ndarray, shape (4,)
-        Receives the lengths of the columns.
-
+    `matrix` receives W(0), Phi(0), shear force and moment balance of the end effector as rows, one
+    column for each wave; first rows, then columns are scaled to length 1. `scale` receives the
+    lengths of the columns.
     """
     g_root, integral_root, s, nu = _waves(arm, omega, 0.0)
     g_tip, integral_tip, _, _ = _waves(arm, omega, arm.length)
@@ -322,27 +283,11 @@ def _determinant(arm, omega, matrix, scale):
              matrix=Array((4, 4)), scale=Array((4,)))
 def bisect(arm, limits, omega, count, matrix, scale):
     """
-    Find one eigenfrequency between each two neighbouring limits, to the last bit.
+    Find one eigenfrequency between each two of `count + 1` ascending limits, to the last bit.
 
-    Parameters
-    ----------
-    arm : packed constants
-        Of `UniformArm`.
-    limits : ndarray, shape (N + 1,)
-        Ascending [rad/s].
-    omega : ndarray, shape (N,)
-        Receives the frequencies.
-    count : int
-        N.
-    matrix, scale : ndarray, shapes (4, 4) and (4,)
-        Room for `boundary_conditions`.
-
-    Returns
-    -------
-    int
-        Number of frequencies found before a pair of limits between which the determinant of the
-        boundary conditions does not change sign; N if all are found.
-
+    Return how many are found, in `omega` [rad/s], before a pair of limits between which the
+    determinant of the boundary conditions does not change sign. `matrix` and `scale` are room for
+    `boundary_conditions`.
     """
     for n in range(count):
         low, high = limits[n], limits[n + 1]
@@ -375,23 +320,11 @@ def bisect(arm, limits, omega, count, matrix, scale):
              xi=Array((None,)), points=int, out=Array((None, 4)))
 def fields(arm, omega, count, shape, xi, points, out):
     """
-    Write the fields of modes at points.
+    Write the fields of `count` modes at points [m], as rows of `out`, those of a point together.
 
-    Parameters
-    ----------
-    arm : packed constants
-        Of `UniformArm`.
-    omega : ndarray, shape (N,)
-        Frequencies of `count` modes [rad/s].
-    shape : ndarray, shape (N, 4)
-        Share of each wave in each mode.
-    xi : ndarray, shape (p,)
-        `points` points [m].
-    out : ndarray, shape (p N, 4)
-        Receives deflection, rotation, curvature and shear strain of each mode at each point. The
-        last is computed as -nu G, since the difference W' - Phi would lose seven digits on a
-        slender arm.
-
+    They are deflection, rotation, curvature and shear strain. The last is computed as -nu G, since
+    the difference W' - Phi would lose seven digits on a slender arm. `shape` has the share of each
+    wave in each mode.
     """
     for n in range(count):
         for i in range(points):

@@ -45,7 +45,6 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from timo_sim.compiled.constants import Packed
 from timo_sim.compiled.functions import inner, local, some
 from timo_sim.model import functions
 from timo_sim.model.formulation import Formulation, Points
@@ -126,8 +125,9 @@ class Newton(Formulation):
             # it is not in the equations.
             weak = self.deflection_mass / np.outer(self.modes.omega, self.modes.omega)
             self.speed_limit = 1.0 / np.sqrt(np.linalg.eigvalsh(weak)[-1])
-        self._laws = laws = self.laws()
-        base_mass = self.manipulator.base_mass
+        laws, base_mass = self.laws(), self.manipulator.base_mass
+        deflection, rotation = self.points.deflection, self.points.rotation
+        mass, inertia, xi = self.point_mass, self.point_inertia, self.points.xi
         stiffness, damping = self.modes.omega**2, 2.0 * self.damping * self.modes.omega
         free, axes = slice(self.driven, None), len(self.axes)
         inverse = np.linalg.inv(laws.matrix[free, free])
@@ -153,32 +153,20 @@ class Newton(Formulation):
             np.array([self.manipulator.carrier_friction, self.manipulator.shaft_friction]),
             np.array(self.manipulator.coulomb), self.axes, self.held_position,
             self.manipulator.arm.length, laws.tip_share,
-            self.points.deflection[:, -1], self.points.rotation[:, -1], self.gravity,
+            deflection[:, -1], rotation[:, -1], self.gravity,
             self.push_point.xi[0] if self.push_point else 0.0,
-            self.push_point.deflection.T if self.push_point else np.empty((0, len(stiffness))))
+            self.push_point.deflection.T if self.push_point else np.empty((0, len(stiffness))),
+            self.manipulator.shaft_inertia + mass @ xi**2 + inertia.sum(), laws.shear_mass,
+            laws.matrix[0], laws.column[0], laws.stress[0], laws.shear_stress,
+            self.modal_moments, deflection @ (mass * xi) + rotation @ inertia,
+            self.deflection_mass, self.deflection_mass + (rotation * inertia) @ rotation.T)
         return tables, linear
 
     def state(self, motion: np.ndarray) -> np.ndarray:
-        """Return the state that belongs to a motion."""
+        """Return the states that belong to motions, shape (..., m)."""
         half = self.size // 2
         free = np.concatenate([self.axes, np.arange(2 + self.driven, half)])
-        return np.concatenate([motion[free], motion[half + free]])
-
-    @cached_property
-    def force_tables(self) -> Packed:
-        """Constants of the compiled functions `effort` and `energy`."""
-        laws, deflection, rotation = self._laws, self.points.deflection, self.points.rotation
-        mass, inertia, xi = self.point_mass, self.point_inertia, self.points.xi
-        table = self.tables
-        return self.pack(Forces(
-            table.base_mass, self.arm_mass, self.first_moment,
-            self.manipulator.shaft_inertia + mass @ xi**2 + inertia.sum(), laws.shear_mass,
-            laws.matrix[0], laws.column[0], laws.stress[0], laws.softening[0], laws.shear_row,
-            laws.shear_softening, laws.shear_stress, laws.axial, table.stiffness, table.damping,
-            table.length, laws.tip_share, table.tip_deflection, self.modal_moments,
-            deflection @ (mass * xi) + rotation @ inertia, self.deflection_mass,
-            self.deflection_mass + (rotation * inertia) @ rotation.T, table.push_place,
-            table.push_deflection))
+        return motion[..., np.concatenate([free, half + free])]
 
     @cached_property
     def _tension(self):
@@ -308,6 +296,17 @@ class Tables(NamedTuple):
     gravity: Annotated[np.ndarray, 2]                      # g along world x and y
     push_place: float    # distance from the root to where a force acts on the arm
     push_deflection: Annotated[np.ndarray, 'pushes', 'modes']  # W_n there
+    # For forces of constraints and energy alone:
+    inertia: float       # about the root, with the shaft's
+    shear_mass: float    # m_V
+    shaft_row: Annotated[np.ndarray, 'coordinates']        # A_0j
+    shaft_column: float  # c_0
+    shaft_stress: Annotated[np.ndarray, 'modes']           # R_0n
+    shear_stress: Annotated[np.ndarray, 'modes']           # Y
+    moments: Annotated[np.ndarray, 'modes']                # a_n
+    about_root: Annotated[np.ndarray, 'modes']             # b_n
+    deflection_mass: Annotated[np.ndarray, 'modes', 'modes']  # G
+    modal_mass: Annotated[np.ndarray, 'modes', 'modes']    # G and the rotary inertia
 
 
 @inner
@@ -507,36 +506,7 @@ def _observe(tables, state, load, out):
             out[goal + 2 + i] = state[source + len(tables.axes) + i - driven]
 
 
-class Forces(NamedTuple):
-    """Constants of forces and energy, from `newton.Laws` and the masses."""
-
-    base_mass: float
-    arm_mass: float
-    first_moment: float  # s_a
-    inertia: float       # about the root, with the shaft's
-    shear_mass: float    # m_V
-    shaft_row: Annotated[np.ndarray, 'coordinates']  # A_0j
-    shaft_column: float  # c_0
-    shaft_stress: Annotated[np.ndarray, 'modes']     # R_0n
-    shaft_softening: Annotated[np.ndarray, 'modes']  # S_0n
-    shear_row: Annotated[np.ndarray, 'coordinates']  # h
-    shear_softening: Annotated[np.ndarray, 'modes']  # U
-    shear_stress: Annotated[np.ndarray, 'modes']     # Y
-    axial: Annotated[np.ndarray, 'modes']            # e
-    stiffness: Annotated[np.ndarray, 'modes']        # omega_n^2
-    damping: Annotated[np.ndarray, 'modes']          # 2 zeta_n omega_n
-    length: float        # l
-    tip_share: float
-    tip_deflection: Annotated[np.ndarray, 'modes']   # W_n at the tip
-    moments: Annotated[np.ndarray, 'modes']          # a_n
-    about_root: Annotated[np.ndarray, 'modes']       # b_n
-    deflection_mass: Annotated[np.ndarray, 'modes', 'modes']  # G
-    modal_mass: Annotated[np.ndarray, 'modes', 'modes']       # G and the rotary inertia
-    push_place: float
-    push_deflection: Annotated[np.ndarray, 'pushes', 'modes']
-
-
-@functions.effort.of(Forces)
+@functions.effort.of(Tables)
 def _effort(tables, motion, accelerations, load, out):
     """Write what (T15) and (T16) need, with P(0), V(0) of this formulation (T44)."""
     rates, count = len(motion) // 2, len(tables.axial)
@@ -557,7 +527,7 @@ def _effort(tables, motion, accelerations, load, out):
         shear += (tables.shear_stress[n] * stress - tables.shear_row[1 + n] * accelerations[3 + n]
                   + omega * omega * tables.shear_softening[n] * q)
         torque += (tables.shaft_row[1 + n] * accelerations[3 + n] + tables.shaft_stress[n] * stress
-                   - omega * omega * tables.shaft_softening[n] * q)
+                   - omega * omega * tables.softening[0, n] * q)
         bent += tables.tip_deflection[n] * q
     out[0] = tables.base_mass * accelerations[0] - (cosine * axial - sine * shear)
     out[1] = tables.base_mass * accelerations[1] - (sine * axial + cosine * shear)
@@ -573,7 +543,7 @@ def _effort(tables, motion, accelerations, load, out):
         out[2] -= x * load[PUSH_Y] - y * load[PUSH_X]
 
 
-@functions.energy.of(Forces)
+@functions.energy.of(Tables)
 def _energy(tables, motion, gravity):
     rates, count = len(motion) // 2, len(tables.axial)
     sine, cosine = sincos(motion[2])

@@ -19,7 +19,6 @@ import numpy as np
 from timo_sim.extras import optional
 from timo_sim.model.bodies import Quadrature
 from timo_sim.model.layout import ANGLE, INPUTS, LOADS, rotate, TIP_TORQUE, TIP_X, TIP_Y
-from timo_sim.scene.files import html_table
 from timo_sim.scene.loads import CHANNELS
 from timo_sim.scene.parameters import did_you_mean, Parameter, ParameterError
 from timo_sim.scene.scene import load_scene, SceneLike
@@ -64,13 +63,6 @@ class LinearModel:
         time = 'continuous time' if self.dt is None else f'dt = {self.dt:g} s'
         return (f'<LinearModel: {len(self.states)} states, inputs {", ".join(self.inputs)}, '
                 f'outputs {", ".join(self.outputs)}, {time}>')
-
-    def _repr_html_(self):
-        return html_table('LinearModel', {
-            'states': ', '.join(self.states), 'inputs': ', '.join(self.inputs),
-            'outputs': ', '.join(self.outputs),
-            'frequencies [Hz]': ', '.join(f'{each:.4g}' for each in self.frequencies()),
-            'time': 'continuous' if self.dt is None else f'dt = {self.dt:g} s'})
 
     def select(self, inputs: Sequence[str] | None = None,
                outputs: Sequence[str] | None = None) -> LinearModel:
@@ -227,25 +219,14 @@ def linearize(scene: SceneLike, at: np.ndarray | None = None) -> LinearModel:
     inputs = {name: per_load for name, per_load in inputs.items() if per_load.any()}
     b = np.linalg.solve(to_state, np.reshape([*inputs.values()], (len(inputs), len(a))).T)
 
-    outputs = _Outputs(formulation, load)
-    c = jacobian(outputs.values)
     columns = [_INPUTS[name] for name in inputs]
-    # What acts at the tip also bends the arm beyond its modes.
-    d = outputs.residual(at)[:, columns]
-    # Root strain and tip acceleration depend on loads, and on accelerations: rows of A and B.
-    strain = outputs.strain_per(at, accelerations=np.eye(formulation.size // 2)[free[:half]])
-    c[outputs.root_strain] += strain @ a[half:]
-    d[outputs.root_strain] = strain @ b[half:] + outputs.strain_per(
-        at, loads=np.eye(LOADS)[columns])
-    # The accelerometer turns with the tip, and gravity with respect to it.
-    angle = outputs.tip_angle(at)
-    across = jacobian(lambda motion: outputs.across(motion, angle))[:, :half]
-    turning = (formulation.gravity @ [np.cos(angle), np.sin(angle)]) * jacobian(
-        lambda motion: outputs.tip_angle(motion)[np.newaxis])
-    c = np.vstack([c, across @ a[half:] + turning])
-    d = np.vstack([d, across @ b[half:]])
+    still = _outputs(formulation, at, load)
+    c = jacobian(lambda motion: _outputs(formulation, motion, load))
+    # They are linear in a load. What acts at the tip also bends the arm beyond its modes.
+    d = np.stack([_outputs(formulation, at, load + np.eye(LOADS)[column]) - still
+                  for column in columns], axis=-1) + _residual(formulation, at)[:, columns]
     return LinearModel(a, b, c, d, _state_names(axes, driven, len(formulation.modes)),
-                       tuple(inputs), (*outputs.names, 'tip_acceleration_m_per_s2'))
+                       tuple(inputs), _NAMES)
 
 
 def _jacobian(function, at, steps, columns):
@@ -259,85 +240,55 @@ def _jacobian(function, at, steps, columns):
     return np.stack(found, axis=-1)
 
 
+# Sensors that the motion alone determines, but the encoder's shaft angle.
+_OF_MOTION: dict[str, Any] = {sensor.output: sensor.of_motion for sensor in SENSORS
+                              if sensor.of_motion and sensor.output != 'shaft_rad'}
 _NAMES = ('carrier_x_m', 'carrier_y_m', 'shaft_rad', 'tip_x_m', 'tip_y_m',
           'tip_axial_m', 'tip_transverse_m', 'tip_rotation_rad', 'root_strain',
           'carrier_x_velocity_m_per_s', 'carrier_y_velocity_m_per_s',
-          'shaft_velocity_rad_per_s')
-# Sensors that the motion alone determines, unless they are among these.
-_OF_MOTION = {sensor.output: sensor.of_motion for sensor in SENSORS
-              if sensor.of_motion and sensor.output not in _NAMES}
+          'shaft_velocity_rad_per_s', *_OF_MOTION,
+          'tip_acceleration_m_per_s2')
 
 
-class _Outputs:
-    """The outputs of the linear model as functions of a motion."""
+def _outputs(model, motion, load):
+    """Return the values of `_NAMES` in a motion under a load."""
+    motions, loads, half = motion[np.newaxis], load[np.newaxis], len(motion) // 2
+    accelerations, at_tip = model.accelerations(motions, model.state(motions), loads)
+    joints = Joints(model, motions, accelerations, loads, at_tip)
+    q, tip = motions[:, 3:half], model.tip_point
+    return np.concatenate([
+        motion[:3], model.world(motions, tip)[0, 0], model.centre_line(q, tip)[0, 0],
+        model.section_rotation(q, tip)[0], joints.root_strain, motion[half:half + 3],
+        *(read(model, motions) for read in _OF_MOTION.values()),
+        joints.tip_acceleration[:, 1]])
 
-    names = (*_NAMES, *_OF_MOTION)
-    root_strain = names.index('root_strain')
 
-    def __init__(self, formulation, load):
-        self._formulation, self._half, self._load = formulation, formulation.size // 2, load
-        self._tip = formulation.at([formulation.manipulator.arm.length])
+def _residual(model, at):
+    """
+    Return the static response, (outputs, LOADS), of what modes leave out of the tip.
 
-    def values(self, motion):
-        """Return the values of `names` in a motion, where nothing accelerates."""
-        base, rates = motion[:3], motion[self._half:self._half + 3]
-        q = motion[np.newaxis, 3:self._half]
-        return np.concatenate([
-            base, self._world(motion), self._formulation.centre_line(q, self._tip)[0, 0],
-            self._formulation.section_rotation(q, self._tip)[0],
-            self._strain(motion, np.zeros((1, self._half)), self._load[np.newaxis]), rates,
-            *(read(self._formulation, motion[np.newaxis]) for read in _OF_MOTION.values())])
-
-    def strain_per(self, motion, accelerations=None, loads=None):
-        """Return the strain at the root per each of k accelerations, or k loads, shape (k,)."""
-        count = len(loads if accelerations is None else accelerations)
-        accelerations = np.zeros((count, self._half)) if accelerations is None else accelerations
-        loads = self._load + (np.zeros((count, LOADS)) if loads is None else loads)
-        still = self._strain(motion, np.zeros((1, self._half)), self._load[np.newaxis])
-        return self._strain(motion, accelerations, loads) - still
-
-    def _strain(self, motion, accelerations, loads):
-        return Joints(self._formulation, np.tile(motion, (len(loads), 1)), accelerations,
-                      loads).root_strain
-
-    def residual(self, at):
-        """
-        Return the static response, (outputs, LOADS), of what modes leave out of the tip.
-
-        It is that of the straight arm in axes of the tip, see doc/theory.md, section 2.
-        """
-        body, modes = self._formulation.manipulator, self._formulation.modes
-        found = np.zeros((len(self.names), LOADS))
-        if len(modes) == self._formulation.axial:  # an arm without modes is rigid on purpose
-            return found
-        rule = Quadrature(body.arm.breaks, 4 * len(modes) + 40)
-        section = body.arm.at(rule.nodes)
-        # Curvature and shear strain by a force across the tip and by a torque.
-        lever = np.stack([body.arm.length - rule.nodes, np.ones_like(rule.nodes)])
-        compliance = lever * rule.weights / section.bending_stiffness @ lever.T
-        compliance[0, 0] += np.sum(rule.weights / section.shear_stiffness)
-        tip = np.vstack([self._tip.deflection[:, 0], self._tip.rotation[:, 0]])
-        compliance -= tip / modes.omega**2 @ tip.T
-        # Force and torque per load, and the tip's outputs per deflection and rotation.
-        angle, loads = self.tip_angle(at), np.zeros((2, LOADS))
-        across = np.array([-np.sin(angle), np.cos(angle)])
-        loads[0, [TIP_X, TIP_Y]], loads[1, TIP_TORQUE] = across, 1.0
-        shifts = np.zeros((len(self.names), 2))
-        shifts[3:7, 0] = *across, *rotate(-at[2], *across)
-        shifts[7, 1] = 1.0
-        return shifts @ compliance @ loads
-
-    def tip_angle(self, motion):
-        """Return the angle of the section at the tip in world axes [rad]."""
-        return motion[2] + self._formulation.section_rotation(
-            motion[np.newaxis, 3:self._half], self._tip)[0, 0]
-
-    def across(self, motion, angle):
-        """Return where the tip is along axis II of axes at an angle, shape (1,) [m]."""
-        return np.array([-np.sin(angle), np.cos(angle)]) @ self._world(motion)[:, np.newaxis]
-
-    def _world(self, motion):
-        return self._formulation.world(motion[np.newaxis], self._tip)[0, 0]
+    It is that of the straight arm in axes of the tip, see doc/theory.md, section 2.
+    """
+    body, modes, tip = model.manipulator, model.modes, model.tip_point
+    found = np.zeros((len(_NAMES), LOADS))
+    if len(modes) == model.axial:  # an arm without modes is rigid on purpose
+        return found
+    rule = Quadrature(body.arm.breaks, 4 * len(modes) + 40)
+    section = body.arm.at(rule.nodes)
+    # Curvature and shear strain by a force across the tip and by a torque.
+    lever = np.stack([body.arm.length - rule.nodes, np.ones_like(rule.nodes)])
+    compliance = lever * rule.weights / section.bending_stiffness @ lever.T
+    compliance[0, 0] += np.sum(rule.weights / section.shear_stiffness)
+    shapes = np.vstack([tip.deflection[:, 0], tip.rotation[:, 0]])
+    compliance -= shapes / modes.omega**2 @ shapes.T
+    # Force and torque per load, and the tip's outputs per deflection and rotation.
+    angle = at[2] + at[3:len(at) // 2] @ tip.rotation[:, 0]
+    across = np.array([-np.sin(angle), np.cos(angle)])
+    loads, shifts = np.zeros((2, LOADS)), np.zeros((len(_NAMES), 2))
+    loads[0, [TIP_X, TIP_Y]], loads[1, TIP_TORQUE] = across, 1.0
+    shifts[3:7, 0] = *across, *rotate(-at[2], *across)
+    shifts[7, 1] = 1.0
+    return shifts @ compliance @ loads
 
 
 def _state_names(axes, driven, count):

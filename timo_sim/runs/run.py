@@ -24,10 +24,9 @@ from numpy.typing import ArrayLike
 from timo_sim.extras import optional
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import FORCE_X, FORCE_Y, LOADS, MotionFields, TORQUE
-from timo_sim.scene.files import html_table
 from timo_sim.scene.parameters import PARAMETERS, warn
 from timo_sim.scene.scene import Scene
-from timo_sim.simulation.energy import dissipated
+from timo_sim.simulation.energy import integral
 from timo_sim.simulation.loads import pieces
 from timo_sim.simulation.simulator import Simulator
 from timo_sim.simulation.snapshot import applied, joints_of_run, Snapshot
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     import pandas
 
 
+_MAX_DIFFERENCE = 1e-3  # relative, of integrals by all and by every second sample
 _BLOCK = 1024     # samples whose loads are worked out at once
 _REPORTED = 1024  # steps from one report to the next
 
@@ -107,13 +107,6 @@ class Run(MotionFields):
     def __repr__(self) -> str:
         return f'<Run: {self.message}; {self.scene!r}>'
 
-    def _repr_html_(self) -> str:
-        peak = np.abs(self.deflection(self.scene.manipulator.arm.length)[:, 1]).max()
-        return html_table('Run', {
-            'message': self.message, 'largest tip deflection': f'{peak:.6g} m', **{
-                name: f'{value:.3g}' for name, value in self.stats.items()
-                if isinstance(value, (int, float))}, 'scene': repr(self.scene)})
-
     def position(self, xi: ArrayLike) -> np.ndarray:
         """
         Return positions of points of the centre line in world axes, (n, 2) or (n, p, 2) [m].
@@ -146,8 +139,19 @@ class Run(MotionFields):
         This is not possible for a run with commands or resets: its samples alone are integrated,
         with a ModelWarning if they are too far apart for a relative error of 1e-3.
         """
-        taken, doubt = dissipated(self.scene, self.t, self.motion)
-        if doubt:
+        power, steps = self.model.dissipation(self.motion), np.rint(self.t / self.scene.step)
+        every = int(steps[-1]) // max(len(steps) - 1, 1)
+        if every > 1 and power.any():
+            try:
+                dense = run_scene(self.scene, every * (len(steps) - 1))
+            except DivergenceError as error:
+                dense = error.run
+            if np.array_equal(dense.motion[::every], self.motion):
+                return dense.dissipated()[::every]
+        taken, coarse = (np.append(0.0, np.cumsum(integral(1e9 * self.t[::k], power[::k])))
+                         for k in (1, 2))
+        if np.diff(steps).max(initial=1.0) > 1.0 and (
+                np.abs(taken[::2] - coarse).max() > _MAX_DIFFERENCE * taken.max()):
             warn('the dissipated energy is not accurate, because samples are too far apart and '
                  'the run cannot be simulated again: take more samples')
         return taken
@@ -195,6 +199,14 @@ class Run(MotionFields):
     def root_strain(self) -> np.ndarray:
         """Return the strain of the outer fibre at the root, (n,); raises as `root_moment`."""
         return self._of_joints('root_strain')
+
+    def tip_acceleration(self) -> np.ndarray:
+        """
+        Return specific force at the tip, acceleration less gravity, in its axes, (n, 2) [m/s2].
+
+        It is what an accelerometer shows; raises as `root_moment`.
+        """
+        return self._of_joints('tip_acceleration')
 
     @cached_property
     def _joints(self):

@@ -48,7 +48,7 @@ from timo_sim.scene.files import flatten, read_yaml, whole_file
 from timo_sim.scene.parameters import (
     check, Parameter, ParameterError, PARAMETERS, SCENE, short, steps_in)
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
-from timo_sim.simulation.batch import Batch, refusal
+from timo_sim.simulation.batch import Batch, lane_size, refusal
 from timo_sim.simulation.warnings import unseen_load
 from timo_sim.steps.steps import CHUNK
 from timo_sim.version import __version__
@@ -225,15 +225,12 @@ def run_job(job: Job) -> dict[str, np.ndarray]:
 
 
 def _fill_rows(table, numbers, kind, runs, duration):
-    """Do runs, of (row, Scene), together if they are of a LaneKind; fill in their rows."""
+    """Do runs, of (row, Scene), together if they are of a kind of lanes; fill in their rows."""
     rows, scenes = (list(part) for part in zip(*runs))
     if kind:
-        done = LaneRuns(scenes, kind)
-        table['reason'][rows] = done.reasons
-        table['warning'][rows] = [text or '' for text in done.warnings]
-        numbers[rows, :-1] = np.column_stack([
-            done.peak, done.peak_time, np.sqrt(done.squares / (kind.steps + 1)),
-            done.deflection, done.rotation, done.motion[:, :3]])
+        numbers[rows, :-1], batch = run_lanes(scenes, kind[0])
+        table['reason'][rows] = [batch.reason(lane) for lane in range(batch.n)]
+        table['warning'][rows] = [unseen_load(scene) or '' for scene in scenes]
     else:
         run = run_scene(scenes[0], steps_in(duration, scenes[0].step))
         table['warning'][rows] = run.warning or ''
@@ -279,57 +276,32 @@ def _summary(run):
             run.stats['estimated_tip_error_m'])
 
 
-class LaneKind(NamedTuple):
-    """What runs must have in common to be lanes of one vector."""
-
-    step: float   # [s]
-    steps: int    # their number
-    sizes: tuple  # of the models
-    joints: tuple
-
-
-def lane_kind(scene: Scene, steps: int) -> LaneKind | None:
-    """Return the LaneKind of a run, which depends on it alone, or None if it cannot be a lane."""
-    values = scene.values
-    if values['model.formulation'] != 'exact' or not scene.modal_count or refusal(scene):
+def lane_kind(scene: Scene, steps: int) -> tuple[Any, ...] | None:
+    """Return what a run and those in lanes beside it have in common; None: it cannot be a lane."""
+    if scene.values['model.formulation'] != 'exact' or not scene.modal_count or refusal(scene):
         return None
-    return LaneKind(scene.step, steps,
-                    (values['model.modes'], values['model.axial_modes'],
-                     len(scene.build().quadrature.nodes), values['push.position'] > 0.0),
-                    (values['carrier.held'], values['motor.shaft']))
+    return steps, *lane_size(scene).values()
 
 
-class LaneRuns:
-    """
-    Runs of one LaneKind that are done together, as lanes of vectors.
-
-    Arrays of shape (n,): `peak`, the largest |w(l)| [m], its time `peak_time` [s], `rotation`, the
-    largest |phi(l)| [rad], `squares`, the sum of w(l)^2 over the start and the ends of steps [m2],
-    and `deflection`, w(l) at the end [m]. `motion` is that of the end, (n, 2 (3 + N)); `warnings`
-    are texts or None, `reasons` say why a run failed, or ''.
-    """
-
-    def __init__(self, scenes: list[Scene], kind: LaneKind) -> None:
-        batch = Batch(scenes)
-        self.warnings = [unseen_load(scene) for scene in scenes]
-        self.peak, self.peak_time, self.rotation, self.squares = np.zeros((4, batch.n))
-        self._summarise(np.zeros(1), batch.tip[:, np.newaxis])
-        for first in range(0, kind.steps, CHUNK):
-            count = min(CHUNK, kind.steps - first)
-            times = kind.step * np.arange(first + 1, first + count + 1)
-            self._summarise(times, batch.advance_tips(count))
-        self.motion, self.deflection = batch.motion.values, batch.tip[:, 1]
-        self.reasons = [batch.reason(number) for number in range(batch.n)]
-
-    def _summarise(self, times, tips):
+def run_lanes(scenes: list[Scene], steps: int) -> tuple[np.ndarray, Batch]:
+    """Do runs of one kind together; return `SUMMARY` but for its end, (n, 8), and their Batch."""
+    batch, step = Batch(scenes), scenes[0].step
+    peak, peak_time, rotation, squares = np.zeros((4, batch.n))
+    first, tips = 0, batch.tip[:, np.newaxis]
+    while True:
         # The order in memory is always the same, because the last bits of sums depend on it.
         size = np.abs(np.ascontiguousarray(tips)[:, :, 1])
         at = np.argmax(size, axis=1)
-        found = size[np.arange(len(size)), at]
-        self.peak_time = np.where(found > self.peak, times[at], self.peak_time)
-        self.peak = np.maximum(self.peak, found)
-        self.rotation = np.maximum(self.rotation, np.abs(tips[:, :, 2]).max(axis=1))
-        self.squares += np.sum(size**2, axis=1)
+        found = size[np.arange(batch.n), at]
+        peak_time = np.where(found > peak, step * (first + at), peak_time)
+        peak = np.maximum(peak, found)
+        rotation = np.maximum(rotation, np.abs(tips[:, :, 2]).max(axis=1))
+        squares += np.sum(size**2, axis=1)
+        if batch.steps == steps:
+            break
+        first, tips = batch.steps + 1, batch.advance_tips(min(CHUNK, steps - batch.steps))
+    return np.column_stack([peak, peak_time, np.sqrt(squares / (steps + 1)), batch.tip[:, 1],
+                            rotation, batch.motion.values[:, :3]]), batch
 
 
 _WORKERS = Parameter('workers', 1, '', 'processes', low=1)

@@ -10,7 +10,6 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from html import escape
 import os
 from pathlib import Path
 import re
@@ -191,11 +190,3 @@ def _mapping(values):
     if not isinstance(values, Mapping):
         raise ParameterError(f'values must be given by name, got {short(values)}')
     return values
-
-
-def html_table(title: str, rows: Mapping[str, Any]) -> str:
-    """Return a table of names and values as HTML."""
-    cells = ''.join(f'<tr><th style="text-align:left">{escape(str(name))}</th>'
-                    f'<td style="text-align:left">{escape(str(value))}</td></tr>'
-                    for name, value in rows.items())
-    return f'<table><caption>{escape(title)}</caption>{cells}</table>'

@@ -13,54 +13,19 @@ Loads are harmonic, piecewise constant, linear between points, or sums of those.
 computes what the steps see of them. A jump inside a step is refused.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-import functools
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.layout import ACCELERATION, ANGLE, INPUTS, LOADS, STEP_LOADS
 from timo_sim.scene.parameters import ParameterError
-from timo_sim.steps.loads import (
-    add_drive, add_harmonic, add_piecewise, add_table, NEAR, POINT)
+from timo_sim.steps.loads import add_scene_loads, NEAR, POINT, SceneLoads
 
 # Columns of the inputs that a scene may prescribe over time, by name.
 CHANNELS = {each.name: column for column, each in enumerate(INPUTS) if each.prescribed}
-
-
-def _once_for_each_step(method: Callable[[Any, float], np.ndarray],
-                        ) -> Callable[[Any, float], np.ndarray]:
-    """Return a method whose results for sizes of a step are kept with the object."""
-    @functools.wraps(method)
-    def kept(self: Any, step: float) -> np.ndarray:
-        known = self.__dict__.setdefault('_rows', {})
-        if step not in known:
-            known[step] = method(self, step)
-        return known[step]
-    return kept
-
-
-class Term(Protocol):
-    """A term of a load, or a drive, as a function of time."""
-
-    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
-        """
-        Add to the loads of steps.
-
-        Parameters
-        ----------
-        loads : ndarray, shape (count, 4, LOADS)
-            See `model.layout`.
-        column : int
-            That of the term; of a drive the first one.
-        first : int
-            Number of the first step.
-        step : float
-            Size of a step [s].
-
-        """
 
 
 @dataclass(frozen=True)
@@ -71,17 +36,9 @@ class Harmonic:
     frequency: float
     phase: float
 
-    @property
-    def constants(self) -> tuple[float, float, float]:
-        """Amplitude, frequency, and the phase less whole turns."""
-        return self.amplitude, self.frequency, float(np.fmod(self.phase, 2.0 * np.pi))
-
     def jumps(self) -> Sequence[float]:
         """Return no time: it does not jump."""
         return ()
-
-    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
-        add_harmonic(column, *self.constants, step, first, len(loads), loads, np.empty(WIDTH))
 
 
 @dataclass(frozen=True)
@@ -95,14 +52,10 @@ class Piecewise:
         """Return the times at which it jumps [s]."""
         return self.time
 
-    @_once_for_each_step
     def rows(self, step: float) -> np.ndarray:
-        """Return the numbers of the steps from which values act, and the values, shape (n, 2)."""
-        return np.column_stack([np.rint(np.array(self.time) / step), self.value])
-
-    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
-        rows = self.rows(step)
-        add_piecewise(column, rows, len(rows), step, first, len(loads), loads)
+        """Return times for steps of this size, twice, and values before and after, (2 n, 2)."""
+        times = np.rint(np.array(self.time) / step) * step
+        return np.column_stack([np.repeat(times, 2), np.repeat([0.0, *self.value], 2)[1:-1]])
 
 
 @dataclass(frozen=True)
@@ -116,14 +69,9 @@ class Table:
         """Return the times at which it jumps [s]."""
         return tuple(a for a, b in zip(self.time, self.time[1:]) if a == b)
 
-    @_once_for_each_step
     def rows(self, step: float) -> np.ndarray:
         """Return times for steps of this size, and values, shape (n, 2)."""
-        return np.column_stack([_on_boundaries(self.time, step), self.value])
-
-    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
-        rows = self.rows(step)
-        add_table(column, rows, len(rows), step, first, len(loads), loads)
+        return np.column_stack([on_boundaries(self.time, step), self.value])
 
 
 @dataclass(frozen=True)
@@ -139,14 +87,13 @@ class Drive:
     speed: tuple         # [rad/s]
     acceleration: tuple  # [rad/s2], the last 0
 
-    @_once_for_each_step
     def rows(self, step: float) -> np.ndarray:
         """
         Return times and polynomials for steps of this size, shape (n, 7).
 
         From each time on the angle is a polynomial of the time since, constant first.
         """
-        time = _on_boundaries(self.time, step)
+        time = on_boundaries(self.time, step)
         angle, speed, half = np.array([self.angle, self.speed, self.acceleration]) * [
             [1.0], [1.0], [0.5]]
         found = np.zeros((len(time), POINT))
@@ -160,10 +107,6 @@ class Drive:
         found[:-1, 4:] = (cubic @ lacking / h ** np.array([[3], [4], [5]])).T
         return found
 
-    def add(self, loads: np.ndarray, column: int, first: int, step: float) -> None:
-        rows = self.rows(step)
-        add_drive(rows, len(rows), step, first, len(loads), loads)
-
 
 @dataclass(frozen=True)
 class Load:
@@ -174,13 +117,6 @@ class Load:
 
     def __bool__(self):
         return any(self.terms.values())
-
-    @functools.cached_property
-    def by_column(self) -> list[tuple[int, Term]]:
-        """All terms with their columns, the drive with that of its angle."""
-        found = [(CHANNELS[channel], term) for channel, terms in self.terms.items()
-                 for term in terms]
-        return found if self.drive is None else [*found, (ANGLE, self.drive)]
 
     @property
     def columns(self) -> list[int]:
@@ -201,18 +137,39 @@ class Load:
         If `room`, an array for at least as many steps, is given, they are written there and a view
         is returned.
         """
-        if room is None:
-            loads = np.zeros((count, STEP_LOADS, LOADS))
-        else:
-            loads = room[:count]
-            loads[:] = 0.0
-        for column, term in self.by_column:
-            term.add(loads, column, first, step)
+        loads = np.empty((count, STEP_LOADS, LOADS)) if room is None else room[:count]
+        loads[:] = 0.0
+        rows = self.rows(step)
+        add_scene_loads(
+            step, rows.harmonics, len(rows.harmonics), rows.tables, len(rows.tables), rows.knots,
+            rows.drive, len(rows.drive), first, count, loads, np.empty(WIDTH))
         return loads
 
+    def rows(self, step: float) -> SceneLoads:
+        """Return the constants of its terms for steps of a size [s]; they are made once."""
+        known = self.__dict__.setdefault('_rows', {})
+        if step not in known:
+            harmonics: list[Any] = []
+            tables: list[Any] = []
+            knots = [np.empty((0, 2))]
+            for channel, terms in self.terms.items():
+                for term in terms:
+                    if isinstance(term, Harmonic):
+                        harmonics.append((CHANNELS[channel], term.amplitude, term.frequency,
+                                          np.fmod(term.phase, 2.0 * np.pi)))
+                        continue
+                    begin = sum(map(len, knots))
+                    knots.append(term.rows(step))
+                    tables.append((CHANNELS[channel], begin, begin + len(knots[-1])))
+            known[step] = SceneLoads(
+                step, np.array(harmonics, dtype=float).reshape(-1, 4),
+                np.array(tables, dtype=float).reshape(-1, 3), np.concatenate(knots),
+                np.empty((0, POINT)) if self.drive is None else self.drive.rows(step))
+        return known[step]
 
-def _on_boundaries(times: Any, step: float) -> np.ndarray:
-    # Times, with those near the boundary of two steps moved onto it [s].
+
+def on_boundaries(times: Any, step: float) -> np.ndarray:
+    """Return times [s], with those near the boundary of two steps moved onto it."""
     times = np.asarray(times, dtype=float)
     whole = np.rint(times / step)
     return np.where(np.abs(times / step - whole) <= NEAR, whole * step, times)

@@ -27,7 +27,7 @@ from timo_sim.model.bodies import Beam, Constraints, Manipulator, Section
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, ANGLE, INPUTS, SPEED, START
 from timo_sim.model.statics import equilibrium
-from timo_sim.scene.files import flatten, html_table, read_parameter_file
+from timo_sim.scene.files import flatten, read_parameter_file
 from timo_sim.scene.loads import (
     CHANNELS, check_slope, Drive, Harmonic, Load, Piecewise, Table)
 from timo_sim.scene.parameters import (
@@ -41,7 +41,7 @@ _TERM_NAMES = {channel: tuple(f'load.{channel}.{name}' for name in (
     'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
     'piecewise.value', 'table.time', 'table.value')) for channel in CHANNELS}
 _ALL_TERM_NAMES = ('integrator.step', *(name for names in _TERM_NAMES.values() for name in names))
-_MAX_WITHOUT_OVERFLOW = 1e20  # numbers below this do not overflow in an energy
+_MAX_NUMBER = 1e50  # products of six numbers, as in an energy, do not overflow
 _MAX_LENGTH = 30.0  # longest arm that is not taken for one in millimetres [m]
 _MIN_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
 _SCENE_NAMES = [name for name, parameter in PARAMETERS.items() if parameter.scope == SCENE]
@@ -81,9 +81,6 @@ class Scene:
         return (f'<Scene: arm of {values["arm.length"]:g} m, {values["model.formulation"]} with '
                 f'N = {self.modal_count}, h = {1e3 * self.step:g} ms, {count} '
                 f'{"parameter" if count == 1 else "parameters"} not at default>')
-
-    def _repr_html_(self) -> str:
-        return html_table(repr(self)[1:-1], changed(self.values))
 
     @property
     def modal_count(self) -> int:
@@ -143,10 +140,6 @@ class Scene:
         """Return the scene with other values by name, nested or dotted; else ParameterError."""
         return scene_from({**self.values, **check(flatten(overrides), 'override')})
 
-    def with_load(self, load: Load) -> Scene:
-        """Return the scene under another load, which its `values` do not describe."""
-        return replace(self, load=load)
-
     def at(self, run: Any, t: float) -> Scene:
         """
         Return the scene that begins with the state of a run of the same bodies at a sample, t [s].
@@ -194,11 +187,27 @@ class Scene:
         """Return the motion at t = 0, shape (2 (3 + N),), of the scene's or another model."""
         if model in (None, self._own_model):
             return self._initial_motion.copy()
-        return initial_motion(self, model)
+        return self._motion_of(model)
 
     @cached_property
     def _initial_motion(self):
-        return initial_motion(self, self._own_model)
+        return self._motion_of(self._own_model)
+
+    def _motion_of(self, model):
+        values, rest = self.values, np.zeros(self.modal_count)
+        position, velocity = ([values[name] for name in names] for names in (_POSITION, _VELOCITY))
+        if self.load.drive is not None:
+            # At the end of the step before: what a step with a kink inside sees is not the load.
+            position[2], velocity[2] = self.load.stages(-1, 1, self.step)[
+                0, AFTER, [ANGLE, SPEED]]
+        q, qdot = values['initial.modal_coordinates'], values['initial.modal_rates']
+        motion = np.concatenate([position, q or rest, velocity, qdot or rest])
+        if not values['initial.equilibrium']:
+            return motion
+        try:
+            return equilibrium(model, motion, self.load_at_start())
+        except ValueError as error:
+            raise ParameterError(f'initial.equilibrium = true: {error}') from None
 
     def load_at_start(self) -> np.ndarray:
         """Return the scene's own load at t = 0, shape (LOADS,), see `model.layout`."""
@@ -507,14 +516,11 @@ def check_counts(values: Mapping[str, Any]) -> None:
 
 
 def check_finite(scene: Scene) -> None:
-    """Raise ParameterError if a scene's equations of motion or its initial energy overflow."""
+    """Raise ParameterError if a scene's equations of motion, or energies, may overflow."""
     try:
         with np.errstate(over='raise', divide='raise', invalid='raise'):
-            formulation, motion = scene.build(), scene.initial_motion()
-            bound = np.maximum(formulation.magnitude_bound, np.abs(motion).max())
-            finite = np.isfinite(formulation.linear).all() and (
-                bound < _MAX_WITHOUT_OVERFLOW
-                or np.isfinite(formulation.energy(motion[np.newaxis])[0]))
+            finite = np.isfinite(scene.build().linear).all() and max(
+                scene.build().magnitude_bound, np.abs(scene.initial_motion()).max()) < _MAX_NUMBER
     except ArithmeticError:
         finite = False
     except ParameterError:
@@ -569,25 +575,6 @@ def find_implausible(values: Mapping[str, Any]) -> str | None:
 
 _POSITION = [f'initial.{joint}' for joint in ('carrier_x', 'carrier_y', 'shaft')]
 _VELOCITY = [f'{name}_velocity' for name in _POSITION]
-
-
-def initial_motion(scene: Scene, model: Formulation) -> np.ndarray:
-    """Return the motion of a model at t = 0, shape (2 (3 + N),), see `model.layout`."""
-    rest = np.zeros(scene.modal_count)
-    position, velocity = ([scene.values[name] for name in names]
-                          for names in (_POSITION, _VELOCITY))
-    if scene.load.drive is not None:
-        # At the end of the step before, since what a step with a kink inside sees is not the load.
-        position[2], velocity[2] = scene.load.stages(-1, 1, scene.step)[0, AFTER, [ANGLE, SPEED]]
-    q = scene.values['initial.modal_coordinates'] or rest
-    qdot = scene.values['initial.modal_rates'] or rest
-    motion = np.concatenate([position, q, velocity, qdot])
-    if not scene.values['initial.equilibrium']:
-        return motion
-    try:
-        return equilibrium(model, motion, scene.load_at_start())
-    except ValueError as error:
-        raise ParameterError(f'initial.equilibrium = true: {error}') from None
 
 
 INITIAL = 'initial'  # stands for the whole initial state

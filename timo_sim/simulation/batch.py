@@ -169,7 +169,7 @@ class Batch:
                         for each in INPUTS if each.needs}
         self._loads = LaneLoads(self.scenes)
         self._lanes = LaneSteps(self._models, self.scenes[0].step, MOST_BENT)
-        self.steps, self._origin, self._warm = 0, np.zeros(self.n, dtype=int), False
+        self.steps, self._origin = 0, np.zeros(self.n, dtype=int)
         self.reset()
 
     def __repr__(self) -> str:
@@ -255,26 +255,10 @@ class Batch:
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """
-        Advance under constant commands; the scenes' own loads act as well.
+        Advance under constant commands as `Simulator.step` does, with its ParameterErrors.
 
-        Parameters
-        ----------
-        duration : float, optional
-            [s], a whole multiple of the time step; by default one step.
-        **commands : float or array_like, shape (n,), (2,) or (n, 2)
-            Those of `Simulator.step`, for all or for each.
-
-        Returns
-        -------
-        Motion
-            At the end.
-
-        Raises
-        ------
-        ParameterError
-            If a command is unknown, is not finite or has another shape, or the duration does not
-            fit the step.
-
+        Commands are for all or for each: float or array_like, shape (n,), (2,) or (n, 2). Returns
+        the Motion at the end.
         """
         commanded = commanded_load(self._needed, (self.n,), **commands)
         self.advance(1 if duration is None else steps_in(duration, self.scenes[0].step), commanded)
@@ -283,22 +267,10 @@ class Batch:
     def advance(self, count: int, commanded: np.ndarray | None = None,
                 sample_every: int = 0) -> np.ndarray:
         """
-        Advance by some steps.
+        Advance by `count` steps; return motions, (n, 1 + count // sample_every, 2 (3 + N)).
 
-        Parameters
-        ----------
-        count : int
-            Number of steps.
-        commanded : ndarray, shape (n, LOADS) or (LOADS,), optional
-            Commands during all of them, see `model.layout`.
-        sample_every : int
-            Steps between samples; 0: none are taken.
-
-        Returns
-        -------
-        ndarray, shape (n, 1 + count // sample_every, 2 (3 + N))
-            Motions at the start and after each `sample_every` steps; with sample_every = 0 empty.
-
+        `commanded`, (n, LOADS) or (LOADS,), are commands during all of them, see `model.layout`.
+        The motions are those at the start and after each `sample_every` steps; with 0 none.
         """
         if not (type(count) is type(sample_every) is int and min(count, sample_every) >= 0):
             count, sample_every = COUNT.check(count), SAMPLE_EVERY.check(sample_every)
@@ -318,9 +290,6 @@ class Batch:
         samples = lanes.room(1 + count // sample_every if sample_every else 0,
                              lanes.motion.shape[1])
         most = max(1, min(CHUNK, _MAX_NUMBERS // (4 * self.n * max(1, len(loads.columns)))))
-        if not self._warm:
-            lanes.advance(loads.columns, loads.varying(self.steps, 0, self._origin))
-            self._warm = True
         tips = [lanes.room(0, 3)]
         for first in range(0, count, most):
             part = min(most, count - first)
@@ -335,29 +304,26 @@ class Batch:
 
 def _check(scenes):
     """Raise ParameterError for scenes that a batch cannot do."""
-    first = scenes[0]
-    model = first.build()
+    wanted = lane_size(scenes[0])
     for number, scene in enumerate(scenes):
-        if scene is first and number:
+        if scene is scenes[0] and number:
             continue
         refused = refusal(scene)
         if refused:
             raise ParameterError(f'{refused} is not possible in a Batch')
-        other = scene.build()
-        for name in ('model.formulation', 'model.axial_modes', 'integrator.step', 'carrier.held',
-                     'motor.shaft'):
-            if scene.values[name] != first.values[name]:
+        for name, value in lane_size(scene).items():
+            if value != wanted[name]:
                 raise ParameterError(f'{name} must be the same in all scenes of a Batch, got '
-                                     f'{first.values[name]} and {scene.values[name]} (scene '
-                                     f'{number})')
-        if (scene.values['push.position'] > 0.0) != (first.values['push.position'] > 0.0):
-            raise ParameterError('push.position must be > 0 in all scenes of a Batch or in none, '
-                                 f'got {scene.values["push.position"]:g} (scene {number})')
-        if [np.shape(part) for part in other.tables] != [np.shape(part) for part in model.tables]:
-            raise ParameterError('the models of all scenes of a Batch must have the same size: '
-                                 f'scene {number} has {scene.modal_count} modes and '
-                                 f'{len(other.quadrature.nodes)} nodes, scene 0 '
-                                 f'{first.modal_count} and {len(model.quadrature.nodes)}')
+                                     f'{wanted[name]} and {value} (scene {number})')
+
+
+def lane_size(scene: Scene) -> dict[str, Any]:
+    """Return what all scenes of a Batch have in common, by name."""
+    values = scene.values
+    return {**{name: values[name] for name in (
+        'model.formulation', 'model.axial_modes', 'model.modes', 'integrator.step',
+        'carrier.held', 'motor.shaft')}, 'push.position > 0': values['push.position'] > 0.0,
+        'the number of nodes': len(scene.build().quadrature.nodes)}
 
 
 def refusal(scene: Scene) -> str:

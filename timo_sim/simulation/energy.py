@@ -6,18 +6,11 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Energy balance between samples of a motion: work of forces, and dissipated energy."""
+"""Integrals of power between samples of a motion."""
 
 from __future__ import annotations
 
 import numpy as np
-
-from timo_sim.scene.scene import Scene
-from timo_sim.simulation.simulator import Simulator
-from timo_sim.simulation.warnings import DivergenceError
-from timo_sim.steps.steps import CHUNK
-
-_MAX_DIFFERENCE = 1e-3  # relative, of integrals by all and by every second sample
 
 
 def work(ns: np.ndarray, position: np.ndarray, velocity: np.ndarray, force: np.ndarray,
@@ -63,47 +56,3 @@ def integral(ns: np.ndarray, power: np.ndarray) -> np.ndarray:
         slope = np.gradient(power, np.asarray(ns) * 1e-9, edge_order=2)
         done -= duration**2 / 12.0 * np.diff(slope)
     return done
-
-
-def dissipated(scene: Scene, t: np.ndarray, motions: np.ndarray) -> tuple[np.ndarray, bool]:
-    """
-    Return what friction that is not dry, and modal damping, dissipate since the first sample.
-
-    If samples are some steps apart, the run is repeated and its power integrated over each step.
-    If the repeated motions differ, because commands acted, the given samples are integrated. `t`
-    has the shape (n,) [s], `motions` (n, 2 (3 + N)). The result is the energy, (n,) [J], and
-    whether the samples are too far apart for a reliable integral.
-    """
-    power, steps = scene.build().dissipation(motions), np.rint(t / scene.step).astype(int)
-    every = steps[1] if len(t) > 1 else 1
-    if every > 1 and power.any() and np.array_equal(steps, every * np.arange(len(t))):
-        found = _power_of_steps(scene, every, motions)
-        if found is not None:
-            return _since_start(1e9 * scene.step * np.arange(len(found)), found)[::every], False
-    ns = np.rint(t * 1e9)
-    taken, coarse = _since_start(ns, power), _since_start(ns[::2], power[::2])
-    doubt = np.diff(steps).max(initial=1) > 1 and (
-        np.abs(taken[::2] - coarse).max() > _MAX_DIFFERENCE * taken.max())
-    return taken, doubt
-
-
-def _since_start(ns, power):
-    return np.append(0.0, np.cumsum(integral(ns, power)))
-
-
-def _power_of_steps(scene, every, motions):
-    # Power at the start and after each step [W], or None if a repeated run differs from `motions`.
-    simulator, last = Simulator(scene), every * (len(motions) - 1)
-    simulator.warm_up()
-    power = np.empty(last + 1)
-    for k in range(0, last, CHUNK):
-        count = min(CHUNK, last - k)
-        try:
-            again = simulator.advance(count, sample_every=1)[0]
-        except DivergenceError:
-            return None
-        power[k:k + count + 1] = simulator.model.dissipation(again)
-        if not np.array_equal(again[-k % every::every],
-                              motions[-(-k // every):(k + count) // every + 1]):
-            return None
-    return power

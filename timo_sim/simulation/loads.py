@@ -135,8 +135,7 @@ class Actuators:
 
     def warm_up(self) -> None:
         """Compile, or load from disk, what loads and commands of all kinds need."""
-        for entry in steps_loads.TERMS:
-            entry.of()
+        steps_loads.add_scene_loads.of()
         for entry in (steps_loads.add_commands, steps_loads.restart):
             entry.of(self.packed)
 

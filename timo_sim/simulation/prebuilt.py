@@ -39,25 +39,25 @@ def entries() -> list[tuple[Any, tuple[type, ...]]]:
     found: list[tuple[Any, tuple[type, ...]]] = [
         (entry, (modes.UniformArm,))
         for entry in (modes.bisect, modes.boundary_conditions, modes.fields)]
-    for tables, forces in ((exact_code.Tables, exact_code.Tables),
-                           (newton.Tables, newton.Forces)):
+    for tables in (exact_code.Tables, newton.Tables):
         step, own = (tables, etdrk4.Propagator), (instance.Plant, instance.Instance)
         found += [
             (functions.rate_once, (tables,)), (functions.tips, (tables,)),
-            (functions.efforts, (forces,)), (functions.energies, (forces,)),
+            (functions.accelerations_of, (tables, functions.Flow)),
+            (functions.efforts, (tables,)), (functions.energies, (tables,)),
             (etdrk4.advance, step), (friction.advance, (*step, friction.Joints)),
             (instance.is_valid, (tables, instance.Instance)),
-            (instance.set_rates, (tables, *own)), (instance.set_forces, (forces, *own))]
+            (instance.set_rates, (tables, *own)), (instance.set_forces, (tables, *own))]
         found += [(entry, (*step, lanes.LaneConstants))
                   for entry in (lanes.advance_alike, lanes.advance_each)]
     found.append((derivatives.differentiate,
                   (exact_code.Tables, etdrk4.Propagator, derivatives.Inputs)))
     actuators = loads.Actuators, instance.Instance
-    found += [(entry, ()) for entry in loads.TERMS]
+    found.append((loads.add_scene_loads, ()))
     found += [(entry, (loads.Actuators,)) for entry in (
         loads.add_commands, loads.restart, instance.get_parameter)]
     found += [(entry, own) for entry in (instance.finish, instance.set_outputs)]
-    found += [(instance.prepare, (instance.SceneLoads, *actuators)),
+    found += [(instance.prepare, (loads.SceneLoads, *actuators)),
               (instance.reset, (instance.Plant, *actuators))]
     found += [(entry, actuators) for entry in (
         instance.set_parameter, instance.get_state, instance.set_state)]

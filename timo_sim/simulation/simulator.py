@@ -136,14 +136,13 @@ class Simulator:
                  state: np.ndarray | None = None) -> Snapshot:
         """Return a Snapshot of now: valid until the next step, or longer with a kept state."""
         load = self.load.tolist() if load is None else load
-        acts = (self.integration, self._state if state is None else state,
-                self.integration.acting(self.load))
+        acts = self._state if state is None else state, self.integration.acting(self.load)
         return Snapshot(self.scene, self.model, self.steps, self.nanoseconds, self.motion.values,
                         load, acts)
 
     def tip_acceleration(self) -> np.ndarray:
         """Return the tip's acceleration in world axes at the last step's end, (2,) [m/s2]."""
-        return self.integration.tip_acceleration(self._state, self.integration.acting(self.load))
+        return self.snapshot().accelerations[1]
 
     def reset(self) -> None:
         """Return to the initial motion and the start of the loads; the count of steps goes on."""
@@ -205,15 +204,16 @@ class Simulator:
         with telling(tell):
             for each in filter(None, (self._finer, self)):
                 motion = each.motion.values
-                # Warnings and efforts need it; a node has no time to compile it later.
-                each.integration.rate(each._state, each.integration.acting(each.load))
+                if each.model.speed_limit < math.inf:  # for warnings
+                    each.model.rate(each._state, each.load)
                 if messages or self._finer:
                     each.model.tip(motion)
             if messages:
                 self._table.actuators.warm_up()
                 self.model.energy(motion[np.newaxis])
-                self.model.effort(motion[np.newaxis], np.zeros((1, len(motion) // 2)),
-                                  self.load[np.newaxis])
+                effort, snapshot = self.model.effort, self.snapshot()
+                effort(motion[np.newaxis], snapshot.accelerations[0][np.newaxis],
+                       self.load[np.newaxis])
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:
         """

@@ -11,16 +11,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 import math
 from typing import Any
 
 import numpy as np
 
 from timo_sim.model.formulation import Formulation
-from timo_sim.model.layout import FORCE_I, FORCE_II, FORCE_X, FORCE_Y, place, rotate, TORQUE
+from timo_sim.model.layout import (
+    FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, Motion, place, rotate, TORQUE)
 from timo_sim.scene.scene import Scene
-from timo_sim.steps.steps import Steps
 from timo_sim.topics.outputs import NANOSECONDS, SENSORS
 
 _FRICTION = [FORCE_X, FORCE_Y, TORQUE]  # columns of a load, by joint
@@ -39,20 +39,13 @@ class Joints:
     """
     Forces of carrier and shaft, moment and strain at the root in n motions, computed on demand.
 
-    Parameters
-    ----------
-    model : Formulation
-    motions : ndarray, shape (n, 2 (3 + N))
-        See `model.layout`.
-    accelerations : ndarray, shape (n, 3 + N)
-    loads : ndarray, shape (n, LOADS)
-        Loads that act, dry friction included.
-
+    `motions`, (n, 2 (3 + N)), have these accelerations of coordinates, (n, 3 + N), and of the tip
+    in world axes, (n, 2), under loads that act, (n, LOADS), dry friction included.
     """
 
     def __init__(self, model: Formulation, motions: np.ndarray, accelerations: np.ndarray,
-                 loads: np.ndarray) -> None:
-        self._model, self._motions, self._loads = model, motions, loads
+                 loads: np.ndarray, tip: np.ndarray | None = None) -> None:
+        self._model, self._motions, self._loads, self._tip = model, motions, loads, tip
         self._accelerations = accelerations
         self._applied = applied(loads, motions[:, 2])
 
@@ -84,66 +77,49 @@ class Joints:
         """Strain of the outer fibre at the root, axial strain included, shape (n,)."""
         return self._model.strain(self._motions, 0.0, self.root_moment)
 
-
-def accelerations_of(integration: Steps, state: np.ndarray, load: np.ndarray) -> np.ndarray:
-    """Return the accelerations of the coordinates of a state under a load, shape (3 + N,)."""
-    before, after, half_time = integration.flow(state, load)
-    return (after - before)[0, before.shape[1] // 2:] / (2.0 * half_time[0])
-
-
-def joints_of_state(integration: Steps, motion: np.ndarray, state: np.ndarray,
-                    load: np.ndarray) -> Joints:
-    """Return the Joints of a motion, with its state, by `Steps` under a load that acts."""
-    accelerations = accelerations_of(integration, state, load)
-    return Joints(integration.model, motion[np.newaxis], accelerations[np.newaxis],
-                  load[np.newaxis])
+    @property
+    def tip_acceleration(self) -> np.ndarray:
+        """Specific force at the tip, acceleration less gravity, in its axes, (n, 2) [m/s2]."""
+        motion, model = Motion(self._motions), self._model
+        turned = motion.shaft + model.section_rotation(motion.q, model.tip_point)[:, 0]
+        return np.column_stack(rotate(-turned, *(self._tip - model.gravity).T))
 
 
 def joints_of_run(scene: Scene, model: Formulation, motions: np.ndarray,
                   loads: np.ndarray) -> Joints:
     """
-    Return the Joints of sampled motions of a scene.
+    Return the Joints of sampled motions of a scene, (n, 2 (3 + N)).
 
-    Where dry friction holds a joint, it is what cancels the joint's acceleration.
-
-    Parameters
-    ----------
-    scene : Scene
-    model : Formulation
-    motions : ndarray, shape (n, 2 (3 + N))
-    loads : ndarray, shape (n, LOADS)
-        Without dry friction.
-
+    The loads, (n, LOADS), are without dry friction. Where that holds a joint, it is what cancels
+    the joint's acceleration.
     """
-    integration, limit = Steps(model, scene.step), scene.friction
-    accelerations, acting = np.empty((len(motions), motions.shape[1] // 2)), loads.copy()
-    speeds = motions[:, motions.shape[1] // 2:][:, :3]
-    for k, motion in enumerate(motions):
-        accelerate = partial(accelerations_of, integration, integration.model.state(motion))
-        if limit.any():
-            acting[k, _FRICTION] += _friction(accelerate, loads[k], speeds[k], limit)
-        accelerations[k] = accelerate(acting[k])
-    return Joints(integration.model, motions, accelerations, acting)
+    limit, states, acting = scene.friction, model.state(motions), loads.copy()
+    if limit.any():
+        acting[:, _FRICTION] += _friction(
+            lambda loads, rows: model.accelerations(motions[rows], states[rows], loads)[0][:, :3],
+            loads, motions[:, motions.shape[1] // 2:][:, :3], limit)
+    accelerations, tip = model.accelerations(motions, states, acting)
+    return Joints(model, motions, accelerations, acting, tip)
 
 
-def _friction(accelerate, load, speed, limit):
-    """Return the Coulomb friction: of joints that slide, or what holds the others, shape (3,)."""
-    friction = np.where(np.abs(speed) > _STILL, -limit * np.sign(speed), 0.0)
-    held = np.flatnonzero((limit > 0.0) & (np.abs(speed) <= _STILL))
-    if not len(held):
-        return friction
+def _friction(accelerate, loads, speed, limit):
+    """Return the Coulomb friction of joints that slide, and what holds the others, (n, 3)."""
+    still = (limit > 0.0) & (np.abs(speed) <= _STILL)
+    friction = np.where(still, 0.0, -limit * np.sign(speed))
+    rows = np.flatnonzero(still.any(axis=1))
+    loads, room = loads[rows], np.where(still, limit, 0.0)[rows]
+    loads[:, _FRICTION] += friction[rows]
+    free = accelerate(loads, rows)
     # Accelerations are linear in a load.
-    load = load.copy()
-    load[_FRICTION] += friction
-    free = accelerate(load)[held]
-    mobility = np.column_stack([
-        accelerate(load + np.eye(len(load))[_FRICTION[joint]])[held] - free for joint in held])
-    holding = np.zeros(len(held))
+    mobility = np.stack([accelerate(loads + np.eye(LOADS)[column], rows) - free
+                         for column in _FRICTION], axis=-1)
+    holding = np.zeros_like(free)
     for _ in range(_SWEEPS):
-        for j, joint in enumerate(held):
-            left = free[j] + mobility[j] @ holding
-            holding[j] = np.clip(holding[j] - left / mobility[j, j], -limit[joint], limit[joint])
-    friction[held] = holding
+        for j in np.flatnonzero(limit):
+            left = free[:, j] + np.sum(mobility[:, j] * holding, axis=1)
+            holding[:, j] = np.clip(holding[:, j] - left / mobility[:, j, j],
+                                    -room[:, j], room[:, j])
+    friction[rows] += holding
     return friction
 
 
@@ -152,14 +128,7 @@ _EXACT = 2.0**53  # number of resolutions from which on a float is coarser than 
 
 
 class Sensors:
-    """
-    The sensors at one step, by name: a float, or an array for a sensor of several axes.
-
-    Parameters
-    ----------
-    snapshot : Snapshot
-
-    """
+    """The sensors at one step, by name: a float, or an array for a sensor of several axes."""
 
     def __init__(self, snapshot: Snapshot) -> None:
         self._snapshot = snapshot
@@ -177,27 +146,10 @@ class Sensors:
 def reading(values: Mapping[str, Any], name: str, number: int, step: int,
             quantities: Sequence[float]) -> tuple[float, ...]:
     """
-    Return the reading of a sensor for the true quantities.
+    Return the reading of a sensor at a step for the true quantities, a float for each axis.
 
     The noise is a function of seed, sensor, axis and time step alone; other measurements do not
-    change it.
-
-    Parameters
-    ----------
-    values : dict
-        The scene's parameters, `sensor.gyro.noise` and so on.
-    name : str
-    number : int
-        Position of the sensor in `SENSORS`.
-    step : int
-        Number of the time step.
-    quantities : tuple of float
-        True value on each axis, in the unit of the sensor.
-
-    Returns
-    -------
-    tuple of float
-
+    change it. `values` are the scene's parameters, `number` is the sensor's position in `SENSORS`.
     """
     noise, bias, resolution = (values[f'sensor.{name}.{kind}']
                                for kind in ('noise', 'bias', 'resolution'))
@@ -236,34 +188,16 @@ _SENSORS = {sensor.name: (number, sensor) for number, sensor in enumerate(SENSOR
 
 class Snapshot:
     """
-    The motion at one step; costly quantities are computed on demand.
+    The motion, (2 (3 + N),), at one step; costly quantities are computed on demand.
 
-    Parameters
-    ----------
-    scene : Scene
-    model : Formulation
-    step, nanoseconds : int
-        Number of the step, and sim time [ns].
-    motion : ndarray, shape (2 (3 + N),)
-        See `model.layout`.
-    load : list of float, length LOADS
-        Load at the end of the last step, see `model.layout`.
-    acts : tuple of Steps, ndarray (m,) and ndarray (LOADS,), optional
-        The time steps, the state and the load that acts, friction included. Accelerations,
-        strains and forces of constraints need it; without it `effort` is that of the load.
-
-    Attributes
-    ----------
-    model, step, nanoseconds, motion
-        As given.
-    time : tuple of int
-        Sim time in [s] and [ns].
-
+    `load` is that at the end of the last step, LOADS floats. `acts` are the state, (m,), and the
+    load that acts, (LOADS,), friction included. Accelerations, strains and forces of constraints
+    need it; without it `effort` is that of the load. `time` is sim time in [s] and [ns].
     """
 
     def __init__(self, scene: Scene, model: Formulation, step: int, nanoseconds: int,
                  motion: np.ndarray, load: Sequence[float],
-                 acts: tuple[Steps, np.ndarray, np.ndarray] | None = None) -> None:
+                 acts: tuple[np.ndarray, np.ndarray] | None = None) -> None:
         self._scene, self.model, self._load = scene, model, load
         self._acts: Any = acts
         self.step, self.nanoseconds, self.motion = step, nanoseconds, motion
@@ -287,9 +221,18 @@ class Snapshot:
         return self._values[3:self._half] + self._values[self._half + 3:]
 
     @cached_property
+    def accelerations(self) -> tuple[np.ndarray, np.ndarray]:
+        """Accelerations of the coordinates, (3 + N,), and of the tip in world axes, (2,)."""
+        state, acting = self._acts
+        found, tip = self.model.accelerations(
+            self.motion[np.newaxis], state[np.newaxis], acting[np.newaxis])
+        return found[0], tip[0]
+
+    @cached_property
     def _joints(self):
-        integration, state, acting = self._acts
-        return joints_of_state(integration, self.motion, state, acting)
+        found, tip = self.accelerations
+        return Joints(self.model, self.motion[np.newaxis], found[np.newaxis],
+                      self._acts[1][np.newaxis], tip[np.newaxis])
 
     @property
     def effort(self) -> tuple[float, ...]:
@@ -325,9 +268,8 @@ class Snapshot:
     @property
     def tip_acceleration(self) -> tuple[float, float]:
         """Specific force at the tip, acceleration less gravity, in its axes [m/s2]."""
-        integration, state, acting = self._acts
-        x, y = (integration.tip_acceleration(state, acting) - self.model.gravity).tolist()
-        return rotate(-(self._values[2] + self.tip[2]), x, y)
+        x, y = self._joints.tip_acceleration[0].tolist()
+        return x, y
 
     def sensor(self, name: str) -> tuple[float, ...]:
         """Return what a sensor reads, a tuple of float, one for each axis."""

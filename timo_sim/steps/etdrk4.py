@@ -13,7 +13,6 @@ For `y' = L y + n(y, t)`, with the stiff constant part L propagated exactly. Sou
 Matthews, J. Comput. Phys. 176 (2002) 430-455, eqs. (26)-(29); doc/theory.md (T36).
 """
 
-from collections.abc import Callable
 import math
 from typing import Annotated, NamedTuple
 
@@ -23,10 +22,8 @@ from scipy.linalg.lapack import dgebal
 from timo_sim.compiled.constants import local_arrays
 from timo_sim.compiled.entry import entry_point
 from timo_sim.compiled.functions import Array, as_vectors, Constants, inner, strict
-from timo_sim.model.formulation import Formulation
 from timo_sim.model.functions import copy, linear_part_is_valid, observe, rate
-from timo_sim.model.layout import (
-    ACCELERATION, AFTER, ANGLE, END, LOADS, MIDDLE, SPEED, START, STEP_LOADS)
+from timo_sim.model.layout import AFTER, END, LOADS, MIDDLE, START, STEP_LOADS
 
 
 class Propagator(NamedTuple):
@@ -102,16 +99,7 @@ def _phi(z, doublings):
     by `2^k phi_k(2 z) = phi_0(z) phi_k(z) + sum_j phi_j(z) / (k - j)!`, j = 1..k. Source:
     Skaflestad and Wright, Appl. Numer. Math. 59 (2009) 783-799.
 
-    Parameters
-    ----------
-    z : ndarray, shape (n, m, m)
-        Of a norm up to `_NORM`.
-    doublings : int
-
-    Returns
-    -------
-    ndarray, shape (2, 4, n, m, m)
-
+    `z`, (n, m, m), have norms up to `_NORM`; the shape of the result is (2, 4, n, m, m).
     """
     one = np.eye(z.shape[-1])
     diagonal = np.arange(len(one))
@@ -129,42 +117,6 @@ def _phi(z, doublings):
             phi_0 @ phi_0, 0.5 * (phi_0 @ phi_1 + phi_1), 0.25 * (phi_0 @ phi_2 + phi_1 + phi_2),
             0.125 * (phi_0 @ phi_3 + 0.5 * phi_1 + phi_2 + phi_3)]))
     return np.array(found[:2])
-
-
-_TURN = 1e-5  # largest turn of a section between a motion and those of `flow` [rad]
-
-
-def flow(model: Formulation, state: np.ndarray, rate: np.ndarray, load: np.ndarray,
-         observe: Callable[[np.ndarray, np.ndarray], np.ndarray],
-         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """
-    Return motions just before and after states, and half the time between them.
-
-    Their difference over that time is a rate of the motion, such as an acceleration. States and
-    drives are extrapolated linearly.
-
-    Parameters
-    ----------
-    model : Formulation
-    state, rate, load : ndarray, shapes (..., k, m), (..., k, m), (..., k, LOADS)
-    observe : function(ndarray, ndarray) -> ndarray
-        Takes states and loads, and returns the motions, (..., k, 2 (3 + N)).
-
-    Returns
-    -------
-    before, after : ndarray, shape (..., k, 2 (3 + N))
-    half_time : ndarray, shape (..., k)
-        [s]
-
-    """
-    drift, half = np.zeros_like(load), model.size // 2
-    drift[..., ANGLE], drift[..., SPEED] = load[..., SPEED], load[..., ACCELERATION]
-    speed = observe(state, load)[..., half + 2:]
-    turning = np.abs(speed[..., :1] + speed[..., 1:] @ model.points.rotation).max(axis=-1)
-    half_time = _TURN / (_TURN + turning)
-    by_rate, by_drift = half_time[..., np.newaxis] * rate, half_time[..., np.newaxis] * drift
-    return (observe(state - by_rate, load - by_drift), observe(state + by_rate, load + by_drift),
-            half_time)
 
 
 @inner
@@ -244,44 +196,19 @@ def one_step(tables, propagator, start, middle, end, work):
 
 @entry_point(tables=Constants(), propagator=Constants(), state=Array(('state',)),
              load=Array((LOADS,)), loads=Array((None, STEP_LOADS, LOADS)), count=int,
-             sample_every=int, since=int, samples=Array((None, 'motion')),
-             remainder=Array(('state',)))
-def advance(tables, propagator, state, load, loads, count, sample_every, since, samples,
-            remainder):
+             sample_every=int, since=int, samples=Array((None, 'motion')))
+def advance(tables, propagator, state, load, loads, count, sample_every, since, samples):
     """
-    Integrate over some equal steps, as long as the linear part of the tables is valid.
+    Integrate over `count` equal steps, as long as the linear part of the tables is valid.
 
-    Parameters
-    ----------
-    tables : packed constants
-        Constants of the formulation; their kind selects its functions.
-    propagator : packed constants
-        The matrices of the step.
-    state : ndarray, shape (m,)
-        Advanced in place.
-    load : ndarray, shape (LOADS,)
-        Load at the start, for the first sample.
-    loads : ndarray, shape (steps, 4, LOADS)
-        Load of each step at its start, middle and end, as the step itself sees it: of a jump on
-        the boundary between two steps each sees its own side, and changes inside a step enter by
-        their moments (T37). Then the true load at the end of the step, which samples show.
-    count : int
-        Number of steps.
-    sample_every : int
-        Steps between samples; 0: none are taken.
-    since : int
-        Steps since the first sample.
-    samples : ndarray, shape (n, 2 (3 + N))
-        Receives the motions `sample_every`, 2 `sample_every`, ... steps after the first sample.
-    remainder : ndarray, shape (m,)
-        Receives n at the start of the last step that was done.
+    `tables` are the constants of a formulation; their kind selects its functions. `state` is
+    advanced in place, `load` is that at the start. `loads` has for each step those that its stages
+    see, (T37), then the true load at its end, which samples show, see `model.layout`. `samples`
+    receive the motions `sample_every`, 2 `sample_every`, ... steps after the first sample, which
+    was `since` steps ago; with `sample_every` = 0 none.
 
-    Returns
-    -------
-    int
-        Steps done; fewer than given if the state is no longer finite, or the linear part is not
-        the one for it.
-
+    Return the steps done; they are fewer if the state is no longer finite, or the linear part is
+    not the one for it.
     """
     work = local_arrays(Work, propagator)
     now, following = work.now, work.following
@@ -297,7 +224,6 @@ def advance(tables, propagator, state, load, loads, count, sample_every, since, 
         one_step(tables, propagator, start, middle, end, work)
         if not is_finite(following):
             break
-        copy(work.rate_0, remainder)
         copy(following, now)
         load = loads[k, AFTER]
         k += 1

@@ -45,8 +45,13 @@ class Joints(NamedTuple):
 
     limit: Annotated[np.ndarray, 3]  # of carrier x, y [N] and shaft [N m]; 0: no friction
     step: float  # [s]
-    pushed: Annotated[np.ndarray, STAGES, LOADS]  # room for the loads of a step
-    motion: Annotated[np.ndarray, 'motion']       # room for a motion
+
+
+class _Room(NamedTuple):
+    """Work arrays: the loads of a step with friction, and a motion."""
+
+    pushed: Annotated[np.ndarray, STAGES, LOADS]
+    motion: Annotated[np.ndarray, 'motion']
 
 
 class FrictionSteps(Steps):
@@ -54,12 +59,12 @@ class FrictionSteps(Steps):
     Steps of a model with dry friction in its joints.
 
     `limit` is the largest friction of carrier x, y [N] and shaft [N m], (3,); 0: none. `joints`
-    are the constants `Joints`, packed; steps change their rooms.
+    are the constants `Joints`, packed.
     """
 
     def __init__(self, model: Formulation, step: float, limit: np.ndarray) -> None:
         super().__init__(model, step)
-        self.joints = pack(Joints(limit, step, np.empty((STAGES, LOADS)), np.empty(model.size)))
+        self.joints = pack(Joints(limit, step))
         self.memory = np.zeros(JOINTS + 1)
         self._advance: dict[int, Call] = {}
 
@@ -319,20 +324,12 @@ def advance(tables, propagator, joints, memory, state, load, loads, count, sampl
     """
     Integrate over a run of equal steps with friction, as `etdrk4.advance` does without.
 
-    Parameters
-    ----------
-    joints : packed constants
-        Of `Joints`.
-    memory : ndarray, shape (4,)
-        Friction on carrier x, y [N] and shaft [N m] at the end of the last step; its heat [J].
-        Advanced in place.
-    heat : ndarray, shape (n,)
-        Receives the heat with each sample; see `etdrk4.advance` for the others.
-
+    `memory` is advanced in place: friction on carrier x, y [N] and shaft [N m] at the end of the
+    last step; its heat [J]. `heat` receives that with each sample.
     """
     work, trial = local_arrays(Work, propagator), local_arrays(Trial, joints)
     now, following, model = work.now, work.following, local_arrays(StepModel, joints)
-    motion, pushed = joints.motion, joints.pushed
+    pushed, motion = local_arrays(_Room, tables)
     for i in range(JOINTS):
         for j in range(JOINTS):
             # They stay zero for joints without friction.

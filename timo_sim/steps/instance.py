@@ -19,15 +19,12 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from timo_sim.compiled.entry import entry_point
-from timo_sim.compiled.functions import (
-    Array, Constants, floor, inner, local, magnitude, square_root, strict, WIDTH)
+from timo_sim.compiled.functions import Array, Constants, floor, square_root, strict, WIDTH
 from timo_sim.model.functions import (
-    effort, energy, linear_part_is_valid, observe, rate, sincos, tanh, tip, tip_rate)
+    accelerate, effort, energy, linear_part_is_valid, sincos, tanh)
 from timo_sim.model.layout import (
-    ACCELERATION, AFTER, ANGLE, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, MIDDLE, SPEED, START,
-    STEP_LOADS, TORQUE)
-from timo_sim.steps.loads import (
-    begin_lines, of_commands, of_drive, of_harmonic, of_piecewise, of_table, POINT)
+    AFTER, FORCE_I, FORCE_II, FORCE_X, FORCE_Y, LOADS, START, STEP_LOADS, TORQUE)
+from timo_sim.steps.loads import add_commands, add_scene_loads, restart
 
 
 class Code(IntEnum):
@@ -69,13 +66,10 @@ class Instance(NamedTuple):
     error: Annotated[np.ndarray, 1]       # estimated error of the tip [m]
     state: Annotated[np.ndarray, 'state']
     before: Annotated[np.ndarray, 'state']     # the state before the last step
-    remainder: Annotated[np.ndarray, 'state']  # room for a step
     loads: Annotated[np.ndarray, 1, STEP_LOADS, LOADS]  # those of a step
     sines: Annotated[np.ndarray, WIDTH]    # room for those of loads
     motion: Annotated[np.ndarray, 'motion']
     accelerations: Annotated[np.ndarray, 'motion']  # 3 + N of them
-    early: Annotated[np.ndarray, 'motion']  # shortly before and after now
-    late: Annotated[np.ndarray, 'motion']
     tip: Annotated[np.ndarray, 3]    # of `model.functions.tip`
     place: Annotated[np.ndarray, 3]  # tip in world axes [m], rotation of the end effector [rad]
     outputs: Annotated[np.ndarray, 'outputs']
@@ -101,23 +95,6 @@ class Plant(NamedTuple):
     strain_of_rates: Annotated[np.ndarray, 'modes']
     start: Annotated[np.ndarray, 'state']  # the initial state
     first_load: Annotated[np.ndarray, LOADS]  # the scene's own at its beginning
-
-
-class SceneLoads(NamedTuple):
-    """
-    Loads of a scene over time; rows as `steps.loads` takes them, with their columns of a load.
-
-    The jumps and knots of a term are those from its first to before its last, which follow its
-    column in `pieces` or `tables`.
-    """
-
-    step: float  # [s]
-    harmonics: Annotated[np.ndarray, 'harmonics', 4]  # column, amplitude, frequency, phase
-    pieces: Annotated[np.ndarray, 'pieces', 3]
-    jumps: Annotated[np.ndarray, 'jumps', 2]
-    tables: Annotated[np.ndarray, 'tables', 3]
-    knots: Annotated[np.ndarray, 'knots', 2]
-    drive: Annotated[np.ndarray, 'points', POINT]
 
 
 @entry_point(plant=Constants(), actuators=Constants(), instance=Constants())
@@ -165,7 +142,7 @@ def set_parameter(actuators, instance, of_rate, begin, end, value):
     """Set a limit of commands, or of their rates, for the columns from `begin` to before `end`."""
     if not value > 0.0:
         return _NOT_POSITIVE
-    begin_lines(actuators, instance.mark[STEPS])
+    restart(actuators, instance.mark[STEPS])
     for column in range(begin, end):
         if of_rate != 0:
             actuators.rate[column] = value
@@ -191,25 +168,14 @@ def is_valid(tables, instance):
              inputs=Array((LOADS,)))
 def prepare(loads, actuators, instance, inputs):
     """Write the loads of the next step under commands; keep the state."""
-    step, number, out = loads.step, instance.mark[STEPS], instance.loads
+    number, out = instance.mark[STEPS], instance.loads
     for row in range(STEP_LOADS):
         for column in range(LOADS):
             out[0, row, column] = 0.0
-    rows = loads.harmonics
-    for i in range(len(rows)):
-        of_harmonic(int(rows[i, 0]), rows[i, 1], rows[i, 2], rows[i, 3], step, number, 1, out,
-                    instance.sines)
-    rows = loads.pieces
-    for i in range(len(rows)):
-        of_piecewise(int(rows[i, 0]), loads.jumps, int(rows[i, 1]), int(rows[i, 2]), number, 1,
-                     out)
-    rows = loads.tables
-    for i in range(len(rows)):
-        of_table(int(rows[i, 0]), loads.knots, int(rows[i, 1]), int(rows[i, 2]), step, number, 1,
-                 out)
-    if len(loads.drive):
-        of_drive(loads.drive, len(loads.drive), step, number, 1, out)
-    of_commands(actuators, inputs, number, 1, out)
+    add_scene_loads(
+        loads.step, loads.harmonics, len(loads.harmonics), loads.tables, len(loads.tables),
+        loads.knots, loads.drive, len(loads.drive), number, 1, out, instance.sines)
+    add_commands(actuators, inputs, number, 1, out)
     for k in range(len(instance.state)):
         instance.before[k] = instance.state[k]
     for k in range(len(instance.friction)):
@@ -266,9 +232,6 @@ def lose(instance):
     return _OK
 
 
-# Rates and forces are differences of motions shortly before and after now, as in `etdrk4.flow`.
-
-_TURN = 1e-4  # largest turn of a section between now and then [rad]
 # Numbers of the first output of rates and forces, and of the first one of a modal coordinate.
 FORCES, MODAL = 13, 20
 
@@ -282,56 +245,12 @@ def set_rates(tables, plant, instance):
     load[FORCE_X] += instance.friction[0]
     load[FORCE_Y] += instance.friction[1]
     load[TORQUE] += instance.friction[2]
-    half, size = len(motion) // 2, plant.linear.shape[0]
-    slope, moved = local((plant.linear,)), local((plant.linear,))
-    rate(tables, state, load, slope)
-    for i in range(size):
-        for j in range(size):
-            slope[i] += plant.linear[i, j] * state[j]
-    turning = 0.0
-    for p in range(plant.points_rotation.shape[1]):
-        here = motion[half + 2]
-        for n in range(plant.points_rotation.shape[0]):
-            here += plant.points_rotation[n, p] * motion[half + 3 + n]
-        turning = max(turning, magnitude(here))
-    time = _TURN / (_TURN + turning)
-    drift = instance.loads[0, START]
-    for k in range(2):
-        sign = time if k else -time
-        for i in range(size):
-            moved[i] = state[i] + sign * slope[i]
-        for column in range(LOADS):
-            drift[column] = load[column]
-        drift[ANGLE] += sign * load[SPEED]
-        drift[SPEED] += sign * load[ACCELERATION]
-        if k:
-            observe(tables, moved, drift, instance.late)
-        else:
-            observe(tables, moved, drift, instance.early)
-    for k in range(half):
-        instance.accelerations[k] = (instance.late[half + k] - instance.early[half + k]) / (
-            2.0 * time)
-    before_x, before_y = _tip_speed(tables, instance, instance.early)
-    after_x, after_y = _tip_speed(tables, instance, instance.late)
-    x = (after_x - before_x) / (2.0 * time) - plant.gravity[0]
-    y = (after_y - before_y) / (2.0 * time) - plant.gravity[1]
+    x, y = accelerate(tables, plant, motion, state, load, instance.accelerations)
+    x, y = x - plant.gravity[0], y - plant.gravity[1]
     sine, cosine = sincos(instance.place[2])
     instance.outputs[13] = cosine * x + sine * y
     instance.outputs[14] = cosine * y - sine * x
     return _OK
-
-
-@inner
-def _tip_speed(tables, instance, motion):
-    """Return the velocity of the tip in world axes."""
-    half, place, speed = len(motion) // 2, instance.loads[0, START], instance.loads[0, MIDDLE]
-    tip(tables, motion, place)
-    tip_rate(tables, motion, speed)
-    along = speed[0] - motion[half + 2] * place[1]
-    across = speed[1] + motion[half + 2] * place[0]
-    sine, cosine = sincos(motion[2])
-    return (motion[half] + (cosine * along - sine * across),
-            motion[half + 1] + (sine * along + cosine * across))
 
 
 @entry_point(tables=Constants(), plant=Constants(), instance=Constants())

@@ -42,21 +42,15 @@ class LaneConstants(NamedTuple):
 
 class LaneSteps:
     """
-    Equal steps of n models of one size.
+    Equal steps of n models of one size, in groups of WIDTH.
 
     The models are of one class, with tables of the same shapes and the same free coordinates. A
     run whose arm is bent by more than `bend_limit` arm lengths counts as diverged.
 
-    Attributes
-    ----------
-    state : ndarray, shape (groups, m, WIDTH)
-    progress : ndarray, shape (groups, 2, WIDTH)
-        Whether a lane is alive, 1 or 0, and how many steps it has done.
-    constant_load : ndarray, shape (groups, LOADS, WIDTH)
-        The part of loads that does not vary within a call.
-    motion, tip : ndarray, shapes (groups, 2 (3 + N), WIDTH), (groups, 3, WIDTH)
-        Motion at the end of the last call, and what `model.functions.tip` returns for it.
-
+    Arrays have the shape (groups, ..., WIDTH): `state`, m numbers; `progress`, whether a lane is
+    alive, 1 or 0, and how many steps it has done; `constant_load`, LOADS, what of loads does not
+    vary within a call; at the end of the last call `motion`, 2 (3 + N), and `tip`, 3, what
+    `model.functions.tip` returns.
     """
 
     def __init__(self, models: list[Formulation], step: float, bend_limit: float) -> None:
@@ -89,10 +83,6 @@ class LaneSteps:
     def _advance(self):
         return self._entry.of(*self._constants)
 
-    def warm_up(self) -> None:
-        """Compile, or load from disk, what `advance` calls."""
-        self._advance
-
     def room(self, number: int, length: int) -> np.ndarray:
         """Return an array for so many vectors of a length in each lane."""
         return np.empty((self.groups, number, length, WIDTH))
@@ -101,24 +91,12 @@ class LaneSteps:
                 since: int = 0, samples: np.ndarray | None = None,
                 tips: np.ndarray | None = None) -> None:
         """
-        Advance all lanes.
+        Advance all lanes; one that diverges stays at its last good state.
 
-        A lane that diverges stays at its last good state, while the others go on.
-
-        Parameters
-        ----------
-        columns : ndarray of int, shape (c,)
-            Columns of the load that vary, see `model.layout`.
-        varying : ndarray, shape (groups, 1 + steps, 4, c, WIDTH)
-            What varies, as in `etdrk4.advance`; row 0 has only the load at the beginning.
-        sample_every, since : int
-            See `etdrk4.advance`.
-        samples : ndarray, shape (groups, n, 2 (3 + N), WIDTH), optional
-            Receives motions.
-        tips : ndarray, shape (groups, rows, 3, WIDTH), optional
-            Receives what `tip` returns at the start of each step; of as many steps as it has rows
-            for.
-
+        `columns`, (c,), are those of the load that vary, and `varying`, (groups, 1 + steps, 4, c,
+        WIDTH), are these loads as in `etdrk4.advance`; row 0 has only the load at the beginning.
+        `samples`, (groups, n, 2 (3 + N), WIDTH), receive motions, see `etdrk4.advance`, and
+        `tips`, (groups, rows, 3, WIDTH), what `tip` returns at the start of each of so many steps.
         """
         samples = self.room(0, self.motion.shape[1]) if samples is None else samples
         tips = self.room(0, 3) if tips is None else tips

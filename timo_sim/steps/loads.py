@@ -38,8 +38,24 @@ from timo_sim.model.layout import (
 NEAR = 1e-6  # [steps] distance from a step boundary within which a position counts as on it
 POINT = 7    # numbers of a point of a drive
 
-_STEPS = {'step': float, 'first': int, 'count': int,
-          'out': Array((None, STEP_LOADS, LOADS))}
+
+class SceneLoads(NamedTuple):
+    """
+    Loads of a scene over time, for steps of one size; columns are those of a load.
+
+    The knots of a table are those from its first to before its last, which follow its column in
+    `tables`.
+    """
+
+    step: float  # [s]
+    # Column, amplitude, frequency [Hz] and phase [rad] of amplitude sin(2 pi frequency t + phase).
+    harmonics: Annotated[np.ndarray, 'harmonics', 4]
+    tables: Annotated[np.ndarray, 'tables', 3]
+    # Times [s] and values, linear in between; a repeated time is a jump. Here and in `drive`,
+    # times near the boundary of two steps must be exactly on it.
+    knots: Annotated[np.ndarray, 'knots', 2]
+    # Times [s], and the quintic polynomial of the time since, constant first, which is the angle.
+    drive: Annotated[np.ndarray, 'points', POINT]
 
 
 class Actuators(NamedTuple):
@@ -59,64 +75,28 @@ class Actuators(NamedTuple):
     since: Annotated[np.ndarray, int, 1]  # number of the step at which they began
 
 
-# Entry points for Python. Each adds to the loads `out` of `count` steps of size `step` [s], from
-# step `first` on.
-
-@entry_point(column=int, amplitude=float, frequency=float, phase=float, **_STEPS,
-             room=Array((WIDTH,)))
-def add_harmonic(column, amplitude, frequency, phase, step, first, count, out, room):
-    """Add amplitude sin(2 pi frequency t + phase); frequency in [Hz], phase in [rad]."""
-    of_harmonic(column, amplitude, frequency, phase, step, first, count, out, room)
-
-
-@entry_point(column=int, jumps=Array((None, 2)), length=int, **_STEPS)
-def add_piecewise(column, jumps, length, step, first, count, out):
-    """Add values that act from steps on; `jumps` are their numbers and the values."""
-    of_piecewise(column, jumps, 0, length, first, count, out)
-
-
-@entry_point(column=int, knots=Array((None, 2)), length=int, **_STEPS)
-def add_table(column, knots, length, step, first, count, out):
-    """
-    Add what is linear between knots, time [s] and value, and constant outside.
-
-    Knots near the boundary of two steps must be exactly on it. A repeated time is a jump there.
-    """
-    of_table(column, knots, 0, length, step, first, count, out)
-
-
-@entry_point(points=Array((None, POINT)), length=int, **_STEPS)
-def add_drive(points, length, step, first, count, out):
-    """
-    Add angle, speed and acceleration of a drive.
-
-    From each point on, with its time [s], the angle is a quintic polynomial of the time since,
-    whose coefficients follow, constant first. Points near the boundary of two steps must be on it.
-    """
-    of_drive(points, length, step, first, count, out)
-
-
-TERMS = add_harmonic, add_piecewise, add_table, add_drive
-
-
-@entry_point(actuators=Constants(), commanded=Array((LOADS,)), first=int, count=int,
-             out=Array((None, STEP_LOADS, LOADS)))
-def add_commands(actuators, commanded, first, count, out):
-    """Add what `Actuators` make of commands from step `first` on; it changes their goals."""
-    of_commands(actuators, commanded, first, count, out)
-
-
-@entry_point(actuators=Constants(), number=int)
-def restart(actuators, number):
-    """Let all lines begin and end at what acts at a step, so that limits may change."""
-    begin_lines(actuators, number)
-
-
 # Loads over time.
 
+@entry_point(fast=False, step=float, harmonics=Array((None, 4)), harmonic_count=int,
+             tables=Array((None, 3)), table_count=int, knots=Array((None, 2)),
+             drive=Array((None, POINT)), point_count=int, first=int, count=int,
+             out=Array((None, STEP_LOADS, LOADS)), room=Array((WIDTH,)))
+def add_scene_loads(step, harmonics, harmonic_count, tables, table_count, knots, drive,
+                    point_count, first, count, out, room):
+    """Add the loads of `SceneLoads` to those of `count` steps, from step `first` on."""
+    for i in range(harmonic_count):
+        _add_harmonic(int(harmonics[i, 0]), harmonics[i, 1], harmonics[i, 2], harmonics[i, 3],
+                      step, first, count, out, room)
+    for i in range(table_count):
+        _add_table(int(tables[i, 0]), knots, int(tables[i, 1]), int(tables[i, 2]), step, first,
+                   count, out)
+    if point_count > 0:
+        _add_drive(drive, point_count, step, first, count, out)
+
+
 @strict
-def of_harmonic(column, amplitude, frequency, phase, step, first, count, out, room):
-    """Do what `add_harmonic` does; the sines of WIDTH half steps are computed as one vector."""
+def _add_harmonic(column, amplitude, frequency, phase, step, first, count, out, room):
+    """Add a harmonic term; the sines of WIDTH half steps are computed as one vector."""
     vector = as_vectors(room)
     for begin in range(0, count + 1, WIDTH // 2):
         for j in range(WIDTH):
@@ -135,18 +115,6 @@ def of_harmonic(column, amplitude, frequency, phase, step, first, count, out, ro
 
 
 @strict
-def of_piecewise(column, jumps, begin, end, first, count, out):
-    """Do what `add_piecewise` does, with the jumps from `begin` to `end`."""
-    following = _first_after(jumps, begin, end, 1.0 * first)
-    for k in range(count):
-        while following < end and jumps[following, 0] <= first + k:
-            following += 1
-        if following > begin:
-            for row in range(STEP_LOADS):
-                out[k, row, column] += jumps[following - 1, 1]
-
-
-@strict
 def _first_after(rows, begin, end, value):
     """Return the first of some rows, in ascending order, that begins with more than a value."""
     while begin < end:
@@ -159,8 +127,8 @@ def _first_after(rows, begin, end, value):
 
 
 @strict
-def of_table(column, knots, begin, end, step, first, count, out):
-    """Do what `add_table` does, with the knots from `begin` to `end`."""
+def _add_table(column, knots, begin, end, step, first, count, out):
+    """Add what is linear between the knots from `begin` to `end`, and constant outside."""
     following = _first_after(knots, begin, end, first * step)
     for k in range(count):
         start, stop = (first + k) * step, (first + k + 1) * step
@@ -202,8 +170,8 @@ def _add_piece(column, knots, begin, end, following, low, high, start, step, out
 
 
 @strict
-def of_drive(points, length, step, first, count, out):
-    """Do what `add_drive` does."""
+def _add_drive(points, length, step, first, count, out):
+    """Add angle, speed and acceleration of a drive."""
     point = _first_after(points, 1, length, first * step) - 1
     for k in range(count):
         start, stop = (first + k) * step, (first + k + 1) * step
@@ -281,14 +249,15 @@ def _seen(stage, s):
 
 # Actuators.
 
-@strict
-def of_commands(actuators, commanded, first, count, out):
-    """Do what `add_commands` does."""
+@entry_point(fast=False, actuators=Constants(), commanded=Array((LOADS,)), first=int, count=int,
+             out=Array((None, STEP_LOADS, LOADS)))
+def add_commands(actuators, commanded, first, count, out):
+    """Add what `Actuators` make of commands from step `first` on; it changes their goals."""
     changed = False
     for column in range(LOADS):
         changed = changed or _goal(actuators, commanded, column) != actuators.goal[column]
     if changed:
-        begin_lines(actuators, first)
+        restart(actuators, first)
     for column in range(LOADS):
         actuators.goal[column] = _goal(actuators, commanded, column)
         slow = actuators.rate[column] < np.inf
@@ -307,9 +276,9 @@ def _goal(actuators, commanded, column):
     return min(max(commanded[column], -actuators.limit[column]), actuators.limit[column])
 
 
-@strict
-def begin_lines(actuators, number):
-    """Do what `restart` does."""
+@entry_point(fast=False, actuators=Constants(), number=int)
+def restart(actuators, number):
+    """Let all lines begin and end at what acts at a step, so that limits may change."""
     elapsed = (number - actuators.since[0]) * actuators.step
     for column in range(LOADS):
         reached = _reached(actuators, column, elapsed)

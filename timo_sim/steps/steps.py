@@ -17,7 +17,7 @@ from timo_sim.compiled.entry import Call
 from timo_sim.model.formulation import Formulation
 from timo_sim.model.layout import AFTER, LOADS, STEP_LOADS
 from timo_sim.steps import etdrk4
-from timo_sim.steps.etdrk4 import flow, propagator, transposed
+from timo_sim.steps.etdrk4 import propagator, transposed
 
 NO_LOADS = np.zeros((0, STEP_LOADS, LOADS))
 CHUNK = 2048  # most steps at once, for which loads are tabulated
@@ -36,7 +36,6 @@ class LinearPart(NamedTuple):
 
     advance: Call       # `etdrk4.advance` with its constants
     constants: tuple[Packed, Packed]  # of the compiled functions; `etdrk4.Propagator`
-    linear: np.ndarray  # L, (m, m)
 
 
 class Steps:
@@ -53,8 +52,6 @@ class Steps:
         # All steps of this length share them; the key is the number of a sector, None without.
         self._parts = model.linear_parts(step)
         self._no_samples = Samples(0, np.empty((0, model.size)), np.zeros(0))
-        self._constant = np.empty((1, STEP_LOADS, LOADS))
-        self._remainder = np.zeros(len(model.linear))
 
     @property
     def friction(self) -> np.ndarray:
@@ -88,26 +85,11 @@ class Steps:
     def advance(self, state: np.ndarray, load: np.ndarray, loads: np.ndarray, samples: Samples,
                 since: int = 0) -> int:
         """
-        Integrate over equal steps.
+        Integrate over the steps of `loads`, (count, 4, LOADS), see `model.layout`.
 
-        Parameters
-        ----------
-        state : ndarray, shape (m,)
-            Advanced in place.
-        load : ndarray, shape (LOADS,)
-            Load at the start.
-        loads : ndarray, shape (count, 4, LOADS)
-            Loads of the steps, see `model.layout`.
-        samples : Samples
-            Receive those of these steps.
-        since : int
-            Number of steps from the first sample to these steps.
-
-        Returns
-        -------
-        int
-            Steps done; fewer than `count` if the state is no longer finite.
-
+        The state, (m,), is advanced in place, `load`, (LOADS,), is that at the start. `samples`
+        receive those of these steps, which begin `since` steps after the first sample. Return the
+        steps done; fewer than `count` if the state is no longer finite.
         """
         done = 0
         while True:
@@ -120,8 +102,7 @@ class Steps:
 
     def _run(self, part, state, load, loads, samples, since):
         """Integrate as long as a linear part is valid; return the number of steps done."""
-        return part.advance(state, load, loads, len(loads), samples.every, since, samples.motions,
-                            self._remainder)
+        return part.advance(state, load, loads, len(loads), samples.every, since, samples.motions)
 
     def part(self, sector: int | None) -> LinearPart:
         """Return the LinearPart of a sector, made at its first use; None: that of the model."""
@@ -131,44 +112,11 @@ class Steps:
                 tables, linear = model.in_sector(sector)
                 packed = model.pack(tables)
             constants = packed, pack(transposed(propagator(linear, self.step)))
-            self._parts[sector] = LinearPart(etdrk4.advance.of(*constants), constants, linear)
+            self._parts[sector] = LinearPart(etdrk4.advance.of(*constants), constants)
         return self._parts[sector]
-
-    def rate(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
-        """Return the rate of a state under a load that acts, linear part included, shape (m,)."""
-        part = self.part(self.model.sector(state, load))
-        self._constant[:] = load
-        done = part.advance(state.copy(), load, self._constant, 1, 0, 0, self._no_samples.motions,
-                            self._remainder)
-        # n is a by-product of a step, so that nothing else is compiled unless the step diverges.
-        return part.linear @ state + self._remainder if done else self.model.rate(state, load)
 
     def motion(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         """Return the motion of a state under a load, shape (2 (3 + N),)."""
         samples = self.samples(0, 1)
         self.advance(state, load, NO_LOADS, samples)
         return samples.motions[0]
-
-    def tip_acceleration(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
-        """
-        Return the tip's acceleration in world axes under a load that acts, shape (2,) [m/s2].
-
-        It is a central difference of the velocity along `flow`, to 1e-9 in ordinary motion.
-        """
-        before, after, half_time = self.flow(state, load)
-        model = self.model
-        speeds = (model.velocities(side, model.tip_point)[0][0, 0] for side in (after, before))
-        return np.subtract(*speeds) / (2.0 * half_time[0])
-
-    def flow(self, state: np.ndarray,
-             load: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what `etdrk4.flow` returns of a single state, with k = 1."""
-        return flow(self.model, state[np.newaxis], self.rate(state, load)[np.newaxis],
-                    load[np.newaxis], self._observe)
-
-    def _observe(self, states, loads):
-        # Motions of one state by the code of a step without friction, as those of `rate` are.
-        motions = np.empty((1, self.model.size))
-        part = self.part(self.model.sector(states[0], loads[0]))
-        part.advance(states[0], loads[0], NO_LOADS, 0, 1, 0, motions, self._remainder)
-        return motions
