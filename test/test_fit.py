@@ -252,6 +252,32 @@ def test_a_flipped_sign_is_told():
     assert texts == [[], ['tip_transverse'], ['shaft', 'tip_transverse']]
 
 
+@pytest.mark.parametrize('more, told', [
+    ({'motor.coulomb_friction': 0.4}, True),    # sticks for most of the time
+    ({'gravity': [0.0, -9.81]}, False),
+    ({'load.torque.harmonic': {'amplitude': [0.1], 'frequency': [1.3]}}, False)])
+def test_missing_dry_friction_is_a_suspect(more, told):
+    """Residuals of records of arms that the scene is not: with dry friction, and otherwise."""
+    record = noisy(predicted({**ARM, **MOTOR, **more}, {'voltage': (T[:751], VOLTAGE[:751])}, [
+        'shaft', 'tip_transverse'], t=T[:751]), {'shaft': 1e-3, 'tip_transverse': 3e-4})
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', timo_sim.ModelWarning)
+        found = timo_sim.fit({**ARM, **MOTOR}, record, [
+            'arm.young_modulus', 'motor.viscous_friction', 'motor.shaft_inertia',
+            'end_effector.mass'])
+    assert ('set motor.coulomb_friction to about' in found.report()) == told
+    assert 'carrier.coulomb_friction' not in found.report()
+
+
+def test_missing_friction_of_the_carrier_is_a_suspect():
+    scene = {**ARM, 'carrier.held': 'none', 'carrier.mass': 1.0}
+    force = 2.0 * np.sign(np.sin(5.0 * T))
+    record = noisy(predicted({**scene, 'carrier.coulomb_friction': 0.2}, {
+        'force_x': (T, force)}, ['carrier_x']), {'carrier_x': 1e-3})
+    with pytest.warns(timo_sim.ModelWarning, match='set carrier.coulomb_friction to about'):
+        timo_sim.fit(scene, record, ['carrier.mass'])
+
+
 def test_a_bound_that_is_met_is_told():
     scene = {**ARM, **MOTOR}
     record = noisy(predicted(scene, {'voltage': (T, VOLTAGE)}, ['shaft']), {'shaft': 1e-4})

@@ -535,6 +535,8 @@ _LOOSE, _TIGHT = 1e-4, 1e-7  # relative changes of the sum of squares at which a
 _MAX_SEARCHES = 6  # most searches with standard deviations from the one before
 _SETTLED_CHANGE = 0.01  # relative change of standard deviations that counts as none
 _PRIOR_DEVIATION = 10.0  # standard deviation of initial states of windows, in their scales
+# Sizes of dry friction that are tried, as shares of the force that accelerates the free body.
+_FRICTION_SHARES = 0.01, 0.1, 1.0
 _MAD = 1.4826  # standard deviations in a median absolute deviation
 
 
@@ -615,9 +617,9 @@ class Search:
             first += len(every)
         return self.problem.values(x), states
 
-    def _residuals(self, x):
+    def _residuals(self, x, more=None):
         values, states = self.split(x)
-        parts = [self.problem.residuals(values, self.deviations, window, state)
+        parts = [self.problem.residuals({**values, **(more or {})}, self.deviations, window, state)
                  for window, state in zip(self._windows, states)]
         states = x[len(self.problem.free):]
         return np.concatenate([*parts, (states - self._prior) / _PRIOR_DEVIATION])
@@ -674,13 +676,16 @@ class Search:
                 self.deviations[name] = new
         return change
 
-    def derivatives(self) -> tuple[list[np.ndarray], list[np.ndarray], list[str]]:
+    def derivatives(self) -> tuple[list[np.ndarray], list[np.ndarray], list[str],
+                                   dict[str, tuple[float, float]]]:
         """
-        Return jacobians and residuals at the end, and names of what runs depend on in jumps.
+        Return the derivatives at the end: jacobians, residuals, jumps, friction.
 
         The first two are lists of ndarray, (n_i, p + k) and (n_i,), of each output in each window,
         and of the prior of k initial states of windows; with a loss other than `linear` they have
-        its weights.
+        its weights. `jumps` names parameters on which runs depend in jumps. `friction` has, by
+        name of a parameter of dry friction that the scene has not got, the part of the squares of
+        the residuals that it would explain, and its value.
         """
         jacobian, residuals = self._jacobian(self.x, _CENTRAL, True), self._residuals(self.x)
         wide, count = self._jacobian(self.x, _WIDE, True), len(self.problem.free)
@@ -693,8 +698,40 @@ class Search:
                   'huber': lambda z: np.where(z <= 1.0, 1.0, 1.0 / np.sqrt(np.maximum(z, 1.0))),
                   'cauchy': lambda z: 1.0 / (1.0 + z)}[self.loss](residuals**2)
         root = np.sqrt(weight)
+        friction = self._friction(jacobian * root[:, np.newaxis], residuals, root)
         root[len(root) - len(self._prior):] = 1.0  # the prior has no weights
         jacobians, parts = (self._split_rows(rows) for rows in (
             jacobian * root[:, np.newaxis], residuals * root))
         used = len(parts) - (not len(self._prior))
-        return jacobians[:used], parts[:used], jumps
+        return jacobians[:used], parts[:used], jumps, friction
+
+    def _friction(self, jacobian, residuals, root):
+        """Return what dry friction would explain beside all that is free, see `derivatives`."""
+        problem, found = self.problem, {}
+        values, states = self.split(self.x)
+        scene = problem.scene_of(values, states[0])
+        try:
+            run = problem.run(values, 0.0, problem.until, states[0])
+        except DivergenceError:
+            return found
+        motion = run.motion[:, run.motion.shape[1] // 2:][:, :3]
+        needed = np.abs(np.diag(run.model.mass_matrix(run.motion[0])[0])[:3] * np.sqrt(
+            np.mean(np.gradient(motion, run.t, axis=0)**2, axis=0)))
+        free, _ = np.linalg.qr(jacobian)
+        left = root * residuals
+        left -= free @ (free.T @ left)
+        for name, size in (('carrier.coulomb_friction', needed[:2].max()),
+                           ('motor.coulomb_friction', needed[2])):
+            if not size or scene.values[name]:
+                continue
+            for each in _FRICTION_SHARES:
+                try:
+                    scene.vary({name: each * size})
+                except ParameterError:
+                    continue
+                changed = root * (self._residuals(self.x, {name: each * size}) - residuals)
+                changed -= free @ (free.T @ changed)
+                fall, power = -(changed @ left), changed @ changed
+                if fall > 0.0 and fall**2 > found.get(name, (0.0, 0.0))[0] * power * (left @ left):
+                    found[name] = fall**2 / (power * (left @ left)), fall / power * each * size
+        return found

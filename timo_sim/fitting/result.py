@@ -295,7 +295,7 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     search = Search(problem, loss)
     search.run()
     names, count = [free.name for free in problem.free], len(problem.free)
-    jacobians, residuals, jumps = search.derivatives()
+    jacobians, residuals, jumps, friction = search.derivatives()
     seconds = time.monotonic() - begun
     x, initial = search.x[:count], search.split(search.x)[1][0]
     spread, white = covariance(jacobians, residuals)
@@ -328,7 +328,7 @@ def fit(scene: SceneLike | None, record: Record | str | Path, free: Sequence[str
     except DivergenceError as error:
         doubts.append(f'one run of the whole record diverges: {error}')
     errors = _errors(problem, predicted, residuals, search.deviations)
-    doubts += _wrong_signs(errors, search.against)
+    doubts += _possible_causes(errors, search.against, {} if white else friction)
     doubts += _find_doubts(problem, fitted, estimates, errors, values, run, predicted)
     # The derivatives by the parameters that initial states of windows cannot make up for.
     whole = np.concatenate(jacobians)
@@ -364,18 +364,26 @@ _MIN_SAMPLES = 10  # samples of a part whose errors are worth a number
 _MORE_MODES = 2  # of the finer run that shows the numerical error
 _ANTICORRELATED = -0.5  # correlation below which a sign may be the other one
 _MIN_R_SQUARED = 0.5  # R^2 below which an output is not predicted
+_NUMERICAL_RESIDUAL = 1e-9  # 1 - R^2 below which only numerical errors are left
+_MIN_EXPLAINED = 0.2  # part of the squares of residuals from which on its cause is named
 _MAX_NOISE_RATIO = 2.0  # ratio of a residual to the known noise, above which there is a warning
 _MAX_NUMERICAL = 0.2  # part of a residual that may be numerical error
 
 
-def _wrong_signs(errors, against):
-    """Yield outputs that move against the run of the first guess, and are not predicted."""
+def _possible_causes(errors, against, friction):
+    """Yield what may be wrong with a record or a scene that do not agree."""
     if not all(each.r_squared > _MIN_R_SQUARED for each in errors.values()):
         for name, correlation in against.items():
             if correlation < _ANTICORRELATED:
                 yield (f'{name} is anticorrelated with a run of the first guess '
                        f'({correlation:.2f}): its sign, or that of an input, may be the other one '
                        '(scale: -1 in the mapping)')
+    for name, (share, value) in friction.items():
+        if share > _MIN_EXPLAINED and any(1.0 - each.r_squared > _NUMERICAL_RESIDUAL
+                                          for each in errors.values()):
+            yield (f'dry friction, which the scene has not got, would explain {100.0 * share:.0f} '
+                   f'% of the squares of the residuals: set {name} to about {value:.2g}, and free '
+                   'it')
 
 
 def _errors(problem, predicted, residuals, deviations):
