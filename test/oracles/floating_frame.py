@@ -8,6 +8,7 @@
 
 """The manipulator by exudyn's modally reduced floating frame: a peer in the benchmarks."""
 
+import exudyn.FEM
 import numpy as np
 from scipy.sparse import csr_matrix
 
@@ -72,7 +73,8 @@ def simulate(scene, modes, step, duration, every, elements=200):
     system.AddObject(items.ObjectRigidBody(
         mass=manipulator.base_mass, inertia=[1.0, 1.0, manipulator.shaft_inertia, 0.0, 0.0, 0.0],
         nodeNumber=root))
-    body, q, seconds = solve(system, scene, [root, modal], root, (0, 1, 5), step, duration, every)
+    shaft = system.AddMarker(items.MarkerNodeRigid(nodeNumber=root))
+    body, q, seconds = solve(system, scene, [root, modal], root, shaft, step, duration, every)
     run = {'t': np.arange(len(q)) * (every * step),
            'x_c_m': values['initial.carrier_x'] + body[:, 0],
            'y_c_m': values['initial.carrier_y'] + body[:, 1], 'theta_rad': angle + body[:, 5]}
