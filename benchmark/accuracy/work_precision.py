@@ -163,31 +163,22 @@ class Search:
                 if error is not None and error < 1e3}
 
     def _columns(self, trials):
-        # Of a pair: the error of the coarse run is r^p times that of the fine one, where r is the
-        # ratio of steps or sizes, the same for both if both are extrapolated.
+        # Of a pair: the error of the coarse run is so many times that of the fine one.
         coarse, fine = trials[0], trials[-1]
-        if len(trials) == 1:
-            return coarse.columns
-        outside, (by_size, by_step) = self.method.outside, self.method.orders
-        ratios = []
-        if by_size:
-            ratios.append((fine.size - outside) / (coarse.size - outside))
-        elif fine.size != coarse.size:
-            return None
-        if by_step:
-            ratios.append(coarse.step / fine.step)
-        elif fine.step != coarse.step:
-            return None
-        if not ratios or min(ratios) < 1.1 or max(ratios) > 1.1 * min(ratios):
-            return None
-        weight = 1.0 / (ratios[0]**max(by_size, by_step) - 1.0)
+        if coarse is fine:
+            return coarse.columns if len(trials) == 1 else None
+        factors, outside = [], self.method.outside
+        for order, (large, small) in zip(self.method.orders, (
+                (fine.size - outside, coarse.size - outside), (coarse.step, fine.step))):
+            if large != small:
+                factors.append(order and (large / small)**order)
         every = len(fine.columns['w_l']) / len(coarse.columns['w_l'])
-        if every % 1.0:
+        if min(factors) < 1.1 or max(factors) > 1.1 * min(factors) or every % 1.0:
             return None
-        every, result = int(every), {}
+        result, every = {}, int(every)
         for name, values in coarse.columns.items():
             there = fine.columns[name][every - 1::every]
-            result[name] = there + weight * (there - values)
+            result[name] = there + (there - values) / (factors[0] - 1.0)
         return result
 
     def reached(self, goal):
@@ -294,7 +285,7 @@ def cold_starts(quick):
                         env=environment, capture_output=True)) for _ in range(2)])
             result[name] = [min(column) for column in zip(*found)]
             print(name, *result[name], flush=True)
-    return result
+    return {'seconds': result}
 
 
 PARTS = {**{scene.name: partial(measure, scene) for scene in SCENES},
