@@ -9,11 +9,11 @@
 """
 What a control engineer writes for predictive control of this arm: a few rigid links in closed form.
 
-The arm is cut into equal parts, each with a hinge and its spring in the middle (the rigid finite
-element method: J. Kruszewski et al. 1975; E. Wittbrodt, I. Adamiec-Wojcik, S. Wojciech, Dynamics
-of Flexible Multibody Systems, Springer 2006). So half a part is fixed to the shaft, and another
-one to the end effector. The coordinates are those of the carrier and the angles of the links in
-the plane; their equations of motion are compiled by numba.
+The arm is cut into equal parts, each with a hinge and its spring in the middle (rigid finite
+elements: E. Wittbrodt, I. Adamiec-Wojcik, S. Wojciech, Dynamics of Flexible Multibody Systems,
+Springer 2006). So half a part is fixed to the shaft, and another one to the end effector; errors
+are of second order in the number of parts. The coordinates are those of the carrier and the angles
+of the links in the plane; their equations of motion are compiled by numba.
 """
 
 import math
@@ -23,11 +23,10 @@ import numba
 import numpy as np
 from scipy.linalg import eigvalsh
 
-from timo_sim.model.layout import END, FORCE_X, FORCE_Y, MIDDLE, START, TORQUE
+from timo_sim.model.layout import FORCE_X, FORCE_Y, TORQUE
 
 _CHANNELS = [FORCE_X, FORCE_Y, TORQUE]
 _ITERATIONS, _TOLERANCE = 20, 1e-10  # of the implicit rule, relative
-
 # All of fastmath but that there is no NaN.
 _compiled = numba.njit(fastmath={'reassoc', 'contract', 'arcp', 'nsz'}, error_model='numpy')
 
@@ -48,44 +47,52 @@ class Links:
 
     def __init__(self, scene, lengths, springs):
         body, section = scene.manipulator, scene.manipulator.arm.section
-        lengths = np.array(lengths)
-        rods = section.mass_per_length * lengths
+        self.scene, self.lengths, self.springs = scene, np.array(lengths), np.array(springs)
+        self.each = np.arange(len(lengths))
+        rods = section.mass_per_length * self.lengths
         # From the carrier to the middle of each link and to the tip, link by link.
-        arms = np.tril(np.tile(lengths, (len(lengths) + 1, 1)))
-        arms[range(len(lengths)), range(len(lengths))] *= 0.5
+        arms = np.tril(np.tile(self.lengths, (len(lengths) + 1, 1)))
+        arms[self.each, self.each] *= 0.5
         mass = np.append(rods, body.end_effector_mass)
-        self.lengths, self.total = lengths, mass.sum() + body.base_mass
-        self.first = mass @ arms                         # first moments [kg m]
-        self.second = arms.T @ (mass[:, np.newaxis] * arms)  # second moments [kg m2]
-        inertia = section.inertia_per_length * lengths + rods * lengths**2 / 12.0
+        inertia = section.inertia_per_length * self.lengths + rods * self.lengths**2 / 12.0
         inertia[0] += body.shaft_inertia
         inertia[-1] += body.end_effector_inertia
-        self.second[range(len(lengths)), range(len(lengths))] += inertia
+        self.total = mass.sum() + body.base_mass
+        self.first = mass @ arms                                                # [kg m]
+        self.second = arms.T @ (mass[:, np.newaxis] * arms) + np.diag(inertia)  # [kg m2]
         difference = np.diff(np.eye(len(lengths)), axis=0)
-        self.stiffness = difference.T @ np.diag(springs) @ difference
+        self.stiffness = difference.T @ np.diag(self.springs) @ difference
 
-    def frequency(self, axes=2):
-        """Return the first angular frequency of the straight arm, of `axes` free ones [rad/s]."""
-        mass = self.second - np.outer(self.first, self.first) / self.total
-        return math.sqrt(eigvalsh(self.stiffness, mass)[1])
+    def frequencies(self):
+        """Return the angular frequencies of the straight arm in bending [rad/s]."""
+        angle = self.scene.values['initial.shaft']
+        across = np.array([-math.sin(angle), math.cos(angle)])[self.scene.constraints.free_axes]
+        mass = self.second - across @ across / self.total * np.outer(self.first, self.first)
+        fixed = self.scene.values['motor.shaft'] != 'free'
+        square = eigvalsh(self.stiffness[fixed:, fixed:], mass[fixed:, fixed:])
+        return np.sqrt(square[not fixed:])
 
 
-def chain_of(scene, count, identified=False):
+def chain_of(scene, count, identified=True):
     """
     Return the Links of an arm that is cut into `count` parts.
 
-    `identified`: all springs have a common factor, with which the clamped arm has its true first
-    frequency; an engineer measures that.
+    `identified`: a common factor of the springs gives the chain the first frequency of the arm,
+    which an engineer measures; it is that of 200 parts.
     """
     arm = scene.manipulator.arm
     part = arm.length / count
     lengths = [0.5 * part, *[part] * (count - 1), 0.5 * part]
-    springs = np.full(count, arm.section.bending_stiffness / part)
-    links = Links(scene, lengths, springs)
-    if identified:
-        fine = chain_of(scene, 200)
-        links.stiffness *= (fine.frequency() / links.frequency())**2
-    return links
+    links = Links(scene, lengths, np.full(count, arm.section.bending_stiffness / part))
+    if not identified:
+        return links
+    true = chain_of(scene, 200, False).frequencies()[0]
+    return Links(scene, lengths, links.springs * (true / links.frequencies()[0])**2)
+
+
+def longest_step(scene, count):
+    """Return the longest stable step of the classical Runge-Kutta method [s]."""
+    return 2.8 / chain_of(scene, count).frequencies()[-1]
 
 
 @_compiled
@@ -219,6 +226,6 @@ def simulate(scene, links, step, duration, every, drive=None, rule='RK4'):
             np.sin(turned) @ links.lengths)
 
 
-def links(scene, count, step, duration, every, drive=None, rule='RK4', identified=True):
+def rigid_links(scene, count, step, duration, every, drive=None, rule='RK4'):
     """Simulate a scene by `chain_of` it; the other parameters are those of `simulate`."""
-    return simulate(scene, chain_of(scene, count, identified), step, duration, every, drive, rule)
+    return simulate(scene, chain_of(scene, count), step, duration, every, drive, rule)

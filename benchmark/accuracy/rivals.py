@@ -27,34 +27,28 @@ import time
 
 import numpy as np
 
+from benchmark.accuracy.links import chain_of
 from timo_sim.model.layout import END, FORCE_X, FORCE_Y, MIDDLE, START, TORQUE
 
 _CHANNELS = [FORCE_X, FORCE_Y, TORQUE]
 _NUMBERS = 2**22  # that a call of `rollout` returns
-_DRIVEN = 1e9  # inertia that makes a shaft follow its drive, whatever the arm does [kg m2]
-
-
-def longest_step(scene, links):
-    """Return about the longest stable step of `chain` [s], by its highest frequency."""
-    section, length = scene.manipulator.arm.section, scene.manipulator.arm.length / links
-    return 1.4 * length**2 / 4.0 * math.sqrt(
-        section.mass_per_length / section.bending_stiffness)
+_DRIVEN = 1e12  # inertia that makes a shaft follow its drive, whatever the arm does [kg m2]
 
 
 def chain(scene, links, step, duration, every, drive=None):
     """
     Simulate a scene by MuJoCo, as a chain of rigid links whose hinges have springs.
 
-    A spring has the bending stiffness over the length of a link, at root and tip over half of it;
-    hinges know no shear and no stretch. (The cable of MuJoCo 3, a chain of ball joints, is no
-    longer in MuJoCo 4.) Runge-Kutta steps, because the implicit integrators of
-    MuJoCo are of first order and damp. Calls of `rollout` do many steps each.
+    They are those of `links.chain_of`; hinges know no shear and no stretch. Runge-Kutta steps,
+    because the implicit integrators of MuJoCo are of first order and damp. Calls of `rollout` do
+    many steps each.
     """
     import mujoco
     from mujoco import rollout
 
     locked = scene.values['motor.shaft'] == 'locked'
-    model = mujoco.MjModel.from_xml_string(_chain_xml(scene, links, step, bool(drive or locked)))
+    arm = chain_of(scene, links)
+    model = mujoco.MjModel.from_xml_string(_chain_xml(arm, step, bool(drive or locked)))
     data, count = mujoco.MjData(model), round(duration / step)
     loads = _mean_loads(scene, count, step)
     if locked:
@@ -77,11 +71,10 @@ def chain(scene, links, step, duration, every, drive=None):
         state = found[0, -1]
     position = np.concatenate(kept)
     shaft = loads.shape[1] - 1
-    angle = np.cumsum(position[:, shaft + 1:shaft + 1 + links], axis=1)
-    length = scene.manipulator.arm.length / links
+    turned = position[:, shaft:].cumsum(axis=1) - position[:, [shaft]]
     carrier = position[:, :2] if shaft else np.zeros((len(position), 2))
-    return (seconds, position[:, shaft], carrier, length * np.cos(angle).sum(axis=1),
-            length * np.sin(angle).sum(axis=1))
+    return (seconds, position[:, shaft], carrier, np.cos(turned) @ arm.lengths,
+            np.sin(turned) @ arm.lengths)
 
 
 def _mean_loads(scene, count, step):
@@ -92,34 +85,34 @@ def _mean_loads(scene, count, step):
 
 def _inertial(mass, inertia, x=0.0):
     inertia = ' '.join(3 * [repr(float(inertia))])
-    return f'<inertial pos="{x!r} 0 0" mass="{float(mass)!r}" diaginertia="{inertia}"/>'
+    return f'<inertial pos="{float(x)!r} 0 0" mass="{float(mass)!r}" diaginertia="{inertia}"/>'
 
 
-def _chain_xml(scene, links, step, driven):
-    body, arm = scene.manipulator, scene.manipulator.arm
-    section, length = arm.section, arm.length / links
-    mass = section.mass_per_length * length
-    inertia = section.inertia_per_length * length + mass * length**2 / 12.0
-    joint = '<joint type="hinge" axis="0 0 1" stiffness="{!r}"/>'.format
-    root = tip = 2.0 * section.bending_stiffness / length
-    inner = (f'<body pos="{length!r} 0 0">' + joint(tip) * (body.end_effector_inertia > 0.0)
-             + _inertial(max(body.end_effector_mass, 1e-9), max(body.end_effector_inertia, 1e-9))
-             + '</body>')
-    for link in reversed(range(links)):
-        inner = (f'<body pos="{length if link else 0.0!r} 0 0">'
-                 + joint(section.bending_stiffness / length if link else root)
-                 + _inertial(mass, inertia, length / 2.0) + inner + '</body>')
+def _chain_xml(arm, step, driven):
+    scene, body = arm.scene, arm.scene.manipulator
+    section, inner = body.arm.section, ''
+    for link in reversed(arm.each):
+        length, last = arm.lengths[link], link == arm.each[-1]
+        rod, tip = section.mass_per_length * length, last * body.end_effector_mass
+        middle = (0.5 * rod + tip) / (rod + tip) * length
+        inertia = (section.inertia_per_length * length + rod * length**2 / 12.0
+                   + rod * (middle - 0.5 * length)**2 + tip * (length - middle)**2
+                   + (body.shaft_inertia if link == 0 else 0.0)
+                   + last * body.end_effector_inertia)
+        joint = (f'<joint type="hinge" axis="0 0 1" stiffness="{float(arm.springs[link - 1])!r}"/>'
+                 if link else '<joint name="shaft" type="hinge" axis="0 0 1" '
+                 f'armature="{_DRIVEN * driven!r}"/>')
+        place = arm.lengths[link - 1] if link else 0.0
+        inner = (f'<body pos="{float(place)!r} 0 0">{joint}{_inertial(rod + tip, inertia, middle)}'
+                 f'{inner}</body>')
     slides = [f'<joint name="{name}" type="slide" axis="{axis}"/>' for name, axis in zip(
         'xy', ('1 0 0', '0 1 0'))] if len(scene.constraints.free_axes) else []
-    armature = _DRIVEN if driven else 0.0
     gravity = ' '.join(map(repr, map(float, scene.values['gravity'])))
     motors = ''.join(f'<motor joint="{name}"/>' for name in [*'xy'[:len(slides)], 'shaft'])
     return f"""<mujoco><compiler angle="radian"/>
 <option timestep="{step!r}" integrator="RK4" gravity="{gravity} 0">
 <flag contact="disable" autoreset="disable" energy="disable"/></option>
-<worldbody><body>{''.join(slides)}{_inertial(body.base_mass, 1.0)}
-<body><joint name="shaft" type="hinge" axis="0 0 1" armature="{armature!r}"/>
-{_inertial(1e-9, max(body.shaft_inertia, 1e-9))}{inner}</body></body></worldbody>
+<worldbody><body>{''.join(slides)}{_inertial(body.base_mass, 1.0)}{inner}</body></worldbody>
 <actuator>{motors}</actuator></mujoco>"""
 
 
