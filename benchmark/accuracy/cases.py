@@ -18,7 +18,7 @@ import exudyn
 import numpy as np
 
 from benchmark import ROOT
-from benchmark.accuracy import rivals
+from benchmark.accuracy import links, rivals
 from oracles import finite_elements, floating_frame, peers
 from oracles.references import CANTILEVER, read, spin_up, TORQUE, world
 import timo_sim
@@ -27,7 +27,6 @@ from timo_sim.model import FORMULATIONS
 OWN, INTEGRATOR, ENGINE = 'timo_sim', 'integrator', 'engine'  # kinds of methods
 # Neighbours differ by a factor of 1.5 or 4/3, every other one by 2.
 COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
-ELEMENTS = tuple(4 * count for count in COUNTS[1:13])
 
 
 @dataclass
@@ -189,6 +188,12 @@ def _rival(function, scene, checked, size, step, *more):
     return seconds, tip_columns(*found)
 
 
+def _chain(function, explicit, scene, checked, count, step):
+    if explicit and step > 1.1 * links.longest_step(checked, count):
+        return None
+    return _rival(function, scene, checked, count, step)
+
+
 def _whole_part(period, longest):
     """Return the longest step that is a whole part of a period and at most `longest`."""
     return period / math.ceil(period / longest)
@@ -231,23 +236,24 @@ def _engines(scene):
 
     # The reference of the driven arm is inextensible, as the other methods are.
     driven = {'drive': scene.drive, 'axial_factor': 100.0} if scene.drive else {}
-    yield engine('exudyn, geometrically exact', ELEMENTS, steps,
-                 partial(_engine, finite_elements.simulate, **driven), '{} elements', (2, 2))
+    for name, kind, least, order in (
+            ('exudyn, beams of two nodes', 'linear', 4, 2),
+            ('exudyn, beams of three nodes', 'quadratic', 2, 4),
+            ('exudyn, ANCF cables', 'cable', 4, 4)):
+        yield engine(name, tuple(least * count for count in COUNTS), steps,
+                     partial(_engine, finite_elements.simulate, kind=kind, **driven),
+                     '{} elements', (order, 2))
+    for name, function, order in (
+            ('MuJoCo, hinged links', rivals.chain, 4),
+            ('rigid links, RK4', partial(links.rigid_links, rule='RK4'), 4),
+            ('rigid links, implicit midpoint',
+             partial(links.rigid_links, rule='implicit midpoint'), 2)):
+        yield engine(name, COUNTS[1:], steps, partial(_chain, function, order == 4), '{} links',
+                     (2, order))
     if not scene.held:
         yield engine('exudyn, reduced floating frame', (3, 5, 8), steps,
                      partial(_engine, floating_frame.simulate), '{} modes', (0, 2))
-
-    # In its longest stable step the chain has errors of the mesh alone.
-    def chain_step(checked, links):
-        return _whole_part(scene.period, rivals.longest_step(checked, links))
-
-    yield engine(
-        'MuJoCo, hinged links', COUNTS[3:], (None,),
-        lambda scene, checked, links, _: _rival(rivals.chain, scene, checked, links,
-                                                chain_step(checked, links)),
-        lambda checked, links, _: f'{links} links, h = {1e3 * chain_step(checked, links):.3g} ms',
-        (2, 0))
-    if scene.held:
+    else:
         yield from _rods(scene, engine, steps)
 
 

@@ -44,7 +44,7 @@ import timo_sim
 
 RIVALS = ('exudyn', 'mujoco-core', 'pyelastica', 'dismech-newton', 'soromox', 'jax')
 FOLDER = ROOT / 'doc' / 'benchmark'
-BUDGET, QUICK = 30.0, 2.0  # CPU time of the search of a method on a scene [s]
+BUDGET, QUICK = 20.0, 1.0  # CPU time of the search of a method on a scene [s]
 REPEATED, TURNS = 2.0, 25  # CPU time of a setting that is timed again [s], and at most how often
 CANDIDATES = 3             # settings for a goal that are timed again
 COLD_STARTS = 3            # of which the least counts
@@ -62,7 +62,7 @@ COLD = {
     'dismech-newton': CLAMPED + RIVAL + 'dismech(scene, 20, 0.01, 0.1, 2)',
     'soromox': CLAMPED + ('from benchmark.accuracy import soft_rods; '
                           'soft_rods.soft_rod(scene, 3, 4e-3, 0.1, 5)')}
-MARKERS = 'os^Dvp*hXP<>d8'
+MARKERS = 'os^Dvp*hXP<>d'  # one fewer than colours: all pairs differ
 COLOURS = ('#0072B2', '#E69F00', '#009E73', '#56B4E9', '#CC79A7', '#999999', '#000000', '#B8860B',
            '#D55E00', '#8B2500', '#4B0082', '#117733', '#AA4499', '#332288')
 
@@ -119,7 +119,7 @@ class Search:
     def __init__(self, scene, method, truth):
         self.scene, self.method, self.truth = scene, method, truth
         self.trials = {}   # by index in the grid
-        self._errors = {}  # by entry, a tuple of one index or of two that are extrapolated
+        self.errors = {}   # in w(l) [m], by entry: one index, or two that are extrapolated
 
     def explore(self, budget):
         """Run settings, the cheapest first, until the budget [s] is used or all goals reached."""
@@ -137,6 +137,7 @@ class Search:
             spent += span
             while sum(trial.solver) < 0.02 and 0 < len(trial.solver) < 3:
                 trial.run()
+            self._compare(index)
             # A neighbour takes at least 4/3 times as long.
             for further in ((index[0] + 1, index[1]), (index[0], index[1] + 1)):
                 if further not in self.trials and all(
@@ -151,22 +152,24 @@ class Search:
         return Trial(self.scene, self.method, self.method.sizes[index[0]],
                      self.method.steps[index[1]])
 
-    def errors(self):
-        """Return the errors in w(l) [m] by entry."""
-        good = [index for index, trial in self.trials.items() if trial.columns]
-        for entry in [(each,) for each in good] + list(itertools.product(good, good)):
-            if entry not in self._errors:
+    def _compare(self, index):
+        # The errors of a new setting, and of its pairs with the others.
+        for other in self.trials:
+            for entry in {(index,), (index, other), (other, index)}:
                 columns = self._columns([self.trials[each] for each in entry])
-                with np.errstate(all='ignore'):
-                    self._errors[entry] = columns and errors_of(columns, self.truth)['w_l']
-        return {entry: error for entry, error in self._errors.items()
-                if error is not None and error < 1e3}
+                if columns:
+                    with np.errstate(all='ignore'):
+                        error = errors_of(columns, self.truth)['w_l']
+                    if error < 1e3:
+                        self.errors[entry] = error
 
     def _columns(self, trials):
         # Of a pair: the error of the coarse run is so many times that of the fine one.
         coarse, fine = trials[0], trials[-1]
-        if coarse is fine:
-            return coarse.columns if len(trials) == 1 else None
+        if len(trials) == 1:
+            return coarse.columns
+        if coarse is fine or not (coarse.columns and fine.columns):
+            return None
         factors, outside = [], self.method.outside
         for order, (large, small) in zip(self.method.orders, (
                 (fine.size - outside, coarse.size - outside), (coarse.step, fine.step))):
@@ -183,13 +186,12 @@ class Search:
 
     def reached(self, goal):
         """Return the entries below a goal [m] whose next finer neighbours are, too, by time."""
-        errors = self.errors()
         one = [int(n > 1) for n in self._shape()]
 
         def finer(entry):
             return tuple(tuple(i + k for i, k in zip(index, one)) for index in entry)
-        return sorted((entry for entry, error in errors.items() if error <= goal
-                       and errors.get(finer(entry), np.inf) <= goal),
+        return sorted((entry for entry, error in self.errors.items() if error <= goal
+                       and self.errors.get(finer(entry), np.inf) <= goal),
                       key=lambda entry: self.seconds(entry))
 
     def seconds(self, entry):
@@ -200,7 +202,7 @@ class Search:
         """Return what is stored of an entry."""
         trials = [self.trials[index] for index in entry]
         return {'settings': ' and '.join(trial.settings for trial in trials),
-                'error_m': self.errors()[entry], 'seconds': self.seconds(entry),
+                'error_m': self.errors[entry], 'seconds': self.seconds(entry),
                 'whole_s': sum(min(trial.whole) for trial in trials)}
 
 
@@ -228,7 +230,7 @@ def measure(scene, quick):
     found = {}
     for search in searches:
         best = [search.reached(goal)[:1] for goal in scene.goals]
-        errors = search.errors()
+        errors = search.errors
         found[search.method.name] = {
             'kind': search.method.kind, 'least_error_m': min(errors.values(), default=None),
             'best': [search.figures(*each) if each else None for each in best]}
@@ -238,8 +240,9 @@ def measure(scene, quick):
 def plot(scene, searches):
     """Draw error in the tip deflection against time."""
     figure, axis = plt.subplots(figsize=(10.5, 5.5), layout='constrained')
-    for search, marker, colour in zip(searches, MARKERS, COLOURS):
-        errors = search.errors()
+    for search, marker, colour in zip(searches, itertools.cycle(MARKERS),
+                                      itertools.cycle(COLOURS)):
+        errors = search.errors
         entries = sorted(errors, key=search.seconds)
         points = np.array([(search.seconds(each), errors[each]) for each in entries])
         single = [len(each) == 1 for each in entries]
