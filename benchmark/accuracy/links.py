@@ -42,24 +42,29 @@ class Links:
         Of the links [m]: the first one turns with the shaft, the last one carries the end effector.
     springs : sequence of float
         Between neighbours [N m/rad].
+    lumped : bool
+        The mass of a link between two others is at its ends.
 
     """
 
-    def __init__(self, scene, lengths, springs):
+    def __init__(self, scene, lengths, springs, lumped=False):
         body, section = scene.manipulator, scene.manipulator.arm.section
         self.scene, self.lengths, self.springs = scene, np.array(lengths), np.array(springs)
         self.each = np.arange(len(lengths))
-        rods = section.mass_per_length * self.lengths
+        self.rods, self.tip_mass = section.mass_per_length * self.lengths, body.end_effector_mass
         # From the carrier to the middle of each link and to the tip, link by link.
         arms = np.tril(np.tile(self.lengths, (len(lengths) + 1, 1)))
         arms[self.each, self.each] *= 0.5
-        mass = np.append(rods, body.end_effector_mass)
-        inertia = section.inertia_per_length * self.lengths + rods * self.lengths**2 / 12.0
-        inertia[0] += body.shaft_inertia
-        inertia[-1] += body.end_effector_inertia
+        mass = np.append(self.rods, self.tip_mass)
+        self.inertia = (section.inertia_per_length * self.lengths
+                        + self.rods * self.lengths**2 / 12.0)
+        if lumped:
+            self.inertia[1:-1] = self.rods[1:-1] * self.lengths[1:-1]**2 / 4.0
+        self.inertia[0] += body.shaft_inertia
+        self.inertia[-1] += body.end_effector_inertia
         self.total = mass.sum() + body.base_mass
-        self.first = mass @ arms                                                # [kg m]
-        self.second = arms.T @ (mass[:, np.newaxis] * arms) + np.diag(inertia)  # [kg m2]
+        self.first = mass @ arms
+        self.second = arms.T @ (mass[:, np.newaxis] * arms) + np.diag(self.inertia)
         difference = np.diff(np.eye(len(lengths)), axis=0)
         self.stiffness = difference.T @ np.diag(self.springs) @ difference
 
@@ -73,7 +78,7 @@ class Links:
         return np.sqrt(square[not fixed:])
 
 
-def chain_of(scene, count, identified=True):
+def chain_of(scene, count, lumped=False, identified=True):
     """
     Return the Links of an arm that is cut into `count` parts.
 
@@ -83,11 +88,12 @@ def chain_of(scene, count, identified=True):
     arm = scene.manipulator.arm
     part = arm.length / count
     lengths = [0.5 * part, *[part] * (count - 1), 0.5 * part]
-    links = Links(scene, lengths, np.full(count, arm.section.bending_stiffness / part))
+    links = Links(scene, lengths, np.full(count, arm.section.bending_stiffness / part), lumped)
     if not identified:
         return links
-    true = chain_of(scene, 200, False).frequencies()[0]
-    return Links(scene, lengths, links.springs * (true / links.frequencies()[0])**2)
+    true = chain_of(scene, 200, identified=False).frequencies()[0]
+    factor = (true / links.frequencies()[0])**2
+    return Links(scene, lengths, factor * links.springs, lumped)
 
 
 def longest_step(scene, count):
