@@ -79,13 +79,17 @@ def _row(parameter):
 
 
 def _measured(part):
-    """Return the last two runs of a part of `make benchmark`, or the last one twice."""
+    """Return the last two runs of a part of `make benchmark`, the first one twice."""
     runs = json.loads((ROOT / 'doc' / 'benchmark' / 'work_precision.json').read_text())[part]
     return runs[0], runs[-1]
 
 
+def _two_digits(value):
+    return f'{float(f"{value:.2g}"):g}'
+
+
 def _time(seconds):
-    return f'{seconds:.2g} s' if seconds >= 0.9995 else f'{1e3 * seconds:.2g} ms'
+    return f'{_two_digits(seconds)} s' if seconds >= 1.0 else f'{_two_digits(1e3 * seconds)} ms'
 
 
 def _goals(run):
@@ -93,7 +97,7 @@ def _goals(run):
 
 
 def _best(run, kind):
-    """Return, for each goal, the name and the figures of the cheapest method of a kind, or None."""
+    """Return the name and figures of the cheapest method of a kind for each goal, or None."""
     cheapest = []
     for column in range(len(run['goals_m'])):
         found = [(name, each['best'][column]) for name, each in run['methods'].items()
@@ -103,18 +107,17 @@ def _best(run, kind):
 
 
 def _ratio(above, below, key='seconds'):
-    return f'{above[key] / below[key]:.2g}' if above and below else '-'
+    return _two_digits(above[key] / below[key]) if above and below else '-'
 
 
 def _ratios(part):
-    """Return rows of the times of the best engine over those of `exact`, in two runs."""
+    """Return rows of the times of the best other method over those of `exact`, in two runs."""
     rows = []
-    for when, run in zip((', in the run before', ''), _measured(part)):
-        rivals = [each and each[1] for each in _best(run, 'engine')]
-        for key, words in (('whole_s', 'end to end'), ('seconds', 'solver')):
-            rows.insert(0, (f'ratio, {words}{when}', *(
-                f'**{_ratio(*both, key)}**' for both in zip(
-                    rivals, run['methods']['exact']['best']))))
+    for key, words in (('seconds', 'solver'), ('whole_s', 'end to end')):
+        before, now = ([_ratio(other and other[1], own, key) for other, own in zip(
+            _best(run, 'engine'), run['methods']['exact']['best'])] for run in _measured(part))
+        rows.append((f'ratio, {words} (in the run before)',
+                     *(f'**{each}** ({earlier})' for each, earlier in zip(now, before))))
     return rows
 
 
@@ -129,18 +132,19 @@ def benchmark():
     return _table(
         ('for an error in w(l) below', *_goals(run)),
         ('timo_sim, `exact`', *map(_cell, run['methods']['exact']['best'])),
-        ('the best other engine', *(each and f'{each[0]}: {_cell(each[1])}' or 'not reached'
-                                    for each in _best(run, 'engine'))), *_ratios('paper'))
+        ('the best of the others', *(f'{each[0]}: {_cell(each[1])}' if each else 'not reached'
+                                     for each in _best(run, 'engine'))), *_ratios('paper'))
 
 
 def _scene(part):
     """Return the function that makes the tables of a scene."""
     def tables():
         _, run = _measured(part)
-        rows = [(name, *map(_cell, each['best']), f'{each["least_error_m"]:.1e} m')
+        rows = [(name, *map(_cell, each['best']),
+                 f'{each["least_error_m"]:.1e} m' if each['least_error_m'] else '-')
                 for name, each in run['methods'].items()]
         return (_table(('error in w(l) below', *_goals(run), 'least error'), *rows) + '\n'
-                + _table(('the best other engine over `exact`', *_goals(run)), *_ratios(part))
+                + _table(('the best of the others over `exact`', *_goals(run)), *_ratios(part))
                 + f'\nReference: {run["reference"]}.\n\n' + _machine(run))
     return tables
 

@@ -8,8 +8,8 @@
 
 """What `work_precision.py` measures: scenes with a reference, and methods with their settings."""
 
-from dataclasses import dataclass, field
-from functools import cached_property, partial
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
 import math
 import time
 from typing import Any, Callable
@@ -20,7 +20,7 @@ import numpy as np
 from benchmark import ROOT
 from benchmark.accuracy import links, rivals
 from oracles import finite_elements, floating_frame, peers
-from oracles.references import CANTILEVER, read, spin_up, TORQUE, world
+from oracles.references import CANTILEVER, read, spin_up, TORQUE
 import timo_sim
 from timo_sim.model import FORMULATIONS
 
@@ -51,6 +51,11 @@ class Scene:
         return self.load().manipulator.arm
 
     @cached_property
+    def resting(self):
+        """The scene as engines take it: the drive of a shaft begins at 0."""
+        return self.load({'initial.shaft': 0.0} if self.drive else None)
+
+    @cached_property
     def held(self):
         """Whether the carrier is held and the shaft driven or locked."""
         return 'theta_rad' not in read(self.name)[1]
@@ -72,8 +77,8 @@ class Method:
     """
     A method with a grid of settings: sizes and steps, both from coarse to fine.
 
-    `run(scene, checked, size, step)` returns the CPU time of the solver [s] and `tip_columns` at
-    the samples after the start, or None if the run fails; `checked` is the scene with the
+    `run(scene, checked, size, step)` returns the CPU time of the solver [s] and the tip deflection
+    [m] at the samples after the start, or None if the run fails; `checked` is the scene with the
     `values(size, step)`. `simulate`, of the same arguments, is what a user calls if that is more
     than `run`. `orders` are those of the error in the size and in the step, by which two runs
     are extrapolated; 0 where they are not.
@@ -91,41 +96,10 @@ class Method:
     outside: float = 0.0  # part of the size that is not a part of the arm
 
 
-def tip_columns(theta, carrier, along, across):
-    """Return what is compared, by name: theta [rad], tip deflection and tip position [m]."""
-    return {'theta': theta, 'w_l': across, 'tip': world(theta, carrier, along, across)}
-
-
 def of_motions(model, scene, motions):
-    """Return `tip_columns` of motions, shape (n, 2 (3 + N))."""
+    """Return the tip deflection [m] of motions, shape (n, 2 (3 + N))."""
     tip = model.at([scene.arm.length])
-    count = len(model.modes)
-    place = model.centre_line(motions[:, 3:3 + count], tip)[:, 0]
-    return tip_columns(motions[:, 2], motions[:, :2], *place.T)
-
-
-def of_reference(scene):
-    """Return the comment of the stored reference, and its `tip_columns`."""
-    comment, stored = read(scene.name)
-    theta = stored.get('theta_rad')
-    carrier = np.zeros((len(stored['t']), 2))
-    if theta is None:
-        theta = np.array([scene.drive[0](t) if scene.drive else 0.0 for t in stored['t']])
-    else:
-        carrier = np.column_stack([stored['x_c_m'], stored['y_c_m']])
-    return comment, tip_columns(theta, carrier, scene.arm.length + stored['u_l_m'], stored['w_l_m'])
-
-
-def errors_of(columns, truth):
-    """Return the largest and root mean square differences from the reference."""
-    result = {}
-    stride = round((len(truth['w_l']) - 1) / len(columns['w_l']))
-    for name, values in columns.items():
-        difference = values - truth[name][stride::stride]
-        size = np.abs(difference) if difference.ndim == 1 else np.hypot(*difference.T)
-        result[name] = float(size.max())
-        result[f'{name}_rms'] = float(np.sqrt(np.mean(size**2)))
-    return result
+    return model.centre_line(motions[:, 3:3 + len(model.modes)], tip)[:, 0, 1]
 
 
 def _every(scene, step):
@@ -174,24 +148,20 @@ def _engine(simulate, scene, checked, size, step, **more):
         found = simulate(checked, size, step, scene.duration, _every(scene, step), **more)
     except exudyn.SolverError:
         return None
-    theta = found['theta_rad'][1:]
-    carrier = np.column_stack([found['x_c_m'], found['y_c_m']])[1:]
-    along = found['u_l_m'][1:] if 'u_l_m' in found else np.zeros(len(theta))
-    return found['solver_seconds'], tip_columns(theta, carrier, scene.arm.length + along,
-                                                found['w_l_m'][1:])
+    return found['solver_seconds'], found['w_l_m'][1:]
 
 
 def _rival(function, scene, checked, size, step, *more):
     # A function of `rivals` or `soft_rods`.
-    seconds, *found = function(checked, size, step, scene.duration, round(scene.period / step),
-                               scene.drive, *more)
-    return seconds, tip_columns(*found)
+    seconds, *_, deflection = function(checked, size, step, scene.duration,
+                                       round(scene.period / step), scene.drive, *more)
+    return seconds, deflection
 
 
-def _chain(function, explicit, scene, checked, count, step):
-    if explicit and step > 1.1 * links.longest_step(checked, count):
-        return None
-    return _rival(function, scene, checked, count, step)
+def _stable(scene, run, longest_step):
+    # The run without those that diverge.
+    longest_step = lru_cache(maxsize=None)(partial(longest_step, scene.resting))
+    return lambda *given: run(*given) if given[3] <= longest_step(given[2]) else None
 
 
 def _whole_part(period, longest):
@@ -226,13 +196,11 @@ def _integrators(scene):
 
 def _engines(scene):
     """Return what other engines offer."""
-    start = {'initial.shaft': 0.0} if scene.drive else {}
     steps = tuple(scene.period / count for count in COUNTS)
 
     def engine(name, sizes, steps, run, words, orders, **more):
         return Method(name, ENGINE, sizes, steps, run,
-                      words if callable(words) else _with_step(words), orders,
-                      lambda size, step: start, **more)
+                      words if callable(words) else _with_step(words), orders, **more)
 
     # The reference of the driven arm is inextensible, as the other methods are.
     driven = {'drive': scene.drive, 'axial_factor': 100.0} if scene.drive else {}
@@ -243,13 +211,15 @@ def _engines(scene):
         yield engine(name, tuple(least * count for count in COUNTS), steps,
                      partial(_engine, finite_elements.simulate, kind=kind, **driven),
                      '{} elements', (order, 2))
-    for name, function, order in (
-            ('MuJoCo, hinged links', rivals.chain, 4),
-            ('rigid links, RK4', partial(links.rigid_links, rule='RK4'), 4),
-            ('rigid links, implicit midpoint',
-             partial(links.rigid_links, rule='implicit midpoint'), 2)):
-        yield engine(name, COUNTS[1:], steps, partial(_chain, function, order == 4), '{} links',
-                     (2, order))
+    yield engine('MuJoCo, hinged links', COUNTS[1:], steps, _stable(
+        scene, partial(_rival, rivals.chain), links.longest_step), '{} links', (2, 4))
+    for integrator, order in ('RK4', 4), ('discrete', 1):
+        yield engine(f'MuJoCo, rod, {integrator}', COUNTS[1:], steps, partial(
+            _rival, partial(rivals.rod, integrator=integrator)), '{} parts', (2, order))
+    for rule, order in ('RK4', 4), ('implicit midpoint', 2):
+        run = partial(_rival, partial(links.rigid_links, rule=rule))
+        yield engine(f'rigid links, {rule}', COUNTS[1:], steps, run if order == 2 else _stable(
+            scene, run, links.longest_step), '{} links', (2, order))
     if not scene.held:
         yield engine('exudyn, reduced floating frame', (3, 5, 8), steps,
                      partial(_engine, floating_frame.simulate), '{} modes', (0, 2))

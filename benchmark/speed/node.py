@@ -226,8 +226,8 @@ def start_rows(times):
             taken.append(ticks[0, 0] - begin)
     cold, *warm = taken
     middle = statistics.median(warm)
-    yield ('start to first message, cold', '<= 6 s', f'{cold:.1f} s', cold <= 6.0,
-           f'without machine code on disk, whose compilation takes {cold - middle:.1f} s')
+    yield ('start to first message, nothing compiled', '<= 6 s', f'{cold:.1f} s', cold <= 6.0,
+           f'in a clone, without intermediate code; compilation takes {cold - middle:.1f} s')
     yield ('start to first message, warm', '<= 1.5 s', f'{middle:.2f} s', middle <= 1.5,
            f'{min(warm):.2f} to {max(warm):.2f} s')
 

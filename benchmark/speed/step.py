@@ -40,31 +40,23 @@ PAPER = ROOT / 'config' / 'paper.yaml'
 STEPS = 1000  # of 10 ms
 TARGETS = [('exact', 3, 1.5e-6), ('exact', 5, 2.5e-6), ('exact', 10, 8e-6), ('newton', 3, 0.6e-6)]
 BLOCK = 40  # variations or runs that are timed together
-# The very first run, of the paper's scene and of a finer one beside it; then one of another size
-# alone. Prints the time of each, and how much of it numba and LLVM take.
+# A first run, then one of another size: prints its time, and how much of it LLVM takes.
 FIRST = """
 import time
 import timo_sim
 from timo_sim.compiled import machine
 
-def timing(name):
-    function = getattr(machine, name)
-    def timed(*arguments):
-        begun = time.perf_counter()
-        result = function(*arguments)
-        spans[name] += time.perf_counter() - begun
-        return result
-    setattr(machine, name, timed)
-
-COMPILERS = 'intermediate_code', 'object_code'
-for name in COMPILERS:
-    timing(name)
-for modes, estimate in ((3, True), (4, False)):
-    spans = dict.fromkeys(COMPILERS, 0.0)
+def timed(*arguments):
     begun = time.perf_counter()
-    timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': modes}), 0.01,
-                      estimate=estimate)
-    print(time.perf_counter() - begun, *spans.values())
+    result = compiled(*arguments)
+    spans.append(time.perf_counter() - begun)
+    return result
+
+compiled, machine.object_code = machine.object_code, timed
+for modes in 3, 4:
+    spans, begun = [], time.perf_counter()
+    timo_sim.simulate(timo_sim.load_scene('paper', {'model.modes': modes}), 0.01, estimate=False)
+print(time.perf_counter() - begun, sum(spans))
 """
 
 
@@ -225,8 +217,7 @@ def around(quick):
         output = subprocess.run(
             [sys.executable, '-c', FIRST], check=True, text=True, stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL, env={**os.environ, 'NUMBA_CACHE_DIR': folder}).stdout
-    (very_first, numba, llvm), (further, _, again) = [
-        map(float, line.split()) for line in output.splitlines()]
+    further, llvm = map(float, output.split())
     return [
         ('set-up of a run that differs in loads and initial motion', '0.1 ms',
          loads.shown(1e-3, 'ms'), loads.middle <= 0.1e-3, '`Scene.vary`'),
@@ -236,10 +227,7 @@ def around(quick):
          f'{1e3 * own:.2f} ms (min {1e3 * least:.2f})', own <= 0.3e-3,
          '10 s at 10 ms, every step sampled: simulator, loads, samples and the Run'),
         ('first run of a size', '5 s', f'{further:.1f} s', further <= 5.0,
-         f'N = 4, with no machine code of it: LLVM takes {again:.1f} s'),
-        ('very first run, compared with a finer one', '', f'{very_first:.1f} s', None,
-         f'with an empty store: numba takes {numba:.1f} s, once for all sizes, and LLVM '
-         f'{llvm:.1f} s for two sizes')]
+         f'N = 4, with no machine code of it: LLVM takes {llvm:.1f} s')]
 
 
 def exponent(x, y):
