@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-What a control engineer writes for predictive control of this arm: a few rigid links in closed form.
+What a control engineer writes for predictive control of this arm: a few rigid links.
 
 The arm is cut into equal parts, each with a hinge and its spring in the middle (rigid finite
 elements: E. Wittbrodt, I. Adamiec-Wojcik, S. Wojciech, Dynamics of Flexible Multibody Systems,
@@ -39,7 +39,7 @@ class Links:
     ----------
     scene : Scene
     lengths : sequence of float
-        Of the links [m]: the first one turns with the shaft, the last one carries the end effector.
+        Of the links [m]: the first turns with the shaft, the last carries the end effector.
     springs : sequence of float
         Between neighbours [N m/rad].
     lumped : bool
@@ -204,9 +204,9 @@ def _implicit(links, place, speed, loads, given, step, every, samples):
 RULES = {'RK4': _explicit, 'implicit midpoint': _implicit}
 
 
-def simulate(scene, links, step, duration, every, drive=None, rule='RK4'):
-    """Simulate a scene by `links`; parameters and what is returned are those of `rivals.chain`."""
-    count = round(duration / step)
+def rigid_links(scene, links, step, duration, every, drive=None, rule='RK4', identified=True):
+    """Simulate a scene by `chain_of` it and one of RULES; the rest is as of `rivals.chain`."""
+    chain, count = chain_of(scene, links, identified=identified), round(duration / step)
     loads = np.ascontiguousarray(scene.load.stages(0, count, step)[:, :, _CHANNELS])
     given = np.full((count, 3, 3), np.nan)
     given[:, :, [axis for axis in (0, 1) if axis not in scene.constraints.free_axes]] = 0.0
@@ -215,23 +215,16 @@ def simulate(scene, links, step, duration, every, drive=None, rule='RK4'):
                           for k in range(count)]
     elif scene.values['motor.shaft'] == 'locked':
         given[:, :, 2] = 0.0
-    size = len(links.lengths)
-    start = drive[0](0.0) if drive else scene.values['initial.shaft']
-    state = np.append([0.0, 0.0], np.full(size, start)), np.zeros(2 + size)
-    constants = (links.total, links.first, links.second, links.stiffness,
+    size = 2 + len(chain.lengths)
+    place = np.append([0.0, 0.0], np.full(size - 2, scene.values['initial.shaft']))
+    constants = (chain.total, chain.first, chain.second, chain.stiffness,
                  np.array(scene.values['gravity'], dtype=float))
-    samples = np.empty((count // every, 2 + size))
-    RULES[rule](constants, *(part.copy() for part in state), loads[:1], given[:1], step, 1,
+    samples = np.empty((count // every, size))
+    RULES[rule](constants, place.copy(), np.zeros(size), loads[:1], given[:1], step, 1,
                 samples[:1])  # compiles
     begun = time.process_time()
-    RULES[rule](constants, *state, loads, given, step, every, samples)
+    RULES[rule](constants, place, np.zeros(size), loads, given, step, every, samples)
     seconds = time.process_time() - begun
-    theta = samples[:, 2]
-    turned = samples[:, 2:] - theta[:, np.newaxis]
-    return (seconds, theta, samples[:, :2], np.cos(turned) @ links.lengths,
-            np.sin(turned) @ links.lengths)
-
-
-def rigid_links(scene, count, step, duration, every, drive=None, rule='RK4'):
-    """Simulate a scene by `chain_of` it; the other parameters are those of `simulate`."""
-    return simulate(scene, chain_of(scene, count), step, duration, every, drive, rule)
+    turned = samples[:, 2:] - samples[:, 2:3]
+    return (seconds, samples[:, 2], samples[:, :2], np.cos(turned) @ chain.lengths,
+            np.sin(turned) @ chain.lengths)

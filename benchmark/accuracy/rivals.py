@@ -33,7 +33,7 @@ from timo_sim.model.layout import END, FORCE_X, FORCE_Y, MIDDLE, START, TORQUE
 
 _CHANNELS = [FORCE_X, FORCE_Y, TORQUE]
 _NUMBERS = 2**22  # that a call of `rollout` returns
-_DRIVEN = 1e12  # inertia that makes a shaft follow its drive, whatever the arm does [kg m2]
+_DRIVEN = 1e9  # inertia that makes a shaft follow its drive, whatever the arm does [kg m2]
 
 
 def chain(scene, links, step, duration, every, drive=None):
@@ -44,12 +44,11 @@ def chain(scene, links, step, duration, every, drive=None):
     because the implicit integrators of MuJoCo are of first order and damp.
     """
     arm = chain_of(scene, links)
-    seconds, position, shaft = _roll_out(
+    seconds, carrier, turn, bent = _roll_out(
         scene, chain_model(arm, step, bool(drive)), step, duration, every, drive)
-    turned = position[:, shaft:].cumsum(axis=1) - position[:, [shaft]]
-    theta = position[:, shaft] + scene.values['initial.shaft']
-    return (seconds, theta, position[:, :shaft] if shaft else np.zeros((len(theta), 2)),
-            np.cos(turned) @ arm.lengths, np.sin(turned) @ arm.lengths)
+    turned = np.cumsum(np.column_stack([np.zeros(len(bent)), bent]), axis=1)
+    return (seconds, turn + scene.values['initial.shaft'], carrier, np.cos(turned) @ arm.lengths,
+            np.sin(turned) @ arm.lengths)
 
 
 def rod(scene, parts, step, duration, every, drive=None, axial_factor=0.01, integrator='RK4'):
@@ -64,31 +63,28 @@ def rod(scene, parts, step, duration, every, drive=None, axial_factor=0.01, inte
     'discrete', which is of first order, a constraint in place of it.
     """
     arm = chain_of(scene, parts, lumped=True)
-    seconds, position, shaft = _roll_out(
-        scene, _rod_model(arm, step, bool(drive), axial_factor, integrator), step, duration, every,
+    seconds, carrier, turn, moved = _roll_out(
+        scene, rod_model(arm, step, bool(drive), axial_factor, integrator), step, duration, every,
         drive)
     start, length = scene.values['initial.shaft'], scene.manipulator.arm.length
-    theta = start + position[:, shaft]
-    carrier = position[:, :2] if shaft else np.zeros((len(theta), 2))
-    tip = position[:, -3:-1] - carrier + length * np.array([math.cos(start), math.sin(start)])
-    return seconds, theta, carrier, *world(-theta, 0.0, *tip.T).T
+    tip = moved[:, -3:-1] - carrier + length * np.array([math.cos(start), math.sin(start)])
+    return seconds, start + turn, carrier, *world(-start - turn, 0.0, *tip.T).T
 
 
 def _roll_out(scene, model, step, duration, every, drive):
-    # Seconds, positions at the samples, and the column of the shaft's angle, 0 at first.
+    # Seconds, and at the samples the carrier's place, the shaft's turn and the other coordinates.
     import mujoco
     from mujoco import rollout
 
     mujoco.set_mju_user_warning(lambda text: None)  # of runs that diverge: no file for each
-    data, count = mujoco.MjData(model), round(duration / step)
+    count, axes = round(duration / step), len(scene.constraints.free_axes)
     loads = scene.load.stages(0, count, step)[:, :, _CHANNELS]
     loads = (loads[:, START] + 4.0 * loads[:, MIDDLE] + loads[:, END]) / 6.0
-    loads = loads[:, 3 - model.nu:]
-    if scene.values['motor.shaft'] == 'locked':
-        loads = np.zeros_like(loads)
-    elif drive:
+    loads = loads[:, 2 - axes:2 - axes + model.nu]
+    if drive:
         middle = (np.arange(count) + 0.5) * step
         loads = _DRIVEN * np.array([[drive[2](t)] for t in middle])
+    data = mujoco.MjData(model)
     state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
     mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     kept, seconds, part = [], 0.0, every * max(1, _NUMBERS // (every * len(state)))
@@ -99,7 +95,10 @@ def _roll_out(scene, model, step, duration, every, drive):
         seconds += time.process_time() - begun
         kept.append(found[0, every - 1::every, 1:1 + model.nq])
         state = found[0, -1]
-    return seconds, np.concatenate(kept), model.nu - 1
+    position = np.concatenate(kept)
+    nothing = np.zeros((len(position), 2))
+    return (seconds, position[:, :2] if axes else nothing,
+            position[:, axes] if model.nu > axes else nothing[:, 0], position[:, model.nu:])
 
 
 def chain_model(arm, step, driven=False):
@@ -115,7 +114,8 @@ def chain_model(arm, step, driven=False):
     return _model(arm.scene, step, driven, root, inner)
 
 
-def _rod_model(arm, step, driven, axial_factor, integrator):
+def rod_model(arm, step, driven=False, axial_factor=1.0, integrator='discrete'):
+    """Return MuJoCo's model of `rod`, made of `links.Links`."""
     scene, section, part = arm.scene, arm.scene.manipulator.arm.section, arm.lengths[1]
     start, half, lump = scene.values['initial.shaft'], 0.5 * arm.lengths[0], 0.5 * arm.rods[1]
     along = np.array([math.cos(start), math.sin(start), 0.0])
@@ -150,18 +150,20 @@ def _model(scene, step, driven, root, arm, bodies='', more='', integrator='RK4')
     # `root` and `arm` are on the shaft, `bodies` in the world.
     import mujoco
 
-    slides = [f'<joint name="{name}" type="slide" axis="{axis}"/>' for name, axis in zip(
-        'xy', ('1 0 0', '0 1 0'))] if len(scene.constraints.free_axes) else []
-    turn = 0.0 if bodies else scene.values['initial.shaft']
-    held = driven or scene.values['motor.shaft'] == 'locked'
-    motors = ''.join(f'<motor joint="{name}"/>' for name in [*'xy'[:len(slides)], 'shaft'])
+    joints = {name: f'<joint name="{name}" type="slide" axis="{axis}"/>' for name, axis in zip(
+        'xy', ('1 0 0', '0 1 0'))} if len(scene.constraints.free_axes) else {}
+    slides, turn = ''.join(joints.values()), 0.0 if bodies else scene.values['initial.shaft']
+    shaft = ''
+    if driven or scene.values['motor.shaft'] != 'locked':
+        joints['shaft'] = shaft = ('<joint name="shaft" type="hinge" axis="0 0 1" '
+                                   f'armature="{_DRIVEN * driven!r}"/>')
+    motors = ''.join(f'<motor joint="{name}"/>' for name in joints)
     return mujoco.MjModel.from_xml_string(f"""<mujoco><compiler angle="radian"/>
 <option timestep="{step!r}" integrator="{integrator}" tolerance="1e-10"
 gravity="{_numbers(*scene.values['gravity'], 0)}">
 <flag contact="disable" autoreset="disable" energy="disable"/></option>
-<worldbody><body>{''.join(slides)}{_inertial((scene.manipulator.base_mass, 1.0, 0.0))}
-<body name="shaft" euler="0 0 {turn!r}"><joint name="shaft" type="hinge" axis="0 0 1"
-armature="{_DRIVEN * held!r}"/>{root}{arm}</body></body>{bodies}</worldbody>{more}
+<worldbody><body>{slides}{_inertial((scene.manipulator.base_mass, 1.0, 0.0))}
+<body name="shaft" euler="0 0 {turn!r}">{shaft}{root}{arm}</body></body>{bodies}</worldbody>{more}
 <actuator>{motors}</actuator></mujoco>""")
 
 
@@ -197,14 +199,15 @@ def longest_step_of_rod(scene, elements, axial_factor=1.0, inertia_factor=1.0):
 
 
 def elastica(scene, elements, step, duration, every, drive=None, axial_factor=1.0,
-             inertia_factor=1.0):
+             inertia_factor=1.0, tip_force=None, damping=None):
     """
     Simulate a scene by PyElastica, as a Cosserat rod of second order in explicit steps.
 
     Bending, shear, stretch, in three dimensions of which the arm uses two. A longer
     step needs more rotary inertia, which is small against the mass.
 
-    `axial_factor` and `inertia_factor` multiply E A and rho I of the section.
+    `axial_factor` and `inertia_factor` multiply E A and rho I of the section. For the authors'
+    example there are a force on the tip along y [N] and damping [1/s].
     """
     import elastica as library
 
@@ -241,7 +244,8 @@ def elastica(scene, elements, step, duration, every, drive=None, axial_factor=1.
             rate[0, 0] = 0.5 * part * spin * math.sin(turn)
             rate[1, 0] = -0.5 * part * spin * math.cos(turn)
 
-    class Rods(library.BaseSystemCollection, library.Constraints, library.Forcing):
+    class Rods(library.BaseSystemCollection, library.Constraints, library.Forcing,
+               library.Damping):
         pass
 
     system, stepper, tips = Rods(), library.PositionVerlet(), []
@@ -250,6 +254,12 @@ def elastica(scene, elements, step, duration, every, drive=None, axial_factor=1.
     if any(scene.values['gravity']):
         system.add_forcing_to(rod).using(
             library.GravityForces, acc_gravity=np.array([*scene.values['gravity'], 0.0]))
+    if tip_force:
+        system.add_forcing_to(rod).using(
+            library.EndpointForces, np.zeros(3), np.array([0.0, tip_force, 0.0]), 1e-9)
+    if damping:
+        system.dampen(rod).using(library.AnalyticalLinearDamper,
+                                 uniform_damping_constant=damping, time_step=step)
     system.finalize()
     stepper.step(system, 0.0, 1e-30)  # compiles
     begun = time.process_time()

@@ -62,7 +62,7 @@ def rod(scene, order, driven):
     segment = GVSSegment(
         link=link, joint=JointSpec('revolute', axis='z') if driven else JointSpec.fixed(),
         basis=StrainBasisSpec('legendre', ('kappa_z',), [0, 0, order, 0, 0, 0]),
-        num_gauss_points=2 * order + 2)
+        num_gauss_points=max(5, 2 * order + 2))
     return GVS.from_segments([segment], gravity=jnp.array([*values['gravity'], 0.0]),
                              base_pose=jnp.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
 

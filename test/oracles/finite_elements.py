@@ -67,12 +67,7 @@ def simulate(scene, elements, step, duration, every, drive=None, tolerance=TOLER
         raise ValueError(f'the drive must start without acceleration, got {drive[2](0.0)} rad/s2')
     values = scene.values
     length, start = values['arm.length'], values['initial.shaft']
-    container = exudyn.SystemContainer()
-    system = container.AddSystem()
-    nodes, beams = _add_arm(system, scene, elements, axial_factor=axial_factor, kind=kind)
-    _add_bodies(system, scene, nodes, kind)
-    _add_weight(system, scene, nodes, beams)
-    _hold(system, scene, nodes[0], kind)
+    container, system, nodes, beams = system_of(scene, elements, axial_factor, kind)
     if drive:
         _drive(system, nodes[0], drive, kind,
                step * np.arange(1, round(duration / step) + 1))
@@ -95,6 +90,17 @@ def simulate(scene, elements, step, duration, every, drive=None, tolerance=TOLER
         fields[f'phi_{name}_rad'] = rotation - turn
         fields[f'u_{name}_m'] = np.cos(theta) * x + np.sin(theta) * y - share * length
     return {**run, **fields, 'solver_seconds': seconds}
+
+
+def system_of(scene, elements, axial_factor=1.0, kind='linear'):
+    """Return exudyn's container and system, with numbers of nodes and elements along the arm."""
+    container = exudyn.SystemContainer()
+    system = container.AddSystem()
+    nodes, beams = _add_arm(system, scene, elements, axial_factor=axial_factor, kind=kind)
+    _add_bodies(system, scene, nodes, kind)
+    _add_weight(system, scene, nodes, beams)
+    _hold(system, scene, nodes[0], kind)
+    return container, system, nodes, beams
 
 
 def _rotation(table, start, kind):

@@ -22,6 +22,10 @@ def simulate(scene, modes, step, duration, every, elements=200):
 
     The frame is that of the shaft. The mesh is two rows of point masses, on either side of the
     axis at the radius of gyration of the section and of the end effector; clamped modes move them.
+    Their deflection is linear, without the shortening that balances the turning frame's terms of
+    second order: equations of the same frame and modes, written out, are 1.0e-2 m off on the
+    paper's scene with 3 and with 6 modes. The rows stretch as they turn, which adds 2e-3 m; without
+    the end effector's inertia exudyn agrees with those equations to 2e-5 m.
 
     Parameters
     ----------
