@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmark import ROOT
 from benchmark.accuracy import links, rivals
-from oracles import finite_elements, floating_frame, peers
+from oracles import finite_elements, peers
 from oracles.references import CANTILEVER, read, spin_up, TORQUE
 import timo_sim
 from timo_sim.model import FORMULATIONS
@@ -143,9 +143,10 @@ def _adaptive(method, scene, checked, size, tolerance):
     return time.process_time() - begun, of_motions(model, scene, samples)
 
 
-def _engine(simulate, scene, checked, size, step, **more):
+def _exudyn(scene, checked, size, step, **more):
     try:
-        found = simulate(checked, size, step, scene.duration, _every(scene, step), **more)
+        found = finite_elements.simulate(checked, size, step, scene.duration,
+                                         _every(scene, step), **more)
     except exudyn.SolverError:
         return None
     return found['solver_seconds'], found['w_l_m'][1:]
@@ -209,7 +210,7 @@ def _engines(scene):
             ('exudyn, beams of three nodes', 'quadratic', 2, 4),
             ('exudyn, ANCF cables', 'cable', 4, 4)):
         yield engine(name, tuple(least * count for count in COUNTS), steps,
-                     partial(_engine, finite_elements.simulate, kind=kind, **driven),
+                     partial(_exudyn, kind=kind, **driven),
                      '{} elements', (order, 2))
     yield engine('MuJoCo, hinged links', COUNTS[1:], steps, _stable(
         scene, partial(_rival, rivals.chain), links.longest_step), '{} links', (2, 4))
@@ -220,10 +221,7 @@ def _engines(scene):
         run = partial(_rival, partial(links.rigid_links, rule=rule))
         yield engine(f'rigid links, {rule}', COUNTS[1:], steps, run if order == 2 else _stable(
             scene, run, links.longest_step), '{} links', (2, order))
-    if not scene.held:
-        yield engine('exudyn, reduced floating frame', (3, 5, 8), steps,
-                     partial(_engine, floating_frame.simulate), '{} modes', (0, 2))
-    else:
+    if scene.held:
         yield from _rods(scene, engine, steps)
 
 
