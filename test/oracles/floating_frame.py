@@ -24,8 +24,8 @@ def simulate(scene, modes, step, duration, every, elements=200):
     axis at the radius of gyration of the section and of the end effector; clamped modes move them.
     Their deflection is linear, without the shortening that balances the turning frame's terms of
     second order: equations of the same frame and modes, written out, are 1.0e-2 m off on the
-    paper's scene with 3 and with 6 modes. The rows stretch as they turn, which adds 2e-3 m; without
-    the end effector's inertia exudyn agrees with those equations to 2e-5 m.
+    paper's scene with 3 and with 6 modes. The rows stretch as they turn, which adds 2e-3 m;
+    without the end effector's inertia exudyn agrees with those equations to 2e-5 m.
 
     Parameters
     ----------
