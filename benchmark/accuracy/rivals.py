@@ -76,7 +76,6 @@ def _roll_out(scene, model, step, duration, every, drive):
     import mujoco
     from mujoco import rollout
 
-    mujoco.set_mju_user_warning(lambda text: None)  # of runs that diverge: no file for each
     count, axes = round(duration / step), len(scene.constraints.free_axes)
     loads = scene.load.stages(0, count, step)[:, :, _CHANNELS]
     loads = (loads[:, START] + 4.0 * loads[:, MIDDLE] + loads[:, END]) / 6.0
@@ -150,6 +149,7 @@ def _model(scene, step, driven, root, arm, bodies='', more='', integrator='RK4')
     # `root` and `arm` are on the shaft, `bodies` in the world.
     import mujoco
 
+    mujoco.set_mju_user_warning(lambda text: None)  # of steps that diverge, in a file
     joints = {name: f'<joint name="{name}" type="slide" axis="{axis}"/>' for name, axis in zip(
         'xy', ('1 0 0', '0 1 0'))} if len(scene.constraints.free_axes) else {}
     slides, turn = ''.join(joints.values()), 0.0 if bodies else scene.values['initial.shaft']
