@@ -133,7 +133,8 @@ def benchmark():
         ('for an error in w(l) below', *_goals(run)),
         ('timo_sim, `exact`', *map(_cell, run['methods']['exact']['best'])),
         ('the best of the others', *(f'{each[0]}: {_cell(each[1])}' if each else 'not reached'
-                                     for each in _best(run, 'engine'))), *_ratios('paper'))
+                                     for each in _best(run, 'engine'))), *_ratios('paper'),
+        ('solver, by the reduced model x by the step', *_gains(run)))
 
 
 def _scene(part):
@@ -159,12 +160,14 @@ def benchmark_gain():
     rows = []
     for part in 'paper', 'torque', 'spin_up', 'cantilever':
         _, run = _measured(part)
-        cells = []
-        for goal, best, peer, own in zip(_goals(run), _best(run, 'engine'), *(
-                run['methods'][name]['best'] for name in ('RK4', 'exact'))):
-            cells.append(f'{goal}: {_ratio(best and best[1], peer)} x {_ratio(peer, own)}')
-        rows.append((part, *cells))
+        rows.append((part, *(f'{goal}: {gain}' for goal, gain in zip(_goals(run), _gains(run)))))
     return _table(('scene', *3 * ('reduced model x step',)), *rows)
+
+
+def _gains(run):
+    """Return, for each goal, the times of the best other method over RK4 and of RK4 over ours."""
+    return [f'{_ratio(best and best[1], peer)} x {_ratio(peer, own)}' for best, peer, own in zip(
+        _best(run, 'engine'), *(run['methods'][name]['best'] for name in ('RK4', 'exact')))]
 
 
 def benchmark_bend():
