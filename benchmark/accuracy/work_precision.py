@@ -12,9 +12,10 @@ Run time against error, with other integrators and other engines, and cold start
 `make benchmark` writes the figures of the last two runs to doc/benchmark/work_precision.json,
 draws the plots, and fills the tables of doc/benchmark.md and README.md; `--quick` prints a small
 selection. Each method searches its grid of settings by itself, the cheapest first, until its
-budget of CPU time is used or nothing cheaper is left to find. A goal is reached by a setting, or
-by the extrapolation of two, whose error is below it, if that of its next finer neighbour is, too.
-The cheapest of these are timed again, all methods taking turns; a time is the least CPU time.
+budget of the solver's CPU time is used or nothing cheaper is left to find. A goal is reached by a
+setting, or by the extrapolation of two, whose error is below it, if that of its next finer
+neighbour is, too. The cheapest of these are timed again, all methods taking turns; a time is the
+least CPU time.
 """
 
 from dataclasses import dataclass, field
@@ -300,12 +301,11 @@ PARTS = {**{scene.name: partial(measure, scene) for scene in SCENES},
 def main():
     """Measure, write the figures and fill the pages."""
     command = parser(__spec__, __doc__, 'a small selection, printed only')
-    command.add_argument('--parts', nargs='+', choices=PARTS, default=list(PARTS),
-                         help='measure these alone')
+    command.add_argument('--parts', nargs='+', choices=PARTS, help='measure these alone')
     given = command.parse_args()
     warnings.simplefilter('ignore', timo_sim.ModelWarning)
     path = FOLDER / 'work_precision.json'
-    for name in given.parts:
+    for name in given.parts or (('paper', 'large_deflection') if given.quick else PARTS):
         figures = PARTS[name](given.quick)
         if given.quick:
             print(json.dumps({name: figures}, indent=1), flush=True)
