@@ -159,12 +159,6 @@ def _rival(function, scene, checked, size, step, *more):
     return seconds, deflection
 
 
-def _stable(scene, run, longest_step):
-    # The run without those that diverge.
-    longest_step = lru_cache(maxsize=None)(partial(longest_step, scene.resting))
-    return lambda *given: run(*given) if given[3] <= longest_step(given[2]) else None
-
-
 def _whole_part(period, longest):
     """Return the longest step that is a whole part of a period and at most `longest`."""
     return period / math.ceil(period / longest)
@@ -212,15 +206,25 @@ def _engines(scene):
         yield engine(name, tuple(least * count for count in COUNTS), steps,
                      partial(_exudyn, kind=kind, **driven),
                      '{} elements', (order, 2))
-    yield engine('MuJoCo, hinged links', COUNTS[1:], steps, _stable(
-        scene, partial(_rival, rivals.chain), links.longest_step), '{} links', (2, 4))
+
+    # Explicit steps of links are parts of the longest stable one.
+    @lru_cache(maxsize=None)
+    def link_step(count, part):
+        return _whole_part(scene.period, part * links.longest_step(scene.resting, count))
+
+    for name, function in ('MuJoCo, hinged links', rivals.chain), (
+            'rigid links, RK4', links.rigid_links):
+        yield engine(
+            name, COUNTS[1:], (1.0, 0.5, 0.25),
+            lambda scene, checked, count, part, function=function: _rival(
+                function, scene, checked, count, link_step(count, part)),
+            lambda _, count, part: f'{count} links, h = {1e3 * link_step(count, part):.3g} ms',
+            (2, 0))
+    yield engine('rigid links, implicit midpoint', COUNTS[1:], steps, partial(
+        _rival, partial(links.rigid_links, rule='implicit midpoint')), '{} links', (2, 2))
     for integrator, order in ('RK4', 4), ('discrete', 1):
         yield engine(f'MuJoCo, rod, {integrator}', COUNTS[1:], steps, partial(
             _rival, partial(rivals.rod, integrator=integrator)), '{} parts', (2, order))
-    for rule, order in ('RK4', 4), ('implicit midpoint', 2):
-        run = partial(_rival, partial(links.rigid_links, rule=rule))
-        yield engine(f'rigid links, {rule}', COUNTS[1:], steps, run if order == 2 else _stable(
-            scene, run, links.longest_step), '{} links', (2, order))
     if scene.held:
         yield from _rods(scene, engine, steps)
 
