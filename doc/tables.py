@@ -79,9 +79,9 @@ def _row(parameter):
 
 
 def _measured(part):
-    """Return the last two runs of a part of `make benchmark`, the first one twice."""
+    """Return the last two runs of a part of `make benchmark`, None before the first one."""
     runs = json.loads((ROOT / 'doc' / 'benchmark' / 'work_precision.json').read_text())[part]
-    return runs[0], runs[-1]
+    return [None, *runs][-2:]
 
 
 def _two_digits(value):
@@ -115,7 +115,8 @@ def _ratios(part):
     rows = []
     for key, words in (('seconds', 'solver'), ('whole_s', 'end to end')):
         before, now = ([_ratio(other and other[1], own, key) for other, own in zip(
-            _best(run, 'engine'), run['methods']['exact']['best'])] for run in _measured(part))
+            _best(run, 'engine'), run['methods']['exact']['best'])] if run else 3 * ['no run']
+            for run in _measured(part))
         rows.append((f'ratio, {words} (in the run before)',
                      *(f'**{each}** ({earlier})' for each, earlier in zip(now, before))))
     return rows
@@ -180,9 +181,10 @@ def benchmark_bend():
 
 def benchmark_cold():
     """Return the times from the start of a process to its first result."""
-    before, run = (run['seconds'] for run in _measured('cold_starts'))
+    before, run = (run and run['seconds'] for run in _measured('cold_starts'))
     return _table(('', 'cold start', 'in the run before', 'the next process'), *(
-        (name, f'{cold:.1f} s', f'{before[name][0]:.1f} s', f'{warm:.1f} s')
+        (name, f'{cold:.1f} s', f'{before[name][0]:.1f} s' if before else 'no run',
+         f'{warm:.1f} s')
         for name, (cold, warm) in run.items()))
 
 
