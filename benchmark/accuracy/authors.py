@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from benchmark.accuracy import rivals
-from benchmark.accuracy.links import chain_of
+from benchmark.accuracy.rivals import chain_of
 from benchmark.report import make_page, table
 from oracles import finite_elements
 from oracles.engine import exudyn, items

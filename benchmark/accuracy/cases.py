@@ -207,24 +207,25 @@ def _engines(scene):
                      partial(_exudyn, kind=kind, **driven),
                      '{} elements', (order, 2))
 
-    # Explicit steps of links are parts of the longest stable one.
+    # Explicit steps are parts of the longest stable one.
     @lru_cache(maxsize=None)
-    def link_step(count, part):
-        return _whole_part(scene.period, part * links.longest_step(scene.resting, count))
+    def stable(axial_factor, count, part):
+        return _whole_part(scene.period, part * rivals.longest_step(
+            scene.resting, count, axial_factor))
 
-    for name, function in ('MuJoCo, hinged links', rivals.chain), (
-            'rigid links, RK4', links.rigid_links):
+    for name, function, words, axial_factor in (
+            ('MuJoCo, hinged links', rivals.chain, 'links', None),
+            ('MuJoCo, rod, RK4', rivals.rod, 'parts', 0.01),
+            ('rigid links, RK4', links.rigid_links, 'links', None)):
+        step = partial(stable, axial_factor)
         yield engine(
             name, COUNTS[1:], (1.0, 0.5, 0.25),
-            lambda scene, checked, count, part, function=function: _rival(
-                function, scene, checked, count, link_step(count, part)),
-            lambda _, count, part: f'{count} links, h = {1e3 * link_step(count, part):.3g} ms',
-            (2, 0))
-    yield engine('rigid links, implicit midpoint', COUNTS[1:], steps, partial(
-        _rival, partial(links.rigid_links, rule='implicit midpoint')), '{} links', (2, 2))
-    for integrator, order in ('RK4', 4), ('discrete', 1):
-        yield engine(f'MuJoCo, rod, {integrator}', COUNTS[1:], steps, partial(
-            _rival, partial(rivals.rod, integrator=integrator)), '{} parts', (2, order))
+            lambda scene, checked, count, part, function=function, step=step: _rival(
+                function, scene, checked, count, step(count, part)),
+            lambda _, count, part, words=words, step=step: (
+                f'{count} {words}, h = {1e3 * step(count, part):.3g} ms'), (2, 0))
+    yield engine('MuJoCo, rod, discrete', COUNTS[1:], steps, partial(
+        _rival, partial(rivals.rod, integrator='discrete')), '{} parts', (2, 1))
     if scene.held:
         yield from _rods(scene, engine, steps)
 

@@ -26,8 +26,8 @@ import math
 import time
 
 import numpy as np
+from scipy.linalg import eigvalsh
 
-from benchmark.accuracy.links import chain_of, longest_step  # noqa: F401
 from oracles.references import world
 from timo_sim.model.layout import END, FORCE_X, FORCE_Y, MIDDLE, START, TORQUE
 
@@ -36,11 +36,86 @@ _NUMBERS = 2**22  # that a call of `rollout` returns
 _DRIVEN = 1e9  # inertia that makes a shaft follow its drive, whatever the arm does [kg m2]
 
 
+class Links:
+    """
+    The constants of a chain: links one after the other, with a spring between neighbours.
+
+    Parameters
+    ----------
+    scene : Scene
+    lengths : sequence of float
+        Of the links [m]: the first turns with the shaft, the last carries the end effector.
+    springs : sequence of float
+        Between neighbours [N m/rad].
+    lumped : bool
+        The mass of a link between two others is at its ends.
+
+    """
+
+    def __init__(self, scene, lengths, springs, lumped=False):
+        body, section = scene.manipulator, scene.manipulator.arm.section
+        self.scene, self.lengths, self.springs = scene, np.array(lengths), np.array(springs)
+        self.each = np.arange(len(lengths))
+        self.rods, self.tip_mass = section.mass_per_length * self.lengths, body.end_effector_mass
+        # From the carrier to the middle of each link and to the tip, link by link.
+        arms = np.tril(np.tile(self.lengths, (len(lengths) + 1, 1)))
+        arms[self.each, self.each] *= 0.5
+        mass = np.append(self.rods, self.tip_mass)
+        self.inertia = (section.inertia_per_length * self.lengths
+                        + self.rods * self.lengths**2 / 12.0)
+        if lumped:
+            self.inertia[1:-1] = self.rods[1:-1] * self.lengths[1:-1]**2 / 4.0
+        self.inertia[0] += body.shaft_inertia
+        self.inertia[-1] += body.end_effector_inertia
+        self.total = mass.sum() + body.base_mass
+        self.first = mass @ arms
+        self.second = arms.T @ (mass[:, np.newaxis] * arms) + np.diag(self.inertia)
+        difference = np.diff(np.eye(len(lengths)), axis=0)
+        self.stiffness = difference.T @ np.diag(self.springs) @ difference
+
+    def frequencies(self):
+        """Return the angular frequencies of the straight arm in bending [rad/s]."""
+        angle = self.scene.values['initial.shaft']
+        across = np.array([-math.sin(angle), math.cos(angle)])[self.scene.constraints.free_axes]
+        mass = self.second - across @ across / self.total * np.outer(self.first, self.first)
+        fixed = self.scene.values['motor.shaft'] != 'free'
+        square = eigvalsh(self.stiffness[fixed:, fixed:], mass[fixed:, fixed:])
+        return np.sqrt(square[not fixed:])
+
+
+def chain_of(scene, count, lumped=False, identified=True):
+    """
+    Return the Links of an arm that is cut into `count` parts.
+
+    `identified`: a common factor of the springs gives the chain the first frequency of the arm,
+    which an engineer measures; it is that of 200 parts.
+    """
+    arm = scene.manipulator.arm
+    part = arm.length / count
+    lengths = [0.5 * part, *[part] * (count - 1), 0.5 * part]
+    links = Links(scene, lengths, np.full(count, arm.section.bending_stiffness / part), lumped)
+    if not identified:
+        return links
+    true = chain_of(scene, 200, identified=False).frequencies()[0]
+    factor = (true / links.frequencies()[0])**2
+    return Links(scene, lengths, factor * links.springs, lumped)
+
+
+def longest_step(scene, count, axial_factor=None):
+    """Return the longest stable Runge-Kutta step [s] of `chain`, or of `rod` with its factor."""
+    highest = chain_of(scene, count, lumped=axial_factor is not None).frequencies()[-1]
+    if axial_factor:
+        arm = scene.manipulator.arm
+        highest = max(highest, 2.0 * count / arm.length * math.sqrt(
+            axial_factor * arm.section.axial_stiffness / arm.section.mass_per_length))
+    return 2.8 / highest
+
+
 def chain(scene, links, step, duration, every, drive=None):
     """
     Simulate a scene by MuJoCo, as a chain of rigid links whose hinges have springs.
 
-    They are those of `links.chain_of`; hinges know no shear and no stretch. Runge-Kutta steps,
+    They are those of `chain_of`; hinges know no shear and no stretch. Runge-Kutta steps,
     because the implicit integrators of MuJoCo are of first order and damp.
     """
     arm = chain_of(scene, links)

@@ -45,7 +45,7 @@ import timo_sim
 
 RIVALS = ('exudyn', 'mujoco-core', 'pyelastica', 'dismech-newton', 'soromox', 'jax')
 FOLDER = ROOT / 'doc' / 'benchmark'
-BUDGET, QUICK = 12.0, 0.5  # CPU time of the search of a method on a scene [s]
+BUDGET, QUICK = 8.0, 0.5  # CPU time of the search of a method on a scene [s]
 REPEATED, TURNS = 2.0, 25  # CPU time of a setting that is timed again [s], and at most how often
 CANDIDATES = 3             # settings for a goal that are timed again
 COLD_STARTS, LONG = 3, 10.0  # the least counts; one that takes so long [s] is not repeated

@@ -20,7 +20,8 @@ import numpy as np
 
 from benchmark import ROOT
 from benchmark.accuracy import rivals
-from benchmark.accuracy.links import chain_of, longest_step, rigid_links
+from benchmark.accuracy.links import rigid_links
+from benchmark.accuracy.rivals import chain_of, longest_step
 from benchmark.speed.step import paper, PAPER, Prepared, STEPS
 from benchmark.timing import seconds, timed
 from oracles import finite_elements
