@@ -95,6 +95,11 @@ def commanded_load(values: Mapping[str, Any], many: tuple[int, ...] = (),
     return load
 
 
+# The parameters that a scene's actuators follow from, beside the time step.
+ACTUATOR_VALUES = [*{name: None for each in INPUTS for name in (each.limit, each.rate_limit) if name},
+                   'motor.dc.resistance', 'motor.dc.torque_constant', 'motor.dc.gear_ratio']
+
+
 class Actuators:
     """
     The actuators of a scene, which turn commands into loads; the scene's own loads bypass them.
