@@ -479,7 +479,7 @@ def modal_count(values: Mapping[str, Any]) -> int:
 def check_push(values: Mapping[str, Any]) -> None:
     """Raise ParameterError if loads lack what they need, or a push is not on the arm."""
     for each in INPUTS:
-        if each.prescribed and each.needs and not values[each.needs]:
+        if each.needs and each.prescribed and not values[each.needs]:
             given = [name for name in _TERM_NAMES[each.name] if values[name]]
             if given:
                 raise ParameterError(f'{given[0]} needs {each.needs} > 0, got '
