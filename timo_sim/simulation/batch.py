@@ -38,19 +38,18 @@ class LaneLoads:
         # loads, and which of them each lane has. Lanes share what does not differ among them.
         self._parts = []
         for name in ('drive', *CHANNELS):
-            terms = [scene.load.terms.get(name, ()) for scene in scenes]
-            kinds = ([scene.load.drive for scene in scenes] if name == 'drive' else
-                     [id(each) for each in terms])
-            loads = {kind: Load({}, kind) if name == 'drive' else Load({name: each})
-                     for kind, each in dict(zip(kinds, terms)).items()}
-            columns = sorted({column for load in loads.values() for column in load.columns})
+            own = [scene.load.drive if name == 'drive' else scene.load.terms.get(name, ())
+                   for scene in scenes]
+            kinds = own if name == 'drive' else [id(terms) for terms in own]
+            loads = [Load({}, each) if name == 'drive' else Load({name: each})
+                     for each in dict(zip(kinds, own)).values()]
+            columns = sorted({column for load in loads for column in load.columns})
             if columns:
-                place = {kind: k for k, kind in enumerate(loads)}
-                self._parts.append((columns, [*loads.values()], np.array(
-                    [place[kind] for kind in kinds])))
+                place = {kind: k for k, kind in enumerate(dict.fromkeys(kinds))}
+                self._parts.append((columns, loads, np.array([place[kind] for kind in kinds])))
         limits = [tuple([scene.values[name] for name in ACTUATOR_VALUES]) for scene in scenes]
-        different = {each: Actuators(scene.values) for each, scene in dict(
-            zip(limits, scenes)).items()}
+        different = {each: Actuators(scene.values)
+                     for each, scene in dict(zip(limits, scenes)).items()}
         actuators = [different[each] for each in limits]
         self._limit, self._gain = (np.array([getattr(each, name) for each in actuators])
                                    for name in ('limit', 'gain'))
@@ -59,8 +58,8 @@ class LaneLoads:
             if len(each.slow):
                 slow.update(each.slow)
                 self._slow[lane] = None
-        own = (columns for columns, _, _ in self._parts)
-        self.columns = np.array(sorted(slow.union(*own)), dtype=np.int64)
+        varying = (columns for columns, _, _ in self._parts)
+        self.columns = np.array(sorted(slow.union(*varying)), dtype=np.int64)
         self._room = NO_LOADS
         self.reset(range(len(scenes)), 0)
 

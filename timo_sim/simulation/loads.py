@@ -95,8 +95,8 @@ def commanded_load(values: Mapping[str, Any], many: tuple[int, ...] = (),
     return load
 
 
-# The parameters that a scene's actuators follow from, beside the time step.
-ACTUATOR_VALUES = [*{name: None for each in INPUTS for name in (each.limit, each.rate_limit) if name},
+# Parameters from which actuators follow, beside the time step.
+ACTUATOR_VALUES = [*{name for each in INPUTS for name in (each.limit, each.rate_limit)} - {''},
                    'motor.dc.resistance', 'motor.dc.torque_constant', 'motor.dc.gear_ratio']
 
 
