@@ -144,8 +144,9 @@ class Manipulator:
         [kg], [kg m2].
         """
         section, weights = self.arm.at(quadrature.nodes), quadrature.weights
-        return (np.append(weights * section.mass_per_length, self.end_effector_mass),
-                np.append(weights * section.inertia_per_length, self.end_effector_inertia))
+        return (np.concatenate([weights * section.mass_per_length, [self.end_effector_mass]]),
+                np.concatenate([weights * section.inertia_per_length,
+                                [self.end_effector_inertia]]))
 
 
 @dataclass(frozen=True)

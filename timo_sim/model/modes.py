@@ -116,7 +116,7 @@ class UniformModes(Modes):
             section.shear_stiffness, section.second_moment / section.area,
             section.young_modulus / (section.shear_correction * section.shear_modulus),
             manipulator.end_effector_mass, manipulator.end_effector_inertia))
-        self._compute_fields = fields.of(self._arm)
+        self._compute_fields, self._known = fields.of(self._arm), {}
         self.omega = self._roots(manipulator, count)
         # The shares of the waves in a mode are the null vector of its boundary conditions (T7).
         matrices, scales = np.empty((count, 4, 4)), np.empty((count, 4))
@@ -130,16 +130,23 @@ class UniformModes(Modes):
         modal_mass = mass @ deflection**2 + inertia @ rotation**2
         sign = np.sign(self.curvature(np.zeros(1))[0])
         self._shape *= (sign / np.sqrt(modal_mass))[:, np.newaxis]
+        self._known = {}
 
     def _field(self, name, xi):
         known = 'deflection', 'rotation', 'curvature', 'shear'
         return self._fields(xi)[known.index(name)] if name in known else super()._field(name, xi)
 
     def _fields(self, xi):
-        values = np.empty((len(xi) * len(self), 4))
-        self._compute_fields(self.omega, len(self), self._shape,
-                             np.ascontiguousarray(xi, dtype=float), len(xi), values)
-        return values.reshape(len(xi), len(self), 4).transpose(2, 0, 1)
+        # A formulation asks for several fields at the same points, which are computed together.
+        xi = np.ascontiguousarray(xi, dtype=float)
+        found = self._known.get(key := xi.tobytes())
+        if found is None:
+            values = np.empty((len(xi) * len(self), 4))
+            self._compute_fields(self.omega, len(self), self._shape, xi, len(xi), values)
+            values.flags.writeable = False
+            found = values.reshape(len(xi), len(self), 4).transpose(2, 0, 1)
+            self._known = {**dict([*self._known.items()][-1:]), key: found}
+        return found
 
     def _roots(self, manipulator, count):
         omega = np.zeros(count)

@@ -229,7 +229,8 @@ def _fill_rows(table, numbers, kind, runs, duration):
     rows, scenes = (list(part) for part in zip(*runs))
     if kind:
         numbers[rows, :-1], batch = run_lanes(scenes, kind[0])
-        table['reason'][rows] = [batch.reason(lane) for lane in range(batch.n)]
+        for lane in np.flatnonzero(batch.failed):
+            table['reason'][rows[lane]] = batch.reason(int(lane))
         table['warning'][rows] = [unseen_load(scene) or '' for scene in scenes]
     else:
         run = run_scene(scenes[0], steps_in(duration, scenes[0].step))

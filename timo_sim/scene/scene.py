@@ -40,7 +40,6 @@ _PLAUSIBLE = {'young_modulus': (1e5, 2e12, 'Pa'), 'density': (10.0, 25000.0, 'kg
 _TERM_NAMES = {channel: tuple(f'load.{channel}.{name}' for name in (
     'harmonic.amplitude', 'harmonic.frequency', 'harmonic.phase', 'piecewise.time',
     'piecewise.value', 'table.time', 'table.value')) for channel in CHANNELS}
-_ALL_TERM_NAMES = ('integrator.step', *(name for names in _TERM_NAMES.values() for name in names))
 _MAX_NUMBER = 1e50  # products of six numbers, as in an energy, do not overflow
 _MAX_LENGTH = 30.0  # longest arm that is not taken for one in millimetres [m]
 _MIN_SLENDERNESS = 3.0  # length over height; a shorter arm is a block, not a beam
@@ -276,7 +275,8 @@ def scene_from(values: Mapping[str, Any]) -> Scene:
     step = values['integrator.step']
     for name in DELAYS:
         whole_ratio(name, values[name], 'integrator.step', step)
-    load = Load(_terms_of(tuple((name, values[name]) for name in _ALL_TERM_NAMES)), _drive(values))
+    load = Load({channel: _terms_of(channel, tuple([values[name] for name in names]), step)
+                 for channel, names in _TERM_NAMES.items()}, _drive(values))
     scene = Scene(manipulator_of(values), constraints_of(values), load, step, values)
     check_finite(scene)
     check_slope(scene)
@@ -335,13 +335,11 @@ def manipulator_of(values: Mapping[str, Any]) -> Manipulator:
               for body in ('carrier', 'motor') for speed in [values[f'{body}.coulomb_speed']]))
 
 
-@lru_cache(maxsize=4)
-def _terms_of(items):
+@lru_cache(maxsize=4 * len(_TERM_NAMES))
+def _terms_of(channel, given, step):
     # Equal terms are one object, so that scenes under the same load can share what follows of it.
-    values = dict(items)
-    return {channel: tuple(_terms(f'load.{channel}', values, values['integrator.step']))
-            if any(values[name] for name in names) else ()
-            for channel, names in _TERM_NAMES.items()}
+    values = dict(zip(_TERM_NAMES[channel], given))
+    return tuple(_terms(f'load.{channel}', values, step)) if any(given) else ()
 
 
 def motor_constants(values: Mapping[str, Any]) -> tuple[float, float]:
@@ -481,7 +479,7 @@ def modal_count(values: Mapping[str, Any]) -> int:
 def check_push(values: Mapping[str, Any]) -> None:
     """Raise ParameterError if loads lack what they need, or a push is not on the arm."""
     for each in INPUTS:
-        if each.prescribed and each.needs and not values[each.needs]:
+        if each.needs and each.prescribed and not values[each.needs]:
             given = [name for name in _TERM_NAMES[each.name] if values[name]]
             if given:
                 raise ParameterError(f'{given[0]} needs {each.needs} > 0, got '

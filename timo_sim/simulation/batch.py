@@ -19,9 +19,10 @@ import numpy as np
 from timo_sim.compiled.functions import WIDTH
 from timo_sim.model.layout import (
     AFTER, INPUTS, LOADS, Motion, rotate, START, STEP_LOADS, TORQUE, VOLTAGE)
+from timo_sim.scene.loads import CHANNELS, Load
 from timo_sim.scene.parameters import Parameter, ParameterError, steps_in
 from timo_sim.scene.scene import load_scene, Scene, SceneLike
-from timo_sim.simulation.loads import Actuators, commanded_load
+from timo_sim.simulation.loads import Actuators, ACTUATOR_VALUES, commanded_load
 from timo_sim.simulation.simulator import COUNT, MOST_BENT, SAMPLE_EVERY
 from timo_sim.simulation.warnings import divergence, unseen_load
 from timo_sim.steps.lanes import from_lanes, LaneSteps, to_lanes
@@ -33,21 +34,32 @@ class LaneLoads:
 
     def __init__(self, scenes: list[Scene]) -> None:
         self._step, self._scenes = scenes[0].step, scenes
-        kinds = [(id(scene.load.terms), scene.load.drive) for scene in scenes]
-        loads = {kind: scene.load for kind, scene in zip(kinds, scenes)}
-        self._loads, place = list(loads.values()), {kind: k for k, kind in enumerate(loads)}
-        self._which = np.array([place[kind] for kind in kinds])
-        actuators = {id(scene): Actuators(scene.values) for scene in scenes}
-        self._limit, self._gain = (np.array([
-            getattr(actuators[id(scene)], name) for scene in scenes])
-            for name in ('limit', 'gain'))
+        # What varies by itself, the drive or the terms of a channel: its columns, all different
+        # loads, and which of them each lane has. Lanes share what does not differ among them.
+        self._parts = []
+        for name in ('drive', *CHANNELS):
+            own = [scene.load.drive if name == 'drive' else scene.load.terms.get(name, ())
+                   for scene in scenes]
+            kinds = own if name == 'drive' else [id(terms) for terms in own]
+            loads = [Load({}, each) if name == 'drive' else Load({name: each})
+                     for each in dict(zip(kinds, own)).values()]
+            columns = sorted({column for load in loads for column in load.columns})
+            if columns:
+                place = {kind: k for k, kind in enumerate(dict.fromkeys(kinds))}
+                self._parts.append((columns, loads, np.array([place[kind] for kind in kinds])))
+        limits = [tuple([scene.values[name] for name in ACTUATOR_VALUES]) for scene in scenes]
+        different = {each: Actuators(scene.values)
+                     for each, scene in dict(zip(limits, scenes)).items()}
+        actuators = [different[each] for each in limits]
+        self._limit, self._gain = (np.array([getattr(each, name) for each in actuators])
+                                   for name in ('limit', 'gain'))
         self._slow, slow = {}, set()
-        for lane, scene in enumerate(scenes):
-            if len(actuators[id(scene)].slow):
-                slow.update(actuators[id(scene)].slow)
+        for lane, each in enumerate(actuators):
+            if len(each.slow):
+                slow.update(each.slow)
                 self._slow[lane] = None
-        own = (load.columns for load in self._loads)
-        self.columns = np.array(sorted(slow.union(*own)), dtype=np.int64)
+        varying = (columns for columns, _, _ in self._parts)
+        self.columns = np.array(sorted(slow.union(*varying)), dtype=np.int64)
         self._room = NO_LOADS
         self.reset(range(len(scenes)), 0)
 
@@ -76,33 +88,35 @@ class LaneLoads:
         `origin`, shape (n,), is the number of the step at which the scene's own loads begin, in
         each lane. The shape is (groups, 1 + count, 4, len(columns), WIDTH).
         """
-        shape = 1 + count, STEP_LOADS, len(self.columns)
-        if not len(self.columns):
-            return np.empty((-(-len(origin) // WIDTH), *shape, WIDTH))
-        # Lanes with the same load that began at the same step; complex numbers are sorted fast.
-        kinds, kind = np.unique(self._which + 1j * (first - origin), return_inverse=True)
-        found = np.zeros((len(kinds), *shape))
-        for number, begin, loads in zip(kinds.real.astype(int), kinds.imag.astype(int), found):
-            load = self._loads[number]
-            if begin:  # from the step before, whose end is the beginning of these
-                loads[:] = self._own(load, begin - 1, count + 1)
-            else:
-                loads[1:] = self._own(load, 0, count)
-                loads[0, AFTER] = loads[1, START] if count else self._own(load, 0, 1)[0, START]
-        if self._slow:
-            found, kind = found[kind], np.arange(len(kind))
+        groups = -(-len(origin) // WIDTH)
+        found = np.zeros((groups, 1 + count, STEP_LOADS, len(self.columns), WIDTH))
+        for columns, loads, which in self._parts:
+            # Lanes with equal loads that began at the same step; complex numbers are sorted fast.
+            kinds, kind = np.unique(which + 1j * (first - origin), return_inverse=True)
+            own = np.zeros((len(kinds), 1 + count, STEP_LOADS, len(columns)))
+            for each, rows in zip(kinds, own):
+                load, begin = loads[int(each.real)], int(each.imag)
+                if begin:  # from the step before, whose end is the beginning of these
+                    rows[:] = self._own(load, columns, begin - 1, count + 1)
+                else:
+                    rows[1:] = self._own(load, columns, 0, count)
+                    after = rows[1] if count else self._own(load, columns, 0, 1)[0]
+                    rows[0, AFTER] = after[START]
+            at = np.searchsorted(self.columns, columns[0])
+            found[..., at:at + len(columns), :] = (
+                to_lanes(own, kind) if len(kinds) > 1 else own[0, ..., np.newaxis])
         for lane, actuators in self._slow.items():
-            among = np.isin(self.columns, actuators.slow)
-            acting = np.zeros((count, STEP_LOADS, LOADS))
+            acting, rows = np.zeros((count, STEP_LOADS, LOADS)), found[lane // WIDTH, 1:]
             actuators.add(self._commanded[lane], first, acting)
-            found[lane, 1:, :, among] += np.moveaxis(acting[..., actuators.slow], -1, 0)
-        return to_lanes(found, kind)
+            among = np.isin(self.columns, actuators.slow)
+            rows[..., among, lane % WIDTH] += acting[..., actuators.slow]
+        return found
 
-    def _own(self, load, first, count):
+    def _own(self, load, columns, first, count):
         if len(self._room) < count:
             self._room = np.empty((count, STEP_LOADS, LOADS))
-        loads = load.stages(first, count, self._step, self._room)
-        return loads.take(self.columns, axis=-1)
+        found = load.stages(first, count, self._step, self._room)
+        return found[..., columns[0]:columns[-1] + 1]
 
 
 _COUNT = Parameter('n', 1, '', 'number of manipulators', low=1)
@@ -242,15 +256,15 @@ class Batch:
         self._loads.reset(np.flatnonzero(chosen), self.steps)
 
     def _states_and_tips(self, motions, chosen):
-        # Each is made once for equal motions of a model.
         states, tips = np.zeros((self.n, len(self._models[0].linear))), np.zeros((self.n, 3))
-        found = {}
+        rows_of = {}
         for lane in np.flatnonzero(chosen):
-            model, motion = self._models[lane], motions[lane]
-            key = id(model), motion.tobytes()
-            if key not in found:
-                found[key] = model.state(motion), model.tip(motion)
-            states[lane], tips[lane] = found[key]
+            rows_of.setdefault(id(self._models[lane]), []).append(lane)
+        for rows in rows_of.values():
+            model = self._models[rows[0]]
+            # Each is a product of its own, so that no bit of a row depends on the other rows.
+            states[rows] = model.state(motions[rows][:, np.newaxis])[:, 0]
+            tips[rows] = model.tips(motions[rows])
         return states, tips
 
     def step(self, *, duration: float | None = None, **commands: Any) -> Motion:

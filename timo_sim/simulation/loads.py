@@ -95,6 +95,11 @@ def commanded_load(values: Mapping[str, Any], many: tuple[int, ...] = (),
     return load
 
 
+# Parameters from which actuators follow, beside the time step.
+ACTUATOR_VALUES = [*{name for each in INPUTS for name in (each.limit, each.rate_limit)} - {''},
+                   'motor.dc.resistance', 'motor.dc.torque_constant', 'motor.dc.gear_ratio']
+
+
 class Actuators:
     """
     The actuators of a scene, which turn commands into loads; the scene's own loads bypass them.
