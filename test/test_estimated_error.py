@@ -180,6 +180,18 @@ def test_the_error_under_commands_is_that_from_finer_steps():
     assert error > 1e-4 and found[0] == pytest.approx(error, rel=0.3)
 
 
+def test_calls_whose_end_is_not_sampled_are_compared_at_their_own_samples():
+    """The error is that of calls which are followed one by one."""
+    found = []
+    for followed in (False, True):
+        simulator = timo_sim.Simulator('paper', estimate=True)
+        for count in (300, 3, 4, 3, 4):
+            simulator.advance(count, sample_every=2)
+            assert not followed or simulator.measure_error()
+        found.append(simulator.estimated_error)
+    assert found[0] == pytest.approx(found[1], rel=1e-6) and found[1] > 1e-8
+
+
 def test_the_finer_run_follows_changes_and_resets():
     """A change of the scene that both runs make is no error; a reset begins anew."""
     scene = timo_sim.load_scene('paper')

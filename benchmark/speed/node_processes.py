@@ -182,8 +182,8 @@ def timer(path):
     ticks.save(path)
 
 
-def sim_node(path):
-    """Run `sim_node`, its ticks timed."""
+def sim_node(path, extra):
+    """Run `sim_node` with a command line, its ticks timed."""
     from timo_sim.cli.sim_node import StopRequest
     from timo_sim.ros import process
     ticks = Ticks()
@@ -193,7 +193,7 @@ def sim_node(path):
             return ticks.time(super()._tick, lambda: self._simulator.steps)
 
     process.SimNode = Timed
-    process.run(StopRequest(), None)
+    process.run(StopRequest(), extra)
     ticks.save(path)
 
 
@@ -216,10 +216,10 @@ def spin(node, executor, done=lambda: False):
         executor.spin_once(timeout_sec=0.1)
 
 
-def main(name, argument, *_):
+def main(name, argument, *extra):
     """Run one of them."""
     if name == 'node':
-        sim_node(argument)
+        sim_node(argument, list(extra))
         return
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: END.set())

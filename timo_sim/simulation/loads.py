@@ -240,8 +240,8 @@ class TipLoad:
         self._payloads, self._next, self.lost = scene.payloads, 0, 0.0
 
     def copy(self) -> TipLoad:
-        """Return a copy as it is now."""
-        return copy(self)
+        """Return a copy as it is now, or itself if no step changes it."""
+        return copy(self) if self._payloads else self
 
     def reset(self, scene: Scene) -> bool:
         """Return to the end effector of a scene, and whether that is another one than now."""

@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import groupby
 import math
 import threading
 from typing import Any, NamedTuple
@@ -43,11 +44,16 @@ STEPS_BEHIND = 8
 
 
 class _Call(NamedTuple):
-    # A call of `advance`, or many alike, that the finer run has yet to follow.
+    # A call of `advance` that the finer run has yet to follow.
     steps: int
     commanded: np.ndarray | None
     every: int
     motions: np.ndarray
+
+    def kind(self) -> tuple:
+        # Equal for calls that may be one; a call whose end is not sampled is one by itself.
+        return self.every, self.steps % self.every and id(self), (
+            None if self.commanded is None else self.commanded.tobytes())
 
 
 class Simulator:
@@ -391,21 +397,11 @@ class Simulator:
             self.warning = self.warning or warnings.after_steps(
                 self.scene, self.model, share, self.t, seen)
         if self._finer and count:
-            self._keep(count, commanded, sample_every or count,
-                       motions[1:] if sample_every else self.motion.values[np.newaxis])
-
-    def _keep(self, count, commanded, every, motions):
-        # Calls that differ in nothing but their number are one for the finer run.
-        last = self._behind[-1] if self._behind else None
-        if last and last.steps < STEPS_BEHIND and (every, count % every) == (last.every, 0) and (
-                np.array_equal(commanded, last.commanded)):
-            self._behind[-1] = last._replace(
-                steps=last.steps + count, motions=np.vstack([last.motions, motions]))
-            return
-        self._behind.append(_Call(
-            count, None if commanded is None else commanded.copy(), every, motions))
-        if len(self._behind) >= _MOST_BEHIND:
-            self.measure_error()
+            self._behind.append(_Call(
+                count, None if commanded is None else commanded.copy(), sample_every or count,
+                motions[1:] if sample_every else self.motion.values[np.newaxis]))
+            if len(self._behind) >= _MOST_BEHIND:
+                self.measure_error()
 
     def _change_tip(self, number):
         # The loads that the scene changes at a step; return the motion before, if there are any.
@@ -442,8 +438,10 @@ class Simulator:
 
     def _measure(self, calls, finer, parts):
         try:
-            others = [finer.advance(parts * call.steps, call.commanded, parts * call.every)[0][1:]
-                      for call in calls]
+            # Calls that differ in nothing but their number are one for the finer run.
+            others = [finer.advance(parts * sum(call.steps for call in alike), alike[0].commanded,
+                                    parts * alike[0].every)[0][1:]
+                      for alike in (list(group) for _, group in groupby(calls, _Call.kind))]
         except DivergenceError:
             self._finer, self._error = None, math.nan
             self.warning = self.warning or warnings.NO_FINER_RUN
