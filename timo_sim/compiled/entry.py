@@ -10,6 +10,7 @@
 
 from collections.abc import Callable
 import ctypes
+from functools import partial
 from operator import is_
 from typing import Any
 
@@ -55,11 +56,11 @@ class EntryPoint(Function):
         return Call(code, wanted, constants)
 
     def _wanted(self, constants):
-        """Return shape and type of each array, or what passes a number."""
+        """Return for each argument the function that returns what passes it."""
         sizes = {name: size for each in constants for name, size in each.sizes.items()}
-        return [_NUMBERS.get(given) or (
-                 tuple(sizes.get(dim, dim) for dim in given.dims) + given.lanes * (WIDTH,),
-                 np.dtype(np.int64 if given.whole else float)) for given in self._arrays]
+        return [_NUMBERS.get(given) or partial(
+            _place, tuple(sizes.get(dim, dim) for dim in given.dims) + given.lanes * (WIDTH,),
+            np.dtype(np.int64 if given.whole else float)) for given in self._arrays]
 
     def __call__(self, *args: Any) -> Any:
         """Call the machine code; `of` is faster where constants stay the same."""
@@ -105,21 +106,16 @@ class Call:
     def _check(self, args):
         """Return what passes the arguments."""
         (values, places), short = map(list, self._last), True
-        for number, (value, last, wanted) in enumerate(
-                zip(args, values, self._wanted, strict=True)):
-            if value is last:
-                continue
-            values[number] = value
-            if isinstance(wanted, tuple):
-                places[number], short = _place(value, *wanted), short and value.nbytes <= _SHORT
-            else:
-                places[number] = wanted(value)
+        for k, (value, last, place) in enumerate(zip(args, values, self._wanted, strict=True)):
+            if value is not last:
+                values[k], places[k] = value, place(value)
+                short = short and getattr(value, 'nbytes', 0) <= _SHORT
         if short:
             self._last = values, places
         return places
 
 
-def _place(value, shape, dtype):
+def _place(shape, dtype, value):
     """Return what passes an array; machine code itself checks nothing."""
     given = value.shape
     if given != shape and (shape[0] is not None or given[1:] != shape[1:]) or (

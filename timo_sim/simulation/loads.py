@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from copy import copy
 from dataclasses import replace
 from functools import cached_property
 import math
@@ -242,10 +241,6 @@ class TipLoad:
     def __init__(self, scene: Scene) -> None:
         self._first = self.tip = _own(scene)
         self._payloads, self._next, self.lost = scene.payloads, 0, 0.0
-
-    def copy(self) -> TipLoad:
-        """Return a copy as it is now."""
-        return copy(self)
 
     def reset(self, scene: Scene) -> bool:
         """Return to the end effector of a scene, and whether that is another one than now."""

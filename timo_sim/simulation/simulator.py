@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 import math
 import threading
 from typing import Any, NamedTuple
@@ -374,15 +375,15 @@ class Simulator:
             return samples.motions, samples.heat
 
     def _advance(self, count, commanded, samples):
-        if self._resting and self._rests(count, commanded):
+        self._resting = self._resting and (commanded is None or not commanded.any())
+        if self._resting and count:  # not even the last bit of the state would change
             return self._rest(count, samples)
         before = (self._state.copy(), self._load.copy(), self.integration.memory.copy(),
                   self.tip_load, self.model, self.integration)
         first, done = self.steps - self._origin, 0
         while done < count:
-            number, sample = first + done, None
-            if self.tip_load.next_step <= number:
-                sample = self._change_tip(number)
+            number = first + done
+            sample = self._change_tip(number) if self.tip_load.next_step <= number else None
             part = min(count - done, CHUNK, self.tip_load.next_step - number)
             loads = self._table.stages(number, part, commanded)
             reached = self.integration.advance(self._state, self._load, loads, samples, done)
@@ -421,8 +422,8 @@ class Simulator:
             self.measure_error()
 
     def _change_tip(self, number):
-        # Make the changes of the load at the tip that are due; return the motion before them.
-        before, self.tip_load = self.motion.values, self.tip_load.copy()  # the old one is kept
+        # Make the changes of the load at the tip that are due; return the motion before.
+        before, self.tip_load = self.motion.values, copy(self.tip_load)  # the old one is kept
         while self.tip_load.next_step <= number:
             self._continue_with(self.scene, self.tip_load.take_next())
         return before
@@ -464,11 +465,6 @@ class Simulator:
             self.model, np.vstack([call.motions for call in calls]), finer.model,
             np.vstack(others)))
         self.warning = self.warning or warnings.inaccurate(self.scene, self._error)
-
-    def _rests(self, count, commanded):
-        # Whether these steps would not change the state, not even in the last bit.
-        self._resting = self._resting and (commanded is None or not commanded.any())
-        return self._resting and count > 0
 
     def _rest(self, count, samples):
         if samples.every:
